@@ -1,1 +1,7 @@
+"""From trees to functions: one expression (`lower`) or a whole system (`compile`)."""
 
+from .dynamics import Dynamics, compile  # noqa: A004  the contract's name
+from .explain import Explanation
+from .lower import lower
+
+__all__ = ["Dynamics", "Explanation", "compile", "lower"]

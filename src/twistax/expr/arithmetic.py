@@ -1,0 +1,391 @@
+"""Sums, products, quotients, powers and matrix products."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import ShapeError
+from .fields import Operand, Operands
+from .leaves import Constant, State
+from .node import Example, Expr, Shape
+from .printing import wrap_latex
+from .shapes import align, broadcast
+
+if TYPE_CHECKING:
+    from .fields import ExprLike
+
+
+def is_constant(node: Expr, number: float) -> bool:
+    """Whether every entry of a constant equals the number."""
+    return isinstance(node, Constant) and bool((node.value == number).all())
+
+
+def zeros_of(node: Expr) -> Constant:
+    """A zero of the node's shape."""
+    return Constant(np.zeros(node.shape))
+
+
+def _vector(name: str = "x") -> State:
+    return State(name, shape=(3,))
+
+
+class Add(Expr):
+    """Sum a + b + ... with NumPy broadcasting.
+
+    Attributes:
+        terms: two or more expressions of broadcastable shapes, any unit (the same for all).
+    Raises:
+        ShapeError: the shapes do not broadcast.
+    """
+
+    terms: Operands
+    precedence = 10
+    keeps_order = True
+
+    def __init__(self, *terms: ExprLike) -> None:
+        super().__init__(*terms)
+
+    def validate(self) -> None:
+        if len(self.terms) < 2:
+            raise TypeError("Add requires two or more terms")
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return functools.reduce(lambda a, b: operator.add(*align(a, b)), values)
+
+    def simplify(self) -> Expr:
+        """Flatten nested sums, fold constants, drop zeros and pairs x - x; never change the shape."""
+        terms = [t for term in self.terms for t in (term.terms if isinstance(term, Add) else (term,))]
+        constants = [t for t in terms if isinstance(t, Constant)]
+        others = _cancel([t for t in terms if not isinstance(t, Constant)])
+        total = np.asarray(sum((c.value for c in constants), start=np.float64(0.0)))
+        if not others:
+            return Constant(np.broadcast_to(total, self.shape))
+        kept = _broadcast_of(others)
+        if total.any() or np.broadcast_shapes(kept, total.shape) != kept:
+            others.append(Constant(total))
+            kept = np.broadcast_shapes(kept, total.shape)
+        if kept != self.shape:
+            others.append(zeros_of(self))
+        return _rebuilt(self, others, self.terms)
+
+    def to_text(self, *operands: str) -> str:
+        return "(" + " + ".join(operands) + ")"
+
+    def to_latex(self, *operands: str) -> str:
+        return " + ".join(wrap_latex(t, s, 10) for t, s in zip(self.terms, operands)).replace("+ -", "- ")
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, m = _vector("a"), State("m", shape=(2, 3))
+        values = {"a": np.array([1.0, -2.0, 0.5]), "m": np.arange(6.0).reshape(2, 3)}
+        return [Example(Add(a, m, 2.0), values), Example(a + a, values)]
+
+
+class Sub(Expr):
+    """Difference left - right with NumPy broadcasting.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+    """
+
+    left: Operand
+    right: Operand
+    precedence = 10
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        left, right = align(*values)
+        return left - right
+
+    def simplify(self) -> Expr:
+        """x - x is 0; x - 0 is x; 0 - x is -x; x - (-y) is x + y; x - c is x + (-c)."""
+        if self.left.key() == self.right.key():
+            return zeros_of(self)
+        if is_constant(self.right, 0.0) and self.left.shape == self.shape:
+            return self.left
+        if is_constant(self.left, 0.0) and self.right.shape == self.shape:
+            return Neg(self.right)
+        if isinstance(self.right, Neg):
+            return Add(self.left, self.right.operand)
+        return self
+
+    def to_text(self, *operands: str) -> str:
+        return f"({operands[0]} - {operands[1]})"
+
+    def to_latex(self, *operands: str) -> str:
+        return f"{operands[0]} - {wrap_latex(self.right, operands[1], 11)}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, b = _vector("a"), State("b")
+        return [Example(a - b, {"a": np.array([1.0, -2.0, 0.5]), "b": 0.25}), Example(b - a, {"a": np.ones(3), "b": 3.0})]
+
+
+class Mul(Expr):
+    """Entrywise product a * b * ... with NumPy broadcasting.
+
+    Attributes:
+        factors: two or more expressions of broadcastable shapes.
+    Raises:
+        ShapeError: the shapes do not broadcast.
+    """
+
+    factors: Operands
+    precedence = 20
+    keeps_order = True
+
+    def __init__(self, *factors: ExprLike) -> None:
+        super().__init__(*factors)
+
+    def validate(self) -> None:
+        if len(self.factors) < 2:
+            raise TypeError("Mul requires two or more factors")
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return functools.reduce(lambda a, b: operator.mul(*align(a, b)), values)
+
+    def simplify(self) -> Expr:
+        """Flatten nested products, fold constants, drop ones, absorb zeros and signs; never change the shape."""
+        factors = [f for factor in self.factors for f in (factor.factors if isinstance(factor, Mul) else (factor,))]
+        constants = [f for f in factors if isinstance(f, Constant)]
+        others = [f for f in factors if not isinstance(f, Constant)]
+        product = np.asarray(functools.reduce(operator.mul, (c.value for c in constants), np.float64(1.0)))
+        if not np.isfinite(product).all():
+            return self
+        if not product.any() or not others:
+            return Constant(np.broadcast_to(product, self.shape))
+        kept = _broadcast_of(others)
+        if (product != 1.0).any() or np.broadcast_shapes(kept, product.shape) != kept:
+            others.insert(0, Constant(product))
+        return _rebuilt(self, others, self.factors)
+
+    def to_text(self, *operands: str) -> str:
+        return "(" + " * ".join(operands) + ")"
+
+    def to_latex(self, *operands: str) -> str:
+        return r" \, ".join(wrap_latex(f, s, 20) for f, s in zip(self.factors, operands))
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, s = _vector("a"), State("s")
+        return [Example(Mul(a, s, 3.0), {"a": np.array([1.0, -2.0, 0.5]), "s": -0.5})]
+
+
+class Div(Expr):
+    """Entrywise quotient left / right with NumPy broadcasting.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+    """
+
+    left: Operand
+    right: Operand
+    precedence = 20
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        left, right = align(*values)
+        return left / right
+
+    def simplify(self) -> Expr:
+        """x / 1 is x; 0 / x is 0 (equal wherever the quotient is finite)."""
+        if is_constant(self.right, 1.0) and self.left.shape == self.shape:
+            return self.left
+        return zeros_of(self) if is_constant(self.left, 0.0) else self
+
+    def to_text(self, *operands: str) -> str:
+        return f"({operands[0]} / {operands[1]})"
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\frac{{{operands[0]}}}{{{operands[1]}}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, s = _vector("a"), State("s")
+        return [Example(a / s, {"a": np.array([1.0, -2.0, 0.5]), "s": -0.5})]
+
+
+class Neg(Expr):
+    """Negative -x."""
+
+    operand: Operand
+    precedence = 15
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return shapes[0]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return -values[0]
+
+    def simplify(self) -> Expr:
+        """-(-x) is x; -(a - b) is b - a where the shapes allow."""
+        if isinstance(self.operand, Neg):
+            return self.operand.operand
+        return self
+
+    def to_text(self, *operands: str) -> str:
+        return f"(-{operands[0]})"
+
+    def to_latex(self, *operands: str) -> str:
+        return f"-{wrap_latex(self.operand, operands[0], 15)}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(-_vector("a"), {"a": np.array([1.0, -2.0, 0.5])})]
+
+
+class Power(Expr):
+    """Entrywise power base ** exponent with NumPy broadcasting.
+
+    A constant whole exponent is computed by multiplication, so that its derivative at zero is right.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+    """
+
+    base: Operand
+    exponent: Operand
+    precedence = 40
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        base, exponent = align(*values)
+        whole = self._whole_exponent()
+        if whole is not None:
+            return jax.lax.integer_pow(base, whole)
+        return jnp.power(base, exponent)
+
+    def _whole_exponent(self) -> int | None:
+        if isinstance(self.exponent, Constant) and self.exponent.value.ndim == 0:
+            value = float(self.exponent.value)
+            return int(value) if value.is_integer() and abs(value) <= 64 else None
+        return None
+
+    def simplify(self) -> Expr:
+        """x ** 1 is x; x ** 0 is 1."""
+        if is_constant(self.exponent, 1.0) and self.base.shape == self.shape:
+            return self.base
+        return Constant(np.ones(self.shape)) if is_constant(self.exponent, 0.0) else self
+
+    def to_text(self, *operands: str) -> str:
+        return f"({operands[0]} ** {operands[1]})"
+
+    def to_latex(self, *operands: str) -> str:
+        return f"{{{wrap_latex(self.base, operands[0], 50)}}}^{{{operands[1]}}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, s = _vector("a"), State("s")
+        signed, positive = np.array([1.0, -2.0, 0.0]), np.array([1.0, 2.0, 0.5])
+        return [Example(a**2, {"a": signed}), Example(a**s, {"a": positive, "s": 1.3}), Example(a**-1, {"a": positive})]
+
+
+class MatMul(Expr):
+    """Matrix product left @ right, NumPy's rules for vectors, matrices and stacks.
+
+    Raises:
+        ShapeError: a scalar operand, or inner sizes that differ.
+    """
+
+    left: Operand
+    right: Operand
+    precedence = 20
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        left, right = shapes
+        if not left or not right:
+            raise ShapeError(
+                f"MatMul expects vectors or matrices, got {left} @ {right}", hint="use * to multiply by a scalar"
+            )
+        inner = right[-2] if len(right) > 1 else right[0]
+        if left[-1] != inner:
+            raise ShapeError(f"MatMul incompatible shapes: {left} @ {right}", hint=f"{left[-1]} columns meet {inner} rows")
+        stack = broadcast(self, left[:-2], right[:-2])
+        return stack + (left[-2:-1] if len(left) > 1 else ()) + (right[-1:] if len(right) > 1 else ())
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        left, right = values
+        if left.ndim > 2 and right.ndim > 2:
+            left, right = align(left, right)
+        return left @ right
+
+    def simplify(self) -> Expr:
+        """Identity matrices vanish; a product with zeros is zero."""
+        if _is_identity(self.left) and self.right.shape == self.shape:
+            return self.right
+        if _is_identity(self.right) and self.left.shape == self.shape:
+            return self.left
+        if is_constant(self.left, 0.0) or is_constant(self.right, 0.0):
+            return zeros_of(self)
+        return self
+
+    def to_text(self, *operands: str) -> str:
+        return f"({operands[0]} @ {operands[1]})"
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"{wrap_latex(self.left, operands[0], 20)} \, {wrap_latex(self.right, operands[1], 21)}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        rng = np.random.default_rng(0)
+        m, v = State("m", shape=(2, 3)), _vector("v")
+        values = {"m": rng.normal(size=(2, 3)), "v": rng.normal(size=3)}
+        return [Example(m @ v, values), Example(v @ v, values), Example(m @ Constant(np.ones((3, 2))), values)]
+
+
+def _is_identity(node: Expr) -> bool:
+    if not isinstance(node, Constant) or node.value.ndim != 2 or node.value.shape[0] != node.value.shape[1]:
+        return False
+    return bool((node.value == np.eye(node.value.shape[0])).all())
+
+
+def _broadcast_of(nodes: list[Expr]) -> Shape:
+    return np.broadcast_shapes(*(node.shape for node in nodes))
+
+
+def _cancel(terms: list[Expr]) -> list[Expr]:
+    """Drop pairs x, -x."""
+    left: list[Expr] = []
+    for term in terms:
+        opposite = term.operand.key() if isinstance(term, Neg) else None
+        for i, other in enumerate(left):
+            negated = other.operand.key() if isinstance(other, Neg) else None
+            if other.key() == opposite or negated == term.key():
+                del left[i]
+                break
+        else:
+            left.append(term)
+    return left
+
+
+def _rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
+    """The variadic node over new operands; itself if nothing changed, the operand if only one is left."""
+    if len(operands) == 1:
+        return operands[0]
+    if len(operands) == len(before) and all(a is b for a, b in zip(operands, before)):
+        return node
+    return type(node)(*operands)
+
+
+__all__ = ["Add", "Div", "MatMul", "Mul", "Neg", "Power", "Sub", "is_constant", "zeros_of"]

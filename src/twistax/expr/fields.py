@@ -1,0 +1,118 @@
+"""How a node class declares its fields, and how its constructor binds them.
+
+    class Adjoint(Expr):
+        twist1: Operand                    a child; numbers and arrays become Constants
+        operands: Operands                 any number of children, positional
+        order: Order = LINEAR_FIRST        anything else is static data, part of the structural key
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import inspect
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import jax
+
+    from .node import Expr
+
+    ExprLike = Expr | float | int | np.ndarray | jax.Array | list[Any] | tuple[Any, ...]
+
+_MISSING = inspect.Parameter.empty
+
+
+class Operand:
+    """Marks a field that holds one child expression (to a type checker: takes numbers and arrays too)."""
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __get__(self, instance: None, owner: type) -> Operand: ...
+        @overload
+        def __get__(self, instance: object, owner: type) -> Expr: ...
+        def __get__(self, instance: object | None, owner: type) -> Any: ...
+        def __set__(self, instance: object, value: ExprLike) -> None: ...
+
+
+if TYPE_CHECKING:
+    Operands = tuple[Expr, ...]
+else:
+
+    class Operands:
+        """Marks a field that holds any number of child expressions."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """One declared field of a node class."""
+
+    name: str
+    operand: bool
+    variadic: bool
+    default: Any = _MISSING
+
+    def coerce(self, value: Any) -> Any:
+        """Children become expressions, static data stays what it is."""
+        from .node import to_expr
+
+        if self.variadic:
+            return tuple(to_expr(item) for item in value)
+        return to_expr(value) if self.operand else value
+
+    def shown(self, value: Any) -> bool:
+        """Whether printing mentions this static field: only when it differs from its default."""
+        if self.operand or self.variadic:
+            return False
+        return self.default is _MISSING or freeze(value) != freeze(self.default)
+
+
+def declare_fields(cls: Any) -> None:
+    """Collect the fields a class annotates, after those it inherits, and give it a signature."""
+    fields = {f.name: f for f in cls._fields}
+    for name, annotation in cls.__dict__.get("__annotations__", {}).items():
+        if "ClassVar" in str(annotation):
+            continue
+        default = cls.__dict__.get(name, _MISSING)
+        fields[name] = Field(name, annotation == "Operand", annotation == "Operands", default)
+    cls._fields = tuple(fields.values())
+    cls.__signature__ = _signature(cls._fields)
+
+
+def _signature(fields: tuple[Field, ...]) -> inspect.Signature:
+    parameters = []
+    variadic = any(f.variadic for f in fields)
+    for field in fields:
+        kind = inspect.Parameter.KEYWORD_ONLY if variadic else inspect.Parameter.POSITIONAL_OR_KEYWORD
+        if field.variadic:
+            kind = inspect.Parameter.VAR_POSITIONAL
+        parameters.append(inspect.Parameter(field.name, kind, default=field.default))
+    return inspect.Signature(parameters)
+
+
+def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> list[tuple[Field, Any]]:
+    """The coerced value of every field, from the constructor's arguments."""
+    try:
+        bound = cls.__signature__.bind(*args, **kwargs)
+    except TypeError as error:
+        raise TypeError(f"{cls.__name__}{cls.__signature__}: {error}") from None
+    bound.apply_defaults()
+    return [(field, field.coerce(bound.arguments[field.name])) for field in cls._fields]
+
+
+def freeze(value: Any) -> Any:
+    """Static data as something that compares and prints by content, for structural keys."""
+    if isinstance(value, np.ndarray):
+        return (value.dtype.str, value.shape, hashlib.blake2b(value.tobytes(), digest_size=16).hexdigest())
+    if isinstance(value, float):
+        return value.hex()
+    if isinstance(value, (tuple, list)):
+        return tuple(freeze(item) for item in value)
+    if isinstance(value, slice):
+        return ("slice", value.start, value.stop, value.step)
+    if hasattr(value, "key") and callable(value.key):
+        return value.key()
+    return repr(value)

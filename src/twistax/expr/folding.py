@@ -1,0 +1,25 @@
+"""Constant folding: a node over constants is a constant."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from .leaves import Constant, Leaf
+from .node import Expr
+
+
+def fold(node: Expr) -> Expr:
+    """The Constant a node amounts to when all its children are constants; else the node itself.
+
+    Folding is done in float64, whatever the switch says, so that a folded number is as good as one typed in.
+    A result that is not finite is not folded: the run shall show it where it happens.
+    """
+    children = node.children()
+    if isinstance(node, Leaf) or not children or not all(isinstance(child, Constant) for child in children):
+        return node
+    node.check_shape()
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        values = [jax.numpy.asarray(child.value) for child in children if isinstance(child, Constant)]
+        result = np.asarray(node.evaluate(*values))
+    return Constant(result) if np.isfinite(result).all() else node

@@ -1,0 +1,404 @@
+"""Leaves: what an expression is a function of. Where a leaf sits in a vector is a layout's business, not the leaf's."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..errors import InputError, ModelError, ShapeError
+from ..groups import Euclidean, Group, Order, SpecialEuclidean
+from .node import Example, Expr, Shape
+
+
+@dataclasses.dataclass(frozen=True)
+class Inputs:
+    """The arguments of a lowered function, as arrays of one precision."""
+
+    t: jax.Array
+    x: Mapping[str, jax.Array]
+    u: Mapping[str, jax.Array]
+    params: Mapping[str, jax.Array]
+    dtype: Any
+
+
+class Leaf(Expr):
+    """A named value without children. Equal names, kinds and shapes mean the same leaf to `key()`."""
+
+    name: str
+
+    def _declare(self, name: str, shape: Shape, **fields: Any) -> None:
+        if not isinstance(name, str) or not name:
+            raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
+        self.__dict__.update(name=name, _shape=shape, **fields)
+        self._seal()
+
+    def static_key(self) -> tuple[Any, ...]:
+        return (self.name, self.shape)
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        """This leaf's value among a lowered function's arguments."""
+        raise NotImplementedError
+
+    def to_text(self, *operands: str) -> str:
+        return self.name
+
+    def to_latex(self, *operands: str) -> str:
+        head, _, tail = self.name.partition("_")
+        symbol = head if len(head) == 1 else rf"\mathrm{{{head}}}"
+        return f"{symbol}_{{\\mathrm{{{tail}}}}}" if tail else symbol
+
+
+class Constant(Leaf):
+    """A number or an array. Read-only; takes the precision of the states when evaluated.
+
+    Raises:
+        ModelError: not numeric, or a traced JAX value (use a Parameter for what changes between calls).
+    """
+
+    value: np.ndarray
+
+    def __init__(self, value: Any) -> None:
+        shape, array = _constant(value)
+        self._declare("constant", shape, value=array)
+
+    def static_key(self) -> tuple[Any, ...]:
+        from .fields import freeze
+
+        return (freeze(self.value),)
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        return jax.numpy.asarray(self.value, bool if self.value.dtype == bool else inputs.dtype)
+
+    def to_text(self, *operands: str) -> str:
+        if self.value.size <= 6:
+            return np.array2string(self.value, separator=", ").replace("\n", "")
+        return f"Constant{self.shape}"
+
+    def to_latex(self, *operands: str) -> str:
+        if self.value.ndim == 0:
+            return f"{self.value:.6g}"
+        if self.value.size > 36 or self.value.ndim > 2:
+            return rf"\mathrm{{const}}_{{{'\\times '.join(map(str, self.shape))}}}"
+        rows = self.value.reshape(-1, 1) if self.value.ndim == 1 else self.value
+        body = r" \\ ".join(" & ".join(f"{v:.4g}" for v in row) for row in rows)
+        return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Constant([1.0, -2.0]), {})]
+
+
+def _constant(value: Any) -> tuple[Shape, np.ndarray]:
+    try:
+        array = np.array(value)
+    except jax.errors.TracerArrayConversionError:
+        raise ModelError(
+            "a traced JAX value cannot become a Constant of an expression.\n"
+            "  fix: declare a tx.Parameter and pass the value through params"
+        ) from None
+    except ValueError as error:
+        raise ModelError(f"cannot make a Constant of {value!r}: {error}") from None
+    if array.dtype != bool:
+        if array.dtype.kind not in "iuf":
+            raise ModelError(
+                f"a Constant must be a real number or array, got {type(value).__name__} of dtype {array.dtype}.\n"
+                "  fix: collect expressions with tx.Stack or tx.Concat"
+            )
+        array = array.astype(np.float64)
+    array.setflags(write=False)
+    return array.shape, array
+
+
+class Time(Leaf):
+    """The time t, a scalar in s."""
+
+    def __init__(self) -> None:
+        self._declare("t", ())
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        return inputs.t
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Time(), {"t": 0.7})]
+
+
+class Variable(Leaf):
+    """A leaf an optimiser may choose: bounds, guess and scale travel with it.
+
+    Attributes:
+        min, max: bounds, broadcast to the shape; None where there is none.
+        guess: one value of the leaf's shape, or a trajectory (n, *shape) of it.
+        scale: typical size of a change, positive, of the tangent's shape (for a pose: (6,) or a number).
+    """
+
+    min: np.ndarray | None
+    max: np.ndarray | None
+    guess: np.ndarray | None
+    scale: np.ndarray | None
+
+
+class State(Variable):
+    """What the system integrates: Euclidean of any shape, or an element of a Lie group.
+
+    The rate of a group-valued state is its left-trivialised (body) velocity: (3,) for SO3, (6,) for SE3.
+
+    Args:
+        name: unique among the states of a system.
+        shape: shape of the value; () if left out. A group brings its own.
+        group: `tx.SO3` or `tx.SE3`; None for R^m.
+        order: order of the twists of a pose; `tx.LINEAR_FIRST` unless given.
+        min, max: bounds, Euclidean states only.
+        initial, final: boundary values; None (or a None entry) leaves free.
+        guess, scale: see `Variable`.
+    Raises:
+        ShapeError: a value does not fit the shape.
+        ModelError: bounds on a group, an order without a pose, a value that is not in the group.
+    """
+
+    group: Group
+    initial: np.ndarray | None
+    final: np.ndarray | None
+
+    def __init__(
+        self,
+        name: str,
+        shape: Shape | int | None = None,
+        *,
+        group: Group | None = None,
+        order: Order | None = None,
+        min: Any = None,
+        max: Any = None,
+        initial: Any = None,
+        final: Any = None,
+        guess: Any = None,
+        scale: Any = None,
+    ) -> None:
+        group = _group_of(name, shape, group, order)
+        if not isinstance(group, Euclidean) and (min is not None or max is not None):
+            raise ModelError(
+                f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
+                "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
+            )
+        self._declare(
+            name,
+            group.shape,
+            group=group,
+            **_bounds(name, group.shape, min, max),
+            initial=_boundary(name, "initial", initial, group),
+            final=_boundary(name, "final", final, group),
+            guess=_guess(name, guess, group.shape),
+            scale=_scale(name, scale, group),
+        )
+
+    def replace(self, **changes: Any) -> State:  # type: ignore[override]
+        kept = {f: getattr(self, f) for f in ("min", "max", "initial", "final", "guess", "scale")}
+        if isinstance(self.group, Euclidean):
+            kept |= {"shape": self.shape}
+        else:
+            kept |= {"group": self.group}
+        return State(**(kept | {"name": self.name} | changes))
+
+    @property
+    def order(self) -> Order | None:
+        """Order of the twists of a pose; None for other states."""
+        return getattr(self.group, "order", None)
+
+    def static_key(self) -> tuple[Any, ...]:
+        return (self.name, self.shape, repr(self.group))
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        return inputs.x[self.name]
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(State("x", shape=(2, 3)), {"x": np.arange(6.0).reshape(2, 3)})]
+
+
+class Control(Variable):
+    """What an engineer or an optimiser chooses at every time; Euclidean of any shape.
+
+    Args:
+        name: unique among the controls of a system.
+        shape: shape of the value; () if left out.
+        min, max, guess, scale: see `Variable`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        shape: Shape | int = (),
+        *,
+        min: Any = None,
+        max: Any = None,
+        guess: Any = None,
+        scale: Any = None,
+    ) -> None:
+        shape = _shape(name, shape)
+        self._declare(
+            name,
+            shape,
+            **_bounds(name, shape, min, max),
+            guess=_guess(name, guess, shape),
+            scale=_scale(name, scale, Euclidean(shape)),
+        )
+
+    def replace(self, **changes: Any) -> Control:  # type: ignore[override]
+        kept = {f: getattr(self, f) for f in ("name", "shape", "min", "max", "guess", "scale")}
+        return Control(**(kept | changes))
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        return inputs.u[self.name]
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Control("u", shape=(3,)), {"u": np.array([0.3, -1.0, 2.0])})]
+
+
+class Parameter(Leaf):
+    """A value fixed during a run and free between runs: mass, inertia, a table.
+
+    It is an input of the lowered function, not a constant, unless it is baked in.
+
+    Args:
+        name: unique among the parameters of a system.
+        shape: shape of the value; taken from `value` if left out.
+        value: used when a call gives none.
+    """
+
+    value: np.ndarray | None
+
+    def __init__(self, name: str, shape: Shape | int | None = None, *, value: Any = None) -> None:
+        if shape is None:
+            shape = () if value is None else np.shape(value)
+        shape = _shape(name, shape)
+        self._declare(name, shape, value=_value(name, "value", value, shape))
+
+    def replace(self, **changes: Any) -> Parameter:  # type: ignore[override]
+        return Parameter(**({"name": self.name, "shape": self.shape, "value": self.value} | changes))
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        if self.name in inputs.params:
+            return inputs.params[self.name]
+        if self.value is None:
+            raise InputError(
+                f"Parameter {self.name!r} has no value.\n"
+                f"  fix: pass params={{{self.name!r}: ...}} of shape {self.shape}, or declare it with value=..."
+            )
+        return jax.numpy.asarray(self.value, inputs.dtype)
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Parameter("p", value=[1.0, 2.0]), {"p": np.array([0.5, 4.0])})]
+
+
+# ---- checks ---------------------------------------------------------------------------------------------------
+
+
+def _shape(name: str, shape: Shape | int) -> Shape:
+    shape = (shape,) if isinstance(shape, (int, np.integer)) else tuple(shape)
+    if not all(isinstance(n, (int, np.integer)) and n >= 1 for n in shape):
+        raise ModelError(f"{name!r}: a shape is a tuple of positive whole numbers, got {shape}")
+    return tuple(int(n) for n in shape)
+
+
+def _group_of(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
+    if group is None:
+        if order is not None:
+            raise ModelError(f"State {name!r}: order= is for pose states (group=tx.SE3); the Lie nodes carry their own")
+        return Euclidean(_shape(name, () if shape is None else shape))
+    if not isinstance(group, Group):
+        raise ModelError(f"State {name!r}: group must be tx.SO3 or tx.SE3, got {group!r}")
+    if shape is not None and _shape(name, shape) != group.shape:
+        raise ShapeError(
+            f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
+            hint="leave shape out: the group brings its own",
+        )
+    if order is None:
+        return group
+    if not isinstance(group, SpecialEuclidean):
+        raise ModelError(f"State {name!r}: order= concerns poses (tx.SE3), not {group.name}")
+    return group.with_order(order)
+
+
+def _value(name: str, what: str, value: Any, shape: Shape) -> np.ndarray | None:
+    """A float64 copy broadcast to the shape, read-only; None entries become nan (free)."""
+    if value is None:
+        return None
+    array = np.asarray(value)
+    if array.dtype == object:
+        array = np.array([np.nan if v is None else v for v in array.ravel()], float).reshape(array.shape)
+    try:
+        array = np.broadcast_to(array.astype(np.float64), shape).copy()
+    except (ValueError, TypeError):
+        raise ShapeError(f"{name!r}: {what} expects shape {shape}, got {np.shape(value)}") from None
+    array.setflags(write=False)
+    return array
+
+
+_FREE_ENDS = {"min": -np.inf, "max": np.inf}
+
+
+def _bounds(name: str, shape: Shape, low: Any, high: Any) -> dict[str, np.ndarray | None]:
+    found = {}
+    for what, value in (("min", low), ("max", high)):
+        array = _value(name, what, value, shape)
+        if array is not None and np.isnan(array).any():
+            array = np.where(np.isnan(array), _FREE_ENDS[what], array)
+            array.setflags(write=False)
+        found[what] = array
+    low, high = found["min"], found["max"]
+    if low is not None and high is not None and (low > high).any():
+        raise ModelError(f"{name!r}: min {low} is above max {high}")
+    return found
+
+
+#: How far a given rotation may be from orthonormal before it is refused.
+_ROTATION_TOLERANCE = 1e-6
+
+
+def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
+    array = _value(name, what, value, group.shape) if isinstance(group, Euclidean) else _element(name, what, value, group)
+    return array
+
+
+def _element(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
+    if value is None:
+        return None
+    if np.shape(value) != group.shape:
+        raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
+    array = np.array(value, dtype=np.float64)
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        defect = float(group.defect(jax.numpy.asarray(array)))
+    if not defect <= _ROTATION_TOLERANCE:
+        raise ModelError(
+            f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"
+            "  fix: build it with tx.pose(position=..., euler=... or quaternion=...)"
+        )
+    array.setflags(write=False)
+    return array
+
+
+def _guess(name: str, value: Any, shape: Shape) -> np.ndarray | None:
+    if value is None:
+        return None
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape and array.shape[1:] != shape:
+        raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {array.shape}")
+    array.setflags(write=False)
+    return array
+
+
+def _scale(name: str, value: Any, group: Group) -> np.ndarray | None:
+    shape = group.shape if isinstance(group, Euclidean) else (group.dimension,)
+    array = _value(name, "scale", value, shape)
+    if array is not None and not (array > 0).all():
+        raise ModelError(f"{name!r}: scale must be positive, got {array}")
+    return array
+
+
+__all__ = ["Constant", "Control", "Inputs", "Leaf", "Parameter", "State", "Time", "Variable"]

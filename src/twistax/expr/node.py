@@ -1,0 +1,323 @@
+"""The node: an immutable expression with children, a shape, a value and a structural key.
+
+A node class is one class in one file. It declares its fields and overrides at most six hooks:
+
+    infer_shape(*shapes)   the result's shape from the children's shapes, or ShapeError
+    evaluate(*values)      the value in jax.numpy
+    simplify()             a simpler node; the children are already canonical
+    example()              cases for the conformance suite
+    to_latex(*operands)    the formula
+    label                  the name used by repr and trees
+
+Everything else (traversal, caching, keys, operators, printing) is written once, here and beside.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
+
+import jax
+
+from ..errors import ImmutableError, ShapeError
+from .fields import Field, bind_fields, declare_fields, freeze
+from .operators import Operators
+
+if TYPE_CHECKING:
+    from .leaves import Leaf
+
+Shape = tuple[int, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Example:
+    """One conformance case: an expression, values of its leaves, and whether it is smooth there."""
+
+    expr: Expr
+    values: Mapping[str, Any]
+    smooth: bool = True
+
+
+@dataclass_transform(eq_default=False)
+class Expr(Operators):
+    """Base of all expressions.
+
+    Nodes are values: they never change, hash by identity and compare by structure through `key()`.
+    `==`, `<=` and `>=` build constraints.
+    """
+
+    #: Name used in repr, trees and messages; the class name unless a node says otherwise.
+    label: ClassVar[str] = "Expr"
+    #: Binding strength in printed formulas: 100 binds tightest (names, functions).
+    precedence: ClassVar[int] = 100
+    #: True when operands and result of shape (6,) or (6, 6) share one twist order (sums, products, solves).
+    keeps_order: ClassVar[bool] = False
+
+    _fields: ClassVar[tuple[Field, ...]] = ()
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "label" not in cls.__dict__:
+            cls.label = cls.__name__
+        declare_fields(cls)
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        for field, value in bind_fields(type(self), args, kwargs):
+            setattr(self, field.name, value)
+        self.validate()
+        self._seal()
+
+    def validate(self) -> None:
+        """Check static fields at construction; shapes are `infer_shape`'s business."""
+
+    def _seal(self) -> None:
+        self.__dict__["_sealed"] = True
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "_sealed" in self.__dict__:
+            raise ImmutableError(
+                f"{type(self).__name__} is immutable: cannot assign {name!r}.\n"
+                f"  fix: make a changed copy with .replace({name}=...)"
+            )
+        object.__setattr__(self, name, value)
+
+    def __delattr__(self, name: str) -> None:
+        raise ImmutableError(f"{type(self).__name__} is immutable: cannot delete {name!r}.")
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some fields changed."""
+        fields = {f.name: getattr(self, f.name) for f in self._fields} | changes
+        operands = [v for f in self._fields if f.variadic for v in fields.pop(f.name)]
+        return type(self)(*operands, **fields)
+
+    # ---- hooks -----------------------------------------------------------------------------------------------
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        """Shape of the result from the children's shapes; raises ShapeError."""
+        raise NotImplementedError(f"{type(self).__name__}.infer_shape")
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        """Value in jax.numpy from the children's values."""
+        raise NotImplementedError(f"{type(self).__name__}.evaluate")
+
+    def simplify(self) -> Expr:
+        """A simpler node of the same shape, equal wherever this one is finite. Children are canonical already."""
+        return self
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        """Cases for the conformance suite."""
+        raise NotImplementedError(f"{cls.__name__}.example")
+
+    def to_text(self, *operands: str) -> str:
+        """One-line text from the operands' texts."""
+        static = [f"{f.name}={getattr(self, f.name)!r}" for f in self._fields if f.shown(getattr(self, f.name))]
+        return f"{self.label}({', '.join([*operands, *static])})"
+
+    def to_latex(self, *operands: str) -> str:
+        """LaTeX from the operands' LaTeX."""
+        name = self.label.replace("_", r"\_")
+        return rf"\operatorname{{{name}}}\left({', '.join(operands)}\right)"
+
+    # ---- structure -------------------------------------------------------------------------------------------
+
+    def children(self) -> list[Expr]:
+        """The operands, in order."""
+        found: list[Expr] = []
+        for field in self._fields:
+            if field.variadic:
+                found.extend(getattr(self, field.name))
+            elif field.operand:
+                found.append(getattr(self, field.name))
+        return found
+
+    def child_names(self) -> list[str]:
+        """Where each child sits: field names, with positions for variadic nodes."""
+        names: list[str] = []
+        for field in self._fields:
+            if field.variadic:
+                names.extend(f"{field.name}[{i}]" for i in range(len(getattr(self, field.name))))
+            elif field.operand:
+                names.append(field.name)
+        return names
+
+    def with_children(self, children: list[Expr]) -> Self:
+        """The same node over other children."""
+        if all(a is b for a, b in zip(self.children(), children, strict=True)):
+            return self
+        copy = object.__new__(type(self))
+        rest = iter(children)
+        for field in self._fields:
+            value = getattr(self, field.name)
+            if field.variadic:
+                value = tuple(next(rest) for _ in value)
+            elif field.operand:
+                value = next(rest)
+            copy.__dict__[field.name] = value
+        copy._seal()
+        return copy
+
+    def static_key(self) -> tuple[Any, ...]:
+        """What distinguishes this node from others of its class over the same children."""
+        return tuple(freeze(getattr(self, f.name)) for f in self._fields if not (f.operand or f.variadic))
+
+    def key(self) -> str:
+        """Digest of the structure: equal for equal trees, whatever objects they are made of."""
+        return _bottom_up(self, "_key", Expr._own_key)
+
+    def _own_key(self) -> str:
+        digest = hashlib.blake2b(digest_size=16)
+        digest.update(type(self).__qualname__.encode())
+        digest.update(repr(self.static_key()).encode())
+        for child in self.children():
+            digest.update(child.__dict__["_key"].encode())
+        return digest.hexdigest()
+
+    def check_shape(self) -> Shape:
+        """The shape of the value.
+
+        Raises:
+            ShapeError: a shape in the tree does not fit; names the node, its place, and the way out.
+        """
+        return _bottom_up(self, "_shape", lambda node: _shape_of(node, self))
+
+    @property
+    def shape(self) -> Shape:
+        """The shape of the value; same as `check_shape()`."""
+        return self.check_shape()
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes of the value."""
+        return len(self.check_shape())
+
+    def canonicalize(self) -> Expr:
+        """A simpler tree of the same shape, equal wherever the original is finite."""
+        return _bottom_up(self, "_canonical", _canonical)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __repr__(self) -> str:
+        from .printing import text
+
+        return text(self)
+
+    def _repr_latex_(self) -> str:
+        return f"${self.latex()}$"
+
+    def latex(self) -> str:
+        """The formula in LaTeX, without dollar signs."""
+        from .printing import latex
+
+        return latex(self)
+
+    def tree(self) -> str:
+        """The tree, a line a node, shared parts shown once."""
+        from .printing import tree
+
+        return tree(self)
+
+
+def to_expr(value: Any) -> Expr:
+    """The expression itself, or a Constant made of a number or an array."""
+    if isinstance(value, Expr):
+        return value
+    from .leaves import Constant
+
+    return Constant(value)
+
+
+def postorder(*roots: Expr) -> list[Expr]:
+    """Every node below the roots once (by identity), children before parents."""
+    seen: set[int] = set()
+    order: list[Expr] = []
+    stack: list[tuple[Expr, bool]] = [(root, False) for root in reversed(roots)]
+    while stack:
+        node, done = stack.pop()
+        if done:
+            order.append(node)
+            continue
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        stack.append((node, True))
+        stack.extend((child, False) for child in reversed(node.children()) if id(child) not in seen)
+    return order
+
+
+def traverse(expr: Expr, visit: Callable[[Expr], None]) -> None:
+    """Call `visit` on every node below `expr`, children first, each once."""
+    for node in postorder(expr):
+        visit(node)
+
+
+def leaves_of(*roots: Expr) -> Iterator[Leaf]:
+    """Every leaf below the roots, each object once."""
+    from .leaves import Leaf
+
+    return (node for node in postorder(*roots) if isinstance(node, Leaf))
+
+
+def find_path(root: Expr, target: Expr) -> str:
+    """How to reach `target` from `root`: `Solve.b -> Sub.right -> Adjoint`."""
+    parents: dict[int, tuple[Expr, str]] = {}
+    stack = [root]
+    seen = {id(root)}
+    while stack:
+        node = stack.pop()
+        if node is target:
+            break
+        for child, name in zip(node.children(), node.child_names(), strict=True):
+            if id(child) not in seen:
+                seen.add(id(child))
+                parents[id(child)] = (node, name)
+                stack.append(child)
+    steps = [type(target).__name__]
+    current: Expr = target
+    while id(current) in parents:
+        parent, name = parents[id(current)]
+        steps.append(f"{type(parent).__name__}.{name}")
+        current = parent
+    return " -> ".join(reversed(steps))
+
+
+def _bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
+    """Compute a cached property for every node below `root`, children first, without recursion."""
+    if slot not in root.__dict__:
+        stack = [root]
+        while stack:
+            node = stack[-1]
+            if slot in node.__dict__:
+                stack.pop()
+                continue
+            waiting = [child for child in node.children() if slot not in child.__dict__]
+            if waiting:
+                stack.extend(waiting)
+            else:
+                node.__dict__[slot] = compute(node)
+                stack.pop()
+    return root.__dict__[slot]
+
+
+def _shape_of(node: Expr, root: Expr) -> Shape:
+    try:
+        return node.infer_shape(*(child.__dict__["_shape"] for child in node.children()))
+    except ShapeError as error:
+        raise error.located(f"{find_path(root, node)} in {root!r}") from None
+
+
+def _canonical(node: Expr) -> Expr:
+    from .folding import fold
+
+    rebuilt = node.with_children([child.__dict__["_canonical"] for child in node.children()])
+    simpler = fold(rebuilt)
+    if simpler is rebuilt:
+        simpler = rebuilt.simplify()
+    # A rewrite may expose another one (a sum flattened into a sum): finish it. Canonical nodes map to themselves.
+    if simpler is not rebuilt and "_canonical" not in simpler.__dict__ and simpler is not node:
+        simpler = simpler.canonicalize()
+    simpler.__dict__.setdefault("_canonical", simpler)
+    return simpler

@@ -1,0 +1,79 @@
+"""How expressions print: one line of text, LaTeX, and the tree. Shared parts of big graphs are shown once."""
+
+from __future__ import annotations
+
+from .node import Expr, postorder
+
+#: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed.
+_LONGEST = 400
+
+
+def wrap(node: Expr, text: str, level: int) -> str:
+    """Parentheses around an operand that binds weaker than its place demands."""
+    return text if node.precedence >= level else f"({text})"
+
+
+def wrap_latex(node: Expr, text: str, level: int) -> str:
+    """As `wrap`, with growing parentheses."""
+    return text if node.precedence >= level else rf"\left({text}\right)"
+
+
+def _size(root: Expr) -> dict[int, int]:
+    """How many nodes each subtree prints, shared parts counted every time."""
+    sizes: dict[int, int] = {}
+    for node in postorder(root):
+        sizes[id(node)] = 1 + sum(sizes[id(child)] for child in node.children())
+    return sizes
+
+
+def _render(root: Expr, method: str, ellipsis: str) -> str:
+    sizes = _size(root)
+    limit = _LONGEST
+    done: dict[int, str] = {}
+    for node in postorder(root):
+        children = [done[id(child)] if sizes[id(child)] <= limit else ellipsis for child in node.children()]
+        done[id(node)] = getattr(node, method)(*children)
+    return done[id(root)]
+
+
+def text(root: Expr) -> str:
+    """One line."""
+    return _render(root, "to_text", "...")
+
+
+def latex(root: Expr) -> str:
+    """The formula, without dollar signs."""
+    return _render(root, "to_latex", r"\cdots")
+
+
+def tree(root: Expr) -> str:
+    """A line a node with its shape; a part met before is shown as a reference to where it stands."""
+    lines: list[str] = []
+    numbers: dict[int, int] = {}
+    stack: list[tuple[Expr, str, str, str]] = [(root, "", "", "")]
+    while stack:
+        node, field, lead, indent = stack.pop()
+        name = f"{field}: " if field else ""
+        if id(node) in numbers and node.children():
+            lines.append(f"{lead}{name}{type(node).__name__} (line {numbers[id(node)]})")
+            continue
+        numbers[id(node)] = len(lines) + 1
+        lines.append(f"{lead}{name}{_head(node)} {_shape_text(node)}")
+        pairs = list(zip(node.children(), node.child_names(), strict=True))
+        for i, (child, child_name) in reversed(list(enumerate(pairs))):
+            last = i == len(pairs) - 1
+            stack.append((child, child_name, indent + ("└─ " if last else "├─ "), indent + ("   " if last else "│  ")))
+    return "\n".join(lines)
+
+
+def _head(node: Expr) -> str:
+    if node.children():
+        return type(node).__name__
+    return f"{type(node).__name__} {node.to_text()}"
+
+
+def _shape_text(node: Expr) -> str:
+    try:
+        return str(node.check_shape())
+    except ValueError:
+        return "(shape does not fit)"

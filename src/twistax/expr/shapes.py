@@ -1,0 +1,33 @@
+"""Shape rules shared by the nodes, and the alignment that keeps JAX's strict rank promotion content."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from ..errors import ShapeError
+from .node import Expr, Shape
+
+
+def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None = None) -> None:
+    """Raise the plain sentence if an operand has another shape than the one it must have."""
+    if got != wanted:
+        raise ShapeError(f"{type(node).__name__} expects {operand} with shape {wanted}, got {got}", hint=hint)
+
+
+def broadcast(node: Expr, *shapes: Shape) -> Shape:
+    """NumPy's broadcast shape, or an error that shows all of them."""
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        listed = " and ".join(map(str, shapes))
+        raise ShapeError(
+            f"{type(node).__name__} shapes not broadcastable: {listed}",
+            hint="index or reshape an operand so that the shapes agree",
+        ) from None
+
+
+def align(*values: jax.Array) -> list[jax.Array]:
+    """Give all values the rank of the highest by leading axes of length 1; scalars stay scalars."""
+    rank = max(value.ndim for value in values)
+    return [v if v.ndim in (0, rank) else v.reshape((1,) * (rank - v.ndim) + v.shape) for v in values]

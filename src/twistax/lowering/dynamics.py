@@ -1,0 +1,242 @@
+"""A compiled system: the functions an integrator, a filter or an optimiser calls."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..errors import ModelError
+from ..expr import Constant, Equality, Expr, Inputs, Parameter, evaluate_all, leaves_of, postorder
+from ..system import System
+from .explain import Explanation, count_equations, distinct_nodes, written_nodes
+from .inputs import Values, prepare
+
+Arrays = dict[str, jax.Array]
+
+
+class Dynamics:
+    """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
+
+    x, u and params are dicts by leaf name. u and params may be left out; a missing parameter takes its own value.
+    The result has the precision of x. Made by `compile`.
+
+    Attributes:
+        system: the system as written.
+        states, controls, parameters: its leaves in order; baked parameters are gone.
+        group: the product group of the state; its `slices` say where each state sits in a tangent vector.
+        dimension: length of a tangent vector.
+    """
+
+    def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any]) -> None:
+        self.system = system
+        self._baked = tuple(bake)
+        narrowed = _narrow(system.outputs, outputs)
+        substitute = _baker(system.parameters, bake)
+        self._rates = {name: substitute(rate).canonicalize() for name, rate in system.rates.items()}
+        self._outputs = {name: substitute(expr).canonicalize() for name, expr in narrowed.items()}
+        residuals = {name: (c, substitute(c.residual()).canonicalize()) for name, c in system.constraints.items()}
+        self._inequalities = {n: r for n, (c, r) in residuals.items() if not isinstance(c, Equality)}
+        self._equalities = {n: r for n, (c, r) in residuals.items() if isinstance(c, Equality)}
+        self.states = system.states
+        self.controls = system.controls
+        self.parameters = tuple(p for p in system.parameters if p.name not in bake)
+        self.group = system.group
+        self.dimension = self.group.dimension
+        self._leaves = (*self.states, *self.controls, *self.parameters)
+        self._evaluate = jax.jit(self.evaluate, static_argnums=0)
+
+    # ---- what a user calls -------------------------------------------------------------------------------------
+
+    def __call__(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """Rates by state name: a body velocity for a group-valued state.
+
+        Raises:
+            InputError: an unknown key, a wrong shape, or a value that is read and not given.
+        """
+        return self._call("rates", t, x, u, params)
+
+    def outputs(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """The outputs by name. Raises as a call of the dynamics does."""
+        return self._call("outputs", t, x, u, params)
+
+    def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises as a call does."""
+        return self._call("constraints", t, x, u, params)
+
+    def retract(self, x: Values, d: Any) -> Arrays:
+        """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""
+        inputs = self.prepare(0.0, x, reads=())
+        return self.group.retract(inputs.x, jnp.asarray(d, inputs.dtype))
+
+    def difference(self, x: Values, y: Values) -> jax.Array:
+        """The tangent vector d with retract(x, d) = y, shape (n,): Log(x^-1 y)."""
+        inputs = self.prepare(0.0, x, reads=())
+        return self.group.difference(inputs.x, self.prepare(0.0, y, reads=()).x)
+
+    def explain(self) -> Explanation:
+        """What is computed, what was left out, and the counts before and after."""
+        roots = list(self._rates.values())
+        every = [*roots, *self._outputs.values(), *self._inequalities.values(), *self._equalities.values()]
+        read, read_anywhere = _names(roots), _names(every)
+        unused = []
+        for leaf in (*self.controls, *self.parameters):
+            kind = type(leaf).__name__
+            if leaf.name not in read_anywhere:
+                unused.append(f"{kind} {leaf.name!r} is not used: nothing depends on it")
+            elif leaf.name not in read:
+                unused.append(f"{kind} {leaf.name!r} is not used by any rate")
+        kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
+        return Explanation(
+            leaves={kind: [leaf.name for leaf in leaves] for kind, leaves in kinds},
+            unused=unused,
+            baked=list(self._baked),
+            nodes=(written_nodes(self.system.rates.values()), distinct_nodes(roots)),
+            equations=(self._equations(list(self.system.rates.values())), self._equations(roots)),
+        )
+
+    # ---- what the floors above call ----------------------------------------------------------------------------
+
+    def prepare(
+        self,
+        t: Any,
+        x: Values | None,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        reads: Iterable[str] = ("rates",),
+    ) -> Inputs:
+        """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
+
+        Args:
+            reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
+        Raises:
+            InputError: as a call of the dynamics.
+        """
+        required = {state.name for state in self.states}
+        for family in reads:
+            required |= self._reads[family]
+        return prepare(self._leaves, required, t, x, u, params)
+
+    def evaluate(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """Rates, outputs or constraints from prepared arguments: traceable, unchecked, not jitted."""
+        roots = self._families[family]
+        dtype = x[self.states[0].name].dtype
+        inputs = Inputs(t, x, u, params, dtype)
+        flat = [expr for exprs in roots.values() for expr in exprs]
+        values = iter(evaluate_all(flat, lambda leaf: leaf.read(inputs)))
+        result = {}
+        for name, exprs in roots.items():
+            parts = [next(values) for _ in exprs]
+            result[name] = parts[0] if family != "constraints" else _joined(parts, dtype)
+        return result
+
+    def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """The rates from prepared arguments; what an integrator puts into its loop."""
+        return self.evaluate("rates", t, x, u, params)
+
+    @functools.cached_property
+    def constraint_names(self) -> dict[str, list[str]]:
+        """The name of every entry of `constraints`, for messages."""
+        return {
+            kind: [f"{name}[{i}]" if expr.shape else name for name, expr in found.items() for i in range(_size(expr))]
+            for kind, found in (("inequality", self._inequalities), ("equality", self._equalities))
+        }
+
+    def _call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
+        inputs = self.prepare(t, x, u, params, reads=(family,))
+        return self._evaluate(family, inputs.t, inputs.x, inputs.u, inputs.params)
+
+    @functools.cached_property
+    def _families(self) -> dict[str, dict[str, list[Expr]]]:
+        constraints = {"inequality": list(self._inequalities.values()), "equality": list(self._equalities.values())}
+        return {
+            "rates": {name: [expr] for name, expr in self._rates.items()},
+            "outputs": {name: [expr] for name, expr in self._outputs.items()},
+            "constraints": constraints,
+        }
+
+    @functools.cached_property
+    def _reads(self) -> dict[str, set[str]]:
+        return {
+            family: _names([e for exprs in roots.values() for e in exprs]) for family, roots in self._families.items()
+        }
+
+    def _equations(self, roots: list[Expr]) -> int:
+        leaves = {leaf.name: leaf for leaf in leaves_of(*roots)}
+
+        def function(values: Arrays) -> list[jax.Array]:
+            return evaluate_all(roots, lambda leaf: values.get(leaf.name, jnp.zeros(leaf.shape)))
+
+        shapes = {n: jax.ShapeDtypeStruct(f.shape, float) for n, f in leaves.items() if not isinstance(f, Constant)}
+        return count_equations(jax.make_jaxpr(function)(shapes).jaxpr)
+
+
+def compile(  # noqa: A001  the contract's name
+    system: System, *, outputs: Iterable[str] | None = None, bake: Mapping[str, Any] | None = None
+) -> Dynamics:
+    """Compile a system to jitted, differentiable functions.
+
+    Only what is asked for is lowered: rates, outputs and constraints are separate functions, traced when first called.
+
+    Args:
+        outputs: names of the outputs to keep; all if left out.
+        bake: parameters to fold into the code, name -> value; they are no inputs any more.
+    Raises:
+        ModelError: an unknown output or parameter.
+        ShapeError: a baked value of the wrong shape.
+    """
+    if not isinstance(system, System):
+        raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
+    return Dynamics(system, outputs, dict(bake or {}))
+
+
+def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
+    if names is None:
+        return dict(outputs)
+    names = [names] if isinstance(names, str) else list(names)
+    for name in names:
+        if name not in outputs:
+            raise ModelError(f"unknown output {name!r}; the system has: {', '.join(outputs) or 'none'}")
+    return {name: outputs[name] for name in names}
+
+
+def _baker(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> Any:
+    """A function that replaces baked parameters by constants throughout a tree."""
+    known = {p.name: p for p in parameters}
+    constants: dict[str, Expr] = {}
+    for name, value in bake.items():
+        if name not in known:
+            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {', '.join(known) or 'none'}")
+        constants[name] = Constant(known[name].replace(value=value).value)
+
+    def substitute(root: Expr) -> Expr:
+        if not constants:
+            return root
+        done: dict[int, Expr] = {}
+        for node in postorder(root):
+            if isinstance(node, Parameter) and node.name in constants:
+                done[id(node)] = constants[node.name]
+            else:
+                done[id(node)] = node.with_children([done[id(child)] for child in node.children()])
+        return done[id(root)]
+
+    return substitute
+
+
+def _names(roots: list[Expr]) -> set[str]:
+    return {leaf.name for leaf in leaves_of(*roots)}
+
+
+def _size(expr: Expr) -> int:
+    size = 1
+    for n in expr.shape:
+        size *= n
+    return size
+
+
+def _joined(parts: list[jax.Array], dtype: Any) -> jax.Array:
+    return jnp.concatenate([p.reshape(-1) for p in parts]) if parts else jnp.zeros(0, dtype)

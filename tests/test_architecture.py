@@ -1,0 +1,94 @@
+"""The house: each floor imports only the floors below it; importing changes nothing and stays light."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import twistax
+
+SOURCE = Path(twistax.__file__).parent
+FLOORS = [
+    "errors",
+    "groups",
+    "expr",
+    "system",
+    "lowering",
+    "integrators",
+    "mechanics",
+    "trajectory",
+    "scenes",
+    "report",
+]
+TOP = len(FLOORS)
+
+
+def floor_of(module: str) -> int:
+    """Floor number of `twistax.<module>`; public faces, the package and the command line stand on top."""
+    first = module.split(".")[0] if module else ""
+    return FLOORS.index(first) if first in FLOORS else TOP
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Modules of the package that a file imports, as names below `twistax`."""
+    relative = path.relative_to(SOURCE).with_suffix("")
+    package = list(relative.parts[:-1])
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            if node.level:
+                base = package[: len(package) - (node.level - 1)]
+                module = ".".join([*base, *(node.module.split(".") if node.module else [])])
+                found |= {f"{module}.{alias.name}".lstrip(".") for alias in node.names} if not module else {module}
+            elif node.module and node.module.split(".")[0] == "twistax":
+                rest = node.module.split(".")[1:]
+                found |= {".".join(rest)} if rest else {alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {a.name.removeprefix("twistax").lstrip(".") for a in node.names if a.name.split(".")[0] == "twistax"}
+    return found
+
+
+def upward_imports(path: Path) -> list[str]:
+    mine = floor_of(".".join(path.relative_to(SOURCE).with_suffix("").parts))
+    return [f"{path.name} imports {module}" for module in imported_modules(path) if floor_of(module) > mine]
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))
+def test_no_file_imports_a_higher_floor(path: Path) -> None:
+    assert upward_imports(path) == []
+
+
+def test_the_check_sees_an_upward_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "groups").mkdir()
+    bad = tmp_path / "groups" / "bad.py"
+    bad.write_text("from ..expr.node import Expr\nfrom .. import lowering\nimport twistax.trajectory\n")
+    monkeypatch.setattr(sys.modules[__name__], "SOURCE", tmp_path)
+    assert len(upward_imports(bad)) == 3
+
+
+def run(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_import_loads_no_heavy_package() -> None:
+    heavy = ("diffrax", "scipy", "matplotlib", "equinox")
+    code = f"import jax, sys; before = set(sys.modules); import twistax; print([m for m in {heavy} if m in set(sys.modules) - before])"
+    assert run(code) == "[]"
+
+
+def test_import_leaves_the_configuration_alone() -> None:
+    code = (
+        "import jax, os; keep = (dict(jax.config.values), dict(os.environ)); import twistax;"
+        "print(keep == (dict(jax.config.values), dict(os.environ)))"
+    )
+    assert run(code) == "True"
+
+
+def test_lazy_names_resolve() -> None:
+    assert twistax.trajectory.Problem is not None
+    assert twistax.diffrax.ambient_term is not None
+    assert twistax.Minimize is twistax.trajectory.Minimize
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = twistax.nonsense
