@@ -383,7 +383,7 @@ def _rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
     """The variadic node over new operands; itself if nothing changed, the operand if only one is left."""
     if len(operands) == 1:
         return operands[0]
-    if len(operands) == len(before) and all(a is b for a, b in zip(operands, before)):
+    if len(operands) == len(before) and all(a.key() == b.key() for a, b in zip(operands, before)):
         return node
     return type(node)(*operands)
 
