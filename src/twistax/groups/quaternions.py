@@ -1,0 +1,85 @@
+"""Unit quaternions (w, x, y, z), as a way to read, build and repair rotation matrices. R(q) v = q v q*."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+
+from twistax.groups.components import Components, dot, matrix, unpack, vector
+from twistax.groups.inputs import multiply
+
+__all__ = ["from_rotation", "hamilton", "to_rotation", "unscaled"]
+
+
+def _squares(R: Array) -> list[list[Array]]:
+    """The symmetric matrix 4 q q^T, whose sixteen entries are sums of entries of R."""
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = unpack(R)
+    wx, wy, wz = zy - yz, xz - zx, yx - xy
+    sxy, sxz, syz = yx + xy, xz + zx, zy + yz
+    plus, minus = 1.0 + xx, 1.0 - xx
+    up, down = yy + zz, yy - zz
+    return [
+        [plus + up, wx, wy, wz],
+        [wx, plus - up, sxy, sxz],
+        [wy, sxy, minus + down, syz],
+        [wz, sxz, syz, minus - down],
+    ]
+
+
+def unscaled(R: Array) -> Array:
+    """A positive multiple of the quaternion of R, the first non-zero component positive.
+
+    Any column of 4 q q^T is a multiple of q; the one with the largest diagonal entry is taken, which is at least 1.
+    Multiplying once more by 4 q q^T turns it towards the dominant eigenvector, the quaternion of the rotation nearest
+    to R, so that a drift of size e in R leaves an error of size e^2. A symmetric R keeps w = 0 exactly.
+    Sources: Shepperd, Quaternion from rotation matrix (1978); Horn, Closed-form solution of absolute orientation
+    using unit quaternions (1987).
+    """
+    rows = _squares(R)
+    square = matrix(rows)
+    w, x, y, z = (rows[i][i] for i in range(4))
+    upper, lower = jnp.where(w >= x, square[0], square[1]), jnp.where(y >= z, square[2], square[3])
+    column = jnp.where(jnp.maximum(w, x) >= jnp.maximum(y, z), upper, lower)
+    q = multiply(square, column)
+    first = unpack(q)
+    leading = first[3]
+    for component in first[2::-1]:
+        leading = jnp.where(component == 0.0, leading, component)
+    return jnp.where(leading < 0.0, -q, q)
+
+
+def from_rotation(R: Array) -> Array:
+    """The unit quaternion of the rotation nearest to R, w >= 0; at w = 0 the first non-zero component > 0."""
+    q = unscaled(R)
+    return q / jnp.sqrt(jnp.sum(q * q))
+
+
+def to_rotation(q: Array) -> Array:
+    """The rotation matrix of a quaternion of any length but zero."""
+    w, x, y, z = unpack(q)
+    double = 2.0 / (w * w + dot((x, y, z), (x, y, z)))
+    ax, ay, az = double * x, double * y, double * z
+    wx, wy, wz, xx, xy, xz = w * ax, w * ay, w * az, x * ax, x * ay, x * az
+    yy, yz, zz = y * ay, y * az, z * az
+    return matrix(
+        [
+            [1.0 - (yy + zz), xy - wz, xz + wy],
+            [xy + wz, 1.0 - (xx + zz), yz - wx],
+            [xz - wy, yz + wx, 1.0 - (xx + yy)],
+        ]
+    )
+
+
+def hamilton(p: Array, q: Array) -> Array:
+    """The product p q; R(p q) = R(p) R(q)."""
+    a, b = unpack(p), unpack(q)
+    u: Components = a[1:]
+    v: Components = b[1:]
+    return vector(
+        [
+            a[0] * b[0] - dot(u, v),
+            a[0] * v[0] + b[0] * u[0] + (u[1] * v[2] - u[2] * v[1]),
+            a[0] * v[1] + b[0] * u[1] + (u[2] * v[0] - u[0] * v[2]),
+            a[0] * v[2] + b[0] * u[2] + (u[0] * v[1] - u[1] * v[0]),
+        ]
+    )

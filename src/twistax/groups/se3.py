@@ -1,0 +1,258 @@
+"""SE(3): poses as 4x4 matrices, tangents as body twists xi = [v; w] (linear first), wrenches and momenta as [f; tau].
+
+T = [R p; 0 1] maps the coordinates of a point, p_a = T_ab p_b. Perturbations act on the right: g (+) d = g Exp(d), and
+g' = g hat(xi). Every formula of SE(3) is the one of SO(3) with w replaced by the dual number w + e v, e^2 = 0: the
+linear part of a result is the derivative of the angular part in the direction v.
+
+Sources: Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation (1994), ch. 2 and 4;
+Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012), ch. 10, for the Jacobians.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from twistax.errors import ShapeError
+from twistax.groups import so3
+from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
+from twistax.groups.inputs import Input, floats, multiply, of_shape
+from twistax.groups.series import exp_coefficients, inverse_coefficients, stumpff
+
+__all__ = [
+    "Ad",
+    "Ad_dual",
+    "act",
+    "ad",
+    "ad_dual",
+    "between",
+    "bracket",
+    "coad",
+    "compose",
+    "exp",
+    "hat",
+    "inverse",
+    "left_jacobian",
+    "left_jacobian_inv",
+    "log",
+    "right_jacobian",
+    "right_jacobian_inv",
+    "right_jacobian_inv_apply",
+    "transform",
+    "vee",
+]
+
+
+def _halves(xi: Array) -> tuple[Components, Components]:
+    parts = unpack(xi)
+    return parts[:3], parts[3:]
+
+
+def _dual_polynomial(w: Components, v: Components, a: Array | float, b: Array, da: Array | float, db: Array) -> Array:
+    """The derivative of I + a(x) W + b(x) W^2, x = |w|^2, in the direction v; da and db are a'(x) and b'(x).
+
+    It is a V + b (W V + V W) + 2 (w . v) (a' W + b' W^2).
+    """
+    double = 2.0 * dot(w, v)
+    k = double * db
+    ax, ay, az = add(scale(a, v), scale(double * da, w))
+    # b (w v^T + v w^T) + k w w^T = w u^T + v z^T with z = b w, u = b v + k w.
+    z = scale(b, w)
+    u = add(scale(b, v), scale(k, w))
+    xx, yy, zz = (w[i] * u[i] + v[i] * z[i] for i in range(3))
+    xy, xz, yz = (w[i] * u[j] + v[i] * z[j] for i, j in ((0, 1), (0, 2), (1, 2)))
+    return matrix(
+        [
+            [-(yy + zz), xy - az, xz + ay],
+            [xy + az, -(xx + zz), yz - ax],
+            [xz - ay, yz + ax, -(xx + yy)],
+        ]
+    )
+
+
+def _blocks(diagonal: Array, upper: Array, lower: Array) -> Array:
+    """[D U; L D]."""
+    return jnp.concatenate(
+        [jnp.concatenate([diagonal, upper], axis=1), jnp.concatenate([lower, diagonal], axis=1)], axis=0
+    )
+
+
+def transform(R: Array, p: Array) -> Array:
+    """[R p; 0 1] of a rotation (3, 3) and a position (3,)."""
+    top = jnp.concatenate([R, p[:, None]], axis=1)
+    return jnp.concatenate([top, jnp.asarray([[0.0, 0.0, 0.0, 1.0]], dtype=top.dtype)], axis=0)
+
+
+def exp(xi: Input) -> Float[Array, "4 4"]:
+    """Exp(xi) = [Exp(w), J_l(w) v; 0, 1]: the pose reached from the origin by the constant body twist xi in unit time.
+
+    Shapes: xi = [v; w] (6,), v in any length unit, w in rad -> (4, 4). Raises ShapeError.
+    """
+    (xi,) = of_shape("se3.exp", {"xi": (6,)}, xi)
+    v, w = _halves(xi)
+    first, second, third = exp_coefficients(dot(w, w))
+    once = cross(w, v)
+    p = add(v, scale(second, once), scale(third, cross(w, once)))
+    return transform(so3.rigid_polynomial(w, first, second), vector(p))
+
+
+def log(T: Input) -> Float[Array, "6"]:
+    """xi = [v; w] with Exp(xi) = T and |w| <= pi; of the nearest pose where the rotation has drifted.
+
+    At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
+    of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError.
+    """
+    (T,) = of_shape("se3.log", {"T": (4, 4)}, T)
+    rotation = so3.log(T[:3, :3])
+    w, p = unpack(rotation), unpack(T[:3, 3])
+    d, _ = inverse_coefficients(dot(w, w))
+    once = cross(w, p)
+    v = add(p, scale(-0.5, once), scale(d, cross(w, once)))
+    return jnp.concatenate([vector(v), rotation])
+
+
+def hat(xi: Input) -> Float[Array, "4 4"]:
+    """[W v; 0 0] of xi = [v; w]. Shapes: (6,) -> (4, 4). Raises ShapeError."""
+    (xi,) = of_shape("se3.hat", {"xi": (6,)}, xi)
+    (a, b, c), (x, y, z) = _halves(xi)
+    o = jnp.zeros_like(x)
+    return matrix([[o, -z, y, a], [z, o, -x, b], [-y, x, o, c], [o, o, o, o]])
+
+
+def vee(X: Input) -> Float[Array, "6"]:
+    """The inverse of hat; the rotation block counts with its skew part. Shapes: (4, 4) -> (6,). Raises ShapeError."""
+    (X,) = of_shape("se3.vee", {"X": (4, 4)}, X)
+    return jnp.concatenate([X[:3, 3], so3.vee(X[:3, :3])])
+
+
+def compose(T: Input, S: Input) -> Float[Array, "4 4"]:
+    """T S. Shapes: (4, 4), (4, 4) -> (4, 4). Raises ShapeError."""
+    return multiply(*of_shape("se3.compose", {"T": (4, 4), "S": (4, 4)}, T, S))
+
+
+def inverse(T: Input) -> Float[Array, "4 4"]:
+    """[R^T, -R^T p; 0, 1]. Shapes: (4, 4) -> (4, 4). Raises ShapeError."""
+    (T,) = of_shape("se3.inverse", {"T": (4, 4)}, T)
+    Rt = T[:3, :3].T
+    return transform(Rt, -multiply(Rt, T[:3, 3]))
+
+
+def between(T: Input, S: Input) -> Float[Array, "4 4"]:
+    """T^-1 S, with the positions subtracted first so that large common positions cost no digits.
+
+    Shapes: (4, 4), (4, 4) -> (4, 4). Raises ShapeError.
+    """
+    T, S = of_shape("se3.between", {"T": (4, 4), "S": (4, 4)}, T, S)
+    Rt = T[:3, :3].T
+    return transform(multiply(Rt, S[:3, :3]), multiply(Rt, S[:3, 3] - T[:3, 3]))
+
+
+def act(T: Input, points: Input) -> Float[Array, "*points"]:
+    """R p + t for a point p (3,) or for each row of (n, 3). Raises ShapeError."""
+    T, points = floats(T, points)
+    of_shape("se3.act", {"T": (4, 4)}, T)
+    if points.ndim not in (1, 2) or points.shape[-1] != 3:
+        raise ShapeError(f"se3.act expects points with shape (3,) or (n, 3), got {points.shape}")
+    return multiply(points, T[:3, :3].T) + jnp.broadcast_to(T[:3, 3], points.shape)
+
+
+def ad(xi: Input) -> Float[Array, "6 6"]:
+    """ad_xi = [W V; 0 W], so that ad_xi eta = [xi, eta]. Shapes: (6,) -> (6, 6). Raises ShapeError."""
+    (xi,) = of_shape("se3.ad", {"xi": (6,)}, xi)
+    return _blocks(so3.hat(xi[3:]), so3.hat(xi[:3]), jnp.zeros((3, 3), xi.dtype))
+
+
+def ad_dual(xi: Input) -> Float[Array, "6 6"]:
+    """ad*_xi = -ad_xi^T = [W 0; V W]; M xi' = F - ad*_xi (M xi). Shapes: (6,) -> (6, 6). Raises ShapeError."""
+    (xi,) = of_shape("se3.ad_dual", {"xi": (6,)}, xi)
+    return _blocks(so3.hat(xi[3:]), jnp.zeros((3, 3), xi.dtype), so3.hat(xi[:3]))
+
+
+def Ad(T: Input) -> Float[Array, "6 6"]:
+    """Ad_T = [R [p]R; 0 R]: twists from frame b to frame a for T = T_ab.
+
+    Shapes: (4, 4) -> (6, 6). Raises ShapeError.
+    """
+    (T,) = of_shape("se3.Ad", {"T": (4, 4)}, T)
+    R = T[:3, :3]
+    return _blocks(R, multiply(so3.hat(T[:3, 3]), R), jnp.zeros((3, 3), T.dtype))
+
+
+def Ad_dual(T: Input) -> Float[Array, "6 6"]:
+    """Ad*_T = Ad_T^-T = [R 0; [p]R R]: wrenches from frame b to frame a for T = T_ab.
+
+    Shapes: (4, 4) -> (6, 6). Raises ShapeError.
+    """
+    (T,) = of_shape("se3.Ad_dual", {"T": (4, 4)}, T)
+    R = T[:3, :3]
+    return _blocks(R, jnp.zeros((3, 3), T.dtype), multiply(so3.hat(T[:3, 3]), R))
+
+
+def bracket(xi: Input, eta: Input) -> Float[Array, "6"]:
+    """[xi, eta] = ad_xi eta = [w1 x v2 + v1 x w2; w1 x w2]. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
+    (v, w), (y, u) = map(_halves, of_shape("se3.bracket", {"xi": (6,), "eta": (6,)}, xi, eta))
+    return vector(add(cross(w, y), cross(v, u)) + cross(w, u))
+
+
+def coad(xi: Input, momentum: Input) -> Float[Array, "6"]:
+    """ad*_xi mu = [w x p; v x p + w x L] for mu = [p; L]. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
+    (v, w), (p, L) = map(_halves, of_shape("se3.coad", {"xi": (6,), "momentum": (6,)}, xi, momentum))
+    return vector(cross(w, p) + add(cross(v, p), cross(w, L)))
+
+
+def left_jacobian(xi: Input) -> Float[Array, "6 6"]:
+    """J_l(xi) = [J Q; 0 J]: Exp(xi + d) = Exp(J_l d) Exp(xi) to first order.
+
+    J is the left Jacobian of SO(3) at w, Q its derivative in the direction v. Shapes: (6,) -> (6, 6).
+    Raises ShapeError.
+    """
+    (xi,) = of_shape("se3.left_jacobian", {"xi": (6,)}, xi)
+    v, w = _halves(xi)
+    x = dot(w, w)
+    _, second, third = exp_coefficients(x)
+    fourth, fifth = stumpff(4, x), stumpff(5, x)
+    Q = _dual_polynomial(w, v, second, third, fourth - 0.5 * third, 1.5 * fifth - 0.5 * fourth)
+    return _blocks(so3.rigid_polynomial(w, second, third), Q, jnp.zeros((3, 3), xi.dtype))
+
+
+def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
+    """J_r(xi) = J_l(-xi): Exp(xi + d) = Exp(xi) Exp(J_r d) to first order.
+
+    Shapes: (6,) -> (6, 6). Raises ShapeError.
+    """
+    (xi,) = of_shape("se3.right_jacobian", {"xi": (6,)}, xi)
+    return left_jacobian(-xi)
+
+
+def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
+    """J_l(xi)^-1 = [D E; 0 D], D = I - W/2 + d W^2, E its derivative in the direction v; singular at |w| = 2 pi.
+
+    d = (1 - (t/2) cot(t/2)) / t^2, t = |w|. Shapes: (6,) -> (6, 6). Raises ShapeError.
+    """
+    (xi,) = of_shape("se3.left_jacobian_inv", {"xi": (6,)}, xi)
+    v, w = _halves(xi)
+    d, slope = inverse_coefficients(dot(w, w))
+    E = _dual_polynomial(w, v, -0.5, d, 0.0, slope)
+    return _blocks(so3.rigid_polynomial(w, -0.5, d), E, jnp.zeros((3, 3), xi.dtype))
+
+
+def right_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
+    """J_r(xi)^-1 = J_l(-xi)^-1. Shapes: (6,) -> (6, 6). Raises ShapeError."""
+    (xi,) = of_shape("se3.right_jacobian_inv", {"xi": (6,)}, xi)
+    return left_jacobian_inv(-xi)
+
+
+def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:
+    """J_r(eta)^-1 Omega by cross products, with no 6x6 matrix.
+
+    For g' = g hat(Omega) and g = g_0 Exp(eta) this is eta'. With b = w x u the angular part is u + b/2 + d w x b;
+    the linear part is its derivative in the direction of the linear parts.
+    Shapes: (6,), (6,) -> (6,). Raises ShapeError.
+    """
+    (v, w), (y, u) = map(_halves, of_shape("se3.right_jacobian_inv_apply", {"eta": (6,), "omega": (6,)}, eta, omega))
+    d, slope = inverse_coefficients(dot(w, w))
+    turn = cross(w, u)
+    shift = add(cross(w, y), cross(v, u))
+    turn_arm = add(scale(0.5, u), scale(d, turn))
+    shift_arm = add(scale(0.5, y), scale(d, shift), scale(2.0 * slope * dot(w, v), turn))
+    return vector(add(y, cross(w, shift_arm), cross(v, turn_arm)) + add(u, cross(w, turn_arm)))

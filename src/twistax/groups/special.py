@@ -1,0 +1,166 @@
+"""SO(3) and SE(3) as groups of states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from twistax.groups import quaternions, se3, so3
+from twistax.groups.group import Group
+from twistax.groups.inputs import Input, multiply, of_shape
+from twistax.groups.order import LINEAR_FIRST, Order
+
+__all__ = ["SE3", "SO3", "SpecialEuclidean", "SpecialOrthogonal"]
+
+
+def _nearest(R: Array) -> Array:
+    return quaternions.to_rotation(quaternions.unscaled(R))
+
+
+def _skewness(R: Array) -> Array:
+    return jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype)))
+
+
+@dataclass(frozen=True)
+class SpecialOrthogonal(Group):
+    """SO(3): rotations as (3, 3) matrices, tangents as rotation vectors (3,) in rad. Use the instance SO3."""
+
+    @property
+    def name(self) -> str:
+        return "SO3"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (3, 3)
+
+    @property
+    def dimension(self) -> int:
+        return 3
+
+    def identity(self, dtype: DTypeLike | None = None) -> Float[Array, "3 3"]:
+        return jnp.eye(3, dtype=dtype)
+
+    def exp(self, xi: Input) -> Float[Array, "3 3"]:
+        return so3.exp(xi)
+
+    def log(self, g: Input) -> Float[Array, "3"]:
+        return so3.log(g)
+
+    def compose(self, g: Input, h: Input) -> Float[Array, "3 3"]:
+        return so3.compose(g, h)
+
+    def inverse(self, g: Input) -> Float[Array, "3 3"]:
+        return so3.inverse(g)
+
+    def Ad(self, g: Input) -> Float[Array, "3 3"]:
+        return so3.Ad(g)
+
+    def ad(self, xi: Input) -> Float[Array, "3 3"]:
+        return so3.ad(xi)
+
+    def left_jacobian(self, xi: Input) -> Float[Array, "3 3"]:
+        return so3.left_jacobian(xi)
+
+    def left_jacobian_inv(self, xi: Input) -> Float[Array, "3 3"]:
+        return so3.left_jacobian_inv(xi)
+
+    def right_jacobian(self, xi: Input) -> Float[Array, "3 3"]:
+        return so3.right_jacobian(xi)
+
+    def right_jacobian_inv(self, xi: Input) -> Float[Array, "3 3"]:
+        return so3.right_jacobian_inv(xi)
+
+    def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "3"]:
+        return so3.right_jacobian_inv_apply(eta, omega)
+
+    def normalize(self, g: Input) -> Float[Array, "3 3"]:
+        """The rotation nearest to g, up to the square of the drift; orthonormal to round-off."""
+        return _nearest(*of_shape("SO3.normalize", {"g": self.shape}, g))
+
+    def defect(self, g: Input) -> Float[Array, ""]:
+        """max |g^T g - I|."""
+        return _skewness(*of_shape("SO3.defect", {"g": self.shape}, g))
+
+
+@dataclass(frozen=True)
+class SpecialEuclidean(Group):
+    """SE(3): poses as (4, 4) matrices, tangents as twists (6,) in the given order. Use the instance SE3.
+
+    The order concerns tangents, Ad, ad and the Jacobians, never the pose.
+    """
+
+    order: Order = LINEAR_FIRST
+
+    def with_order(self, order: Order) -> SpecialEuclidean:
+        """The same group with tangents in another order."""
+        return replace(self, order=order)
+
+    @property
+    def name(self) -> str:
+        return "SE3" if self.order == LINEAR_FIRST else f"SE3[{self.order!r}]"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (4, 4)
+
+    @property
+    def dimension(self) -> int:
+        return 6
+
+    def identity(self, dtype: DTypeLike | None = None) -> Float[Array, "4 4"]:
+        return jnp.eye(4, dtype=dtype)
+
+    def exp(self, xi: Input) -> Float[Array, "4 4"]:
+        return se3.exp(self.order.to_linear_first(xi))
+
+    def log(self, g: Input) -> Float[Array, "6"]:
+        return self.order.from_linear_first(se3.log(g))
+
+    def compose(self, g: Input, h: Input) -> Float[Array, "4 4"]:
+        return se3.compose(g, h)
+
+    def inverse(self, g: Input) -> Float[Array, "4 4"]:
+        return se3.inverse(g)
+
+    def difference(self, g: Input, h: Input) -> Float[Array, "6"]:
+        return self.log(se3.between(g, h))
+
+    def Ad(self, g: Input) -> Float[Array, "6 6"]:
+        return self.order.from_linear_first(se3.Ad(g))
+
+    def ad(self, xi: Input) -> Float[Array, "6 6"]:
+        return self.order.from_linear_first(se3.ad(self.order.to_linear_first(xi)))
+
+    def left_jacobian(self, xi: Input) -> Float[Array, "6 6"]:
+        return self.order.from_linear_first(se3.left_jacobian(self.order.to_linear_first(xi)))
+
+    def left_jacobian_inv(self, xi: Input) -> Float[Array, "6 6"]:
+        return self.order.from_linear_first(se3.left_jacobian_inv(self.order.to_linear_first(xi)))
+
+    def right_jacobian(self, xi: Input) -> Float[Array, "6 6"]:
+        return self.order.from_linear_first(se3.right_jacobian(self.order.to_linear_first(xi)))
+
+    def right_jacobian_inv(self, xi: Input) -> Float[Array, "6 6"]:
+        return self.order.from_linear_first(se3.right_jacobian_inv(self.order.to_linear_first(xi)))
+
+    def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "6"]:
+        linear_first = self.order.to_linear_first
+        return self.order.from_linear_first(se3.right_jacobian_inv_apply(linear_first(eta), linear_first(omega)))
+
+    def normalize(self, g: Input) -> Float[Array, "4 4"]:
+        """The nearest rotation (up to the square of the drift) with the same position, and an exact last row."""
+        (g,) = of_shape("SE3.normalize", {"g": self.shape}, g)
+        return se3.transform(_nearest(g[:3, :3]), g[:3, 3])
+
+    def defect(self, g: Input) -> Float[Array, ""]:
+        """The larger of max |R^T R - I| and the deviation of the last row from (0, 0, 0, 1)."""
+        (g,) = of_shape("SE3.defect", {"g": self.shape}, g)
+        row = jnp.max(jnp.abs(g[3] - jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype=g.dtype)))
+        return jnp.maximum(_skewness(g[:3, :3]), row)
+
+
+SO3 = SpecialOrthogonal()
+SE3 = SpecialEuclidean()
