@@ -7,6 +7,7 @@ from twistax.groups.order import ANGULAR_FIRST, LINEAR_FIRST, Order
 from twistax.groups.pose import euler, pose, quaternion, quaternion_product, rotation_from_quaternion
 from twistax.groups.product import Product
 from twistax.groups.special import SE3, SO3, SpecialEuclidean, SpecialOrthogonal
+from twistax.groups.tangent import tangent_grad
 
 __all__ = [
     "ANGULAR_FIRST",
@@ -26,4 +27,5 @@ __all__ = [
     "rotation_from_quaternion",
     "se3",
     "so3",
+    "tangent_grad",
 ]
