@@ -47,6 +47,7 @@ class Add(Expr):
     terms: Operands
     precedence = 10
     keeps_order = True
+    associative = True
 
     def __init__(self, *terms: ExprLike) -> None:
         super().__init__(*terms)
@@ -62,10 +63,9 @@ class Add(Expr):
         return functools.reduce(lambda a, b: operator.add(*align(a, b)), values)
 
     def simplify(self) -> Expr:
-        """Flatten nested sums, fold constants, drop zeros and pairs x - x; never change the shape."""
-        terms = [t for term in self.terms for t in (term.terms if isinstance(term, Add) else (term,))]
-        constants = [t for t in terms if isinstance(t, Constant)]
-        others = _cancel([t for t in terms if not isinstance(t, Constant)])
+        """Fold constants, drop zeros and pairs x - x; never change the shape. Nested sums are flattened before."""
+        constants = [t for t in self.terms if isinstance(t, Constant)]
+        others = _cancel([t for t in self.terms if not isinstance(t, Constant)])
         total = np.asarray(sum((c.value for c in constants), start=np.float64(0.0)))
         if not others:
             return Constant(np.broadcast_to(total, self.shape))
@@ -75,7 +75,7 @@ class Add(Expr):
             kept = np.broadcast_shapes(kept, total.shape)
         if kept != self.shape:
             others.append(zeros_of(self))
-        return _rebuilt(self, others, self.terms)
+        return rebuilt(self, others, self.terms)
 
     def to_text(self, *operands: str) -> str:
         return "(" + " + ".join(operands) + ")"
@@ -145,6 +145,7 @@ class Mul(Expr):
     factors: Operands
     precedence = 20
     keeps_order = True
+    associative = True
 
     def __init__(self, *factors: ExprLike) -> None:
         super().__init__(*factors)
@@ -160,10 +161,9 @@ class Mul(Expr):
         return functools.reduce(lambda a, b: operator.mul(*align(a, b)), values)
 
     def simplify(self) -> Expr:
-        """Flatten nested products, fold constants, drop ones, absorb zeros and signs; never change the shape."""
-        factors = [f for factor in self.factors for f in (factor.factors if isinstance(factor, Mul) else (factor,))]
-        constants = [f for f in factors if isinstance(f, Constant)]
-        others = [f for f in factors if not isinstance(f, Constant)]
+        """Fold constants, drop ones, absorb zeros; never change the shape. Nested products are flattened before."""
+        constants = [f for f in self.factors if isinstance(f, Constant)]
+        others = [f for f in self.factors if not isinstance(f, Constant)]
         product = np.asarray(functools.reduce(operator.mul, (c.value for c in constants), np.float64(1.0)))
         if not np.isfinite(product).all():
             return self
@@ -172,7 +172,7 @@ class Mul(Expr):
         kept = _broadcast_of(others)
         if (product != 1.0).any() or np.broadcast_shapes(kept, product.shape) != kept:
             others.insert(0, Constant(product))
-        return _rebuilt(self, others, self.factors)
+        return rebuilt(self, others, self.factors)
 
     def to_text(self, *operands: str) -> str:
         return "(" + " * ".join(operands) + ")"
@@ -379,7 +379,7 @@ def _cancel(terms: list[Expr]) -> list[Expr]:
     return left
 
 
-def _rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
+def rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
     """The variadic node over new operands; itself if nothing changed, the operand if only one is left."""
     if len(operands) == 1:
         return operands[0]
@@ -388,4 +388,4 @@ def _rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
     return type(node)(*operands)
 
 
-__all__ = ["Add", "Div", "MatMul", "Mul", "Neg", "Power", "Sub", "is_constant", "zeros_of"]
+__all__ = ["Add", "Div", "MatMul", "Mul", "Neg", "Power", "Sub", "is_constant", "rebuilt", "zeros_of"]

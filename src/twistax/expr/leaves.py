@@ -29,6 +29,7 @@ class Leaf(Expr):
     """A named value without children. Equal names, kinds and shapes mean the same leaf to `key()`."""
 
     name: str
+    abstract = True
 
     def _declare(self, name: str, shape: Shape, **fields: Any) -> None:
         if not isinstance(name, str) or not name:
@@ -70,6 +71,10 @@ class Constant(Leaf):
 
         return (freeze(self.value),)
 
+    @property
+    def boolean(self) -> bool:
+        return self.value.dtype == bool
+
     def read(self, inputs: Inputs) -> jax.Array:
         return jax.numpy.asarray(self.value, bool if self.value.dtype == bool else inputs.dtype)
 
@@ -82,7 +87,8 @@ class Constant(Leaf):
         if self.value.ndim == 0:
             return f"{self.value:.6g}"
         if self.value.size > 36 or self.value.ndim > 2:
-            return rf"\mathrm{{const}}_{{{'\\times '.join(map(str, self.shape))}}}"
+            sizes = r" \times ".join(map(str, self.shape))
+            return rf"\mathrm{{const}}_{{{sizes}}}"
         rows = self.value.reshape(-1, 1) if self.value.ndim == 1 else self.value
         body = r" \\ ".join(" & ".join(f"{v:.4g}" for v in row) for row in rows)
         return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
@@ -140,6 +146,7 @@ class Variable(Leaf):
     max: np.ndarray | None
     guess: np.ndarray | None
     scale: np.ndarray | None
+    abstract = True
 
 
 class State(Variable):

@@ -52,8 +52,12 @@ class Expr(Operators):
     label: ClassVar[str] = "Expr"
     #: Binding strength in printed formulas: 100 binds tightest (names, functions).
     precedence: ClassVar[int] = 100
+    #: True for sums and products: an operand of the same class may be spliced into the operands.
+    associative: ClassVar[bool] = False
     #: True when operands and result of shape (6,) or (6, 6) share one twist order (sums, products, solves).
     keeps_order: ClassVar[bool] = False
+    #: True for bases that are no nodes themselves. It is not inherited.
+    abstract: ClassVar[bool] = True
 
     _fields: ClassVar[tuple[Field, ...]] = ()
 
@@ -61,6 +65,8 @@ class Expr(Operators):
         super().__init_subclass__(**kwargs)
         if "label" not in cls.__dict__:
             cls.label = cls.__name__
+        if "abstract" not in cls.__dict__:
+            cls.abstract = False
         declare_fields(cls)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -144,15 +150,17 @@ class Expr(Operators):
         return names
 
     def with_children(self, children: list[Expr]) -> Self:
-        """The same node over other children."""
-        if all(a is b for a, b in zip(self.children(), children, strict=True)):
+        """The same node over other children; a variadic one may get more or fewer."""
+        mine = self.children()
+        if len(mine) == len(children) and all(a is b for a, b in zip(mine, children)):
             return self
         copy = object.__new__(type(self))
         rest = iter(children)
+        free = len(children) - sum(field.operand for field in self._fields)
         for field in self._fields:
             value = getattr(self, field.name)
             if field.variadic:
-                value = tuple(next(rest) for _ in value)
+                value = tuple(next(rest) for _ in range(free))
             elif field.operand:
                 value = next(rest)
             copy.__dict__[field.name] = value
@@ -169,7 +177,7 @@ class Expr(Operators):
 
     def _own_key(self) -> str:
         digest = hashlib.blake2b(digest_size=16)
-        digest.update(type(self).__qualname__.encode())
+        digest.update(f"{type(self).__module__}.{type(self).__qualname__}".encode())
         digest.update(repr(self.static_key()).encode())
         for child in self.children():
             digest.update(child.__dict__["_key"].encode())
@@ -193,9 +201,16 @@ class Expr(Operators):
         """Number of axes of the value."""
         return len(self.check_shape())
 
+    @property
+    def boolean(self) -> bool:
+        """Whether the entries are true or false: constraints and what is made of them."""
+        return False
+
     def canonicalize(self) -> Expr:
         """A simpler tree of the same shape, equal wherever the original is finite."""
-        return _bottom_up(self, "_canonical", _canonical)
+        from .canonical import canonicalize_all
+
+        return canonicalize_all([self])[0]
 
     def __hash__(self) -> int:
         return id(self)
@@ -307,17 +322,3 @@ def _shape_of(node: Expr, root: Expr) -> Shape:
         return node.infer_shape(*(child.__dict__["_shape"] for child in node.children()))
     except ShapeError as error:
         raise error.located(f"{find_path(root, node)} in {root!r}") from None
-
-
-def _canonical(node: Expr) -> Expr:
-    from .folding import fold
-
-    rebuilt = node.with_children([child.__dict__["_canonical"] for child in node.children()])
-    simpler = fold(rebuilt)
-    if simpler is rebuilt:
-        simpler = rebuilt.simplify()
-    # A rewrite may expose another one (a sum flattened into a sum): finish it. Canonical nodes map to themselves.
-    if simpler is not rebuilt and "_canonical" not in simpler.__dict__ and simpler is not node:
-        simpler = simpler.canonicalize()
-    simpler.__dict__.setdefault("_canonical", simpler)
-    return simpler

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ..errors import ModelError
-from ..expr import Constant, Equality, Expr, Inputs, Parameter, evaluate_all, leaves_of, postorder
+from ..expr import Constant, Equality, Expr, Inputs, Parameter, canonicalize_all, evaluate_all, leaves_of, postorder
 from ..system import System
 from .explain import Explanation, count_equations, distinct_nodes, written_nodes
 from .inputs import Values, prepare
@@ -36,11 +36,12 @@ class Dynamics:
         self._baked = tuple(bake)
         narrowed = _narrow(system.outputs, outputs)
         substitute = _baker(system.parameters, bake)
-        self._rates = {name: substitute(rate).canonicalize() for name, rate in system.rates.items()}
-        self._outputs = {name: substitute(expr).canonicalize() for name, expr in narrowed.items()}
-        residuals = {name: (c, substitute(c.residual()).canonicalize()) for name, c in system.constraints.items()}
-        self._inequalities = {n: r for n, (c, r) in residuals.items() if not isinstance(c, Equality)}
-        self._equalities = {n: r for n, (c, r) in residuals.items() if isinstance(c, Equality)}
+        self._rates = _canonical(system.rates, substitute)
+        self._outputs = _canonical(narrowed, substitute)
+        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, substitute)
+        equal = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
+        self._inequalities = {name: residual for name, residual in residuals.items() if name not in equal}
+        self._equalities = {name: residual for name, residual in residuals.items() if name in equal}
         self.states = system.states
         self.controls = system.controls
         self.parameters = tuple(p for p in system.parameters if p.name not in bake)
@@ -204,7 +205,7 @@ def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[st
     return {name: outputs[name] for name in names}
 
 
-def _baker(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> Any:
+def _baker(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> Callable[[Expr], Expr]:
     """A function that replaces baked parameters by constants throughout a tree."""
     known = {p.name: p for p in parameters}
     constants: dict[str, Expr] = {}
@@ -225,6 +226,10 @@ def _baker(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> Any:
         return done[id(root)]
 
     return substitute
+
+
+def _canonical(exprs: Mapping[str, Expr], substitute: Callable[[Expr], Expr]) -> dict[str, Expr]:
+    return dict(zip(exprs, canonicalize_all([substitute(expr) for expr in exprs.values()])))
 
 
 def _names(roots: list[Expr]) -> set[str]:

@@ -1,0 +1,48 @@
+"""The driver of `canonicalize`: one pass over the graph, children first, sharing kept.
+
+A node class contributes `simplify()`, which sees canonical children. Sums and products are flattened here, because
+only the driver knows who else uses an inner sum: splicing a shared one would compute it again in every user.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from .folding import fold
+from .node import Expr, postorder
+
+_MARK = "_is_canonical"
+
+
+def canonicalize_all(roots: Sequence[Expr]) -> list[Expr]:
+    """Simpler trees of the same shapes, equal wherever the originals are finite; parts they share stay shared."""
+    nodes = postorder(*roots)
+    uses = Counter(id(child) for node in nodes for child in node.children())
+    done: dict[int, Expr] = {}
+    for node in nodes:
+        if _MARK in node.__dict__:
+            done[id(node)] = node
+            continue
+        children: list[Expr] = []
+        for child in node.children():
+            new = done[id(child)]
+            spliced = node.associative and type(new) is type(node) and uses[id(child)] == 1
+            children.extend(new.children() if spliced else [new])
+        done[id(node)] = _settled(node.with_children(children))
+    return [done[id(root)] for root in roots]
+
+
+def _settled(node: Expr) -> Expr:
+    """Fold and simplify until nothing changes; a rewrite may build new nodes, which are settled first."""
+    while _MARK not in node.__dict__:
+        node.check_shape()
+        simpler = fold(node)
+        if simpler is node:
+            simpler = node.simplify()
+        if simpler is node:
+            node.__dict__[_MARK] = True
+        elif _MARK not in simpler.__dict__:
+            simpler = simpler.with_children([_settled(child) for child in simpler.children()])
+        node = simpler
+    return node
