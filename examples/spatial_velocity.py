@@ -1,0 +1,31 @@
+"""Two ways to turn: a velocity given in the body frame and the same numbers given in the world frame.
+
+A state's rate is its body velocity. A spatial (world) velocity xi_s is written with the adjoint of the inverse pose.
+"""
+
+import jax
+import numpy as np
+
+import twistax as tx
+
+jax.config.update("jax_enable_x64", True)
+
+g = tx.State("g", group=tx.SE3)
+xi = tx.Control("xi", shape=(6,))
+
+in_body = tx.compile(tx.System(rates={g: xi}))
+in_world = tx.compile(tx.System(rates={g: tx.lie.SE3Adjoint(tx.lie.Inverse(g)) @ xi}))
+
+start = {"g": tx.pose(position=[1.0, 0.0, 0.0], euler=[0.0, 0.0, np.pi / 2])}
+u = {"xi": np.array([0.5, 0.0, 0.1, 0.0, 0.0, np.pi / 4])}  # m/s and rad/s
+body_end = tx.integrate(in_body, start, t1=2.0, dt=0.1, u=u).xs["g"][-1]
+world_end = tx.integrate(in_world, start, t1=2.0, dt=0.1, u=u).xs["g"][-1]
+
+# For a constant velocity both have exact solutions: g0 Exp(t xi) and Exp(t xi) g0.
+step = tx.lie.se3.exp(2.0 * u["xi"])
+exact = {"body": start["g"] @ step, "world": step @ start["g"]}
+for name, end in (("body", body_end), ("world", world_end)):
+    error = np.abs(end - exact[name]).max()
+    print(f"velocity in the {name} frame: ends at {np.round(end[:3, 3], 6)}, error against the exact solution {error:.1e}")
+    if error > 1e-4:
+        raise SystemExit("the integration is off")
