@@ -1,0 +1,151 @@
+"""One interval with held controls: where it ends, and how the end moves in the tangent space."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..errors import TrajectoryError
+from ..integrators import RKMK, increment
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from ..lowering.inputs import Values
+from ..tableaus import RK4
+from .flat import Controls
+
+__all__ = ["Discretization", "Flight", "discretize", "fly", "step_derivatives"]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Discretization:
+    """x1 (+) d1 is the end of an interval that started at x (+) d: d1 = A d + B du + h_derivative dh + t_derivative dt.
+
+    Attributes:
+        x1: the end of the interval, by state name.
+        A: (n, n), rows and columns in the order of declaration of the states.
+        B: (n, m), columns in the order of declaration of the controls, each read row by row.
+        h_derivative: (n,), with respect to the interval's length; what a free final time needs.
+        t_derivative: (n,), with respect to the time of its start; zero where the rates do not contain time.
+    """
+
+    x1: Arrays
+    A: jax.Array
+    B: jax.Array
+    h_derivative: jax.Array
+    t_derivative: jax.Array
+
+
+class Flight(NamedTuple):
+    """The ends of the substeps of an interval, its start first; all with a leading axis of substeps + 1.
+
+    Attributes:
+        ts: times.
+        xs: states by name.
+        sensitivity: (substeps + 1, n, n + m + 2), derivatives of the states' tangents with respect to
+            [start, controls, h, t].
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    sensitivity: jax.Array
+
+
+def discretize(
+    dynamics: Dynamics,
+    t: Any,
+    x: Values,
+    u: Values | None,
+    h: Any,
+    params: Values | None = None,
+    *,
+    method: RKMK | None = None,
+    substeps: int = 1,
+) -> Discretization:
+    """The end of an interval of length h under held controls, and its derivatives in the tangent space.
+
+    With eta(d, u) the increment of an RKMK step from x Exp(d), the step is x Exp(d) Exp(eta) and
+
+        A = Ad(Exp(-eta)) + J_r(eta) d eta/dd,   B = J_r(eta) d eta/du,
+
+    in closed form, no logarithm; J_r is the right Jacobian. On a Euclidean part Ad and J_r are identities. Several
+    substeps multiply by the chain rule. Traceable: jit, vmap and further derivatives apply.
+
+    Args:
+        u: the controls, held over the interval.
+        h: its length in s; may be traced.
+        method: RKMK with an explicit tableau; RK4 if left out.
+        substeps: steps of the method within the interval.
+    Raises:
+        InputError: as a call of the dynamics does.
+        TrajectoryError: substeps is no positive whole number.
+    """
+    check_substeps(substeps)
+    inputs = dynamics.prepare(t, x, u, params)
+    flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
+    length = jnp.asarray(h, inputs.dtype)
+    flight = fly(dynamics, method or RKMK(RK4), inputs.t, inputs.x, flat, length, inputs.params, substeps)
+    n, m, last = dynamics.dimension, flat.shape[0], flight.sensitivity[-1]
+    x1 = {name: values[-1] for name, values in flight.xs.items()}
+    return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])
+
+
+def check_substeps(substeps: int) -> None:
+    """Raise TrajectoryError unless substeps is a positive whole number."""
+    if not isinstance(substeps, int) or substeps < 1:
+        raise TrajectoryError(f"substeps must be a positive whole number, got {substeps!r}")
+
+
+def fly(
+    dynamics: Dynamics,
+    method: RKMK,
+    t: jax.Array,
+    x: Arrays,
+    u: jax.Array,
+    h: jax.Array,
+    params: Arrays,
+    substeps: int,
+) -> Flight:
+    """All substeps of an interval with their sensitivities. Arguments are prepared; u is flat."""
+    n, m = dynamics.dimension, u.shape[0]
+    start = jnp.concatenate([jnp.eye(n, dtype=u.dtype), jnp.zeros((n, m + 2), u.dtype)], axis=1)
+    step = h / substeps
+
+    def advance(carry: tuple[jax.Array, Arrays, jax.Array], number: jax.Array) -> tuple[Any, Any]:
+        time, state, sensitivity = carry
+        state, by_state, by_control, by_length, by_time = step_derivatives(dynamics, method, time, state, u, step, params)
+        # The substep starts at t + number h / substeps and is h / substeps long.
+        by_h = (by_length + number * by_time) / substeps
+        direct = jnp.concatenate([jnp.zeros((n, n), u.dtype), by_control, by_h[:, None], by_time[:, None]], axis=1)
+        carry = (time + step, state, by_state @ sensitivity + direct)
+        return carry, carry
+
+    first = (t, x, start)
+    _, rest = jax.lax.scan(advance, first, jnp.arange(substeps, dtype=u.dtype))
+    return Flight(*jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest))
+
+
+def step_derivatives(
+    dynamics: Dynamics, method: RKMK, t: jax.Array, x: Arrays, u: jax.Array, h: jax.Array, params: Arrays
+) -> tuple[Arrays, jax.Array, jax.Array, jax.Array, jax.Array]:
+    """The end of one RKMK step and its derivatives with respect to state, controls, length and time of start."""
+    group, controls = dynamics.group, Controls(dynamics.controls)
+    n, m = group.dimension, u.shape[0]
+
+    def eta(z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        held = controls.split(z[n : n + m])
+        moved = group.retract(x, z[:n])
+        parts = increment(dynamics, method.tableau, z[n + m + 1], moved, lambda _: held, params, z[n + m])
+        flat = group.join(parts)
+        return flat, flat
+
+    point = jnp.concatenate([jnp.zeros(n, u.dtype), u, h[None], t[None]])
+    slopes, value = jax.jacfwd(eta, has_aux=True)(point)
+    # Ad(Exp(-eta)) = I - J_r(eta) ad_eta, which spares an exponential.
+    transported = slopes.at[:, :n].add(-group.ad(value))
+    moves = group.right_jacobian(value) @ transported
+    by_state = jnp.eye(n, dtype=u.dtype) + moves[:, :n]
+    return group.retract(x, value), by_state, moves[:, n : n + m], moves[:, n + m], moves[:, n + m + 1]

@@ -1,0 +1,103 @@
+"""Where an optimisation starts: values between the ends for states, the middle of the boxes for controls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import ModelError, ShapeError
+from ..expr import Control, State
+from ..groups import Euclidean, Group
+from .arrays import Array
+
+__all__ = ["control_guess", "perturbation", "resample", "state_guess", "user_guess"]
+
+
+def user_guess(guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Control], lengths: Mapping[str, int]) -> dict[str, Array]:
+    """Checked guesses by name: one value, or one for each node (states) or interval (controls).
+
+    Raises:
+        ModelError: an unknown name.
+        ShapeError: a wrong shape.
+    """
+    found = {}
+    for key, value in (guess or {}).items():
+        name = key if isinstance(key, str) else getattr(key, "name", repr(key))
+        if name not in leaves:
+            raise ModelError(f"guess names {name!r}; the system has: {', '.join(leaves)}")
+        array, leaf, length = np.asarray(value, float), leaves[name], lengths[name]
+        if array.shape not in (leaf.shape, (length, *leaf.shape)):
+            raise ShapeError(f"guess[{name!r}] expects shape {leaf.shape} or {(length, *leaf.shape)}, got {array.shape}")
+        if not np.isfinite(array).all():
+            raise ModelError(f"guess[{name!r}] has entries that are not finite")
+        found[name] = array
+    return found
+
+
+def state_guess(leaf: State, given: Array | None, initial: Array | None, final: Array | None, nodes: int) -> Array:
+    """Values of a state at all nodes; fixed ends are put in place.
+
+    Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
+    """
+    shape, euclidean = leaf.shape, isinstance(leaf.group, Euclidean)
+    source = given if given is not None else leaf.guess
+    if source is None:
+        rest = np.asarray(leaf.group.identity(float))
+        if euclidean:
+            rest = _middle(leaf.min, leaf.max, rest)
+        first, last = _known(initial, _known(final, rest)), _known(final, _known(initial, rest))
+        source = np.stack([first, last])
+    elif source.shape == shape:
+        source = source[None]
+    values = resample(leaf.group, source, nodes)
+    values[0], values[-1] = _known(initial, values[0]), _known(final, values[-1])
+    return values
+
+
+def control_guess(leaf: Control, given: Array | None, intervals: int) -> Array:
+    """Values of a control in all intervals: what is given, or the middle of its box, or the point of it nearest zero."""
+    source = given if given is not None else leaf.guess
+    if source is None:
+        source = _middle(leaf.min, leaf.max, np.zeros(leaf.shape))
+    if source.shape == leaf.shape:
+        source = source[None]
+    return resample(Euclidean(leaf.shape), source, intervals)
+
+
+def resample(group: Group, samples: Array, count: int) -> Array:
+    """A curve through samples (k, *shape) at equal distances, read at `count` equal distances: geodesic in between."""
+    if len(samples) in (1, count):
+        return np.array(np.broadcast_to(samples, (count, *samples.shape[1:])))
+    place = np.linspace(0.0, len(samples) - 1.0, count)
+    left = np.minimum(place.astype(int), len(samples) - 2)
+    share = place - left
+
+    @jax.jit
+    @jax.vmap
+    def between(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
+        return group.retract(a, s * group.difference(a, b))
+
+    return np.array(between(jnp.asarray(samples[left]), jnp.asarray(samples[left + 1]), jnp.asarray(share)))
+
+
+def perturbation(rng: np.random.Generator, lengths: Array, free: Array, states: Array) -> Array:
+    """A random step of all free unknowns: 0.4 of its scale (one standard deviation) for states, 0.15 for others."""
+    spread = np.where(states, 0.4, 0.15)
+    return np.where(free, rng.normal(size=lengths.shape) * spread * lengths, 0.0)
+
+
+def _known(values: Array | None, otherwise: Array) -> Array:
+    return otherwise if values is None else np.where(np.isnan(values), otherwise, values)
+
+
+def _middle(low: Array | None, high: Array | None, otherwise: Array) -> Array:
+    """The middle of a box; where it is open, the point of it nearest to another value."""
+    low = np.full(otherwise.shape, -np.inf) if low is None else low
+    high = np.full(otherwise.shape, np.inf) if high is None else high
+    closed = np.isfinite(low) & np.isfinite(high)
+    inside = np.clip(otherwise, low, high)
+    return np.where(closed, 0.5 * (np.where(closed, low, 0.0) + np.where(closed, high, 0.0)), inside)

@@ -1,0 +1,251 @@
+"""The embedded optimiser: an augmented Lagrangian, minimised by Levenberg-Marquardt steps on the tangent space.
+
+The merit is
+
+    w J / |J'| + s |steps of the controls|^2 / 2 + mu/2 sum (c + l/mu)^2 + mu/2 sum max(g + l/mu, 0)^2
+
+over equalities c and inequalities g, all scaled. Inner iterations reduce it with the Gauss-Newton matrix of the
+residuals plus the curvature of the objective; outer ones update the multipliers l and the weight mu.
+Source: Nocedal and Wright, Numerical Optimization (2006), chapters 10.3 (Levenberg-Marquardt) and 17.3, 17.4
+(augmented Lagrangian).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .arrays import Array
+from .banded import Chain, NotPositiveDefinite
+from .scaling import Scales
+from .transcription import Evaluation, Iterate
+
+__all__ = ["Ending", "Optimizer", "Outcome", "Settings"]
+
+Callback = Callable[[int, float, float], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Constants of the optimiser; the defaults serve the cases in the tests and the landing."""
+
+    objective_weight: float = 1e-2
+    first_penalty: float = 10.0
+    largest_penalty: float = 1e7
+    penalty_growth: float = 3.0
+    inner_iterations: int = 12
+    first_damping: float = 1e-3
+    largest_damping: float = 1e8
+    largest_step: float = 1.5
+    settled: float = 1e-4
+
+
+class Ending(NamedTuple):
+    """How a run of the optimiser ended."""
+
+    feasible: bool
+    settled: bool
+    finite: bool
+    stalled: bool
+
+
+class Outcome(NamedTuple):
+    """Where a run of the optimiser ended.
+
+    Attributes:
+        evaluation: the last iterate with its residuals.
+        violations: (intervals, rows) scaled violations, zero where a row holds.
+        ending: why it stopped.
+        iterations: evaluations of the problem.
+    """
+
+    evaluation: Evaluation
+    violations: Array
+    ending: Ending
+    iterations: int
+
+
+class _Scaled(NamedTuple):
+    """An evaluation with everything divided by its scale."""
+
+    raw: Evaluation
+    rows: Array
+    slopes: Array
+    cost: float
+    gradient: Array
+    curvature: Array
+
+
+class Optimizer:
+    """Minimises a transcribed problem.
+
+    Args:
+        evaluate: (iterate, step) -> the evaluation after the step, as NumPy arrays.
+        chain: where the unknowns sit and which are free.
+        equality, exists: kinds of rows, see `Transcription`.
+        scales: sizes of unknowns, rows and objective.
+        smoothing: weight of the steps of the controls; `controls` says where they are in a block.
+        clip_time: the final time never leaves [clip, inf) during the search.
+    """
+
+    def __init__(
+        self,
+        evaluate: Callable[[Iterate, Array], Evaluation],
+        chain: Chain,
+        equality: Array,
+        exists: Array,
+        scales: Scales,
+        smoothing: float,
+        controls: slice,
+        shortest_time: float,
+        settings: Settings | None = None,
+    ) -> None:
+        self._evaluate, self._chain, self._equality, self._exists = evaluate, chain, equality, exists
+        self._scales, self._controls, self._shortest_time = scales, controls, shortest_time
+        self.settings = settings or Settings()
+        self._smoothing = smoothing * self.settings.objective_weight
+        block = chain.block
+        self._lengths = np.concatenate([np.tile(scales.columns[:block], chain.nodes), scales.columns[2 * block :]])
+
+    def run(self, iterate: Iterate, max_iterations: int, tolerance: float, callback: Callback | None = None) -> Outcome:
+        """Optimise from an iterate until the violation is below the tolerance and the objective has settled."""
+        s = self.settings
+        point = self._scaled(self._evaluate(iterate, np.zeros(self._chain.length + 1)))
+        if not self._finite(point):
+            return self._outcome(point, Ending(False, False, False, False), 1)
+        multipliers = np.zeros_like(point.rows)
+        penalty, damping, count = s.first_penalty, s.first_damping, 1
+        before = np.inf
+        last_cost = np.inf
+        stalls = 0
+        while True:
+            for _ in range(s.inner_iterations):
+                found = self._step(point, multipliers, penalty, damping, max_iterations - count)
+                count += found.evaluations
+                damping = found.damping
+                if found.point is None:
+                    break
+                gain = found.gain
+                point = found.point
+                if callback is not None:
+                    callback(count, self.cost_of(point), float(self.violations(point).max(initial=0.0)))
+                if gain < 1e-7 or count >= max_iterations:
+                    break
+            shifted, _ = self._shifted(point, multipliers, penalty)
+            multipliers = penalty * shifted
+            violation = float(self.violations(point).max(initial=0.0))
+            feasible = violation <= tolerance
+            settled = abs(point.cost - last_cost) <= s.settled * s.objective_weight
+            last_cost = point.cost
+            if feasible and settled:
+                return self._outcome(point, Ending(True, True, True, False), count)
+            stalls = stalls + 1 if violation > 0.5 * before and penalty >= s.largest_penalty else 0
+            before = violation
+            if count >= max_iterations or stalls >= 3:
+                return self._outcome(point, Ending(feasible, settled, True, stalls >= 3), count)
+            penalty = min(penalty * s.penalty_growth, s.largest_penalty)
+
+    # ---- one step ---------------------------------------------------------------------------------------------
+
+    def _step(self, point: _Scaled, multipliers: Array, penalty: float, damping: float, budget: int) -> _Step:
+        s, chain = self.settings, self._chain
+        shifted, active = self._shifted(point, multipliers, penalty)
+        merit = self._merit(point, shifted, penalty)
+        weighted = point.slopes * active[:, :, None]
+        matrices = point.curvature + penalty * np.matmul(weighted.transpose(0, 2, 1), point.slopes)
+        matrices = matrices + self._smoothing * self._smoother
+        slope = point.gradient + penalty * np.einsum("kr,krl->kl", shifted, point.slopes)
+        downhill = -chain.scatter(slope) - self._smoothing * chain.scatter(self._smooth_pull(point))
+        tried = 0
+        while tried < min(budget, 12) and damping <= s.largest_damping:
+            try:
+                step = chain.solve(matrices, damping, downhill)
+            except NotPositiveDefinite:
+                damping = max(10.0 * damping, 1e-9)
+                continue
+            step = step * min(1.0, s.largest_step / max(float(np.abs(step).max()), 1e-300))
+            move = step * self._lengths
+            move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
+            trial = self._scaled(self._evaluate(point.raw.iterate, move))
+            tried += 1
+            if self._finite(trial):
+                gain = merit - self._merit(trial, self._shifted(trial, multipliers, penalty)[0], penalty)
+                if gain > 0.0:
+                    return _Step(trial, max(damping / 5.0, 1e-9), gain / max(1.0, abs(merit)), tried)
+            damping = 6.0 * damping
+        return _Step(None, damping / 36.0, 0.0, tried)
+
+    def _shifted(self, point: _Scaled, multipliers: Array, penalty: float) -> tuple[Array, Array]:
+        """The residuals the merit sees, and which rows are active."""
+        shifted = point.rows + multipliers / penalty
+        active = self._exists & (self._equality | (shifted > 0.0))
+        return np.where(active, shifted, 0.0), active
+
+    def _merit(self, point: _Scaled, shifted: Array, penalty: float) -> float:
+        steps = np.diff(self._scaled_controls(point), axis=0)
+        return point.cost + 0.5 * penalty * float((shifted**2).sum()) + 0.5 * self._smoothing * float((steps**2).sum())
+
+    # ---- smoothing of the controls ------------------------------------------------------------------------------
+
+    def _scaled_controls(self, point: _Scaled) -> Array:
+        return point.raw.iterate.us / self._scales.columns[self._controls]
+
+    @property
+    def _smoother(self) -> Array:
+        """(intervals, local, local): second derivative of sum |u_(k+1) - u_k|^2 / 2."""
+        chain = self._chain
+        difference = np.zeros((self._controls.stop - self._controls.start, chain.local))
+        for i, j in enumerate(range(self._controls.start, self._controls.stop)):
+            difference[i, j], difference[i, chain.block + j] = -1.0, 1.0
+        # The last interval has no control after it.
+        neighbours = np.arange(chain.nodes - 1) < chain.nodes - 2
+        return neighbours[:, None, None] * (difference.T @ difference)
+
+    def _smooth_pull(self, point: _Scaled) -> Array:
+        """(intervals, local): first derivative of sum |u_(k+1) - u_k|^2 / 2."""
+        chain = self._chain
+        pull = np.zeros((chain.nodes - 1, chain.local))
+        steps = np.diff(self._scaled_controls(point), axis=0)
+        pull[:-1, self._controls] = -steps
+        pull[:-1, chain.block + self._controls.start : chain.block + self._controls.stop] = steps
+        return pull
+
+    # ---- scales and judgement -------------------------------------------------------------------------------------
+
+    def _scaled(self, raw: Evaluation) -> _Scaled:
+        columns, rows = self._scales.columns, self._scales.rows
+        weight = self.settings.objective_weight / self._scales.cost
+        return _Scaled(
+            raw,
+            np.where(self._exists, raw.rows / rows, 0.0),
+            raw.slopes * (columns / rows[:, None]) * self._exists[:, :, None],
+            weight * float(raw.cost),
+            weight * raw.gradient * columns,
+            weight * raw.curvature * (columns[:, None] * columns),
+        )
+
+    def violations(self, point: _Scaled) -> Array:
+        """(intervals, rows) scaled violations; zero where a row holds or is not asked."""
+        return np.where(self._equality, np.abs(point.rows), np.maximum(point.rows, 0.0))
+
+    def cost_of(self, point: _Scaled) -> float:
+        return float(point.raw.cost)
+
+    def _finite(self, point: _Scaled) -> bool:
+        values = (point.rows, point.slopes, point.gradient, point.curvature)
+        return bool(np.isfinite(point.cost)) and all(bool(np.isfinite(v).all()) for v in values)
+
+    def _outcome(self, point: _Scaled, ending: Ending, count: int) -> Outcome:
+        return Outcome(point.raw, self.violations(point), ending, count)
+
+
+class _Step(NamedTuple):
+    """An accepted step (None if every damping failed), the damping to go on with, the merit's gain, and its price."""
+
+    point: _Scaled | None
+    damping: float
+    gain: float
+    evaluations: int

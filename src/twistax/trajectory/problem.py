@@ -1,0 +1,347 @@
+"""An optimal-control problem on a compiled system, and the embedded optimiser's front."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import ModelError, TrajectoryError
+from ..integrators import RKMK
+from ..lowering import Dynamics
+from ..tableaus import RK4
+from .arrays import Array
+from .banded import Chain
+from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
+from .discretize import check_substeps
+from .guess import control_guess, perturbation, state_guess, user_guess
+from .objective import Objective
+from .optimizer import Callback, Optimizer, Outcome
+from .result import Status, TrajectoryResult
+from .rows import describe_path
+from .scaling import Scales, column_scales
+from .transcription import Evaluation, Iterate, Transcription
+
+__all__ = ["Problem"]
+
+#: The final time may leave its limits during the search, but not below this share of the lower one.
+_SHORTEST = 0.2
+
+
+class Problem:
+    """Find controls, states and final time that optimise an objective under a system's constraints.
+
+    minimise J subject to x' = f(t, x, u), the system's constraints and the boxes of its leaves along the path,
+    conditions at both ends, and limits of the final time. Controls are held over each of nodes - 1 equal intervals.
+    Constraints on states are asked at the nodes and at the ends of the substeps between them.
+
+    The problem is always solved in double precision, whatever the global setting.
+
+    Args:
+        dynamics: a compiled system.
+        objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
+        nodes: number of state nodes, two or more.
+        final_time: a number in s, or limits (low, high) to leave it free.
+        initial: values by state or name, on top of the leaves' own; nan or None entries are free.
+        final: values likewise, or constraints on the final node such as `g[:3, 3] == 0`, or a list of both.
+        params: values of the system's parameters; those left out take their own.
+        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
+            (controls).
+        final_time_guess: where a free final time starts; the middle of its limits unless given.
+        method: an explicit RKMK method; RK4 if left out.
+        substeps: its steps in an interval.
+
+    Raises:
+        ModelError: unknown names or values without meaning.
+        ShapeError: a wrong shape.
+        TrajectoryError: nodes, times or end values that cannot be.
+        InputError: parameters without a value.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        objective: Objective,
+        *,
+        nodes: int = 25,
+        final_time: float | tuple[float, float],
+        initial: Mapping[Any, Any] | None = None,
+        final: Any = None,
+        params: Mapping[str, Any] | None = None,
+        guess: Mapping[Any, Any] | None = None,
+        final_time_guess: float | None = None,
+        method: RKMK | None = None,
+        substeps: int = 2,
+    ) -> None:
+        if not isinstance(dynamics, Dynamics):
+            raise ModelError(f"Problem expects a compiled system, got {type(dynamics).__name__}.\n  fix: tx.compile(...)")
+        if not isinstance(objective, Objective):
+            raise ModelError(
+                f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
+            )
+        if isinstance(nodes, bool) or not isinstance(nodes, (int, np.integer)) or nodes < 2:
+            raise TrajectoryError(f"nodes must be a whole number of 2 or more, got {nodes!r}")
+        check_substeps(substeps)
+        for place, expr in (("the objective", objective.final), ("the running cost", objective.running)):
+            if expr is not None:
+                check_leaves(dynamics, place, expr, controls=expr is objective.running)
+        self.dynamics, self.objective, self.nodes = dynamics, objective, int(nodes)
+        self.time_limits = _time_limits(final_time)
+        self._time_guess = _time_guess(final_time_guess, self.time_limits)
+        values, constraints = split_final(final)
+        self.initial = end_values(dynamics.states, "initial", initial)
+        self.final = end_values(dynamics.states, "final", values)
+        rows = final_rows(dynamics, constraints)
+        self._leaves = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
+        self._lengths = {s.name: self.nodes for s in dynamics.states} | {c.name: self.nodes - 1 for c in dynamics.controls}
+        self._guess = user_guess(guess, self._leaves, self._lengths)
+        self.method, self.substeps = method or RKMK(RK4), int(substeps)
+        self.transcription = Transcription(
+            dynamics,
+            self.method,
+            self.nodes,
+            self.substeps,
+            objective,
+            describe_path(dynamics),
+            (rows.names, rows.residuals, rows.equalities),
+            self.time_limits,
+        )
+        self.params = self._prepared(params)
+        self._compiled: Callable[..., Evaluation] | None = None
+
+    # ---- solving ----------------------------------------------------------------------------------------------
+
+    def solve(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        guesses: int = 1,
+        seed: int | None = None,
+        callback: Callback | None = None,
+        max_iterations: int = 600,
+        tolerance: float = 1e-6,
+    ) -> TrajectoryResult:
+        """Optimise, from one guess or from several, and return the best result.
+
+        Args:
+            guess: values by leaf or name on top of the problem's own guess.
+            guesses: how many tries. Without a seed the first starts from the guess itself.
+            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
+                moves by 0.4 of its scale and every control by 0.15 (one standard deviation; controls are clipped to
+                their boxes), a free final time by a sixth of its limits' distance (and stays within them).
+            callback: called with (iteration, cost, violation) after each accepted step.
+            max_iterations: evaluations a try may use.
+            tolerance: largest violation that counts as none, each constraint measured in its scale.
+        Raises:
+            ModelError, ShapeError: a guess that does not fit.
+            TrajectoryError: guesses, max_iterations or tolerance without meaning.
+        """
+        if guesses < 1 or max_iterations < 1 or not tolerance > 0.0:
+            raise TrajectoryError("guesses and max_iterations must be 1 or more, tolerance above zero")
+        with jax.enable_x64(True):
+            begin = time.perf_counter()
+            plain = self._start(self._guess | user_guess(guess, self._leaves, self._lengths))
+            evaluate = self._evaluator(plain)
+            compiled = time.perf_counter()
+            optimizer = self._optimizer(evaluate, plain)
+            outcomes = []
+            for number in range(guesses):
+                start = plain
+                if seed is not None or number > 0:
+                    start = self._perturbed(evaluate, plain, np.random.default_rng([seed or 0, number]))
+                outcomes.append(optimizer.run(start, max_iterations, tolerance, callback))
+            done = time.perf_counter()
+        return self._result(outcomes, tolerance, compiled - begin, done - compiled)
+
+    def _start(self, given: Mapping[str, Array]) -> Iterate:
+        """The guess as an iterate."""
+        dynamics = self.dynamics
+        xs = {
+            s.name: state_guess(s, given.get(s.name), self.initial[s.name], self.final[s.name], self.nodes)
+            for s in dynamics.states
+        }
+        us = [control_guess(c, given.get(c.name), self.nodes - 1).reshape(self.nodes - 1, -1) for c in dynamics.controls]
+        flat = np.concatenate(us, axis=1) if us else np.zeros((self.nodes - 1, 0))
+        return jax.tree.map(jnp.asarray, Iterate(xs, flat, np.asarray(self._time_guess)))
+
+    def _evaluator(self, like: Iterate) -> Callable[[Iterate, Array], Evaluation]:
+        """The compiled evaluation, NumPy out."""
+        zero = jnp.zeros(self.nodes * self.transcription.block + 1)
+        params = {name: jnp.asarray(value) for name, value in self.params.items()}
+        if self._compiled is None:
+            self._compiled = jax.jit(self.transcription.evaluate).lower(like, zero, params).compile()
+        compiled = self._compiled
+
+        def evaluate(iterate: Iterate, step: Array) -> Evaluation:
+            return jax.tree.map(np.asarray, compiled(jax.tree.map(jnp.asarray, iterate), jnp.asarray(step), params))
+
+        return evaluate
+
+    def _optimizer(self, evaluate: Callable[[Iterate, Array], Evaluation], plain: Iterate) -> Optimizer:
+        t = self.transcription
+        low, high = self.time_limits
+        landmarks = self._landmarks(plain)
+        block = column_scales(self._leaves, landmarks)
+        time_scale = 0.5 * (high - low) if high > low else high
+        lengths = np.concatenate([np.tile(block, self.nodes), [time_scale]])
+        self._step_lengths = lengths
+        self._free = self._free_unknowns()
+        columns = np.concatenate([block, block, [time_scale]])
+        samples = [
+            evaluate(plain, np.zeros(len(lengths))),
+            evaluate(plain, self._random_step(np.random.default_rng(0))),
+        ]
+        samples = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))] or samples[:1]
+        return Optimizer(
+            evaluate,
+            Chain(self.nodes, t.block, 1, self._free),
+            t.equality,
+            t.exists,
+            Scales.measured(columns, t.n, samples),
+            self.objective.smoothing,
+            slice(t.n, t.block),
+            _SHORTEST * low,
+        )
+
+    def _landmarks(self, plain: Iterate) -> dict[str, list[Array]]:
+        """The known values of every leaf: its box, its ends, its guess."""
+        values: dict[str, list[Array]] = {}
+        controls = self.transcription.controls.split(np.asarray(plain.us))
+        for name, leaf in self._leaves.items():
+            path = np.asarray(plain.xs[name] if name in plain.xs else controls[name])
+            known = [leaf.min, leaf.max, self.initial.get(name), self.final.get(name), *path]
+            values[name] = [value for value in known if value is not None]
+        return values
+
+    def _free_unknowns(self) -> Array:
+        t = self.transcription
+        free = np.ones((self.nodes, t.block), bool)
+        free[-1, t.n :] = False
+        for node, ends in ((0, self.initial), (-1, self.final)):
+            fixed = [fixed_entries(state, ends[state.name]) for state in self.dynamics.states]
+            free[node, : t.n] = ~np.concatenate(fixed)
+        low, high = self.time_limits
+        return np.append(free.ravel(), low < high)
+
+    def _random_step(self, rng: np.random.Generator) -> Array:
+        t = self.transcription
+        states = np.append(np.tile(np.arange(t.block) < t.n, self.nodes), False)
+        step = perturbation(rng, self._step_lengths, self._free, states)
+        low, high = self.time_limits
+        step[-1] = np.clip(self._time_guess + rng.normal() * (high - low) / 6.0, low, high) - self._time_guess
+        return step
+
+    def _perturbed(self, evaluate: Callable[..., Evaluation], plain: Iterate, rng: np.random.Generator) -> Iterate:
+        moved = evaluate(plain, self._random_step(rng)).iterate
+        us = np.array(moved.us)
+        for leaf in self.dynamics.controls:
+            part = us[:, self.transcription.controls.slices[leaf.name]]
+            low = -np.inf if leaf.min is None else leaf.min.reshape(1, -1)
+            high = np.inf if leaf.max is None else leaf.max.reshape(1, -1)
+            part[:] = np.clip(part, low, high)
+        return moved._replace(us=us)
+
+    def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
+        """All parameters as double-precision arrays; checks them on the way."""
+        with jax.enable_x64(True):
+            zeros_x = {s.name: np.asarray(s.group.identity(float)) for s in self.dynamics.states}
+            zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
+            families = ("rates", "constraints")
+            inputs = self.dynamics.prepare(0.0, zeros_x, zeros_u, params, reads=families)
+            return {name: np.asarray(value) for name, value in inputs.params.items()}
+
+    # ---- the result -------------------------------------------------------------------------------------------
+
+    def _result(
+        self, outcomes: list[Outcome], tolerance: float, compile_seconds: float, solve_seconds: float
+    ) -> TrajectoryResult:
+        statuses = [_status(outcome) for outcome in outcomes]
+        sign = self.objective.sign
+        tries = tuple(
+            (status, sign * float(o.evaluation.cost), float(o.violations.max(initial=0.0)), o.iterations)
+            for status, o in zip(statuses, outcomes)
+        )
+
+        def rank(number: int) -> tuple[bool, float]:
+            status, outcome = statuses[number], outcomes[number]
+            solved = status is Status.SOLVED
+            return not solved, float(outcome.evaluation.cost) if solved else float(outcome.violations.max(initial=0.0))
+
+        best = min(range(len(outcomes)), key=rank)
+        outcome, status = outcomes[best], statuses[best]
+        iterate = outcome.evaluation.iterate
+        final_time = float(iterate.final_time)
+        return TrajectoryResult(
+            problem=self,
+            xs={name: np.asarray(values) for name, values in iterate.xs.items()},
+            us=self.transcription.controls.split(np.asarray(iterate.us)),
+            ts=np.linspace(0.0, final_time, self.nodes),
+            final_time=final_time,
+            cost=tries[best][1],
+            violation=tries[best][2],
+            violations=self._violations(outcome),
+            status=status,
+            message=self._message(status, outcome),
+            iterations=outcome.iterations,
+            tries=tries,
+            compile_seconds=compile_seconds,
+            solve_seconds=solve_seconds,
+        )
+
+    def _violations(self, outcome: Outcome) -> dict[str, float]:
+        t = self.transcription
+        rows = np.asarray(outcome.evaluation.rows)
+        sizes = np.where(t.exists, np.where(t.equality, np.abs(rows), np.maximum(rows, 0.0)), 0.0).max(axis=0)
+        found: dict[str, float] = {}
+        for name, size in zip(t.names, sizes):
+            found[name] = max(found.get(name, 0.0), float(size))
+        return found
+
+    def _message(self, status: Status, outcome: Outcome) -> str:
+        text = f"{status}."
+        if status in (Status.SOLVED, Status.NON_FINITE):
+            return text
+        t = self.transcription
+        rows = np.asarray(outcome.evaluation.rows)
+        worst = []
+        for part in (slice(t.n, None), slice(0, t.n)):
+            scaled = outcome.violations[:, part]
+            if scaled.size and scaled.max() > 0.0:
+                interval, row = np.unravel_index(int(scaled.argmax()), scaled.shape)
+                row = int(row) + (part.start or 0)
+                worst.append(
+                    f"{t.names[row]!r} at {t.place(int(interval), row)} is off by {abs(rows[interval, row]):.3g}"
+                )
+        return f"{text} Worst: {'; '.join(worst)}." if worst else text
+
+
+def _status(outcome: Outcome) -> Status:
+    ending = outcome.ending
+    if not ending.finite:
+        return Status.NON_FINITE
+    if ending.feasible and ending.settled:
+        return Status.SOLVED
+    return Status.INFEASIBLE if ending.stalled else Status.MAX_ITERATIONS
+
+
+def _time_limits(final_time: Any) -> tuple[float, float]:
+    limits = np.asarray(final_time, float) if np.ndim(final_time) <= 1 else np.zeros(0)
+    if limits.shape not in ((), (2,)):
+        raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
+    low, high = (float(limits),) * 2 if limits.shape == () else map(float, limits)
+    if not (0.0 < low <= high < np.inf):
+        raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
+    return low, high
+
+
+def _time_guess(value: float | None, limits: tuple[float, float]) -> float:
+    low, high = limits
+    if value is None:
+        return 0.5 * (low + high)
+    if not low <= value <= high:
+        raise TrajectoryError(f"final_time_guess {value!r} is outside the limits of the final time, {limits}")
+    return float(value)
