@@ -130,7 +130,10 @@ class Sub(Expr):
     @classmethod
     def example(cls) -> list[Example]:
         a, b = _vector("a"), State("b")
-        return [Example(a - b, {"a": np.array([1.0, -2.0, 0.5]), "b": 0.25}), Example(b - a, {"a": np.ones(3), "b": 3.0})]
+        return [
+            Example(a - b, {"a": np.array([1.0, -2.0, 0.5]), "b": 0.25}),
+            Example(b - a, {"a": np.ones(3), "b": 3.0}),
+        ]
 
 
 class Mul(Expr):
@@ -320,7 +323,9 @@ class MatMul(Expr):
             )
         inner = right[-2] if len(right) > 1 else right[0]
         if left[-1] != inner:
-            raise ShapeError(f"MatMul incompatible shapes: {left} @ {right}", hint=f"{left[-1]} columns meet {inner} rows")
+            raise ShapeError(
+                f"MatMul incompatible shapes: {left} @ {right}", hint=f"{left[-1]} columns meet {inner} rows"
+            )
         stack = broadcast(self, left[:-2], right[:-2])
         return stack + (left[-2:-1] if len(left) > 1 else ()) + (right[-1:] if len(right) > 1 else ())
 
@@ -332,9 +337,9 @@ class MatMul(Expr):
 
     def simplify(self) -> Expr:
         """Identity matrices vanish; a product with zeros is zero."""
-        if _is_identity(self.left) and self.right.shape == self.shape:
+        if is_identity(self.left) and self.right.shape == self.shape:
             return self.right
-        if _is_identity(self.right) and self.left.shape == self.shape:
+        if is_identity(self.right) and self.left.shape == self.shape:
             return self.left
         if is_constant(self.left, 0.0) or is_constant(self.right, 0.0):
             return zeros_of(self)
@@ -354,7 +359,8 @@ class MatMul(Expr):
         return [Example(m @ v, values), Example(v @ v, values), Example(m @ Constant(np.ones((3, 2))), values)]
 
 
-def _is_identity(node: Expr) -> bool:
+def is_identity(node: Expr) -> bool:
+    """Whether a constant is an identity matrix."""
     if not isinstance(node, Constant) or node.value.ndim != 2 or node.value.shape[0] != node.value.shape[1]:
         return False
     return bool((node.value == np.eye(node.value.shape[0])).all())
@@ -388,4 +394,4 @@ def rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
     return type(node)(*operands)
 
 
-__all__ = ["Add", "Div", "MatMul", "Mul", "Neg", "Power", "Sub", "is_constant", "rebuilt", "zeros_of"]
+__all__ = ["Add", "Div", "MatMul", "Mul", "Neg", "Power", "Sub", "is_constant", "is_identity", "rebuilt", "zeros_of"]

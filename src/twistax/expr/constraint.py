@@ -26,11 +26,16 @@ class Constraint(Expr):
     lhs: Operand
     rhs: Operand
     precedence = 5
+    abstract = True
     symbol: ClassVar[str] = "?"
     latex_symbol: ClassVar[str] = "?"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
+
+    @property
+    def boolean(self) -> bool:
+        return True
 
     def residual(self) -> Expr:
         """lhs - rhs, of which the optimiser wants <= 0 (inequality) or = 0 (equality)."""

@@ -1,9 +1,9 @@
 """How a node class declares its fields, and how its constructor binds them.
 
-    class Adjoint(Expr):
-        twist1: Operand                    a child; numbers and arrays become Constants
-        operands: Operands                 any number of children, positional
-        order: Order = LINEAR_FIRST        anything else is static data, part of the structural key
+class Adjoint(Expr):
+    twist1: Operand                    a child; numbers and arrays become Constants
+    operands: Operands                 any number of children, positional
+    order: Order = LINEAR_FIRST        anything else is static data, part of the structural key
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Field:
         return self.default is _MISSING or freeze(value) != freeze(self.default)
 
 
-def declare_fields(cls: Any) -> None:
+def declare_fields(cls: Any, base: Any) -> None:
     """Collect the fields a class annotates, after those it inherits, and give it a signature."""
     fields = {f.name: f for f in cls._fields}
     for name, annotation in cls.__dict__.get("__annotations__", {}).items():
@@ -79,7 +79,10 @@ def declare_fields(cls: Any) -> None:
         default = cls.__dict__.get(name, _MISSING)
         fields[name] = Field(name, annotation == "Operand", annotation == "Operands", default)
     cls._fields = tuple(fields.values())
-    cls.__signature__ = _signature(cls._fields)
+    cls._signature = _signature(cls._fields)
+    # What `help` shows, unless a class takes its arguments in another form than its fields.
+    if cls.__init__ is base.__init__ and cls.__new__ is base.__new__:
+        cls.__signature__ = cls._signature
 
 
 def _signature(fields: tuple[Field, ...]) -> inspect.Signature:
@@ -96,9 +99,9 @@ def _signature(fields: tuple[Field, ...]) -> inspect.Signature:
 def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> list[tuple[Field, Any]]:
     """The coerced value of every field, from the constructor's arguments."""
     try:
-        bound = cls.__signature__.bind(*args, **kwargs)
+        bound = cls._signature.bind(*args, **kwargs)
     except TypeError as error:
-        raise TypeError(f"{cls.__name__}{cls.__signature__}: {error}") from None
+        raise TypeError(f"{cls.__name__}{cls._signature}: {error}") from None
     bound.apply_defaults()
     return [(field, field.coerce(bound.arguments[field.name])) for field in cls._fields]
 

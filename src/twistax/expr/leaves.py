@@ -50,6 +50,7 @@ class Leaf(Expr):
     def to_latex(self, *operands: str) -> str:
         head, _, tail = self.name.partition("_")
         symbol = head if len(head) == 1 else rf"\mathrm{{{head}}}"
+        tail = tail.replace("_", r"\_")
         return f"{symbol}_{{\\mathrm{{{tail}}}}}" if tail else symbol
 
 
@@ -369,7 +370,9 @@ _ROTATION_TOLERANCE = 1e-6
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    array = _value(name, what, value, group.shape) if isinstance(group, Euclidean) else _element(name, what, value, group)
+    array = (
+        _value(name, what, value, group.shape) if isinstance(group, Euclidean) else _element(name, what, value, group)
+    )
     return array
 
 

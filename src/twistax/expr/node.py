@@ -67,7 +67,7 @@ class Expr(Operators):
             cls.label = cls.__name__
         if "abstract" not in cls.__dict__:
             cls.abstract = False
-        declare_fields(cls)
+        declare_fields(cls, Expr)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         for field, value in bind_fields(type(self), args, kwargs):
@@ -107,6 +107,14 @@ class Expr(Operators):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         """Value in jax.numpy from the children's values."""
         raise NotImplementedError(f"{type(self).__name__}.evaluate")
+
+    def eager_children(self) -> list[Expr]:
+        """The children whose values `evaluate_on_demand` gets; all, unless a node asks for some only when needed."""
+        return self.children()
+
+    def evaluate_on_demand(self, values: list[jax.Array], value_of: Callable[[Expr], jax.Array]) -> jax.Array:
+        """Value from the eager children's values; `value_of` computes another child where it is called."""
+        return self.evaluate(*values)
 
     def simplify(self) -> Expr:
         """A simpler node of the same shape, equal wherever this one is finite. Children are canonical already."""
@@ -148,6 +156,10 @@ class Expr(Operators):
             elif field.operand:
                 names.append(field.name)
         return names
+
+    def outline(self) -> list[tuple[str, Expr]]:
+        """What `tree()` shows below this node, with names: the children, unless a node holds more than these."""
+        return list(zip(self.child_names(), self.children(), strict=True))
 
     def with_children(self, children: list[Expr]) -> Self:
         """The same node over other children; a variadic one may get more or fewer."""
@@ -274,6 +286,18 @@ def leaves_of(*roots: Expr) -> Iterator[Leaf]:
     from .leaves import Leaf
 
     return (node for node in postorder(*roots) if isinstance(node, Leaf))
+
+
+def substitute(root: Expr, exchange: Mapping[str, Expr]) -> Expr:
+    """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf stay the same objects."""
+    done: dict[int, Expr] = {}
+    for node in postorder(root):
+        children = node.children()
+        if children:
+            done[id(node)] = node.with_children([done[id(child)] for child in children])
+        else:
+            done[id(node)] = exchange.get(node.key(), node)
+    return done[id(root)]
 
 
 def find_path(root: Expr, target: Expr) -> str:

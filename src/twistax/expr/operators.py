@@ -80,7 +80,7 @@ class Operators:
         return Abs(self)
 
     def __getitem__(self, index: Any) -> Expr:
-        from .array import Index
+        from .indexing import Index
 
         return Index(self, index)
 

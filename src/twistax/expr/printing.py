@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from .node import Expr, postorder
 
 #: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed.
@@ -16,6 +18,12 @@ def wrap(node: Expr, text: str, level: int) -> str:
 def wrap_latex(node: Expr, text: str, level: int) -> str:
     """As `wrap`, with growing parentheses."""
     return text if node.precedence >= level else rf"\left({text}\right)"
+
+
+def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
+    """Entries between brackets."""
+    body = r" \\ ".join(" & ".join(row) for row in rows)
+    return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
 
 
 def _size(root: Expr) -> dict[int, int]:
@@ -59,9 +67,9 @@ def tree(root: Expr) -> str:
             continue
         numbers[id(node)] = len(lines) + 1
         lines.append(f"{lead}{name}{_head(node)} {_shape_text(node)}")
-        pairs = list(zip(node.children(), node.child_names(), strict=True))
-        for i, (child, child_name) in reversed(list(enumerate(pairs))):
-            last = i == len(pairs) - 1
+        below = node.outline()
+        for i, (child_name, child) in reversed(list(enumerate(below))):
+            last = i == len(below) - 1
             stack.append((child, child_name, indent + ("└─ " if last else "├─ "), indent + ("   " if last else "│  ")))
     return "\n".join(lines)
 

@@ -15,6 +15,12 @@ def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {wanted}, got {got}", hint=hint)
 
 
+def expect_square(node: Expr, operand: str, got: Shape, *, stacks: bool = False) -> None:
+    """Raise the plain sentence unless the operand is a square matrix, or a stack of them where `stacks` allows it."""
+    if len(got) < 2 or got[-1] != got[-2] or (len(got) > 2 and not stacks):
+        raise ShapeError(f"{type(node).__name__} expects {operand} to be a square matrix, got shape {got}")
+
+
 def broadcast(node: Expr, *shapes: Shape) -> Shape:
     """NumPy's broadcast shape, or an error that shows all of them."""
     try:

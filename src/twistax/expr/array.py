@@ -1,0 +1,229 @@
+"""Arrays made of parts: joined along an axis or stacked along a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import ShapeError
+from .fields import Operands
+from .leaves import State
+from .node import Example, Expr, Shape
+from .printing import matrix_latex
+
+if TYPE_CHECKING:
+    from .fields import ExprLike
+
+
+def gathered(operands: Sequence[Any]) -> Sequence[Any]:
+    """The operands, given one by one or as a single list."""
+    return operands[0] if len(operands) == 1 and isinstance(operands[0], (list, tuple)) else operands
+
+
+class Concat(Expr):
+    """Pieces joined along the first axis. A scalar counts as a vector of one entry.
+
+    Shapes: (), (n,), (m,) -> (1 + n + m,); (n, k), (m, k) -> (n + m, k). Takes the pieces one by one or in a list.
+
+    Attributes:
+        exprs: one or more expressions that agree in all axes but the first.
+    Raises:
+        ShapeError: the pieces differ in rank or beyond the first axis.
+    """
+
+    exprs: Operands
+    associative = True
+
+    def __init__(self, *exprs: ExprLike | Sequence[ExprLike]) -> None:
+        super().__init__(*gathered(exprs))
+
+    def validate(self) -> None:
+        _at_least_one(self, self.exprs)
+
+    @property
+    def boolean(self) -> bool:
+        return all(piece.boolean for piece in self.exprs)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return _joined(self, [shape or (1,) for shape in shapes], 0)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        if all(value.ndim == 0 for value in values):
+            return jnp.stack(values)
+        return jnp.concatenate([jnp.atleast_1d(value) for value in values])
+
+    def simplify(self) -> Expr:
+        """A single vector is itself. Joined pieces of joined pieces are joined once, before."""
+        return self.exprs[0] if len(self.exprs) == 1 and self.exprs[0].shape else self
+
+    def to_latex(self, *operands: str) -> str:
+        return matrix_latex([[operand] for operand in operands])
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        s, v, m = State("s"), State("v", shape=(2,)), State("m", shape=(2, 2))
+        values = {"s": 0.3, "v": np.array([1.0, -2.0]), "m": np.eye(2)}
+        return [
+            Example(Concat(s, v, 4.0), values),
+            Example(Concat(m, np.ones((1, 2))), values),
+            Example(Concat(s, s), values),
+        ]
+
+
+class Stack(Expr):
+    """Rows of equal shape stacked along a new first axis.
+
+    Shapes: k rows of shape s -> (k, *s). Takes the rows in a list or one by one.
+
+    Attributes:
+        rows: one or more expressions of equal shape.
+    Raises:
+        ShapeError: the rows differ in shape.
+    """
+
+    rows: Operands
+
+    def __init__(self, *rows: ExprLike | Sequence[ExprLike]) -> None:
+        super().__init__(*gathered(rows))
+
+    def validate(self) -> None:
+        _at_least_one(self, self.rows)
+
+    @property
+    def boolean(self) -> bool:
+        return all(row.boolean for row in self.rows)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        for i, shape in enumerate(shapes):
+            if shape != shapes[0]:
+                raise ShapeError(
+                    f"Stack expects rows of one shape, got row 0 with shape {shapes[0]} and row {i} with shape {shape}",
+                    hint="tx.Concat joins pieces of different length",
+                )
+        return (len(shapes), *shapes[0])
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.stack(values)
+
+    def to_latex(self, *operands: str) -> str:
+        return matrix_latex(
+            [[row if not self.rows[i].shape else rf"{{{row}}}^{{\top}}"] for i, row in enumerate(operands)]
+        )
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, b = State("a", shape=(3,)), State("b")
+        values = {"a": np.array([1.0, -2.0, 0.5]), "b": 2.0}
+        return [Example(Stack([a, np.ones(3), a]), values), Example(Stack([b, 0.0]), values)]
+
+
+class Hstack(Expr):
+    """Arrays side by side: joined along the second axis, vectors and scalars along the first.
+
+    Shapes: (n, j), (n, k) -> (n, j + k); (j,), (k,) -> (j + k,). Takes the arrays in a list or one by one.
+
+    Attributes:
+        arrays: one or more expressions that agree in all axes but the joined one.
+    Raises:
+        ShapeError: the arrays differ in rank or beyond the joined axis.
+    """
+
+    arrays: Operands
+
+    def __init__(self, *arrays: ExprLike | Sequence[ExprLike]) -> None:
+        super().__init__(*gathered(arrays))
+
+    def validate(self) -> None:
+        _at_least_one(self, self.arrays)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        shapes = tuple(shape or (1,) for shape in shapes)
+        return _joined(self, shapes, min(len(shapes[0]) - 1, 1))
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.hstack(values)
+
+    def simplify(self) -> Expr:
+        """Of vectors and scalars it is Concat; a single matrix is itself."""
+        if len(self.shape) == 1:
+            return Concat(*self.arrays)
+        return self.arrays[0] if len(self.arrays) == 1 else self
+
+    def to_latex(self, *operands: str) -> str:
+        return matrix_latex([list(operands)])
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        m, v = State("m", shape=(2, 3)), State("v", shape=(2,))
+        values = {"m": np.arange(6.0).reshape(2, 3), "v": np.array([1.0, -2.0])}
+        return [Example(Hstack([m, np.ones((2, 1))]), values), Example(Hstack([v, 1.0, v]), values)]
+
+
+class Vstack(Expr):
+    """Arrays on top of each other: joined along the first axis, a vector or scalar being one row.
+
+    Shapes: (j, n), (k, n) -> (j + k, n); (n,), (n,) -> (2, n). Takes the arrays in a list or one by one.
+
+    Attributes:
+        arrays: one or more expressions that agree in all axes but the first.
+    Raises:
+        ShapeError: the arrays differ in rank or beyond the first axis.
+    """
+
+    arrays: Operands
+
+    def __init__(self, *arrays: ExprLike | Sequence[ExprLike]) -> None:
+        super().__init__(*gathered(arrays))
+
+    def validate(self) -> None:
+        _at_least_one(self, self.arrays)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return _joined(self, [(1,) * (2 - len(shape)) + shape for shape in shapes], 0)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.vstack(values)
+
+    def simplify(self) -> Expr:
+        """Of vectors it is Stack, of matrices Concat."""
+        ranks = {len(array.shape) for array in self.arrays}
+        if ranks <= {1}:
+            return Stack(*self.arrays)
+        return self if ranks & {0, 1} else Concat(*self.arrays)
+
+    def to_latex(self, *operands: str) -> str:
+        return matrix_latex([[operand] for operand in operands])
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        m, v = State("m", shape=(2, 3)), State("v", shape=(3,))
+        values = {"m": np.arange(6.0).reshape(2, 3), "v": np.array([1.0, -2.0, 0.5])}
+        return [Example(Vstack([m, v]), values), Example(Vstack([v, v]), values)]
+
+
+def _at_least_one(node: Expr, operands: tuple[Expr, ...]) -> None:
+    if not operands:
+        raise ValueError(f"{type(node).__name__} requires at least one operand")
+
+
+def _joined(node: Expr, shapes: Sequence[Shape], axis: int) -> Shape:
+    """The shape of arrays joined along an axis."""
+    name, first = type(node).__name__, shapes[0]
+    for i, shape in enumerate(shapes):
+        if len(shape) != len(first):
+            raise ShapeError(
+                f"{name} expects operands of one rank, got operand 0 with shape {first} and operand {i} with {shape}"
+            )
+        if shape[:axis] + shape[axis + 1 :] != first[:axis] + first[axis + 1 :]:
+            raise ShapeError(
+                f"{name} expects operands that agree in all axes but axis {axis}, "
+                f"got operand 0 with shape {first} and operand {i} with {shape}"
+            )
+    return (*first[:axis], sum(shape[axis] for shape in shapes), *first[axis + 1 :])
+
+
+__all__ = ["Concat", "Hstack", "Stack", "Vstack"]

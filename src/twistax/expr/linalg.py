@@ -1,0 +1,297 @@
+"""Linear algebra: transpose, diagonal, sums, norms, products of vectors, inverses and solves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import ModelError, ShapeError
+from ..groups.components import cross, unpack, vector
+from .arithmetic import Neg, zeros_of
+from .elementwise import Abs, square_root
+from .fields import Operand
+from .leaves import State
+from .node import Example, Expr, Shape
+from .printing import wrap_latex
+from .shapes import expect, expect_square
+
+if TYPE_CHECKING:
+    from .fields import ExprLike
+
+
+class Transpose(Expr):
+    """Transpose: the last two axes change places. Scalars and vectors stay as they are."""
+
+    operand: Operand
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        (shape,) = shapes
+        return shape if len(shape) < 2 else (*shape[:-2], shape[-1], shape[-2])
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return values[0] if values[0].ndim < 2 else jnp.swapaxes(values[0], -1, -2)
+
+    def simplify(self) -> Expr:
+        """The transpose of a transpose, of a vector or of a diagonal matrix is the matrix or vector itself."""
+        if len(self.shape) < 2 or isinstance(self.operand, Diag):
+            return self.operand
+        return self.operand.operand if isinstance(self.operand, Transpose) else self
+
+    def to_text(self, *operands: str) -> str:
+        return f"({operands[0]}).T"
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"{{{wrap_latex(self.operand, operands[0], 60)}}}^{{\top}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        m, t = State("m", shape=(2, 3)), State("t", shape=(2, 2, 3))
+        values = {"m": np.arange(6.0).reshape(2, 3), "t": np.arange(12.0).reshape(2, 2, 3)}
+        return [Example(m.T, values), Example(t.T, values)]
+
+
+class Diag(Expr):
+    """The diagonal matrix of a vector. Shapes: (n,) -> (n, n).
+
+    Raises:
+        ShapeError: the operand is no vector.
+    """
+
+    operand: Operand
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        (shape,) = shapes
+        if len(shape) != 1:
+            raise ShapeError(
+                f"Diag expects a vector, got shape {shape}", hint="for the diagonal of a matrix use A[range, range]"
+            )
+        return shape + shape
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        (entries,) = values
+        return jnp.where(np.eye(entries.shape[0], dtype=bool), entries[:, None], 0.0)
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Diag(State("v", shape=(3,))), {"v": np.array([1.0, -2.0, 0.5])})]
+
+
+class Sum(Expr):
+    """Sum of all entries. Shapes: any -> ()."""
+
+    operand: Operand
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return ()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.sum(values[0])
+
+    def simplify(self) -> Expr:
+        """The sum of a scalar is the scalar."""
+        return self if self.operand.shape else self.operand
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\sum {wrap_latex(self.operand, operands[0], 20)}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Sum(State("m", shape=(2, 3))), {"m": np.arange(6.0).reshape(2, 3)})]
+
+
+class Trace(Expr):
+    """Sum of the diagonal entries. Shapes: (n, n) -> ().
+
+    Raises:
+        ShapeError: the operand is no square matrix.
+    """
+
+    operand: Operand
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_square(self, "operand", shapes[0])
+        return ()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.trace(values[0])
+
+    def simplify(self) -> Expr:
+        """The trace of a transpose is that of the matrix; of a diagonal matrix, the sum of its entries."""
+        if isinstance(self.operand, Diag):
+            return Sum(self.operand.operand)
+        return Trace(self.operand.operand) if isinstance(self.operand, Transpose) else self
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\operatorname{{tr}}\left({operands[0]}\right)"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(Trace(State("m", shape=(3, 3))), {"m": np.arange(9.0).reshape(3, 3)})]
+
+
+class Norm(Expr):
+    """Size of a vector or matrix, in its unit. Shapes: any -> ().
+
+    At zero the derivative is taken as 0, whatever the order.
+
+    Attributes:
+        ord: "fro", the default, the root of the sum of squares for any shape. For vectors also "inf" (largest |x_i|),
+            "-inf" (smallest), or a number p >= 1 for (sum |x_i|^p)^(1/p). For matrices also "inf" (largest row sum of
+            |a_ij|), 1 (largest column sum) or 2 (largest singular value).
+    Raises:
+        ModelError: an unknown order.
+        ShapeError: the order is not defined for the operand's rank.
+    """
+
+    operand: Operand
+    ord: Any = "fro"
+
+    def __init__(self, operand: ExprLike, ord: Any = "fro") -> None:
+        super().__init__(operand, {None: "fro", np.inf: "inf", -np.inf: "-inf"}.get(ord, ord))
+
+    def validate(self) -> None:
+        number = isinstance(self.ord, (int, float)) and not isinstance(self.ord, bool) and self.ord >= 1
+        if not number and self.ord not in ("fro", "inf", "-inf"):
+            raise ModelError(f'Norm expects ord to be "fro", "inf", "-inf" or a number >= 1, got {self.ord!r}')
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        rank = len(shapes[0])
+        if self.ord != "fro" and (rank > 2 or (rank == 2 and self.ord not in (1, 2, "inf"))):
+            raise ShapeError(f"Norm with ord={self.ord!r} is not defined for shape {shapes[0]}", hint='use ord="fro"')
+        return ()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        (x,) = values
+        if self.ord == "fro" or (self.ord == 2 and x.ndim < 2):
+            return square_root(jnp.sum(x * x))
+        zero = jnp.all(x == 0.0)
+        safe = jnp.where(zero, 1.0, jnp.atleast_1d(x))
+        order = {"inf": np.inf, "-inf": -np.inf}.get(self.ord, self.ord)
+        return jnp.where(zero, 0.0, jnp.linalg.norm(safe, ord=order))
+
+    def simplify(self) -> Expr:
+        """The norm of -x is that of x; of a scalar, its absolute value."""
+        if not self.operand.shape:
+            return Abs(self.operand)
+        return Norm(self.operand.operand, self.ord) if isinstance(self.operand, Neg) else self
+
+    def to_latex(self, *operands: str) -> str:
+        order = {"fro": "", "inf": r"_{\infty}", "-inf": r"_{-\infty}"}.get(self.ord, f"_{{{self.ord}}}")
+        return rf"\left\|{operands[0]}\right\|{order}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        v, m, s = State("v", shape=(3,)), State("m", shape=(2, 3)), State("s")
+        values = {"v": np.array([1.0, -2.0, 0.5]), "m": np.array([[1.0, -2.0, 0.5], [3.0, 0.25, -1.0]]), "s": -0.5}
+        orders = [Example(Norm(v, ord), values) for ord in ("fro", 1, 3.5, "inf", "-inf")]
+        orders += [Example(Norm(m, ord), values) for ord in ("fro", 1, 2, "inf")]
+        zero = [Example(Norm(v, ord), values | {"v": np.zeros(3)}, smooth=False) for ord in ("fro", 1, 3.5, "inf")]
+        return [
+            *orders,
+            Example(Norm(s), values),
+            *zero,
+            Example(Norm(m, 2), values | {"m": np.zeros((2, 3))}, smooth=False),
+        ]
+
+
+class Dot(Expr):
+    """Scalar product a . b of two vectors. Shapes: (n,), (n,) -> ().
+
+    Raises:
+        ShapeError: no vectors, or of different length.
+    """
+
+    left: Operand
+    right: Operand
+    precedence = 20
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        left, right = shapes
+        if len(left) != 1 or left != right:
+            raise ShapeError(f"Dot expects two vectors of equal length, got shapes {left} and {right}")
+        return ()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.sum(values[0] * values[1])
+
+    def to_latex(self, *operands: str) -> str:
+        left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
+        return rf"{left} \cdot {right}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, b = State("a", shape=(3,)), State("b", shape=(3,))
+        return [Example(Dot(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])})]
+
+
+class Cross(Expr):
+    """Vector product a x b. Shapes: (3,), (3,) -> (3,); the unit is the product of both.
+
+    Raises:
+        ShapeError: an operand is not of shape (3,).
+    """
+
+    left: Operand
+    right: Operand
+    precedence = 20
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "left", shapes[0], (3,))
+        expect(self, "right", shapes[1], (3,))
+        return (3,)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return vector(cross(unpack(values[0]), unpack(values[1])))
+
+    def simplify(self) -> Expr:
+        """a x a is 0."""
+        return zeros_of(self) if self.left.key() == self.right.key() else self
+
+    def to_latex(self, *operands: str) -> str:
+        left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
+        return rf"{left} \times {right}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, b = State("a", shape=(3,)), State("b", shape=(3,))
+        return [Example(Cross(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])})]
+
+
+class Outer(Expr):
+    """The matrix a b^T of all products. Shapes: (m,), (n,) -> (m, n).
+
+    Raises:
+        ShapeError: an operand is no vector.
+    """
+
+    left: Operand
+    right: Operand
+    precedence = 20
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        left, right = shapes
+        if len(left) != 1 or len(right) != 1:
+            raise ShapeError(f"Outer expects two vectors, got shapes {left} and {right}")
+        return left + right
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return values[0][:, None] * values[1][None, :]
+
+    def to_latex(self, *operands: str) -> str:
+        left, right = (wrap_latex(*pair, 60) for pair in zip(self.children(), operands))
+        return rf"{left} \, {{{right}}}^{{\top}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, b = State("a", shape=(3,)), State("b", shape=(2,))
+        return [Example(Outer(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0])})]
+
+
+__all__ = ["Cross", "Diag", "Dot", "Norm", "Outer", "Sum", "Trace", "Transpose"]

@@ -1,0 +1,248 @@
+"""Choosing: predicates joined by and / or, entries chosen by a condition, branches of which one is evaluated."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any as Anything, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import ShapeError
+from .array import gathered
+from .arithmetic import rebuilt, zeros_of
+from .fields import Operand, Operands
+from .leaves import Constant, State
+from .node import Example, Expr, Shape, to_expr
+from .shapes import align, broadcast
+
+if TYPE_CHECKING:
+    from .fields import ExprLike
+
+
+def _predicate(node: str, value: Anything) -> Expr:
+    """The value as an expression, if its entries are true or false."""
+    if isinstance(value, (bool, np.bool_, Expr)) or getattr(value, "dtype", None) == bool:
+        expr = to_expr(value)
+        if expr.boolean:
+            return expr
+    raise TypeError(
+        f"{node} expects constraints such as x <= 5, or All and Any of them, got {type(value).__name__}: {value!r}"
+    )
+
+
+class Reduction(Expr):
+    """Base of All and Any: one truth value from the entries of one or more predicates."""
+
+    predicates: Operands
+    abstract = True
+    associative = True
+    #: How the entries of one predicate and then the predicates combine; the value that leaves the result as it is.
+    reduce: ClassVar[Callable[[jax.Array], jax.Array]]
+    combine: ClassVar[Callable[[jax.Array, jax.Array], jax.Array]]
+    neutral: ClassVar[bool]
+
+    def __init__(self, *predicates: Expr | Sequence[Expr]) -> None:
+        super().__init__(*(_predicate(type(self).__name__, p) for p in gathered(predicates)))
+
+    def validate(self) -> None:
+        if not self.predicates:
+            raise ValueError(f"{type(self).__name__} requires at least one predicate")
+
+    @property
+    def boolean(self) -> bool:
+        return True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return ()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return functools.reduce(type(self).combine, [type(self).reduce(value) for value in values])
+
+    def simplify(self) -> Expr:
+        """Constants that decide nothing go, one that decides is the result. Nested ones are flattened before."""
+        kept: list[Expr] = []
+        for predicate in self.predicates:
+            if not isinstance(predicate, Constant):
+                kept.append(predicate)
+            elif bool(type(self).reduce(predicate.value)) is not self.neutral:
+                return Constant(not self.neutral)
+        if not kept:
+            return Constant(self.neutral)
+        return self if len(kept) == 1 and kept[0].shape else rebuilt(self, kept, self.predicates)
+
+
+class All(Reduction):
+    """True if every entry of every predicate holds; shape (). Takes constraints one by one or in a list.
+
+    Attributes:
+        predicates: constraints (true where they hold: lhs <= rhs, lhs == rhs), All or Any.
+    Raises:
+        TypeError: something that is neither true nor false.
+        ValueError: no predicate.
+    """
+
+    reduce = jnp.all
+    combine = jnp.logical_and
+    neutral = True
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        x, s = State("x", shape=(3,)), State("s")
+        values = {"x": np.array([0.5, 0.2, 0.9]), "s": 2.0}
+        return [Example(All([x >= 0.0, s <= 1.0]), values, smooth=False), Example(All(x >= 0.0), values, smooth=False)]
+
+
+class Any(Reduction):
+    """True if some entry of some predicate holds; shape (). Takes constraints one by one or in a list.
+
+    Attributes:
+        predicates: constraints (true where they hold: lhs <= rhs, lhs == rhs), All or Any.
+    Raises:
+        TypeError: something that is neither true nor false.
+        ValueError: no predicate.
+    """
+
+    reduce = jnp.any
+    combine = jnp.logical_or
+    neutral = False
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        x, s = State("x", shape=(3,)), State("s")
+        values = {"x": np.array([-0.5, 0.2, 0.9]), "s": 2.0}
+        return [Example(Any([x >= 0.0, s <= 1.0]), values, smooth=False), Example(Any(x >= 1.0), values, smooth=False)]
+
+
+class Where(Expr):
+    """x where the condition holds, else y, entry by entry with broadcasting.
+
+    Both sides are evaluated everywhere. A side that is nan or has an infinite derivative where it is not chosen spoils
+    the derivative of the whole: keep its argument safe, or use Cond.
+
+    Attributes:
+        condition: a constraint (true where it holds), All or Any.
+        x, y: what to choose from, in one unit.
+    Raises:
+        TypeError: a condition that is neither true nor false.
+        ShapeError: the shapes do not broadcast.
+    """
+
+    condition: Operand
+    x: Operand
+    y: Operand
+    keeps_order = True
+
+    def __init__(self, condition: Anything, x: ExprLike, y: ExprLike) -> None:
+        super().__init__(_predicate("Where", condition), x, y)
+
+    @property
+    def boolean(self) -> bool:
+        return self.x.boolean and self.y.boolean
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.where(*align(*values))
+
+    def simplify(self) -> Expr:
+        """A constant condition decides; equal sides need no condition."""
+        condition = self.condition
+        if self.x.key() == self.y.key() and self.x.shape == self.shape:
+            return self.x
+        if isinstance(condition, Constant) and condition.value.all() and self.x.shape == self.shape:
+            return self.x
+        if isinstance(condition, Constant) and not condition.value.any() and self.y.shape == self.shape:
+            return self.y
+        return self
+
+    def to_latex(self, *operands: str) -> str:
+        return _cases(*operands)
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, s = State("a", shape=(3,)), State("s")
+        values = {"a": np.array([1.0, -2.0, 0.5]), "s": 0.25}
+        return [Example(Where(a <= s, a**2, s), values), Example(Where(s <= 0.0, a, -a), values)]
+
+
+class Cond(Expr):
+    """The true branch if the predicate holds, else the false branch; only the chosen branch is evaluated.
+
+    So a branch may be undefined where it is not chosen: neither its value nor its derivative is computed. Under
+    `jax.vmap` with a predicate that differs between elements both are evaluated, as by Where. For branches of a few
+    operations Where is faster. The branches broadcast against each other.
+
+    Attributes:
+        predicate: a scalar constraint, All, Any, or a list of constraints that must all hold.
+        true_branch, false_branch: expressions of broadcastable shapes, in one unit.
+    Raises:
+        TypeError: a predicate that is neither true nor false.
+        ShapeError: the predicate is no scalar, or the branches do not broadcast.
+    """
+
+    predicate: Operand
+    true_branch: Operand
+    false_branch: Operand
+    keeps_order = True
+
+    def __init__(self, predicate: Anything, true_branch: ExprLike, false_branch: ExprLike) -> None:
+        predicate = All(predicate) if isinstance(predicate, (list, tuple)) else _predicate("Cond", predicate)
+        super().__init__(predicate, true_branch, false_branch)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        if shapes[0] != ():
+            raise ShapeError(
+                f"Cond expects predicate with shape (), got {shapes[0]}",
+                hint="tx.All or tx.Any makes one truth value of it; tx.Where chooses entry by entry",
+            )
+        return broadcast(self, *shapes[1:])
+
+    @property
+    def boolean(self) -> bool:
+        return self.true_branch.boolean and self.false_branch.boolean
+
+    def eager_children(self) -> list[Expr]:
+        return [self.predicate]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        predicate, *branches = values
+        return self.evaluate_on_demand([predicate], lambda branch: branches[branch is self.false_branch])
+
+    def evaluate_on_demand(self, values: list[jax.Array], value_of: Callable[[Expr], jax.Array]) -> jax.Array:
+        def branch(expr: Expr) -> Callable[[], jax.Array]:
+            return lambda: _broadcast_to(value_of(expr), self.shape)
+
+        return jax.lax.cond(values[0], branch(self.true_branch), branch(self.false_branch))
+
+    def simplify(self) -> Expr:
+        """A constant predicate decides; equal branches need no predicate."""
+        if self.true_branch.key() == self.false_branch.key():
+            return self.true_branch
+        if isinstance(self.predicate, Constant):
+            chosen = self.true_branch if self.predicate.value.all() else self.false_branch
+            return chosen if chosen.shape == self.shape else chosen + zeros_of(self)
+        return self
+
+    def to_latex(self, *operands: str) -> str:
+        return _cases(*operands)
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, s = State("a", shape=(3,)), State("s")
+        values = {"a": np.array([1.0, -2.0, 0.5]), "s": 0.25}
+        return [Example(Cond(s <= 1.0, a**2, s), values), Example(Cond([s <= 1.0, s >= 0.5], a, -a), values)]
+
+
+def _broadcast_to(value: jax.Array, shape: Shape) -> jax.Array:
+    return value if value.shape == shape else jnp.broadcast_to(value, shape)
+
+
+def _cases(condition: str, x: str, y: str) -> str:
+    return rf"\begin{{cases}} {x} & {condition} \\ {y} & \text{{otherwise}} \end{{cases}}"
+
+
+__all__ = ["All", "Any", "Cond", "Where"]

@@ -1,0 +1,129 @@
+"""Attitude: quaternions (w, x, y, z) and the matrices of rigid-body kinematics."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..groups import quaternion_product, rotation_from_quaternion, so3
+from ..groups.components import matrix, unpack
+from .fields import Operand
+from .leaves import State
+from .node import Example, Expr, Shape
+from .shapes import expect
+
+
+class QDCM(Expr):
+    """Rotation matrix R(q) of a quaternion q = (w, x, y, z), scalar first. Shapes: (4,) -> (3, 3).
+
+    q need not have length 1: it is normalised. R(q) v = q v q^-1, so that for the attitude of a body
+    R maps body coordinates to world coordinates. A zero quaternion gives nan.
+
+    Raises:
+        ShapeError: q is not of shape (4,).
+    """
+
+    q: Operand
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "q", shapes[0], (4,), "a quaternion is w, x, y, z")
+        return (3, 3)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return rotation_from_quaternion(values[0])
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"R\left({operands[0]}\right)"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(QDCM(State("q", shape=(4,))), {"q": np.array([0.9, -0.2, 0.4, 0.3])})]
+
+
+class SSM(Expr):
+    """The skew-symmetric matrix [w]x with [w]x v = w x v. Shapes: (3,) -> (3, 3); the unit of w.
+
+    [w]x = [[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]]
+
+    Raises:
+        ShapeError: w is not of shape (3,).
+    """
+
+    w: Operand
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "w", shapes[0], (3,))
+        return (3, 3)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return so3.hat(values[0])
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\left[{operands[0]}\right]_\times"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(SSM(State("w", shape=(3,))), {"w": np.array([1.0, -2.0, 0.5])})]
+
+
+class SSMP(Expr):
+    """The matrix of quaternion kinematics: q' = SSMP(w) q / 2 with q = (w, x, y, z), scalar first. Shapes: (3,) -> (4, 4).
+
+    w is the body angular velocity in rad/s; SSMP(w) q = q (0, w), the Hamilton product.
+
+    SSMP(w) = [[0, -wx, -wy, -wz], [wx, 0, wz, -wy], [wy, -wz, 0, wx], [wz, wy, -wx, 0]]
+
+    Raises:
+        ShapeError: w is not of shape (3,).
+    """
+
+    w: Operand
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "w", shapes[0], (3,))
+        return (4, 4)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        x, y, z = unpack(values[0])
+        o = jnp.zeros_like(x)
+        return matrix([[o, -x, -y, -z], [x, o, z, -y], [y, -z, o, x], [z, y, -x, o]])
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\Omega\left({operands[0]}\right)"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return [Example(SSMP(State("w", shape=(3,))), {"w": np.array([1.0, -2.0, 0.5])})]
+
+
+class QuaternionProduct(Expr):
+    """Hamilton product p q of quaternions (w, x, y, z). Shapes: (4,), (4,) -> (4,). R(p q) = R(p) R(q).
+
+    Raises:
+        ShapeError: an operand is not of shape (4,).
+    """
+
+    p: Operand
+    q: Operand
+    precedence = 20
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "p", shapes[0], (4,), "a quaternion is w, x, y, z")
+        expect(self, "q", shapes[1], (4,), "a quaternion is w, x, y, z")
+        return (4,)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return quaternion_product(*values)
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"{operands[0]} \otimes {operands[1]}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        p, q = State("p", shape=(4,)), State("q", shape=(4,))
+        values = {"p": np.array([0.9, -0.2, 0.4, 0.3]), "q": np.array([0.1, 1.0, -0.5, 2.0])}
+        return [Example(QuaternionProduct(p, q), values)]
+
+
+__all__ = ["QDCM", "SSM", "SSMP", "QuaternionProduct"]

@@ -1,0 +1,181 @@
+"""One expression over the elements of a batch."""
+
+from __future__ import annotations
+
+import contextvars
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..errors import ModelError, ShapeError
+from .constraint import Constraint
+from .fields import Operands
+from .leaves import Leaf, Parameter, State
+from .node import Example, Expr, Shape, leaves_of, substitute, to_expr
+from .walk import evaluate_all
+
+#: How many Vmaps are being built around the current one: it names their placeholders, so that equal bodies have equal keys.
+_depth: contextvars.ContextVar[int] = contextvars.ContextVar("depth", default=0)
+
+
+class Placeholder(Leaf):
+    """One element of a batch inside the body of a Vmap. It has no meaning elsewhere."""
+
+    # It is no node of its own for users or for the conformance suite.
+    abstract = True
+
+    def __init__(self, depth: int, number: int, shape: Shape) -> None:
+        self._declare(f"e_{depth}.{number}", shape)
+
+    def read(self, inputs: Any) -> jax.Array:
+        raise ModelError(f"{self.name!r} stands for an element of a Vmap's batch and has no value outside of its body")
+
+
+class Vmap(Expr):
+    """fn applied to every element of a batch: `Vmap(lambda p: Norm(x - p), batch=points)`.
+
+    Shapes: batches (n, *s), mapped over `axis`; fn takes an expression of shape s for each and returns one of shape r;
+    the result is (n, *r). fn is called once, when the expression is built; it may use any other leaf or expression.
+
+    If fn returns a constraint the result is the constraint on all of them: `Vmap(lambda p: Norm(x - p) >= 1, points)` is
+    `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`, to be used like any other.
+
+    Attributes:
+        batches: the expressions or arrays mapped over; a list stands for several, one argument of fn each.
+        axis: the axis mapped over, counted from 0.
+        body: what fn returned.
+        placeholders: the arguments fn was called with.
+    Raises:
+        ShapeError: a batch without that axis, or batches of different length.
+        ModelError: no batch.
+    """
+
+    batches: Operands
+    axis: int
+    body: Expr
+    placeholders: tuple[Expr, ...]
+
+    def __new__(cls, fn: Callable[..., Any] | None = None, batch: Any = None, axis: int = 0) -> Any:
+        node = object.__new__(cls)
+        if fn is None:  # copying and unpickling fill an empty node
+            return node
+        batches = tuple(to_expr(b) for b in (batch if isinstance(batch, (list, tuple)) else [batch]))
+        depth = _depth.get()
+        elements = enumerate(_element_shapes([b.check_shape() for b in batches], axis))
+        placeholders = tuple(Placeholder(depth, i, shape) for i, shape in elements)
+        token = _depth.set(depth + 1)
+        try:
+            body = to_expr(fn(*placeholders))
+        finally:
+            _depth.reset(token)
+        constraint = body if isinstance(body, Constraint) else None
+        node.__dict__.update(
+            batches=batches, axis=axis, body=constraint.residual() if constraint else body, placeholders=placeholders
+        )
+        node._seal()
+        return type(constraint)(node, 0.0) if constraint else node
+
+    def __init__(self, fn: Callable[..., Any], batch: Any, axis: int = 0) -> None:
+        """Everything is done by `__new__`, which for a constraint gives a constraint."""
+
+    def replace(self, **changes: Any) -> Vmap:  # type: ignore[override]
+        raise TypeError("a Vmap has no fields to replace: build another one")
+
+    @property
+    def captured(self) -> list[Leaf]:
+        """The leaves the body reads besides its placeholders."""
+        own = {placeholder.key() for placeholder in self.placeholders}
+        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in own]
+
+    @property
+    def boolean(self) -> bool:
+        return self.body.boolean
+
+    def children(self) -> list[Expr]:
+        return [*self.batches, *self.captured]
+
+    def child_names(self) -> list[str]:
+        return [f"batches[{i}]" for i in range(len(self.batches))] + ["body"] * len(self.captured)
+
+    def outline(self) -> list[tuple[str, Expr]]:
+        return [("body", self.body), *((f"batches[{i}]", batch) for i, batch in enumerate(self.batches))]
+
+    def with_children(self, children: list[Expr]) -> Vmap:
+        batches, captured = children[: len(self.batches)], children[len(self.batches) :]
+        exchange = {old.key(): new for old, new in zip(self.captured, captured, strict=True) if old.key() != new.key()}
+        body = substitute(self.body, exchange) if exchange else self.body
+        return self if body is self.body and _same(batches, self.batches) else self._copy(tuple(batches), body)
+
+    def _copy(self, batches: tuple[Expr, ...], body: Expr) -> Vmap:
+        copy = object.__new__(Vmap)
+        copy.__dict__.update(batches=batches, axis=self.axis, body=body, placeholders=self.placeholders)
+        copy._seal()
+        return copy
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        _element_shapes(list(shapes[: len(self.batches)]), self.axis)
+        return (shapes[0][self.axis], *self.body.check_shape())
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        batches, captured = values[: len(self.batches)], values[len(self.batches) :]
+        outer = {leaf.key(): value for leaf, value in zip(self.captured, captured, strict=True)}
+
+        def element(*elements: jax.Array) -> jax.Array:
+            scope = outer | {p.key(): e for p, e in zip(self.placeholders, elements, strict=True)}
+            return evaluate_all([self.body], lambda leaf: scope[leaf.key()])[0]
+
+        return jax.vmap(element, in_axes=self.axis)(*batches)
+
+    def simplify(self) -> Expr:
+        """The body is simplified."""
+        body = self.body.canonicalize()
+        return self if body is self.body else self._copy(self.batches, body)
+
+    def to_text(self, *operands: str) -> str:
+        names = ", ".join(p.to_text() for p in self.placeholders)
+        batches = ", ".join(operands[: len(self.batches)])
+        batches = batches if len(self.batches) == 1 else f"[{batches}]"
+        axis = f", axis={self.axis}" if self.axis else ""
+        return f"Vmap({names} -> {self.body!r}, batch={batches}{axis})"
+
+    def to_latex(self, *operands: str) -> str:
+        pairs = zip(self.placeholders, operands)
+        over = r",\, ".join(rf"{p.to_latex()} \in {batch}" for p, batch in pairs)
+        return rf"\left[{self.body.latex()}\right]_{{{over}}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        x, points, radii = State("x", shape=(2,)), State("points", shape=(4, 2)), Parameter("radii", shape=(4,))
+        values = {
+            "x": np.array([0.3, -0.4]),
+            "points": np.arange(8.0).reshape(4, 2) ** 1.5,
+            "radii": np.arange(1.0, 5.0),
+        }
+        return [
+            Example(Vmap(lambda p: p * x - 2.0, batch=points), values),
+            Example(Vmap(lambda p, r: r * (p @ x), batch=[points, radii]), values),
+            Example(Vmap(lambda c: c @ c, batch=points, axis=1), values),
+            Example(Vmap(lambda p: Vmap(lambda q: p @ q, batch=points), batch=points), values),
+        ]
+
+
+def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
+    if not shapes:
+        raise ModelError("Vmap expects at least one batch")
+    for i, shape in enumerate(shapes):
+        if not isinstance(axis, int) or not 0 <= axis < len(shape):
+            raise ShapeError(f"Vmap expects axis {axis} to be one of batch {i}, got shape {shape}")
+        if shape[axis] != shapes[0][axis]:
+            raise ShapeError(
+                f"Vmap expects batches of equal length along axis {axis}, got {shapes[0][axis]} and {shape[axis]} (batch {i})"
+            )
+    return [shape[:axis] + shape[axis + 1 :] for shape in shapes]
+
+
+def _same(new: list[Expr], old: tuple[Expr, ...]) -> bool:
+    return all(a is b for a, b in zip(new, old, strict=True))
+
+
+__all__ = ["Placeholder", "Vmap"]
