@@ -46,7 +46,7 @@ class Block(Expr):
         """The rows of blocks."""
         return _rows(self.entries, self.columns)
 
-    def replace(self, **changes: Any) -> Block:  # type: ignore[override]
+    def replace(self, **changes: Any) -> Block:
         return Block(**({"blocks": self.blocks} | changes))
 
     def infer_shape(self, *shapes: Shape) -> Shape:

@@ -56,7 +56,8 @@ class Constraint(Expr):
     def __bool__(self) -> bool:
         raise TypeError(
             f"the constraint {self!r} has no truth value.\n"
-            "  fix: chain constraints as a list [a <= x, x <= b]; choose with tx.Where; compare structure with a.key() == b.key()"
+            "  fix: chain constraints as a list [a <= x, x <= b]; choose with tx.Where; "
+            "compare structure with a.key() == b.key()"
         )
 
 

@@ -73,6 +73,9 @@ class Max(Extremum):
 
     combine = np.maximum
 
+    def __init__(self, *operands: ExprLike) -> None:
+        super().__init__(*operands)
+
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return functools.reduce(lambda a, b: jnp.maximum(*align(a, b)), values)
 
@@ -96,6 +99,9 @@ class Min(Extremum):
     """
 
     combine = np.minimum
+
+    def __init__(self, *operands: ExprLike) -> None:
+        super().__init__(*operands)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return functools.reduce(lambda a, b: jnp.minimum(*align(a, b)), values)
@@ -121,6 +127,9 @@ class LogSumExp(Extremum):
 
     combine = np.logaddexp
     idempotent = False
+
+    def __init__(self, *operands: ExprLike) -> None:
+        super().__init__(*operands)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return logsumexp(jnp.stack(jnp.broadcast_arrays(*align(*values))), axis=0)
@@ -198,7 +207,8 @@ class SmoothReLU(Entrywise):
 
 
 def _positive_number(node: Expr, name: str, value: Any) -> None:
-    if isinstance(value, (bool, Expr)) or not np.isscalar(value) or not np.isfinite(value) or value <= 0:
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not number or not 0.0 < value < np.inf:
         raise ModelError(f"{type(node).__name__} expects {name} to be a positive number, got {value!r}")
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import inspect
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from .node import Expr
 
-    ExprLike = Expr | float | int | np.ndarray | jax.Array | list[Any] | tuple[Any, ...]
+    ExprLike: TypeAlias = Expr | float | int | np.ndarray | jax.Array | list[Any] | tuple[Any, ...]
 
 _MISSING = inspect.Parameter.empty
 
@@ -73,7 +73,7 @@ class Field:
 def declare_fields(cls: Any, base: Any) -> None:
     """Collect the fields a class annotates, after those it inherits, and give it a signature."""
     fields = {f.name: f for f in cls._fields}
-    for name, annotation in cls.__dict__.get("__annotations__", {}).items():
+    for name, annotation in inspect.get_annotations(cls).items():
         if "ClassVar" in str(annotation):
             continue
         default = cls.__dict__.get(name, _MISSING)
@@ -89,7 +89,7 @@ def _signature(fields: tuple[Field, ...]) -> inspect.Signature:
     parameters = []
     variadic = any(f.variadic for f in fields)
     for field in fields:
-        kind = inspect.Parameter.KEYWORD_ONLY if variadic else inspect.Parameter.POSITIONAL_OR_KEYWORD
+        kind: Any = inspect.Parameter.KEYWORD_ONLY if variadic else inspect.Parameter.POSITIONAL_OR_KEYWORD
         if field.variadic:
             kind = inspect.Parameter.VAR_POSITIONAL
         parameters.append(inspect.Parameter(field.name, kind, default=field.default))

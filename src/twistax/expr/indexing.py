@@ -23,8 +23,8 @@ class Index(Expr):
 
     Attributes:
         base: expression of any shape but ().
-        index: whole numbers, slices, `...`, None, arrays of whole numbers or masks, or a tuple of these. It is fixed when
-            the expression is built; a negative number counts from the end.
+        index: whole numbers, slices, `...`, None, arrays of whole numbers or masks, or a tuple of these. It is fixed
+            when the expression is built; a negative number counts from the end.
     Raises:
         ShapeError: an index out of bounds, too many of them, or a part without entries.
         TypeError: an index that is an expression or no index at all.

@@ -234,7 +234,7 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     if isinstance(value, Expr) and not isinstance(value, Constant):
         raise ModelError(
             f"Cinterp expects {name} to be numbers, got the expression {value!r}.\n"
-            "  fix: its coefficients are computed when it is built; for a table that changes between runs use tx.Linterp"
+            "  fix: its coefficients are computed when it is built; tx.Linterp takes a table that changes between runs"
         )
     return (value if isinstance(value, Constant) else Constant(value)).value
 

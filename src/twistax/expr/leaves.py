@@ -203,7 +203,7 @@ class State(Variable):
             scale=_scale(name, scale, group),
         )
 
-    def replace(self, **changes: Any) -> State:  # type: ignore[override]
+    def replace(self, **changes: Any) -> State:
         kept = {f: getattr(self, f) for f in ("min", "max", "initial", "final", "guess", "scale")}
         if isinstance(self.group, Euclidean):
             kept |= {"shape": self.shape}
@@ -255,7 +255,7 @@ class Control(Variable):
             scale=_scale(name, scale, Euclidean(shape)),
         )
 
-    def replace(self, **changes: Any) -> Control:  # type: ignore[override]
+    def replace(self, **changes: Any) -> Control:
         kept = {f: getattr(self, f) for f in ("name", "shape", "min", "max", "guess", "scale")}
         return Control(**(kept | changes))
 
@@ -286,7 +286,7 @@ class Parameter(Leaf):
         shape = _shape(name, shape)
         self._declare(name, shape, value=_value(name, "value", value, shape))
 
-    def replace(self, **changes: Any) -> Parameter:  # type: ignore[override]
+    def replace(self, **changes: Any) -> Parameter:
         return Parameter(**({"name": self.name, "shape": self.shape, "value": self.value} | changes))
 
     def read(self, inputs: Inputs) -> jax.Array:
@@ -370,10 +370,9 @@ _ROTATION_TOLERANCE = 1e-6
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    array = (
-        _value(name, what, value, group.shape) if isinstance(group, Euclidean) else _element(name, what, value, group)
-    )
-    return array
+    if isinstance(group, Euclidean):
+        return _value(name, what, value, group.shape)
+    return _element(name, what, value, group)
 
 
 def _element(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any as Anything, ClassVar
+from typing import TYPE_CHECKING, ClassVar
+from typing import Any as Anything
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ShapeError
-from .array import gathered
 from .arithmetic import rebuilt, zeros_of
+from .array import gathered
 from .fields import Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Shape, to_expr
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 def _predicate(node: str, value: Anything) -> Expr:
     """The value as an expression, if its entries are true or false."""
-    if isinstance(value, (bool, np.bool_, Expr)) or getattr(value, "dtype", None) == bool:
+    if isinstance(value, (bool, np.bool_, Expr)) or getattr(value, "dtype", None) == np.dtype(bool):
         expr = to_expr(value)
         if expr.boolean:
             return expr
@@ -40,11 +41,11 @@ class Reduction(Expr):
     abstract = True
     associative = True
     #: How the entries of one predicate and then the predicates combine; the value that leaves the result as it is.
-    reduce: ClassVar[Callable[[jax.Array], jax.Array]]
-    combine: ClassVar[Callable[[jax.Array, jax.Array], jax.Array]]
+    reduce: ClassVar[Anything]
+    combine: ClassVar[Anything]
     neutral: ClassVar[bool]
 
-    def __init__(self, *predicates: Expr | Sequence[Expr]) -> None:
+    def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
         super().__init__(*(_predicate(type(self).__name__, p) for p in gathered(predicates)))
 
     def validate(self) -> None:
@@ -67,7 +68,7 @@ class Reduction(Expr):
         for predicate in self.predicates:
             if not isinstance(predicate, Constant):
                 kept.append(predicate)
-            elif bool(type(self).reduce(predicate.value)) is not self.neutral:
+            elif bool(type(self).reduce(jnp.asarray(predicate.value))) is not self.neutral:
                 return Constant(not self.neutral)
         if not kept:
             return Constant(self.neutral)
@@ -87,6 +88,9 @@ class All(Reduction):
     reduce = jnp.all
     combine = jnp.logical_and
     neutral = True
+
+    def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
+        super().__init__(*predicates)
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -108,6 +112,9 @@ class Any(Reduction):
     reduce = jnp.any
     combine = jnp.logical_or
     neutral = False
+
+    def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
+        super().__init__(*predicates)
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -146,7 +153,8 @@ class Where(Expr):
         return broadcast(self, *shapes)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.where(*align(*values))
+        condition, x, y = align(*values)
+        return jnp.where(condition, x, y)
 
     def simplify(self) -> Expr:
         """A constant condition decides; equal sides need no condition."""

@@ -77,34 +77,34 @@ class Operators:
     def __abs__(self) -> Expr:
         from .elementwise import Abs
 
-        return Abs(self)
+        return Abs(cast("Expr", self))
 
     def __getitem__(self, index: Any) -> Expr:
         from .indexing import Index
 
-        return Index(self, index)
+        return Index(cast("Expr", self), index)
 
     @property
     def T(self) -> Expr:
         """Transpose."""
         from .linalg import Transpose
 
-        return Transpose(self)
+        return Transpose(cast("Expr", self))
 
     def __le__(self, other: Any) -> Inequality:
         from .constraint import Inequality
 
-        return Inequality(self, other)
+        return Inequality(cast("Expr", self), other)
 
     def __ge__(self, other: Any) -> Inequality:
         from .constraint import Inequality
 
-        return Inequality(other, self)
+        return Inequality(other, cast("Expr", self))
 
     def __eq__(self, other: Any) -> Equality:  # type: ignore[override]
         from .constraint import Equality
 
-        return Equality(self, other)
+        return Equality(cast("Expr", self), other)
 
     __hash__ = object.__hash__
 

@@ -12,7 +12,7 @@ from .arithmetic import Div, MatMul, is_identity
 from .fields import Operand
 from .indexing import Index
 from .leaves import Constant, State
-from .linalg import Diag, Transpose
+from .linalg import Diag
 from .node import Example, Expr, Shape
 from .shapes import expect_square
 

@@ -68,9 +68,9 @@ class SSM(Expr):
 
 
 class SSMP(Expr):
-    """The matrix of quaternion kinematics: q' = SSMP(w) q / 2 with q = (w, x, y, z), scalar first. Shapes: (3,) -> (4, 4).
+    """The matrix of quaternion kinematics, q' = SSMP(w) q / 2 with q = (w, x, y, z), scalar first.
 
-    w is the body angular velocity in rad/s; SSMP(w) q = q (0, w), the Hamilton product.
+    Shapes: (3,) -> (4, 4). w is the body angular velocity in rad/s; SSMP(w) q = q (0, w), the Hamilton product.
 
     SSMP(w) = [[0, -wx, -wy, -wz], [wx, 0, wz, -wy], [wy, -wz, 0, wx], [wz, wy, -wx, 0]]
 

@@ -16,7 +16,7 @@ from .leaves import Leaf, Parameter, State
 from .node import Example, Expr, Shape, leaves_of, substitute, to_expr
 from .walk import evaluate_all
 
-#: How many Vmaps are being built around the current one: it names their placeholders, so that equal bodies have equal keys.
+#: How many Vmaps are being built around the current one: it names their placeholders by their place.
 _depth: contextvars.ContextVar[int] = contextvars.ContextVar("depth", default=0)
 
 
@@ -39,8 +39,8 @@ class Vmap(Expr):
     Shapes: batches (n, *s), mapped over `axis`; fn takes an expression of shape s for each and returns one of shape r;
     the result is (n, *r). fn is called once, when the expression is built; it may use any other leaf or expression.
 
-    If fn returns a constraint the result is the constraint on all of them: `Vmap(lambda p: Norm(x - p) >= 1, points)` is
-    `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`, to be used like any other.
+    If fn returns a constraint the result is the constraint on all of them, to be used like any other:
+    `Vmap(lambda p: Norm(x - p) >= 1, points)` is `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`.
 
     Attributes:
         batches: the expressions or arrays mapped over; a list stands for several, one argument of fn each.
@@ -80,7 +80,7 @@ class Vmap(Expr):
     def __init__(self, fn: Callable[..., Any], batch: Any, axis: int = 0) -> None:
         """Everything is done by `__new__`, which for a constraint gives a constraint."""
 
-    def replace(self, **changes: Any) -> Vmap:  # type: ignore[override]
+    def replace(self, **changes: Any) -> Vmap:
         raise TypeError("a Vmap has no fields to replace: build another one")
 
     @property
@@ -169,7 +169,8 @@ def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
             raise ShapeError(f"Vmap expects axis {axis} to be one of batch {i}, got shape {shape}")
         if shape[axis] != shapes[0][axis]:
             raise ShapeError(
-                f"Vmap expects batches of equal length along axis {axis}, got {shapes[0][axis]} and {shape[axis]} (batch {i})"
+                f"Vmap expects batches of equal length along axis {axis}, "
+                f"got {shapes[0][axis]} and {shape[axis]} (batch {i})"
             )
     return [shape[:axis] + shape[axis + 1 :] for shape in shapes]
 
