@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 __all__ = ["Components", "add", "cross", "dot", "matrix", "scale", "unpack", "vector"]
 
@@ -19,8 +19,7 @@ Components: TypeAlias = tuple[Array, ...]
 
 def unpack(a: Array) -> Components:
     """The scalars of an array of any shape, row by row."""
-    flat = a if a.ndim == 1 else a.reshape(-1)
-    return tuple(lax.index_in_dim(flat, i, keepdims=False) for i in range(flat.shape[0]))
+    return tuple(jnp.unstack(a if a.ndim == 1 else a.reshape(-1)))
 
 
 def vector(components: Sequence[Array]) -> Array:

@@ -29,8 +29,9 @@ def _rotation_of(function: str, R: Input) -> Array:
 def _from_rotation(R: Array) -> Array:
     values = _concrete(R)
     if values is not None:
-        skew = float(np.max(np.abs(values.T @ values - np.eye(3))))
-        determinant = float(np.linalg.det(values))
+        with np.errstate(invalid="ignore"):  # not a number is refused below, in words
+            skew = float(np.max(np.abs(values.T @ values - np.eye(3))))
+            determinant = float(np.linalg.det(values))
         allowed = float(np.sqrt(np.finfo(values.dtype).eps))
         if not (skew <= allowed and determinant > 0.0):
             raise InputError(

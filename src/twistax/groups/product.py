@@ -72,7 +72,7 @@ class Product(Group):
         (d,) = of_shape("Product.split", {"d": (self.dimension,)}, d)
         return {name: d[part] for name, part in self.slices.items()}
 
-    def join(self, parts: Mapping[str, Input]) -> Float[Array, "n"]:
+    def join(self, parts: Any) -> Float[Array, "n"]:
         """The tangent vector made of the parts, whatever their order in the dict. Raises ShapeError, InputError."""
         self._check_names("join", parts)
         if not parts:
@@ -81,7 +81,7 @@ class Product(Group):
         shapes = {name: (group.dimension,) for name, group in self._factors}
         return jnp.concatenate(of_shape("Product.join", shapes, *(parts[name] for name in names)))
 
-    def _check_names(self, function: str, g: Mapping[str, Any]) -> None:
+    def _check_names(self, function: str, g: Any) -> None:
         if not isinstance(g, Mapping):
             raise ShapeError(f"Product.{function} expects a dict with the parts of the state, got {type(g).__name__}")
         missing = [name for name, _ in self._factors if name not in g]
@@ -92,7 +92,7 @@ class Product(Group):
                 f"got {list(g)} (missing {missing}, unknown {unknown})"
             )
 
-    def _each(self, function: str, *elements: Mapping[str, Any]) -> dict[str, Any]:
+    def _each(self, function: str, *elements: Any) -> dict[str, Any]:
         """The function of every factor applied to its parts of the elements."""
         for g in elements:
             self._check_names(function, g)
@@ -112,22 +112,22 @@ class Product(Group):
     def exp(self, xi: Input) -> dict[str, Any]:
         return self._each("exp", self.split(xi))
 
-    def log(self, g: Mapping[str, Any]) -> Float[Array, "n"]:
+    def log(self, g: Any) -> Float[Array, "n"]:
         return self.join(self._each("log", g))
 
-    def compose(self, g: Mapping[str, Any], h: Mapping[str, Any]) -> dict[str, Any]:
+    def compose(self, g: Any, h: Any) -> dict[str, Any]:
         return self._each("compose", g, h)
 
-    def inverse(self, g: Mapping[str, Any]) -> dict[str, Any]:
+    def inverse(self, g: Any) -> dict[str, Any]:
         return self._each("inverse", g)
 
-    def retract(self, g: Mapping[str, Any], d: Input) -> dict[str, Any]:
+    def retract(self, g: Any, d: Input) -> dict[str, Any]:
         return self._each("retract", g, self.split(d))
 
-    def difference(self, g: Mapping[str, Any], h: Mapping[str, Any]) -> Float[Array, "n"]:
+    def difference(self, g: Any, h: Any) -> Float[Array, "n"]:
         return self.join(self._each("difference", g, h))
 
-    def Ad(self, g: Mapping[str, Any]) -> Float[Array, "n n"]:
+    def Ad(self, g: Any) -> Float[Array, "n n"]:
         return self._diagonal(self._each("Ad", g))
 
     def ad(self, xi: Input) -> Float[Array, "n n"]:
@@ -148,10 +148,10 @@ class Product(Group):
     def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "n"]:
         return self.join(self._each("right_jacobian_inv_apply", self.split(eta), self.split(omega)))
 
-    def normalize(self, g: Mapping[str, Any]) -> dict[str, Any]:
+    def normalize(self, g: Any) -> dict[str, Any]:
         return self._each("normalize", g)
 
-    def defect(self, g: Mapping[str, Any]) -> Float[Array, ""]:
+    def defect(self, g: Any) -> Float[Array, ""]:
         """The largest defect of a factor."""
         defects = list(self._each("defect", g).values())
         return jnp.max(jnp.stack(defects)) if defects else jnp.zeros(())

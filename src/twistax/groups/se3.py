@@ -17,7 +17,7 @@ from twistax.errors import ShapeError
 from twistax.groups import so3
 from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
 from twistax.groups.inputs import Input, floats, multiply, of_shape
-from twistax.groups.series import exp_coefficients, inverse_coefficients, stumpff
+from twistax.groups.series import exp_coefficients, inverse_coefficients, inverse_derivative, jacobian_coefficients
 
 __all__ = [
     "Ad",
@@ -105,9 +105,8 @@ def log(T: Input) -> Float[Array, "6"]:
     (T,) = of_shape("se3.log", {"T": (4, 4)}, T)
     rotation = so3.log(T[:3, :3])
     w, p = unpack(rotation), unpack(T[:3, 3])
-    d, _ = inverse_coefficients(dot(w, w))
     once = cross(w, p)
-    v = add(p, scale(-0.5, once), scale(d, cross(w, once)))
+    v = add(p, scale(-0.5, once), scale(inverse_derivative(0, dot(w, w)), cross(w, once)))
     return jnp.concatenate([vector(v), rotation])
 
 
@@ -208,10 +207,8 @@ def left_jacobian(xi: Input) -> Float[Array, "6 6"]:
     """
     (xi,) = of_shape("se3.left_jacobian", {"xi": (6,)}, xi)
     v, w = _halves(xi)
-    x = dot(w, w)
-    _, second, third = exp_coefficients(x)
-    fourth, fifth = stumpff(4, x), stumpff(5, x)
-    Q = _dual_polynomial(w, v, second, third, fourth - 0.5 * third, 1.5 * fifth - 0.5 * fourth)
+    second, third, second_slope, third_slope = jacobian_coefficients(dot(w, w))
+    Q = _dual_polynomial(w, v, second, third, second_slope, third_slope)
     return _blocks(so3.rigid_polynomial(w, second, third), Q, jnp.zeros((3, 3), xi.dtype))
 
 

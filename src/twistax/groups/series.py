@@ -21,7 +21,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-__all__ = ["angle_ratio", "exp_coefficients", "inverse_coefficients", "inverse_derivative", "stumpff"]
+__all__ = [
+    "angle_ratio",
+    "exp_coefficients",
+    "inverse_coefficients",
+    "inverse_derivative",
+    "jacobian_coefficients",
+    "stumpff",
+]
 
 
 def _horner(x: Array, coefficients: tuple[float, ...]) -> Array:
@@ -33,8 +40,8 @@ def _horner(x: Array, coefficients: tuple[float, ...]) -> Array:
 
 
 def _enough(coefficient: Callable[[int], Fraction], switch: float, eps: float) -> tuple[float, ...]:
-    """The first coefficients of a power series, as many as [0, switch] needs for a relative error below eps / 8."""
-    limit = abs(coefficient(0)) * Fraction(eps) / 8
+    """The first coefficients of a power series, as many as [0, switch] needs for a relative error below eps / 4."""
+    limit = abs(coefficient(0)) * Fraction(eps) / 4
     count = 2
     while abs(coefficient(count)) * Fraction(switch) ** count > limit:
         count += 1
@@ -118,6 +125,21 @@ def _exp_coefficients_jvp(
     half = 0.5 * dx
     rates = ((third - second) * half, (2.0 * fourth - third) * half, (3.0 * fifth - fourth) * half)
     return (first, second, third), rates
+
+
+def jacobian_coefficients(x: Array) -> tuple[Array, Array, Array, Array]:
+    """(c_2, c_3, c_2', c_3') for the left Jacobian of SE(3), the slopes with respect to x = t^2.
+
+    Near zero c_k' = (k c_{k+2} - c_{k+1}) / 2; beyond, (c_{k-1} - k c_k) / (2x), which does not cancel at large angles.
+    """
+    first, second, third = exp_coefficients(x)
+    fourth, fifth = stumpff(4, x), stumpff(5, x)
+    small = x < 1.0
+    # A selection, not a maximum: this one is differentiated, and a maximum has half a slope at the switch point.
+    twice = 2.0 * jnp.where(small, 1.0, x)
+    second_slope = jnp.where(small, fourth - 0.5 * third, (first - 2.0 * second) / twice)
+    third_slope = jnp.where(small, 1.5 * fifth - 0.5 * fourth, (second - 3.0 * third) / twice)
+    return second, third, second_slope, third_slope
 
 
 # --- the inverse Jacobians -------------------------------------------------------------------------------------------

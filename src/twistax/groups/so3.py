@@ -14,7 +14,7 @@ from twistax.errors import ShapeError
 from twistax.groups import quaternions
 from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
 from twistax.groups.inputs import Input, floats, multiply, of_shape
-from twistax.groups.series import angle_ratio, exp_coefficients, inverse_coefficients
+from twistax.groups.series import angle_ratio, exp_coefficients, inverse_derivative
 
 __all__ = [
     "Ad",
@@ -182,8 +182,7 @@ def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
     """
     (w,) = of_shape("so3.left_jacobian_inv", {"w": (3,)}, w)
     parts = unpack(w)
-    d, _ = inverse_coefficients(dot(parts, parts))
-    return rigid_polynomial(parts, -0.5, d)
+    return rigid_polynomial(parts, -0.5, inverse_derivative(0, dot(parts, parts)))
 
 
 def right_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
@@ -199,6 +198,5 @@ def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
     """
     w, u = of_shape("so3.right_jacobian_inv_apply", {"w": (3,), "u": (3,)}, w, u)
     a, b = unpack(w), unpack(u)
-    d, _ = inverse_coefficients(dot(a, a))
     once = cross(a, b)
-    return vector(add(b, scale(0.5, once), scale(d, cross(a, once))))
+    return vector(add(b, scale(0.5, once), scale(inverse_derivative(0, dot(a, a)), cross(a, once))))

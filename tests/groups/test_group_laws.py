@@ -1,0 +1,169 @@
+"""One suite of laws for every group. The oracles are matrix products, commutators and SciPy's exponential."""
+
+import group_oracles as oracle
+import jax
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+CASES = 10
+FUNCTIONS_OF_TANGENT = ("exp", "ad", "left_jacobian", "right_jacobian", "left_jacobian_inv", "right_jacobian_inv")
+
+
+def tangents(group, seed):
+    """Tangents of ordinary size, then zero, tiny, small and a single non-zero entry."""
+    rng = np.random.default_rng(seed)
+    d = rng.uniform(-1.0, 1.0, (CASES, group.dimension))
+    d[4:8] *= np.array([0.0, 1e-12, 1e-6, 1e-3])[:, None]
+    d[8, 1:] = 0.0
+    return d
+
+
+def laws(group):
+    def one(a, b, c):
+        g, h, k = group.exp(a), group.exp(b), group.exp(c)
+        values = {name: getattr(group, name)(a) for name in FUNCTIONS_OF_TANGENT}
+        return values | {
+            "h": h,
+            "log": group.log(g),
+            "product": group.compose(g, h),
+            "left": group.compose(group.compose(g, h), k),
+            "right": group.compose(g, group.compose(h, k)),
+            "inverse": group.inverse(g),
+            "Ad": group.Ad(g),
+            "retract": group.retract(g, b),
+            "difference": group.difference(g, h),
+            "back": group.retract(g, group.difference(g, h)),
+            "apply": group.right_jacobian_inv_apply(a, b),
+            "defect": group.defect(g),
+            "normalize": group.normalize(g),
+        }
+
+    return jax.jit(jax.vmap(one))
+
+
+@pytest.fixture(scope="module", params=oracle.GROUPS, ids=lambda group: group.name)
+def case(request):
+    """The group, its tangents a, b, c and, for every case, everything the laws speak of."""
+    group = request.param
+    a, b, c = (tangents(group, seed) for seed in (1, 2, 3))
+    batch = laws(group)(a, b, c)
+    values = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), batch) for i in range(CASES)]
+    return group, list(zip(a, b, values, strict=True))
+
+
+def close(actual, expected, tolerance=1e-13):
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance)
+
+
+def test_exp_is_the_matrix_exponential(case):
+    group, values = case
+    for a, _, value in values:
+        close(oracle.represent(group, value["exp"]), expm(oracle.hat(group, a)))
+
+
+def test_log_undoes_exp(case):
+    _, values = case
+    for a, _, value in values:
+        close(value["log"], a, 4e-15 * max(1e-20, np.abs(a).max()))
+
+
+def test_compose_is_the_matrix_product(case):
+    group, values = case
+    for _, _, value in values:
+        product = oracle.represent(group, value["exp"]) @ oracle.represent(group, value["h"])
+        close(oracle.represent(group, value["product"]), product)
+        close(oracle.represent(group, value["left"]), oracle.represent(group, value["right"]))
+
+
+def test_inverse(case):
+    group, values = case
+    for _, _, value in values:
+        g, inverse = oracle.represent(group, value["exp"]), oracle.represent(group, value["inverse"])
+        close(g @ inverse, np.eye(len(g)))
+        close(inverse, np.linalg.inv(g))
+
+
+def test_identity(case):
+    group, _ = case
+    matrix = oracle.represent(group, jax.tree.map(np.asarray, group.identity()))
+    close(matrix, np.eye(len(matrix)), 0.0)
+    assert group.log(group.identity()).shape == (group.dimension,)
+    assert all(leaf.dtype == np.float32 for leaf in jax.tree.leaves(group.identity(np.float32)))
+
+
+def test_Ad_is_conjugation(case):
+    group, values = case
+    for _, b, value in values:
+        g = oracle.represent(group, value["exp"])
+        conjugate = g @ oracle.hat(group, b) @ np.linalg.inv(g)
+        close(oracle.hat(group, value["Ad"] @ b), conjugate)
+
+
+def test_ad_is_the_commutator(case):
+    group, values = case
+    for a, _, value in values:
+        close(value["ad"], oracle.ad(group, a))
+
+
+def test_Ad_of_exp_is_expm_of_ad(case):
+    _, values = case
+    for _, _, value in values:
+        close(value["Ad"], expm(value["ad"]))
+
+
+def test_jacobians_are_their_series(case):
+    group, values = case
+    for a, _, value in values:
+        right, left = oracle.right_jacobian(group, a), oracle.right_jacobian(group, -a)
+        close(value["right_jacobian"], right)
+        close(value["left_jacobian"], left)
+        close(value["right_jacobian_inv"], np.linalg.inv(right))
+        close(value["left_jacobian_inv"], np.linalg.inv(left))
+
+
+def test_jacobians_by_perturbation(case):
+    group, values = case
+    step = 1e-5
+    for a, _, value in values[::3]:
+        g = oracle.represent(group, value["exp"])
+        for i, unit in enumerate(np.eye(group.dimension)):
+            ahead, behind = (expm(oracle.hat(group, a + sign * step * unit)) for sign in (1.0, -1.0))
+            rate = (ahead - behind) / (2.0 * step)
+            body, spatial = np.linalg.solve(g, rate), rate @ np.linalg.inv(g)
+            close(oracle.hat(group, value["right_jacobian"][:, i]), body, 1e-9)
+            close(oracle.hat(group, value["left_jacobian"][:, i]), spatial, 1e-9)
+
+
+def test_inverse_jacobian_applied(case):
+    _, values = case
+    for _, b, value in values:
+        close(value["apply"], np.linalg.solve(value["right_jacobian"], b))
+
+
+def test_retract_perturbs_on_the_right(case):
+    group, values = case
+    for _, b, value in values:
+        moved = oracle.represent(group, value["exp"]) @ expm(oracle.hat(group, b))
+        close(oracle.represent(group, value["retract"]), moved)
+
+
+def test_difference_undoes_retract(case):
+    group, values = case
+    for _, _, value in values:
+        close(oracle.represent(group, value["back"]), oracle.represent(group, value["h"]))
+        g, h = oracle.represent(group, value["exp"]), oracle.represent(group, value["h"])
+        close(expm(oracle.hat(group, value["difference"])), np.linalg.solve(g, h))
+
+
+def test_elements_lie_in_the_group(case):
+    group, values = case
+    for _, _, value in values:
+        assert value["defect"] < 1e-15
+        close(oracle.represent(group, value["normalize"]), oracle.represent(group, value["exp"]), 1e-15)
+
+
+def test_groups_are_values(case):
+    group, _ = case
+    assert group in oracle.GROUPS
+    assert len({group, *oracle.GROUPS}) == len(oracle.GROUPS)

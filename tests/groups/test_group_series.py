@@ -1,0 +1,113 @@
+"""The coefficient functions and their derivatives against sums and differentiation with fifty digits."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from twistax.groups import series
+
+SWITCHES = (1.0, 4.0, 16.0)
+POINTS = [0.0, 1e-300, 1e-18, 1e-10, 1e-4, 0.3, 2.5, 9.0, np.pi**2, 30.0]
+POINTS += [np.nextafter(switch, side) for switch in SWITCHES for side in (0.0, switch, 99.0)]
+ORDERS = 4
+
+
+def stumpff_exact(k, x, order):
+    """The order-th derivative of sum_j (-x)^j / (2j + k)!, term by term."""
+    return mpmath.fsum(
+        (-1) ** j * mpmath.ff(j, order) * x ** (j - order) / mpmath.factorial(2 * j + k) for j in range(order, 60)
+    )
+
+
+def inverse_exact(_, x, order):
+    """The order-th derivative of sum_j |B_{2j+2}| x^j / (2j+2)!, term by term; converges below 4 pi^2."""
+    return mpmath.fsum(
+        abs(mpmath.bernoulli(2 * j + 2)) * mpmath.ff(j, order) * x ** (j - order) / mpmath.factorial(2 * j + 2)
+        for j in range(order, 700)
+    )
+
+
+LOSS = {stumpff_exact: (6, 20, 40, 100, 400), inverse_exact: (20, 1e3, 1e3, 1e4, 1e5)}
+
+
+def pick(function, index):
+    return lambda x: function(x)[index]
+
+
+FUNCTIONS = {
+    **{f"stumpff {k}": (lambda x, k=k: series.stumpff(k, x), stumpff_exact, k) for k in range(6)},
+    **{f"exp_coefficients {i}": (pick(series.exp_coefficients, i), stumpff_exact, i + 1) for i in range(3)},
+    "inverse_coefficients 0": (pick(series.inverse_coefficients, 0), inverse_exact, None),
+    "inverse_derivative 0": (lambda x: series.inverse_derivative(0, x), inverse_exact, None),
+}
+SLOPES = {
+    "jacobian_coefficients 2": (pick(series.jacobian_coefficients, 2), stumpff_exact, 2),
+    "jacobian_coefficients 3": (pick(series.jacobian_coefficients, 3), stumpff_exact, 3),
+    "inverse_coefficients 1": (pick(series.inverse_coefficients, 1), inverse_exact, None),
+    "inverse_derivative 1": (lambda x: series.inverse_derivative(1, x), inverse_exact, None),
+}
+
+
+@cache
+def exact(function, k, x, order):
+    with mpmath.workdps(50):
+        return float(function(k, mpmath.mpf(x), order))
+
+
+def derivatives(function, points):
+    """Value and derivatives up to the third, by forward mode."""
+    chain = [function]
+    for _ in range(ORDERS - 1):
+        chain.append(jax.jacfwd(chain[-1]))
+    return np.asarray(jax.jit(jax.vmap(lambda x: jnp.stack([each(x) for each in chain])))(points))
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, *SLOPES])
+def test_values_and_three_derivatives(name):
+    function, oracle, k = (FUNCTIONS | SLOPES)[name]
+    first = 1 if name in SLOPES else 0
+    for dtype, eps in ((np.float64, 2.0**-52), (np.float32, 2.0**-23)):
+        points = np.array(POINTS, dtype)
+        got = derivatives(function, points)
+        assert got.dtype == dtype
+        for x, row in zip(points, got, strict=True):
+            for order, value in enumerate(row):
+                expected = exact(oracle, k, float(x), first + order)
+                # Each differentiation of a closed form costs some digits where it takes over from the series.
+                scale = max(abs(expected), abs(exact(oracle, k, 0.0, first + order)))
+                assert abs(value - expected) <= LOSS[oracle][first + order] * eps * scale, (x, order)
+
+
+def everything(x):
+    """All coefficients of the maps at once."""
+    return sum(
+        (*series.exp_coefficients(x), *series.jacobian_coefficients(x), *series.inverse_coefficients(x)),
+        series.inverse_derivative(0, x),
+    )
+
+
+def test_forward_is_reverse():
+    points = np.array(POINTS)
+    for function in (everything, jax.grad(everything)):
+        forward, reverse = (np.asarray(jax.jit(jax.vmap(mode(function)))(points)) for mode in (jax.jacfwd, jax.jacrev))
+        np.testing.assert_allclose(forward, reverse, rtol=1e-13)
+
+
+def test_nothing_but_finite_numbers_on_the_way():
+    with jax.debug_nans(True):
+        for x in (0.0, 1.0):
+            assert jnp.isfinite(jax.grad(jax.grad(everything))(jnp.asarray(x)))
+
+
+def test_angle_ratio():
+    for dtype in (np.float64, np.float32):
+        small = np.finfo(dtype).tiny
+        for s, c in ((0.0, 1.0), (small, 3.0), (1e-3, 1.0), (0.6, 0.8), (1.0, 0.0)):
+            got = series.angle_ratio(jnp.asarray(s * s, dtype), jnp.asarray(c, dtype))
+            expected = 2.0 * np.arctan2(s, c) / s if s > 1e-30 else 2.0 / c
+            assert got.dtype == dtype
+            np.testing.assert_allclose(got, expected, rtol=4 * np.finfo(dtype).eps)
