@@ -1,1 +1,20 @@
+"""Integration on groups: tableaus, the stage loop, controls over time, fixed-step flights."""
 
+from .controls import Held, Linear, Table
+from .integrate import integrate
+from .rkmk import RKMK, increment
+from .solution import Result, Solution, Stats
+from .tableau import ButcherTableau
+
+__all__ = [
+    "RKMK",
+    "ButcherTableau",
+    "Held",
+    "Linear",
+    "Result",
+    "Solution",
+    "Stats",
+    "Table",
+    "increment",
+    "integrate",
+]

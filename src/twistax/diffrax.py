@@ -1,0 +1,49 @@
+"""Bridges to diffrax. `tx.diffrax.ambient_term(dynamics)` is the system as a plain ODE for its solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import diffrax
+import equinox as eqx
+
+from .integrators.ambient import Ambient
+from .lowering import Dynamics
+from .lowering.dynamics import Arrays
+
+__all__ = ["AmbientTerm", "ambient_term"]
+
+
+class AmbientTerm(diffrax.ODETerm):
+    """A `diffrax.ODETerm` that knows how to write a state in its numbers and read it back."""
+
+    ambient: Ambient = eqx.field(static=True)
+
+    def __init__(self, ambient: Ambient) -> None:
+        self.ambient = ambient
+        self.vector_field = ambient.vector_field
+
+    def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
+        """The y0 of a state. Raises InputError as a call of the dynamics does."""
+        return self.ambient.to_ambient(x)
+
+    def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
+        """The state of one y; map over saved times with jax.vmap."""
+        return self.ambient.from_ambient(y)
+
+
+def ambient_term(dynamics: Dynamics, quaternion: bool = True) -> AmbientTerm:
+    """The system as a plain ODE y' = f(t, y, args) with args = (u, params), as `tx.integrate` takes them, or None.
+
+        term = tx.diffrax.ambient_term(dynamics)
+        sol = diffrax.diffeqsolve(term, diffrax.Dopri8(), 0.0, 10.0, 0.01, term.to_ambient(x0), args=(u, params))
+        xs = jax.vmap(term.from_ambient)(sol.ys)
+
+    y is a dict by state name: poses are [quaternion, position] (7,), rotations quaternions (4,), w first; with
+    quaternion=False both are matrices, which leave the group by the solver's error. Other states are as they are.
+
+    Raises:
+        ModelError: a state on a group without such numbers.
+    """
+    return AmbientTerm(Ambient(dynamics, quaternion))

@@ -1,0 +1,193 @@
+"""Controls during an integration: held arrays, tables over time, or a function of time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, Self, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError, ShapeError
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from ..lowering.inputs import read_values
+from .concrete import is_traced
+
+__all__ = ["ByName", "Held", "Linear", "OfTime", "Signals", "Table", "controls_of"]
+
+
+class Table(ABC):
+    """Values over time for one control. A pytree: new numbers in a table of the same size do not compile again.
+
+    Attributes:
+        ts: (n,) increasing times in s.
+        values: (n, ...), the control's shape after the first axis.
+
+    Raises:
+        ShapeError: the two do not fit each other.
+        InputError: times that do not increase, or a value that is not finite.
+    """
+
+    #: The fewest rows that have a meaning.
+    rows: int
+
+    def __init__(self, ts: Any, values: Any) -> None:
+        name = type(self).__name__
+        self.ts, self.values = jnp.asarray(ts), jnp.asarray(values)
+        if self.ts.ndim != 1 or self.ts.shape[0] < self.rows:
+            raise ShapeError(f"{name} expects ts with shape (n,), n >= {self.rows}, got {self.ts.shape}")
+        if self.values.shape[:1] != self.ts.shape:
+            raise ShapeError(
+                f"{name} expects values with a row for each of the {self.ts.shape[0]} times, got {self.values.shape}"
+            )
+        if not is_traced(self.ts):
+            steps = np.diff(np.asarray(self.ts))
+            if not (steps > 0).all():
+                i = int(np.argmin(steps > 0))
+                raise InputError(
+                    f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} (rows {i}, {i + 1})"
+                )
+        for field in ("ts", "values"):
+            array = getattr(self, field)
+            if not is_traced(array) and not np.isfinite(np.asarray(array)).all():
+                raise InputError(f"{name} has {field} that are not finite")
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        jax.tree_util.register_pytree_node(cls, lambda table: ((table.ts, table.values), None), cls._of)
+
+    @classmethod
+    def _of(cls, _: None, children: tuple[Any, Any]) -> Self:
+        table = object.__new__(cls)
+        table.ts, table.values = children
+        return table
+
+    def astype(self, dtype: Any) -> Self:
+        """The same table in another precision."""
+        return self._of(None, (self.ts.astype(dtype), self.values.astype(dtype)))
+
+    @abstractmethod
+    def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
+        """The value as a function of the times within the step from t to t + h."""
+
+    def _row(self, t: jax.Array) -> jax.Array:
+        """The last row whose time is not after t; -1 before the first."""
+        return jnp.searchsorted(self.ts, t, side="right", method="scan_unrolled") - 1
+
+
+class Held(Table):
+    """A zero-order hold: row i holds from ts[i] until ts[i + 1], the first also before, the last also after.
+
+    A step that starts or ends at a jump sees the value within the step at all its stages, so that steps which end at
+    the jumps keep the method's order. A jump inside a step costs accuracy: choose dt so that jumps fall on steps.
+    """
+
+    rows = 1
+
+    def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
+        # Stage times move a hair towards the middle of the step: far less than a step, far more than round-off.
+        middle, hair = t + 0.5 * h, float(np.sqrt(jnp.finfo(t.dtype).eps))
+
+        def value(time: jax.Array) -> jax.Array:
+            row = self._row(time + hair * (middle - time))
+            return self.values[jnp.clip(row, 0, self.ts.shape[0] - 1)]
+
+        return value
+
+
+class Linear(Table):
+    """Linear interpolation between rows, held beyond the ends."""
+
+    rows = 2
+
+    def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
+        def value(time: jax.Array) -> jax.Array:
+            row = jnp.clip(self._row(time), 0, self.ts.shape[0] - 2)
+            start, end = self.ts[row], self.ts[row + 1]
+            share = jnp.clip((time - start) / (end - start), 0.0, 1.0)
+            return self.values[row] + share * (self.values[row + 1] - self.values[row])
+
+        return value
+
+
+class ByName:
+    """Controls by name, each an array that is held or a table. A pytree of its values."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.values = dict(values)
+
+    def sample(self, t: Any) -> Arrays | dict[str, Any]:
+        """A value of every control, to check names and shapes with."""
+        return {name: v.values[0] if isinstance(v, Table) else v for name, v in self.values.items()}
+
+    def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> ByName:
+        """The same controls in the precision of the state; `held` has the arrays already cast."""
+        return ByName({n: v.astype(dtype) if isinstance(v, Table) else held[n] for n, v in self.values.items()})
+
+    def during(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
+        """The prepared controls as a function of the times within the step from t to t + h."""
+        tables = {name: value.during(t, h) for name, value in self.values.items() if isinstance(value, Table)}
+        held = {name: value for name, value in self.values.items() if name not in tables}
+        return lambda time: held | {name: value(time) for name, value in tables.items()}
+
+
+class OfTime:
+    """Controls as a function of time. Arrays inside a function that is itself a pytree are traced inputs."""
+
+    def __init__(self, function: Callable[[jax.Array], Mapping[str, Any]]) -> None:
+        self.function = function
+
+    def sample(self, t: Any) -> Any:
+        """The controls at the start."""
+        return self.function(t)
+
+    def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> OfTime:
+        """Nothing to cast before the function is called."""
+        return self
+
+    def during(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
+        """The function, its values checked and cast."""
+        return lambda time: read_values("u(t)", dynamics.controls, self.function(time), time.dtype)
+
+
+Signals: TypeAlias = ByName | OfTime
+
+
+def _flatten_function(signal: OfTime) -> tuple[tuple[Any, ...], Any]:
+    if jax.tree_util.all_leaves([signal.function]):
+        return (), signal.function
+    return (signal.function,), None
+
+
+jax.tree_util.register_pytree_node(ByName, lambda s: ((s.values,), None), lambda _, children: ByName(children[0]))
+jax.tree_util.register_pytree_node(
+    OfTime, _flatten_function, lambda function, children: OfTime(children[0] if children else function)
+)
+
+
+def controls_of(u: Any) -> Signals:
+    """The controls a user gave, in one of the two forms.
+
+    Raises:
+        InputError: neither a dict nor a function, or a dict with functions in it.
+    """
+    if u is None:
+        return ByName({})
+    if isinstance(u, Mapping):
+        for name, value in u.items():
+            if callable(value):
+                raise InputError(
+                    f"u[{name!r}] is a function.\n"
+                    f"  fix: give one function of time for all controls, u=lambda t: {{{name!r}: ...}}, or a table"
+                )
+        return ByName(u)
+    if isinstance(u, Table):
+        raise InputError(f"u must be a dict, got a bare {type(u).__name__}.\n  fix: u={{'name of the control': table}}")
+    if not callable(u):
+        raise InputError(f"u must be a dict of arrays or tables, or a function of t, got {type(u).__name__}")
+    if not isinstance(u, Hashable):
+        raise InputError(f"the function u of type {type(u).__name__} is not hashable.\n  fix: u=lambda t: yours(t)")
+    return OfTime(u)

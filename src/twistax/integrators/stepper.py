@@ -1,0 +1,55 @@
+"""A method bound to a system and its inputs: the one thing that every loop over steps calls."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from .controls import Signals
+from .rkmk import RKMK
+
+__all__ = ["Stepper"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stepper:
+    """Steps of length h from t0. A pytree: dynamics and method are structure, the rest are inputs.
+
+    Attributes:
+        dynamics, method: what is integrated and how.
+        signals: the prepared controls.
+        params: the prepared parameters.
+        t0, h: the start and the length of a step in s.
+    """
+
+    dynamics: Dynamics
+    method: RKMK
+    signals: Signals
+    params: Arrays
+    t0: Any
+    h: Any
+
+    def time(self, i: jax.Array) -> jax.Array:
+        """The start of step i, computed afresh so that it does not drift."""
+        return self.t0 + i.astype(self.t0.dtype) * self.h
+
+    def controls(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
+        """The controls as a function of the times within the step from t to t + h."""
+        return self.signals.during(self.dynamics, t, h)
+
+    def step(self, i: jax.Array, x: Arrays, share: jax.Array | float = 1.0) -> Arrays:
+        """The state after step i, or after a share of it, from the state at its start."""
+        t, h = self.time(i), share * self.h
+        return self.method.step(self.dynamics, t, x, self.controls(t, h), self.params, h)
+
+
+jax.tree_util.register_pytree_node(
+    Stepper,
+    lambda s: ((s.signals, s.params, s.t0, s.h), (s.dynamics, s.method)),
+    lambda structure, inputs: Stepper(*structure, *inputs),
+)

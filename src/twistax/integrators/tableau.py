@@ -1,0 +1,97 @@
+"""The data of a Runge-Kutta method, checked when it is made."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import ModelError
+
+__all__ = ["ButcherTableau"]
+
+#: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
+_TOLERANCE = 1e-13
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ButcherTableau:
+    """The coefficients of an explicit Runge-Kutta method with s stages. Arrays are read-only.
+
+    For y' = f(t, y):  k_i = f(t + c_i h, y + h sum_j a_ij k_j),  y_1 = y + h sum_i b_i k_i.
+
+    Attributes:
+        name: how tables call it.
+        order: the order of convergence of the solution made with b.
+        a: (s, s), strictly lower triangular; rows sum to c.
+        b, c: (s,); b sums to 1.
+        embedded_order, b_embedded: for pairs, order and weights of the solution that estimates the error, else None.
+
+    Raises:
+        ModelError: a wrong shape, a value that is not finite, an implicit stage, or a sum that is off.
+
+    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.1.
+    """
+
+    name: str
+    order: int
+    a: Any
+    b: Any
+    c: Any
+    embedded_order: int | None = None
+    b_embedded: Any = None
+
+    def __post_init__(self) -> None:
+        for field in ("a", "b", "c"):
+            object.__setattr__(self, field, self._array(field))
+        if self.b.ndim != 1 or not self.b.size:
+            raise self._error(f"b must be a vector, got shape {self.b.shape}")
+        s = self.b.size
+        for field, shape in (("c", (s,)), ("a", (s, s))):
+            if getattr(self, field).shape != shape:
+                raise self._error(f"{field} must have shape {shape} for {s} stages, got {getattr(self, field).shape}")
+        if np.triu(self.a).any():
+            row = int(np.argmax(np.triu(self.a).any(axis=1)))
+            raise self._error(f"row {row} of a has entries on or right of the diagonal: the method is not explicit")
+        off = np.abs(self.a.sum(axis=1) - self.c)
+        if off.max() > _TOLERANCE:
+            row = int(np.argmax(off))
+            raise self._error(f"row {row} of a sums to {self.a[row].sum():.16g}, but c[{row}] is {self.c[row]:.16g}")
+        self._check_weights("b", self.b)
+        if not isinstance(self.order, int) or self.order < 1:
+            raise self._error(f"order must be a positive whole number, got {self.order!r}")
+        if (self.embedded_order is None) != (self.b_embedded is None):
+            raise self._error("a pair needs both embedded_order and b_embedded")
+        if self.b_embedded is not None:
+            object.__setattr__(self, "b_embedded", self._array("b_embedded"))
+            if self.b_embedded.shape != (s,):
+                raise self._error(f"b_embedded must have shape ({s},), got {self.b_embedded.shape}")
+            self._check_weights("b_embedded", self.b_embedded)
+
+    @property
+    def stages(self) -> int:
+        """The number of evaluations of the right-hand side a step."""
+        return int(self.b.size)
+
+    def __repr__(self) -> str:
+        return f"ButcherTableau({self.name}, order {self.order}, {self.stages} stages)"
+
+    def _array(self, field: str) -> np.ndarray:
+        given: Sequence[Any] = getattr(self, field)
+        try:
+            array = np.array(given, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise self._error(f"{field} is not an array of numbers: {error}") from None
+        if not np.isfinite(array).all():
+            raise self._error(f"{field} has entries that are not finite")
+        array.setflags(write=False)
+        return array
+
+    def _check_weights(self, field: str, weights: np.ndarray) -> None:
+        if abs(weights.sum() - 1.0) > _TOLERANCE:
+            raise self._error(f"{field} must sum to 1, it sums to {weights.sum():.16g}")
+
+    def _error(self, sentence: str) -> ModelError:
+        return ModelError(f"tableau {self.name!r}: {sentence}")
