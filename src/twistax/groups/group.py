@@ -92,6 +92,10 @@ class Group(ABC):
     def defect(self, g: Any) -> Float[Array, ""]:
         """How far g is from the group: the largest absolute violation of its defining equations."""
 
+    def tighten(self, g: Any) -> Any:
+        """`normalize` for round-off: cheap enough for every step, and good to the square of the drift."""
+        return self.normalize(g)
+
     def retract(self, g: Any, d: Input) -> Any:
         """g (+) d = g Exp(d)."""
         return self.compose(g, self.exp(d))

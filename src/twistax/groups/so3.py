@@ -35,6 +35,7 @@ __all__ = [
     "right_jacobian",
     "right_jacobian_inv",
     "right_jacobian_inv_apply",
+    "tightened",
     "vee",
 ]
 
@@ -124,6 +125,22 @@ def act(R: Input, points: Input) -> Float[Array, "*points"]:
     if points.ndim not in (1, 2) or points.shape[-1] != 3:
         raise ShapeError(f"so3.act expects points with shape (3,) or (n, 3), got {points.shape}")
     return multiply(points, R.T)
+
+
+def tightened(R: Input) -> Float[Array, "3 3"]:
+    """R (3 I - R^T R) / 2: a drift of size e in R^T R - I becomes one of size e^2.
+
+    One Newton step towards the nearest rotation, cheap enough for every step of a long run. Shapes: (3, 3) -> (3, 3).
+    Raises ShapeError. Source: Higham, Functions of Matrices (2008), ch. 8, the Newton-Schulz iteration.
+    """
+    (R,) = of_shape("so3.tightened", {"R": (3, 3)}, R)
+    entries = unpack(R)
+    rows = [entries[i : i + 3] for i in (0, 3, 6)]
+    x, y, z = (entries[i::3] for i in range(3))
+    xx, yy, zz = (0.5 * (dot(column, column) - 1.0) for column in (x, y, z))
+    xy, xz, yz = 0.5 * dot(x, y), 0.5 * dot(x, z), 0.5 * dot(y, z)
+    half = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    return matrix([[row[j] - dot(row, half[j]) for j in range(3)] for row in rows])
 
 
 def ad(w: Input) -> Float[Array, "3 3"]:

@@ -80,6 +80,10 @@ class SpecialOrthogonal(Group):
         """The rotation nearest to g, up to the square of the drift; orthonormal to round-off."""
         return _nearest(*of_shape("SO3.normalize", {"g": self.shape}, g))
 
+    def tighten(self, g: Input) -> Float[Array, "3 3"]:
+        """One Newton step towards the nearest rotation."""
+        return so3.tightened(g)
+
     def defect(self, g: Input) -> Float[Array, ""]:
         """max |g^T g - I|."""
         return _skewness(*of_shape("SO3.defect", {"g": self.shape}, g))
@@ -154,6 +158,11 @@ class SpecialEuclidean(Group):
         """The nearest rotation (up to the square of the drift) with the same position, and an exact last row."""
         (g,) = of_shape("SE3.normalize", {"g": self.shape}, g)
         return se3.transform(_nearest(g[:3, :3]), g[:3, 3])
+
+    def tighten(self, g: Input) -> Float[Array, "4 4"]:
+        """One Newton step of the rotation towards the nearest one; the position stays."""
+        (g,) = of_shape("SE3.tighten", {"g": self.shape}, g)
+        return se3.transform(so3.tightened(g[:3, :3]), g[:3, 3])
 
     def defect(self, g: Input) -> Float[Array, ""]:
         """The larger of max |R^T R - I| and the deviation of the last row from (0, 0, 0, 1)."""
