@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ShapeError
-from .fields import Operand, Operands
+from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Shape
 from .printing import wrap_latex
 from .shapes import align, broadcast
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 def is_constant(node: Expr, number: float) -> bool:
@@ -226,7 +223,7 @@ class Div(Expr):
 
 
 class Neg(Expr):
-    """Negative -x."""
+    """Negative -x, entry by entry."""
 
     operand: Operand
     precedence = 15

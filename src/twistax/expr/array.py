@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ShapeError
-from .fields import Operands
+from .fields import ExprLike, Operands
 from .leaves import State
 from .node import Example, Expr, Shape
 from .printing import matrix_latex
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 def gathered(operands: Sequence[Any]) -> Sequence[Any]:

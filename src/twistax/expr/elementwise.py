@@ -71,7 +71,7 @@ class Sqrt(Entrywise):
 
     @classmethod
     def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, 2.5, 1e-3], kinks=[0.0])
+        return entrywise_example(cls, [1.0, 2.5, 0.1], kinks=[0.0])
 
 
 class Exp(Entrywise):

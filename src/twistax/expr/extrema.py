@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +13,10 @@ from jax.scipy.special import logsumexp
 from ..errors import ModelError
 from .arithmetic import rebuilt
 from .elementwise import Entrywise, entrywise_example
-from .fields import Operand, Operands
+from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Shape
 from .shapes import align, broadcast
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 class Extremum(Expr):
@@ -202,7 +199,7 @@ class SmoothReLU(Entrywise):
     @classmethod
     def example(cls) -> list[Example]:
         x = State("x", shape=(4,))
-        values = {"x": np.array([0.3, -0.2, 2.0, 0.0])}
+        values = {"x": np.array([0.3, -0.2, 2.0, 0.05])}
         return [Example(SmoothReLU(x, c=0.1), values), Example(SmoothReLU(x), {"x": np.zeros(4)}, smooth=False)]
 
 

@@ -41,6 +41,7 @@ class Operand:
 if TYPE_CHECKING:
     Operands = tuple[Expr, ...]
 else:
+    ExprLike = Any
 
     class Operands:
         """Marks a field that holds any number of child expressions."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
 
 from ..errors import ShapeError
 from .array import Concat, Stack
-from .fields import Operand
+from .fields import ExprLike, Operand
 from .leaves import State
 from .node import Example, Expr, Shape
 from .printing import wrap, wrap_latex
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 class Index(Expr):

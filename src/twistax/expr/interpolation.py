@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError, ShapeError
-from .fields import Operand
+from .fields import ExprLike, Operand
 from .leaves import Constant, Parameter, State
 from .node import Example, Expr, Shape
 from .shapes import broadcast
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 def segment(x: jax.Array, xp: jax.Array) -> jax.Array:

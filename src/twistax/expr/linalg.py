@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,11 @@ from ..errors import ModelError, ShapeError
 from ..groups.components import cross, unpack, vector
 from .arithmetic import Neg, zeros_of
 from .elementwise import Abs, square_root
-from .fields import Operand
+from .fields import ExprLike, Operand
 from .leaves import State
 from .node import Example, Expr, Shape
 from .printing import wrap_latex
 from .shapes import expect, expect_square
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 class Transpose(Expr):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar
 from typing import Any as Anything
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +14,10 @@ import numpy as np
 from ..errors import ShapeError
 from .arithmetic import rebuilt, zeros_of
 from .array import gathered
-from .fields import Operand, Operands
+from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Shape, to_expr
 from .shapes import align, broadcast
-
-if TYPE_CHECKING:
-    from .fields import ExprLike
 
 
 def _predicate(node: str, value: Anything) -> Expr:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 import jax
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .leaves import Leaf
 
 Shape = tuple[int, ...]
+E = TypeVar("E", bound="Expr")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Expr(Operators):
     def __delattr__(self, name: str) -> None:
         raise ImmutableError(f"{type(self).__name__} is immutable: cannot delete {name!r}.")
 
-    def replace(self, **changes: Any) -> Self:
+    def replace(self: E, **changes: Any) -> E:
         """A copy with some fields changed."""
         fields = {f.name: getattr(self, f.name) for f in self._fields} | changes
         operands = [v for f in self._fields if f.variadic for v in fields.pop(f.name)]
@@ -161,7 +162,7 @@ class Expr(Operators):
         """What `tree()` shows below this node, with names: the children, unless a node holds more than these."""
         return list(zip(self.child_names(), self.children(), strict=True))
 
-    def with_children(self, children: list[Expr]) -> Self:
+    def with_children(self: E, children: list[Expr]) -> E:
         """The same node over other children; a variadic one may get more or fewer."""
         mine = self.children()
         if len(mine) == len(children) and all(a is b for a, b in zip(mine, children)):
