@@ -8,6 +8,7 @@ from .constraint import Constraint, Equality, Inequality
 from .elementwise import Abs, Exp, Log, Sign, Sqrt, Square
 from .extrema import Huber, LogSumExp, Max, Min, PositivePart, SmoothReLU
 from .indexing import Index
+from . import lie as lie
 from .interpolation import Bilerp, Cinterp, Linterp
 from .leaves import Constant, Control, Leaf, Parameter, State, Time, Variable
 from .leaves import Inputs as Inputs
@@ -18,6 +19,7 @@ from .node import find_path as find_path
 from .node import leaves_of as leaves_of
 from .node import postorder as postorder
 from .node import substitute as substitute
+from .orders import check_orders as check_orders
 from .registry import all_nodes
 from .solve import Inv, Solve
 from .spatial import QDCM, SSM, SSMP, QuaternionProduct

@@ -333,14 +333,15 @@ class MatMul(Expr):
         return left @ right
 
     def simplify(self) -> Expr:
-        """Identity matrices vanish; a product with zeros is zero."""
+        """Identity matrices vanish; a product with zeros is zero; some matrices need not be built to act on a vector."""
         if is_identity(self.left) and self.right.shape == self.shape:
             return self.right
         if is_identity(self.right) and self.left.shape == self.shape:
             return self.left
         if is_constant(self.left, 0.0) or is_constant(self.right, 0.0):
             return zeros_of(self)
-        return self
+        applied = self.left.applied_to(self.right) if self.right.ndim == 1 else None
+        return self if applied is None else applied
 
     def to_text(self, *operands: str) -> str:
         return f"({operands[0]} @ {operands[1]})"

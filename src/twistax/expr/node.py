@@ -26,6 +26,7 @@ from .fields import Field, bind_fields, declare_fields, freeze
 from .operators import Operators
 
 if TYPE_CHECKING:
+    from ..groups import Order
     from .leaves import Leaf
 
 Shape = tuple[int, ...]
@@ -120,6 +121,18 @@ class Expr(Operators):
     def simplify(self) -> Expr:
         """A simpler node of the same shape, equal wherever this one is finite. Children are canonical already."""
         return self
+
+    def twist_orders(self) -> tuple[list[Order | None], Order | None]:
+        """The twist order each operand must have, and that of the result; None where the node does not care."""
+        return [None] * len(self.children()), None
+
+    def applied_to(self, vector: Expr) -> Expr | None:
+        """A cheaper node for the product of this matrix with a vector; None if there is none."""
+        return None
+
+    def makes_group_element(self) -> bool:
+        """Whether the value is a rotation or a pose by construction."""
+        return False
 
     @classmethod
     def example(cls) -> list[Example]:

@@ -1,0 +1,93 @@
+"""What the Lie nodes share: the order of their twists, and which expressions are known to be group elements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, se3, so3
+from ..leaves import Constant, State
+from ..node import Example, Expr
+
+_SIX = ((6,), (6, 6))
+
+
+class TwistNode(Expr):
+    """A node over 6-vectors. It has an order, which its six-dimensional operands and result must have too."""
+
+    # Not annotated here: each node declares `order: Order = LINEAR_FIRST` after its operands.
+    order = LINEAR_FIRST
+    abstract = True
+
+    def validate(self) -> None:
+        if not isinstance(self.order, Order):
+            raise TypeError(f"{type(self).__name__} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {self.order!r}")
+
+    def twist_orders(self) -> tuple[list[Order | None], Order | None]:
+        shapes = [child.shape for child in self.children()]
+        return [self.order if s in _SIX else None for s in shapes], self.order if self.shape in _SIX else None
+
+    def in_linear_first(self, function: Callable[..., jax.Array], *values: jax.Array) -> jax.Array:
+        """A function of linear-first vectors, applied to vectors of this node's order."""
+        return self.order.from_linear_first(function(*(self.order.to_linear_first(value) for value in values)))
+
+    @staticmethod
+    def in_both_orders(build: Callable[[Order], Expr], values: Mapping[str, Any], smooth: bool = True) -> list[Example]:
+        """The same conformance case with [v; w] and with [w; v]."""
+        return [Example(build(order), values, smooth) for order in (LINEAR_FIRST, ANGULAR_FIRST)]
+
+
+def is_group_element(node: Expr) -> bool:
+    """Whether a 3x3 or 4x4 expression is a rotation or a pose by construction; a plain matrix is not."""
+    if isinstance(node, State):
+        return not isinstance(node.group, Euclidean)
+    if isinstance(node, Constant):
+        return _constant_element(node)
+    return node.makes_group_element()
+
+
+def _constant_element(node: Constant) -> bool:
+    groups = {SO3.shape: SO3, SE3.shape: SE3}
+    if node.shape not in groups:
+        return False
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        element = jax.numpy.asarray(node.value)
+        right_handed = np.linalg.det(node.value[:3, :3]) > 0.0
+        return bool(right_handed and groups[node.shape].defect(element) < 1e-12)
+
+
+def is_identity_element(node: Expr) -> bool:
+    """Whether an expression is a constant identity matrix."""
+    return isinstance(node, Constant) and bool((node.value == np.eye(*node.shape)).all())
+
+
+# ---- cases for the conformance suite -----------------------------------------------------------------------------
+
+
+def twist_state(name: str) -> State:
+    """A six-vector leaf."""
+    return State(name, shape=(6,))
+
+
+def pose_value(name: str, rotation: bool = False) -> State:
+    """A matrix leaf that the cases fill with a pose or a rotation."""
+    return State(name, shape=(3, 3) if rotation else (4, 4))
+
+
+def body_values() -> dict[str, np.ndarray]:
+    """Values of every leaf the cases use."""
+    rng = np.random.default_rng(7)
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        turn = rng.normal(size=(2, 6))
+        return {
+            "a": rng.normal(size=6),
+            "b": rng.normal(size=6),
+            "w": rng.normal(size=3),
+            "v": rng.normal(size=3),
+            "T": np.asarray(se3.exp(turn[0])),
+            "S": np.asarray(se3.exp(turn[1])),
+            "R": np.asarray(so3.exp(turn[0, 3:])),
+        }

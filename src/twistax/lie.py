@@ -1,0 +1,7 @@
+"""`tx.lie`: Lie nodes for expressions, and the numeric maps `tx.lie.so3` and `tx.lie.se3` for plain arrays."""
+
+from .expr.lie import *  # noqa: F403
+from .expr.lie import __all__ as _nodes
+from .groups import euler, quaternion, se3, so3
+
+__all__ = [*_nodes, "euler", "quaternion", "se3", "so3"]
