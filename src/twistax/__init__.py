@@ -16,7 +16,7 @@ Importing changes no global state: precision follows the arrays given, and x64 i
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from . import lie, linalg, spatial, tableaus
 from .errors import (
@@ -46,7 +46,7 @@ _LAZY_MODULES = ("diffrax", "trajectory")
 _LAZY_NAMES = {"Minimize": "trajectory", "Maximize": "trajectory"}
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:  # `Any` is a node here
     if name in _LAZY_MODULES:
         return importlib.import_module(f"{__name__}.{name}")
     if name in _LAZY_NAMES:
