@@ -13,7 +13,7 @@ from ..integrators import RKMK, increment
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import Values
-from ..tableaus import RK4
+from ..integrators.tableaus import RK4
 from .flat import Controls
 
 __all__ = ["Discretization", "Flight", "discretize", "fly", "step_derivatives"]

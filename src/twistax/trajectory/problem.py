@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ModelError, TrajectoryError
 from ..integrators import RKMK
 from ..lowering import Dynamics
-from ..tableaus import RK4
+from ..integrators.tableaus import RK4
 from .arrays import Array
 from .banded import Chain
 from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
