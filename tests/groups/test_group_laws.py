@@ -39,7 +39,8 @@ def laws(group):
             "normalize": group.normalize(g),
         }
 
-    return jax.jit(jax.vmap(one))
+    # Not jitted: compiling all of it for every group takes longer than running it once, operation by operation.
+    return jax.vmap(one)
 
 
 @pytest.fixture(scope="module", params=oracle.GROUPS, ids=lambda group: group.name)

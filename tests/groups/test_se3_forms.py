@@ -136,5 +136,5 @@ def equations(closed):
 def test_the_maps_stay_small():
     """They run inside scans: a program that grows unnoticed costs compile time everywhere."""
     assert equations(jax.make_jaxpr(se3.exp)(XI).jaxpr) < 120
-    assert equations(jax.make_jaxpr(se3.right_jacobian_inv_apply)(XI, ETA).jaxpr) < 180
+    assert equations(jax.make_jaxpr(se3.right_jacobian_inv_apply)(XI, ETA).jaxpr) < 175
     assert equations(jax.make_jaxpr(so3.right_jacobian_inv_apply)(XI[:3], ETA[:3]).jaxpr) < 80

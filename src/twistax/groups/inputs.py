@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from twistax.errors import ShapeError
@@ -41,5 +41,11 @@ def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Inpu
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """a @ b in full precision. Accelerators round float32 factors to fewer bits unless told not to."""
-    return jnp.matmul(a, b, precision=lax.Precision.HIGHEST)
+    """a @ b for a small matrix a and a small matrix or a vector b, as a sum of products.
+
+    XLA fuses it with its surroundings, where a matrix product would be a call; and accelerators round the factors of
+    a float32 matrix product to fewer bits, which they never do here.
+    """
+    if b.ndim == 1:
+        return jnp.sum(a * b[None, :], axis=1)
+    return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)

@@ -152,7 +152,7 @@ def act(T: Input, points: Input) -> Float[Array, "*points"]:
     of_shape("se3.act", {"T": (4, 4)}, T)
     if points.ndim not in (1, 2) or points.shape[-1] != 3:
         raise ShapeError(f"se3.act expects points with shape (3,) or (n, 3), got {points.shape}")
-    return multiply(points, T[:3, :3].T) + jnp.broadcast_to(T[:3, 3], points.shape)
+    return so3.act(T[:3, :3], points) + jnp.broadcast_to(T[:3, 3], points.shape)
 
 
 def ad(xi: Input) -> Float[Array, "6 6"]:

@@ -134,9 +134,10 @@ def jacobian_coefficients(x: Array) -> tuple[Array, Array, Array, Array]:
     """
     first, second, third = exp_coefficients(x)
     fourth, fifth = stumpff(4, x), stumpff(5, x)
-    small = x < 1.0
+    switch = _stumpff_switch(5)
+    small = x < switch
     # A selection, not a maximum: this one is differentiated, and a maximum has half a slope at the switch point.
-    twice = 2.0 * jnp.where(small, 1.0, x)
+    twice = 2.0 * jnp.where(small, switch, x)
     second_slope = jnp.where(small, fourth - 0.5 * third, (first - 2.0 * second) / twice)
     third_slope = jnp.where(small, 1.5 * fifth - 0.5 * fourth, (second - 3.0 * third) / twice)
     return second, third, second_slope, third_slope

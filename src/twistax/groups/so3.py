@@ -124,7 +124,7 @@ def act(R: Input, points: Input) -> Float[Array, "*points"]:
     of_shape("so3.act", {"R": (3, 3)}, R)
     if points.ndim not in (1, 2) or points.shape[-1] != 3:
         raise ShapeError(f"so3.act expects points with shape (3,) or (n, 3), got {points.shape}")
-    return multiply(points, R.T)
+    return multiply(R, points) if points.ndim == 1 else multiply(points, R.T)
 
 
 def tightened(R: Input) -> Float[Array, "3 3"]:
