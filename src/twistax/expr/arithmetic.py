@@ -332,8 +332,11 @@ class MatMul(Expr):
             left, right = align(left, right)
         return left @ right
 
+    def makes_group_element(self, *operands: bool) -> bool:
+        return all(operands)
+
     def simplify(self) -> Expr:
-        """Identity matrices vanish; a product with zeros is zero; some matrices need not be built to act on a vector."""
+        """Identity matrices vanish; a product with zeros is zero; some matrices act without being built."""
         if is_identity(self.left) and self.right.shape == self.shape:
             return self.right
         if is_identity(self.right) and self.left.shape == self.shape:

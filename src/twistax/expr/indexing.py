@@ -56,6 +56,11 @@ class Index(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return values[0][self.index]
 
+    def makes_group_element(self, *operands: bool) -> bool:
+        if not operands[0] or self.base.shape != (4, 4) or self.shape != (3, 3):
+            return False
+        return bool((_positions((4, 4), self.index) == _ROTATION_BLOCK).all())
+
     def simplify(self) -> Expr:
         """Everything of x is x; a part of stacked or joined rows is that row; a part of a part is one part."""
         base, index = self.base, self.index
@@ -129,6 +134,10 @@ def index_text(index: Any) -> str:
 def _positions(shape: Shape, index: Any) -> Any:
     """Where the chosen entries stand in the flattened array."""
     return np.arange(int(np.prod(shape))).reshape(shape)[index]
+
+
+#: Where the rotation stands in a pose.
+_ROTATION_BLOCK = _positions((4, 4), np.s_[:3, :3])
 
 
 def _part_of_slice(node: Index, base: Index, index: Any) -> Expr:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ..errors import InputError, ModelError, ShapeError
-from ..groups import Euclidean, Group, Order, SpecialEuclidean
+from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
 from .node import Example, Expr, Shape
 
 
@@ -75,6 +75,10 @@ class Constant(Leaf):
     @property
     def boolean(self) -> bool:
         return self.value.dtype == bool
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        group = {SO3.shape: SO3, SE3.shape: SE3}.get(self.shape)
+        return group is not None and not self.boolean and _is_element(self.value, group)
 
     def read(self, inputs: Inputs) -> jax.Array:
         return jax.numpy.asarray(self.value, bool if self.value.dtype == bool else inputs.dtype)
@@ -218,6 +222,9 @@ class State(Variable):
 
     def static_key(self) -> tuple[Any, ...]:
         return (self.name, self.shape, repr(self.group))
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return not isinstance(self.group, Euclidean)
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.x[self.name]
@@ -369,6 +376,19 @@ def _bounds(name: str, shape: Shape, low: Any, high: Any) -> dict[str, np.ndarra
 _ROTATION_TOLERANCE = 1e-6
 
 
+#: How far a constant may be from orthonormal to count as a rotation in rewrites.
+_ROUND_OFF = 1e-12
+
+
+def _defect(value: np.ndarray, group: Group) -> float:
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        return float(group.defect(jax.numpy.asarray(value)))
+
+
+def _is_element(value: np.ndarray, group: Group) -> bool:
+    return bool(np.isfinite(value).all() and np.linalg.det(value[:3, :3]) > 0.0 and _defect(value, group) < _ROUND_OFF)
+
+
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
     if isinstance(group, Euclidean):
         return _value(name, what, value, group.shape)
@@ -381,8 +401,7 @@ def _element(name: str, what: str, value: Any, group: Group) -> np.ndarray | Non
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
     array = np.array(value, dtype=np.float64)
-    with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        defect = float(group.defect(jax.numpy.asarray(array)))
+    defect = _defect(array, group)
     if not defect <= _ROTATION_TOLERANCE:
         raise ModelError(
             f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import ModelError, ShapeError
 from ..groups.components import cross, unpack, vector
 from .arithmetic import Neg, zeros_of
-from .elementwise import Abs, square_root
+from .elementwise import Abs, absolute, square_root
 from .fields import ExprLike, Operand
 from .leaves import State
 from .node import Example, Expr, Shape
@@ -31,6 +31,9 @@ class Transpose(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return values[0] if values[0].ndim < 2 else jnp.swapaxes(values[0], -1, -2)
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return operands[0] and self.shape == (3, 3)
 
     def simplify(self) -> Expr:
         """The transpose of a transpose, of a vector or of a diagonal matrix is the matrix or vector itself."""
@@ -131,6 +134,23 @@ class Trace(Expr):
         return [Example(Trace(State("m", shape=(3, 3))), {"m": np.arange(9.0).reshape(3, 3)})]
 
 
+def vector_norm(x: jax.Array, order: Any) -> jax.Array:
+    """The norm of a vector: "inf", "-inf", 1 or another number above 1."""
+    sizes = absolute(x)
+    if order == "inf":
+        return jnp.max(sizes)
+    if order == "-inf":
+        return jnp.min(sizes)
+    return jnp.sum(sizes) if order == 1 else jnp.sum(sizes**order) ** (1.0 / float(order))
+
+
+def matrix_norm(x: jax.Array, order: Any) -> jax.Array:
+    """The norm of a matrix: its largest row sum ("inf"), column sum (1) or singular value (2)."""
+    if order == 2:
+        return jnp.linalg.norm(x, ord=2)
+    return jnp.max(jnp.sum(absolute(x), axis=1 if order == "inf" else 0))
+
+
 class Norm(Expr):
     """Size of a vector or matrix, in its unit. Shapes: any -> ().
 
@@ -168,8 +188,8 @@ class Norm(Expr):
             return square_root(jnp.sum(x * x))
         zero = jnp.all(x == 0.0)
         safe = jnp.where(zero, 1.0, jnp.atleast_1d(x))
-        order = {"inf": np.inf, "-inf": -np.inf}.get(self.ord, self.ord)
-        return jnp.where(zero, 0.0, jnp.linalg.norm(safe, ord=order))
+        norm = matrix_norm if x.ndim == 2 else vector_norm
+        return jnp.where(zero, 0.0, norm(safe, self.ord))
 
     def simplify(self) -> Expr:
         """The norm of -x is that of x; of a scalar, its absolute value."""

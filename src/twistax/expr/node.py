@@ -130,8 +130,8 @@ class Expr(Operators):
         """A cheaper node for the product of this matrix with a vector; None if there is none."""
         return None
 
-    def makes_group_element(self) -> bool:
-        """Whether the value is a rotation or a pose by construction."""
+    def makes_group_element(self, *operands: bool) -> bool:
+        """Whether the value is a rotation or a pose by construction, given which operands are."""
         return False
 
     @classmethod
@@ -226,6 +226,11 @@ class Expr(Operators):
     def ndim(self) -> int:
         """Number of axes of the value."""
         return len(self.check_shape())
+
+    @property
+    def is_group_element(self) -> bool:
+        """Whether the value is known to be a rotation (3, 3) or a pose (4, 4); a plain matrix is not."""
+        return _bottom_up(self, "_element", _element_of)
 
     @property
     def boolean(self) -> bool:
@@ -353,6 +358,10 @@ def _bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
                 node.__dict__[slot] = compute(node)
                 stack.pop()
     return root.__dict__[slot]
+
+
+def _element_of(node: Expr) -> bool:
+    return node.makes_group_element(*(child.__dict__["_element"] for child in node.children()))
 
 
 def _shape_of(node: Expr, root: Expr) -> Shape:

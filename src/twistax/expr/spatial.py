@@ -33,6 +33,9 @@ class QDCM(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return rotation_from_quaternion(values[0])
 
+    def makes_group_element(self, *operands: bool) -> bool:
+        return True
+
     def to_latex(self, *operands: str) -> str:
         return rf"R\left({operands[0]}\right)"
 

@@ -1,7 +1,8 @@
 """Adjoint and coadjoint operators: how twists and wrenches act, and how they change frame.
 
-Conventions: twist xi = [v; w], wrench F = [f; tau], momentum mu = [p; L], all in the body frame; T_ab maps coordinates of
-frame b to frame a, p_a = T_ab p_b. With order=ANGULAR_FIRST the same operators read and give [w; v].
+Conventions: twist xi = [v; w], wrench F = [f; tau], momentum mu = [p; L], all in the body frame; T_ab maps coordinates
+of frame b to frame a, p_a = T_ab p_b. With order=ANGULAR_FIRST the same operators read and give [w; v].
+
 Source: R. Murray, Z. Li, S. Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 2;
 R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [w; v].
 """
@@ -9,15 +10,13 @@ R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [w; v].
 from __future__ import annotations
 
 import jax
-import numpy as np
 
 from ...groups import LINEAR_FIRST, Order, se3, so3
-from ..arithmetic import zeros_of
+from ..arithmetic import is_constant, zeros_of
 from ..fields import Operand
-from ..leaves import Constant
 from ..node import Example, Expr, Shape
 from ..shapes import expect
-from .base import TwistNode, body_values, is_identity_element, pose_value, twist_state
+from .base import TwistNode, body_values, pose_value, twist_state
 
 
 class Adjoint(TwistNode):
@@ -46,8 +45,9 @@ class Adjoint(TwistNode):
         return self.in_linear_first(se3.bracket, *values)
 
     def simplify(self) -> Expr:
-        """[xi, xi] is 0."""
-        return zeros_of(self) if self.twist1.key() == self.twist2.key() else self
+        """[xi, xi] is 0, and so is the bracket with 0."""
+        zero = is_constant(self.twist1, 0.0) or is_constant(self.twist2, 0.0)
+        return zeros_of(self) if zero or self.twist1.key() == self.twist2.key() else self
 
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{ad}}_{{{operands[0]}}}\left({operands[1]}\right)"
@@ -83,6 +83,10 @@ class AdjointDual(TwistNode):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return self.in_linear_first(se3.coad, *values)
 
+    def simplify(self) -> Expr:
+        """A body at rest, or without momentum, has no such term."""
+        return zeros_of(self) if is_constant(self.twist, 0.0) or is_constant(self.momentum, 0.0) else self
+
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{ad}}^*_{{{operands[0]}}}\left({operands[1]}\right)"
 
@@ -112,11 +116,7 @@ class SE3Adjoint(TwistNode):
         return (6, 6)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.order.from_linear_first(se3.Ad(values[0]))
-
-    def simplify(self) -> Expr:
-        """Ad of the identity is the identity."""
-        return Constant(np.eye(6)) if is_identity_element(self.transform) else self
+        return self.in_linear_first(se3.Ad, values[0])
 
     def applied_to(self, vector: Expr) -> Expr | None:
         return AdjointAction(self.transform, vector, order=self.order)
@@ -151,11 +151,7 @@ class SE3AdjointDual(TwistNode):
         return (6, 6)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.order.from_linear_first(se3.Ad_dual(values[0]))
-
-    def simplify(self) -> Expr:
-        """Ad* of the identity is the identity."""
-        return Constant(np.eye(6)) if is_identity_element(self.transform) else self
+        return self.in_linear_first(se3.Ad_dual, values[0])
 
     def applied_to(self, vector: Expr) -> Expr | None:
         return CoadjointAction(self.transform, vector, order=self.order)

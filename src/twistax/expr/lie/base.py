@@ -1,16 +1,18 @@
-"""What the Lie nodes share: the order of their twists, and which expressions are known to be group elements."""
+"""What the Lie nodes share: the order of their twists, the shapes of both groups, and the values of their cases."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any
 
 import jax
 import numpy as np
 
-from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, se3, so3
+from ...errors import ShapeError
+from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ..leaves import Constant, State
-from ..node import Example, Expr
+from ..node import Example, Expr, Shape
 
 _SIX = ((6,), (6, 6))
 
@@ -24,15 +26,20 @@ class TwistNode(Expr):
 
     def validate(self) -> None:
         if not isinstance(self.order, Order):
-            raise TypeError(f"{type(self).__name__} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {self.order!r}")
+            raise TypeError(
+                f"{type(self).__name__} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {self.order!r}"
+            )
 
     def twist_orders(self) -> tuple[list[Order | None], Order | None]:
         shapes = [child.shape for child in self.children()]
         return [self.order if s in _SIX else None for s in shapes], self.order if self.shape in _SIX else None
 
     def in_linear_first(self, function: Callable[..., jax.Array], *values: jax.Array) -> jax.Array:
-        """A function of linear-first vectors, applied to vectors of this node's order."""
-        return self.order.from_linear_first(function(*(self.order.to_linear_first(value) for value in values)))
+        """A function of linear-first values, in this node's order; what is not six-dimensional passes as it is."""
+        return self._swapped(function(*(self._swapped(value) for value in values)))
+
+    def _swapped(self, value: jax.Array) -> jax.Array:
+        return self.order.from_linear_first(value) if value.shape in _SIX else value
 
     @staticmethod
     def in_both_orders(build: Callable[[Order], Expr], values: Mapping[str, Any], smooth: bool = True) -> list[Example]:
@@ -40,28 +47,21 @@ class TwistNode(Expr):
         return [Example(build(order), values, smooth) for order in (LINEAR_FIRST, ANGULAR_FIRST)]
 
 
-def is_group_element(node: Expr) -> bool:
-    """Whether a 3x3 or 4x4 expression is a rotation or a pose by construction; a plain matrix is not."""
-    if isinstance(node, State):
-        return not isinstance(node.group, Euclidean)
-    if isinstance(node, Constant):
-        return _constant_element(node)
-    return node.makes_group_element()
+#: The numeric maps that belong to a tangent vector, and to a group element or a matrix of the algebra, by shape.
+OF_TANGENT: dict[Shape, ModuleType] = {(3,): so3, (6,): se3}
+OF_MATRIX: dict[Shape, ModuleType] = {(3, 3): so3, (4, 4): se3}
 
 
-def _constant_element(node: Constant) -> bool:
-    groups = {SO3.shape: SO3, SE3.shape: SE3}
-    if node.shape not in groups:
-        return False
-    with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        element = jax.numpy.asarray(node.value)
-        right_handed = np.linalg.det(node.value[:3, :3]) > 0.0
-        return bool(right_handed and groups[node.shape].defect(element) < 1e-12)
+def expect_one_of(node: Expr, operand: str, got: Shape, known: Mapping[Shape, ModuleType]) -> None:
+    """Raise the plain sentence if an operand has neither group's shape."""
+    if got not in known:
+        first, second = known
+        raise ShapeError(f"{type(node).__name__} expects {operand} with shape {first} or {second}, got {got}")
 
 
 def is_identity_element(node: Expr) -> bool:
     """Whether an expression is a constant identity matrix."""
-    return isinstance(node, Constant) and bool((node.value == np.eye(*node.shape)).all())
+    return isinstance(node, Constant) and bool((node.value == np.eye(node.shape[0])).all())
 
 
 # ---- cases for the conformance suite -----------------------------------------------------------------------------

@@ -5,22 +5,16 @@ Source: G. Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vo
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from types import ModuleType
 from typing import ClassVar
 
 import jax
 import numpy as np
 
-from ...errors import ShapeError
-from ...groups import LINEAR_FIRST, Order, se3, so3
-from ..arithmetic import is_constant
+from ...groups import LINEAR_FIRST, Order
 from ..fields import Operand
-from ..leaves import Constant, State
-from ..node import Example, Expr, Shape
-from .base import TwistNode, body_values, twist_state
-
-_OF_TANGENT: dict[Shape, ModuleType] = {(3,): so3, (6,): se3}
+from ..leaves import State
+from ..node import Example, Shape
+from .base import OF_TANGENT, TwistNode, body_values, expect_one_of, twist_state
 
 
 class _Jacobian(TwistNode):
@@ -32,17 +26,11 @@ class _Jacobian(TwistNode):
     function: ClassVar[str] = ""
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        if shapes[0] not in _OF_TANGENT:
-            raise ShapeError(f"{type(self).__name__} expects tangent with shape (3,) or (6,), got {shapes[0]}")
+        expect_one_of(self, "tangent", shapes[0], OF_TANGENT)
         return shapes[0] * 2
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        jacobian: Callable[[jax.Array], jax.Array] = getattr(_OF_TANGENT[self.tangent.shape], self.function)
-        return jacobian(values[0]) if self.shape == (3, 3) else self.in_linear_first(jacobian, values[0])
-
-    def simplify(self) -> Expr:
-        """At zero every Jacobian is the identity."""
-        return Constant(np.eye(self.shape[0])) if is_constant(self.tangent, 0.0) else self
+        return self.in_linear_first(getattr(OF_TANGENT[values[0].shape], self.function), values[0])
 
     @classmethod
     def example(cls) -> list[Example]:

@@ -10,12 +10,11 @@ import jax
 import numpy as np
 
 from ...groups import LINEAR_FIRST, Order, se3, so3
-from ..arithmetic import is_constant
 from ..fields import Operand
-from ..leaves import Constant, State
+from ..leaves import State
 from ..node import Example, Expr, Shape
 from ..shapes import expect
-from .base import TwistNode, body_values, is_group_element, twist_state
+from .base import TwistNode, body_values, twist_state
 
 
 class SO3Exp(Expr):
@@ -28,7 +27,6 @@ class SO3Exp(Expr):
     """
 
     omega: Operand
-    label = "Exp"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect(self, "omega", shapes[0], (3,))
@@ -37,16 +35,16 @@ class SO3Exp(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return so3.exp(values[0])
 
-    def makes_group_element(self) -> bool:
+    def makes_group_element(self, *operands: bool) -> bool:
         return True
 
     def simplify(self) -> Expr:
-        """Exp(0) is I; Exp(Log(R)) is R for a rotation."""
-        if is_constant(self.omega, 0.0):
-            return Constant(np.eye(3))
-        if isinstance(self.omega, SO3Log) and is_group_element(self.omega.rotation):
-            return self.omega.rotation
-        return self
+        """Exp(Log(R)) is R for a rotation."""
+        log = self.omega
+        return log.rotation if isinstance(log, SO3Log) and log.rotation.is_group_element else self
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\operatorname{{Exp}}\left({operands[0]}\right)"
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -66,7 +64,6 @@ class SO3Log(Expr):
     """
 
     rotation: Operand
-    label = "Log"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect(self, "rotation", shapes[0], (3, 3))
@@ -74,6 +71,9 @@ class SO3Log(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return so3.log(values[0])
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\operatorname{{Log}}\left({operands[0]}\right)"
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -93,26 +93,26 @@ class SE3Exp(TwistNode):
 
     twist: Operand
     order: Order = LINEAR_FIRST
-    label = "Exp"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect(self, "twist", shapes[0], (6,))
         return (4, 4)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return se3.exp(self.order.to_linear_first(values[0]))
+        return self.in_linear_first(se3.exp, values[0])
 
-    def makes_group_element(self) -> bool:
+    def makes_group_element(self, *operands: bool) -> bool:
         return True
 
     def simplify(self) -> Expr:
-        """Exp(0) is I; Exp(Log(T)) is T for a pose."""
-        if is_constant(self.twist, 0.0):
-            return Constant(np.eye(4))
+        """Exp(Log(T)) is T for a pose, if both have one order."""
         log = self.twist
-        if isinstance(log, SE3Log) and log.order == self.order and is_group_element(log.transform):
+        if isinstance(log, SE3Log) and log.order == self.order and log.transform.is_group_element:
             return log.transform
         return self
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\operatorname{{Exp}}\left({operands[0]}\right)"
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -136,14 +136,16 @@ class SE3Log(TwistNode):
 
     transform: Operand
     order: Order = LINEAR_FIRST
-    label = "Log"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect(self, "transform", shapes[0], (4, 4))
         return (6,)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.order.from_linear_first(se3.log(values[0]))
+        return self.in_linear_first(se3.log, values[0])
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\operatorname{{Log}}\left({operands[0]}\right)"
 
     @classmethod
     def example(cls) -> list[Example]:

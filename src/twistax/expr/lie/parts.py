@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import jax
 
-from ...groups import LINEAR_FIRST, Order
-from ..fields import Operand
+from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order
+from ..fields import ExprLike, Operand
+from ..leaves import State
 from ..node import Example, Expr, Shape
 from ..shapes import expect
 from .base import TwistNode, body_values, twist_state
@@ -102,13 +103,11 @@ class JoinedParts(TwistNode):
 
     @classmethod
     def example(cls) -> list[Example]:
-        from ..leaves import State
-
         v, w = State("v", shape=(3,)), State("w", shape=(3,))
         return cls.in_both_orders(lambda order: cls(v, w, order=order), body_values())
 
 
-class Reorder(Expr):
+class Reorder(TwistNode):
     """The same twist, wrench or 6x6 operator in the other order. Shapes: (6,) -> (6,) or (6, 6) -> (6, 6).
 
     Attributes:
@@ -129,7 +128,7 @@ class Reorder(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         # Swapping the halves is its own inverse, whichever way it goes.
-        return _ANGULAR.from_linear_first(values[0])
+        return ANGULAR_FIRST.from_linear_first(values[0])
 
     def simplify(self) -> Expr:
         """Twice is nothing."""
@@ -140,39 +139,34 @@ class Reorder(Expr):
 
     @classmethod
     def example(cls) -> list[Example]:
-        from ..leaves import State
-
         return [
-            Example(cls(twist_state("a")), body_values()),
+            *cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values()),
             Example(cls(State("M", shape=(6, 6))), {"M": body_values()["a"][:, None] * body_values()["b"]}),
         ]
-
-
-_ANGULAR = Order(linear_leads=False)
 
 
 def _other(order: Order) -> Order:
     return Order(linear_leads=not order.linear_leads)
 
 
-def linear(vector: object, order: Order = LINEAR_FIRST) -> Expr:
+def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The linear part (3,) of a twist, wrench or momentum (6,)."""
-    return LinearPart(vector, order=order)  # type: ignore[arg-type]
+    return LinearPart(vector, order=order)
 
 
-def angular(vector: object, order: Order = LINEAR_FIRST) -> Expr:
+def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The angular part (3,) of a twist, wrench or momentum (6,)."""
-    return AngularPart(vector, order=order)  # type: ignore[arg-type]
+    return AngularPart(vector, order=order)
 
 
-def twist(*, linear: object, angular: object, order: Order = LINEAR_FIRST) -> Expr:
+def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The twist (6,) of a velocity (3,) in m/s and a rate (3,) in rad/s, both in the body frame."""
-    return JoinedParts(linear, angular, order=order)  # type: ignore[arg-type]
+    return JoinedParts(linear, angular, order=order)
 
 
-def wrench(*, force: object, torque: object, order: Order = LINEAR_FIRST) -> Expr:
+def wrench(*, force: ExprLike, torque: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame."""
-    return JoinedParts(force, torque, order=order)  # type: ignore[arg-type]
+    return JoinedParts(force, torque, order=order)
 
 
 __all__ = ["AngularPart", "JoinedParts", "LinearPart", "Reorder", "angular", "linear", "twist", "wrench"]

@@ -5,28 +5,25 @@ Each node serves SO(3) and SE(3); the shape of the operand says which.
 
 from __future__ import annotations
 
-from types import ModuleType
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ...errors import ShapeError
-from ...groups import se3, so3
+from ...groups import LINEAR_FIRST, Order, se3
 from ..fields import Operand
 from ..leaves import Constant, State
+from ..linalg import Cross
 from ..node import Example, Expr, Shape
 from ..shapes import expect
-from .base import body_values, is_group_element, is_identity_element, pose_value, twist_state
-
-_OF_ELEMENT: dict[Shape, ModuleType] = {(3, 3): so3, (4, 4): se3}
-_OF_TANGENT: dict[Shape, ModuleType] = {(3,): so3, (6,): se3}
-
-
-def _one_of(node: Expr, operand: str, got: Shape, known: dict[Shape, ModuleType]) -> None:
-    if got not in known:
-        first, second = known
-        raise ShapeError(f"{type(node).__name__} expects {operand} with shape {first} or {second}, got {got}")
+from .base import (
+    OF_MATRIX,
+    OF_TANGENT,
+    TwistNode,
+    body_values,
+    expect_one_of,
+    is_identity_element,
+    pose_value,
+    twist_state,
+)
 
 
 class Compose(Expr):
@@ -43,16 +40,16 @@ class Compose(Expr):
     label = "compose"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        _one_of(self, "left", shapes[0], _OF_ELEMENT)
+        expect_one_of(self, "left", shapes[0], OF_MATRIX)
         expect(self, "right", shapes[1], shapes[0])
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = _OF_ELEMENT[self.shape].compose(*values)
+        result: jax.Array = OF_MATRIX[values[0].shape].compose(*values)
         return result
 
-    def makes_group_element(self) -> bool:
-        return is_group_element(self.left) and is_group_element(self.right)
+    def makes_group_element(self, *operands: bool) -> bool:
+        return all(operands)
 
     def simplify(self) -> Expr:
         """The identity vanishes; T^-1 T and T T^-1 are the identity for a group element."""
@@ -61,7 +58,7 @@ class Compose(Expr):
         if is_identity_element(self.right):
             return self.left
         for inverse, element in ((self.left, self.right), (self.right, self.left)):
-            if isinstance(inverse, Inverse) and inverse.element.key() == element.key() and is_group_element(element):
+            if isinstance(inverse, Inverse) and inverse.element.key() == element.key() and element.is_group_element:
                 return Constant(np.eye(self.shape[0]))
         return self
 
@@ -87,20 +84,20 @@ class Inverse(Expr):
     label = "inverse"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        _one_of(self, "element", shapes[0], _OF_ELEMENT)
+        expect_one_of(self, "element", shapes[0], OF_MATRIX)
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = _OF_ELEMENT[self.shape].inverse(values[0])
+        result: jax.Array = OF_MATRIX[values[0].shape].inverse(values[0])
         return result
 
-    def makes_group_element(self) -> bool:
-        return is_group_element(self.element)
+    def makes_group_element(self, *operands: bool) -> bool:
+        return operands[0]
 
     def simplify(self) -> Expr:
         """The inverse of the inverse of a group element is the element."""
         inner = self.element
-        if isinstance(inner, Inverse) and is_group_element(inner.element):
+        if isinstance(inner, Inverse) and inner.element.is_group_element:
             return inner.element
         return self
 
@@ -109,7 +106,10 @@ class Inverse(Expr):
 
     @classmethod
     def example(cls) -> list[Example]:
-        return [Example(cls(pose_value("T")), body_values()), Example(cls(pose_value("R", rotation=True)), body_values())]
+        return [
+            Example(cls(pose_value("T")), body_values()),
+            Example(cls(pose_value("R", rotation=True)), body_values()),
+        ]
 
 
 class Act(Expr):
@@ -127,13 +127,13 @@ class Act(Expr):
     label = "act"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        _one_of(self, "element", shapes[0], _OF_ELEMENT)
+        expect_one_of(self, "element", shapes[0], OF_MATRIX)
         if len(shapes[1]) != 2 or shapes[1][1] != 3:
             expect(self, "point", shapes[1], (3,), "one point (3,) or k points (k, 3)")
         return shapes[1]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = _OF_ELEMENT[self.element.shape].act(*values)
+        result: jax.Array = OF_MATRIX[values[0].shape].act(*values)
         return result
 
     def simplify(self) -> Expr:
@@ -171,37 +171,36 @@ class Pose(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return se3.transform(*values)
 
-    def makes_group_element(self) -> bool:
-        return is_group_element(self.rotation)
+    def makes_group_element(self, *operands: bool) -> bool:
+        return operands[0]
 
     @classmethod
     def example(cls) -> list[Example]:
         return [Example(cls(pose_value("R", rotation=True), State("v", shape=(3,))), body_values())]
 
 
-class Hat(Expr):
-    """hat: (3,) -> so(3), hat(w) x = w x x; (6,) -> se(3), hat([v; w]) = [[w]x v; 0 0]. Linear first.
+class Hat(TwistNode):
+    """hat: (3,) -> so(3), hat(w) u = w x u; (6,) -> se(3), hat([v; w]) = [[w]x v; 0 0].
 
     Attributes:
         vector: (3,) or (6,).
+        order: order of a twist (6,).
     Raises:
         ShapeError: vector of another shape.
     """
 
     vector: Operand
+    order: Order = LINEAR_FIRST
     label = "hat"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        _one_of(self, "vector", shapes[0], _OF_TANGENT)
-        return {(3,): (3, 3), (6,): (4, 4)}[shapes[0]]
+        expect_one_of(self, "vector", shapes[0], OF_TANGENT)
+        return (3, 3) if shapes[0] == (3,) else (4, 4)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = _OF_TANGENT[self.vector.shape].hat(values[0])
-        return result
+        return self.in_linear_first(OF_TANGENT[values[0].shape].hat, values[0])
 
     def applied_to(self, vector: Expr) -> Expr | None:
-        from ..linalg import Cross
-
         return Cross(self.vector, vector) if self.vector.shape == (3,) else None
 
     def to_latex(self, *operands: str) -> str:
@@ -209,32 +208,37 @@ class Hat(Expr):
 
     @classmethod
     def example(cls) -> list[Example]:
-        return [Example(cls(State("w", shape=(3,))), body_values()), Example(cls(twist_state("a")), body_values())]
+        both = cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values())
+        return [Example(cls(State("w", shape=(3,))), body_values()), *both]
 
 
-class Vee(Expr):
-    """vee, the inverse of hat: so(3) (3, 3) -> (3,), se(3) (4, 4) -> (6,), linear first.
+class Vee(TwistNode):
+    """vee, the inverse of hat: so(3) (3, 3) -> (3,), se(3) (4, 4) -> (6,).
 
     Attributes:
-        matrix: an element of the algebra; of another matrix its skew part is read.
+        matrix: an element of the algebra; of another matrix the skew part of its first three rows and columns is read.
+        order: order of the resulting twist (6,).
     Raises:
         ShapeError: matrix of another shape.
     """
 
     matrix: Operand
+    order: Order = LINEAR_FIRST
     label = "vee"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        _one_of(self, "matrix", shapes[0], _OF_ELEMENT)
-        return {(3, 3): (3,), (4, 4): (6,)}[shapes[0]]
+        expect_one_of(self, "matrix", shapes[0], OF_MATRIX)
+        return (3,) if shapes[0] == (3, 3) else (6,)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = _OF_ELEMENT[self.matrix.shape].vee(values[0])
-        return result
+        return self.in_linear_first(OF_MATRIX[values[0].shape].vee, values[0])
 
     def simplify(self) -> Expr:
-        """Vee(Hat(x)) is x."""
-        return self.matrix.vector if isinstance(self.matrix, Hat) else self
+        """Vee(Hat(x)) is x, if both have one order."""
+        hat = self.matrix
+        if isinstance(hat, Hat) and (hat.order == self.order or self.shape == (3,)):
+            return hat.vector
+        return self
 
     def to_latex(self, *operands: str) -> str:
         return rf"\left({operands[0]}\right)^\vee"
@@ -242,9 +246,13 @@ class Vee(Expr):
     @classmethod
     def example(cls) -> list[Example]:
         values = body_values()
-        with jax.enable_x64(True), jax.ensure_compile_time_eval():
-            algebra = {"X": np.asarray(jnp.asarray(se3.hat(values["a"])))}
-        return [Example(cls(State("X", shape=(4, 4))), algebra), Example(cls(Hat(State("w", shape=(3,)))), values)]
+        X, Y = pose_value("X"), pose_value("Y", rotation=True)
+        matrices = {"X": np.outer(values["a"][:4], values["b"][:4]), "Y": np.outer(values["v"], values["w"])}
+        return [
+            *cls.in_both_orders(lambda order: cls(X, order=order), matrices),
+            Example(cls(Y), matrices),
+            Example(cls(Hat(State("w", shape=(3,)))), values),
+        ]
 
 
 __all__ = ["Act", "Compose", "Hat", "Inverse", "Pose", "Vee"]
