@@ -1,0 +1,158 @@
+"""The four operators of OpenSCvx's adjoint module, held to its surface: what a user of 0.5.2 finds unchanged here.
+
+The expected values stand in this file, so that nothing but this package is needed; where OpenSCvx is installed, it is
+asked the same questions. Its values are another matter: both packages call their vectors [v; w], but its formulas are
+those of [w; v] (docs/conventions.md), and the last test keeps an eye on that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from expr_cases import value_of
+
+import twistax as tx
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """What one operator shows."""
+
+    name: str
+    arguments: tuple[str, ...]
+    text: str
+    accepts: tuple[int, ...]
+    gives: tuple[int, ...]
+
+    def of(self, package: Any) -> Any:
+        return getattr(package.lie, self.name)
+
+    def operands(self, package: Any) -> list[Any]:
+        return [package.State(f"x{i}", shape=self.accepts) for i in range(len(self.arguments))]
+
+
+SURFACES = [
+    Surface("Adjoint", ("twist1", "twist2"), "ad({}, {})", (6,), (6,)),
+    Surface("AdjointDual", ("twist", "momentum"), "ad_dual({}, {})", (6,), (6,)),
+    Surface("SE3Adjoint", ("transform",), "Ad({})", (4, 4), (6, 6)),
+    Surface("SE3AdjointDual", ("transform",), "Ad_dual({})", (4, 4), (6, 6)),
+]
+
+#: (operator, argument that does not fit, its shape, the sentence)
+SENTENCES = [
+    ("Adjoint", "twist1", (3,), "Adjoint expects twist1 with shape (6,), got (3,)"),
+    ("Adjoint", "twist2", (6, 1), "Adjoint expects twist2 with shape (6,), got (6, 1)"),
+    ("AdjointDual", "twist", (), "AdjointDual expects twist with shape (6,), got ()"),
+    ("AdjointDual", "momentum", (7,), "AdjointDual expects momentum with shape (6,), got (7,)"),
+    ("SE3Adjoint", "transform", (3, 3), "SE3Adjoint expects transform with shape (4, 4), got (3, 3)"),
+    ("SE3AdjointDual", "transform", (6,), "SE3AdjointDual expects transform with shape (4, 4), got (6,)"),
+]
+
+#: Numbers that may stand where an expression is expected.
+NUMBERS = [2, 0.5, np.arange(6.0), np.eye(4), np.float64(3.0)]
+
+
+def openscvx() -> Any:
+    """OpenSCvx, or None where it is not installed."""
+    if importlib.util.find_spec("openscvx") is None:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return importlib.import_module("openscvx")
+
+
+@pytest.fixture(params=["twistax", "openscvx"])
+def package(request: pytest.FixtureRequest) -> Any:
+    """Both packages answer the same questions, the other one only where it is there."""
+    found = tx if request.param == "twistax" else openscvx()
+    return found or pytest.skip("OpenSCvx is not installed")
+
+
+by_surface = pytest.mark.parametrize("surface", SURFACES, ids=lambda surface: surface.name)
+
+
+@by_surface
+def test_arguments_are_attributes_and_children(surface: Surface, package: Any) -> None:
+    operands = surface.operands(package)
+    by_name = dict(zip(surface.arguments, operands, strict=True))
+    for node in (surface.of(package)(*operands), surface.of(package)(**by_name)):
+        assert all(getattr(node, name) is operand for name, operand in by_name.items())
+        children = node.children()
+        assert isinstance(children, list)
+        assert len(children) == len(operands)
+        assert all(child is operand for child, operand in zip(children, operands, strict=True))
+
+
+@by_surface
+@pytest.mark.parametrize("number", NUMBERS, ids=repr)
+def test_numbers_and_arrays_become_constants(surface: Surface, number: Any, package: Any) -> None:
+    node = surface.of(package)(*[number] * len(surface.arguments))
+    for name, child in zip(surface.arguments, node.children(), strict=True):
+        assert getattr(node, name) is child
+        assert isinstance(child, package.Constant)
+        np.testing.assert_array_equal(child.value, number)
+        assert child.check_shape() == np.shape(number)
+
+
+@by_surface
+def test_shape(surface: Surface, package: Any) -> None:
+    assert surface.of(package)(*surface.operands(package)).check_shape() == surface.gives
+
+
+@by_surface
+def test_repr(surface: Surface, package: Any) -> None:
+    operands = surface.operands(package)
+    node = surface.of(package)(*operands)
+    assert repr(node) == surface.text.format(*map(repr, operands))
+    moved = package.lie.SE3Adjoint(package.State("T", shape=(4, 4)))
+    nested = surface.of(package)(*[moved] * len(operands))
+    assert repr(nested) == surface.text.format(*[repr(moved)] * len(operands))
+
+
+@pytest.mark.parametrize(("name", "argument", "shape", "sentence"), SENTENCES, ids=[s[3] for s in SENTENCES])
+def test_sentences(name: str, argument: str, shape: tuple[int, ...], sentence: str, package: Any) -> None:
+    surface = next(s for s in SURFACES if s.name == name)
+    operands = dict(zip(surface.arguments, surface.operands(package), strict=True))
+    operands[argument] = package.State("wrong", shape=shape)
+    node = surface.of(package)(**operands)  # the shape is checked when asked for, not before
+    with pytest.raises(ValueError) as caught:
+        node.check_shape()
+    assert str(caught.value).splitlines()[0] == sentence
+
+
+@by_surface
+def test_canonicalize_keeps_the_operator(surface: Surface, package: Any) -> None:
+    operands = surface.operands(package)
+    canonical = surface.of(package)(*operands).canonicalize()
+    assert type(canonical) is surface.of(package)
+    assert [repr(child) for child in canonical.children()] == [repr(operand) for operand in operands]
+
+
+def test_the_error_also_says_where_and_how_to_mend() -> None:
+    V = tx.State("V", shape=(6,))
+    with pytest.raises(tx.ShapeError, match=r"(?s)^Adjoint expects twist2 .*\n  at: Add.terms\[0\] -> Adjoint"):
+        (tx.lie.Adjoint(V, V[:3]) + V).check_shape()
+
+
+@by_surface
+def test_values_are_those_of_the_other_order_there(surface: Surface) -> None:
+    """OpenSCvx's code for three of the four operators is right for [w; v] vectors; the bracket is right for [v; w]."""
+    other = openscvx()
+    if other is None:
+        pytest.skip("OpenSCvx is not installed")
+    lowering = importlib.import_module("openscvx.symbolic.lower")
+    rng = np.random.default_rng(5)
+    values = [rng.normal(size=surface.accepts) for _ in surface.arguments]
+    if surface.accepts == (4, 4):
+        values = [value_of(tx.lie.SE3Exp(rng.normal(size=6)))]
+    theirs = np.asarray(lowering.lower_to_jax(surface.of(other)(*values))(None, None, None, None))
+    order = tx.LINEAR_FIRST if surface.name == "Adjoint" else tx.ANGULAR_FIRST
+    np.testing.assert_allclose(theirs, value_of(surface.of(tx)(*values, order=order)), rtol=1e-12, atol=1e-13)
+    swapped = tx.ANGULAR_FIRST if surface.name == "Adjoint" else tx.LINEAR_FIRST
+    assert np.abs(theirs - value_of(surface.of(tx)(*values, order=swapped))).max() > 0.1
