@@ -1,0 +1,209 @@
+"""Powered descent of a rocket stage, six degrees of freedom, written against the public API.
+
+World frame: z up, origin on the pad. Body frame: at the centre of mass, z along the thrust axis, nose up. SI units, rad.
+The vehicle is a rigid body that loses mass through its engine; air is left out. The moments of inertia are held
+constant, and the centre of mass does not move in the body.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+import twistax as tx
+
+__all__ = ["G0", "Limit", "Start", "Vehicle", "guess", "limits", "problem", "system"]
+
+#: Standard gravity as rounded in this case, m/s2; also turns specific impulse into exhaust speed.
+G0 = 9.81
+
+Array = np.ndarray[Any, Any]
+Vector = tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Vehicle:
+    """The stage and what it must not exceed."""
+
+    #: mass at the start and without propellant, kg
+    mass: float = 30_000.0
+    dry_mass: float = 22_000.0
+    #: principal moments of inertia about the centre of mass, kg m2
+    inertia: Vector = (4e6, 4e6, 1e5)
+    #: where the thrust acts, in body axes from the centre of mass, m
+    engine: Vector = (0.0, 0.0, -14.0)
+    #: thrust, N; the engine cannot be shut down
+    min_thrust: float = 320e3
+    max_thrust: float = 800e3
+    #: specific impulse, s
+    specific_impulse: float = 282.0
+    #: angle between the thrust and the body's z axis, rad
+    max_gimbal: float = np.deg2rad(10.0)
+    #: angle between the body's z axis and the vertical, rad
+    max_tilt: float = np.deg2rad(80.0)
+    #: size of the angular velocity, rad/s
+    max_rate: float = np.deg2rad(60.0)
+    #: half opening of the approach cone over the pad, from the vertical, rad
+    glide_slope: float = np.deg2rad(70.0)
+    #: limits of the flight time, s
+    flight_time: tuple[float, float] = (8.0, 20.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """Where the descent begins; the angular velocity is zero there."""
+
+    #: height above the pad and horizontal offset from it (x, y), m
+    height: float = 900.0
+    offset: tuple[float, float] = (400.0, 150.0)
+    #: velocity in the world frame, m/s
+    velocity: Vector = (-60.0, -20.0, -100.0)
+    #: the body is turned from upright by this angle, rad, about this world axis
+    tilt: float = np.deg2rad(60.0)
+    tilt_axis: Vector = (-0.2, -1.0, 0.0)
+
+    @property
+    def rotation_vector(self) -> Array:
+        """Rotation from the upright attitude to this one, (3,), rad."""
+        axis = np.array(self.tilt_axis)
+        return self.tilt * axis / np.linalg.norm(axis)
+
+    @property
+    def position(self) -> Array:
+        """Position of the centre of mass, (3,), m."""
+        return np.array([*self.offset, self.height])
+
+
+@dataclasses.dataclass(frozen=True)
+class Limit:
+    """One limit of the flight, on an output of the system.
+
+    Attributes:
+        name: what a reader calls it.
+        output: the output it concerns.
+        bound: the value allowed; `sign` +1 for an upper limit, -1 for a lower one.
+        unit, factor: unit in words, and how many of them a unit of the output is.
+        slack: how far, in `unit`, a flight may exceed it between nodes and still count: 1 %, or 0.5 m on the cone.
+    """
+
+    name: str
+    output: str
+    bound: float
+    sign: float
+    unit: str
+    factor: float
+
+    @property
+    def slack(self) -> float:
+        return 0.01 * abs(self.bound) * self.factor or 0.5
+
+    def margin(self, values: Any) -> Array:
+        """How far values stay inside, in `unit`; negative where they exceed the limit."""
+        return self.sign * (self.bound - np.asarray(values)) * self.factor
+
+
+def system(vehicle: Vehicle | None = None) -> tx.System:
+    """The stage as a system: states g (pose), V (body twist), m (mass); control T (thrust in body axes, N).
+
+    Newton-Euler with spatial inertia M = diag(m, m, m, J), M V' = F - ad*_V(M V), and m' = -|T| / (Isp g0).
+    Outputs, SI and rad: thrust, gimbal, tilt, rate, cone (how far inside the approach cone, m, measured level), mass.
+    """
+    v = vehicle or Vehicle()
+    g = tx.State("g", group=tx.SE3, scale=[100.0, 100.0, 100.0, 0.5, 0.5, 0.5])
+    V = tx.State("V", shape=(6,), scale=[50.0, 50.0, 50.0, 0.3, 0.3, 0.3])
+    m = tx.State("m", min=v.dry_mass, scale=3000.0)
+    T = tx.Control("T", shape=(3,), scale=v.max_thrust)
+
+    R, p, thrust = g[:3, :3], g[:3, 3], tx.linalg.Norm(T)
+    weight = R.T @ np.array([0.0, 0.0, -G0]) * m
+    F = tx.lie.wrench(force=T + weight, torque=tx.linalg.Cross(np.array(v.engine), T))
+    M = tx.Concat(m, m, m, np.array(v.inertia))
+    rate = tx.linalg.Norm(tx.lie.angular(V))
+    cone = np.tan(v.glide_slope) * p[2] - tx.linalg.Norm(p[:2])
+
+    return tx.System(
+        rates={g: V, V: (F - tx.lie.AdjointDual(V, M * V)) / M, m: -thrust / (v.specific_impulse * G0)},
+        outputs={
+            "thrust": thrust,
+            "gimbal": tx.Atan2(tx.linalg.Norm(T[:2]), T[2]),
+            "tilt": tx.Atan2(tx.linalg.Norm(R[:2, 2]), R[2, 2]),
+            "rate": rate,
+            "cone": cone,
+            "mass": m,
+        },
+        constraints={
+            "most thrust": thrust <= v.max_thrust,
+            "least thrust": thrust >= v.min_thrust,
+            "gimbal": thrust * np.cos(v.max_gimbal) <= T[2],
+            "tilt": R[2, 2] >= np.cos(v.max_tilt),
+            "rate": rate <= v.max_rate,
+            "glide cone": cone >= 0.0,
+        },
+    )
+
+
+def limits(vehicle: Vehicle | None = None) -> list[Limit]:
+    """Every limit of the flight in the units people use."""
+    v = vehicle or Vehicle()
+    degrees = float(np.rad2deg(1.0))
+    return [
+        Limit("most thrust", "thrust", v.max_thrust, 1.0, "kN", 1e-3),
+        Limit("least thrust", "thrust", v.min_thrust, -1.0, "kN", 1e-3),
+        Limit("gimbal", "gimbal", v.max_gimbal, 1.0, "deg", degrees),
+        Limit("tilt", "tilt", v.max_tilt, 1.0, "deg", degrees),
+        Limit("rate", "rate", v.max_rate, 1.0, "deg/s", degrees),
+        Limit("glide cone", "cone", 0.0, -1.0, "m", 1.0),
+        Limit("dry mass", "mass", v.dry_mass, -1.0, "kg", 1.0),
+    ]
+
+
+def initial(start: Start, vehicle: Vehicle) -> dict[str, Any]:
+    """The state at the start, by name."""
+    R = np.asarray(tx.lie.so3.exp(start.rotation_vector))
+    twist = np.concatenate([R.T @ np.array(start.velocity), np.zeros(3)])
+    return {"g": tx.pose(position=start.position, rotation=R), "V": twist, "m": vehicle.mass}
+
+
+def guess(start: Start, vehicle: Vehicle, nodes: int, final_time: float) -> dict[str, Any]:
+    """A straight line to the pad at falling speed, turning upright evenly, at 60 % of full thrust."""
+    share = np.linspace(1.0, 0.0, nodes)[:, None]
+    rotations = np.stack([np.asarray(tx.lie.so3.exp(s * start.rotation_vector)) for s in share])
+    poses = np.zeros((nodes, 4, 4))
+    poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rotations, share * start.position, 1.0
+    linear = np.einsum("kji,kj->ki", rotations, share * np.array(start.velocity))
+    angular = np.broadcast_to(-start.rotation_vector / final_time, (nodes, 3))
+    thrust = np.array([0.0, 0.0, 0.6 * vehicle.max_thrust])
+    burnt = np.linalg.norm(thrust) / (vehicle.specific_impulse * G0) * final_time * (1.0 - share[:, 0])
+    return {
+        "g": poses,
+        "V": np.concatenate([linear, angular], axis=1),
+        "m": np.maximum(vehicle.mass - burnt, vehicle.dry_mass),
+        "T": thrust,
+    }
+
+
+def problem(
+    dynamics: Any, start: Start | None = None, vehicle: Vehicle | None = None, *, nodes: int = 25, **options: Any
+) -> tx.trajectory.Problem:
+    """Land on the pad, upright and at rest, with as much mass left as possible. The heading is free.
+
+    Args:
+        dynamics: `tx.compile(system(vehicle))`.
+        options: passed on to `tx.trajectory.Problem`.
+    """
+    start, vehicle = start or Start(), vehicle or Vehicle()
+    g, V, m = dynamics.states
+    final_time = 13.0
+    return tx.trajectory.Problem(
+        dynamics,
+        objective=tx.Maximize(m),
+        nodes=nodes,
+        final_time=vehicle.flight_time,
+        final_time_guess=final_time,
+        initial=initial(start, vehicle),
+        final=[{V: np.zeros(6)}, g[:3, 3] == 0.0, g[:2, 2] == 0.0],
+        guess=guess(start, vehicle, nodes, final_time),
+        **options,
+    )
