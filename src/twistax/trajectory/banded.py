@@ -6,12 +6,14 @@ factored by LAPACK's banded Cholesky, the border goes through a Schur complement
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import scipy.linalg
 
 from .arrays import Array
 
-__all__ = ["Chain", "NotPositiveDefinite"]
+__all__ = ["Chain", "Factor", "NotPositiveDefinite"]
 
 
 class NotPositiveDefinite(Exception):
@@ -55,32 +57,49 @@ class Chain:
         summed = np.bincount(self._columns.ravel(), local[:, :inner].ravel(), minlength=self.length)
         return np.concatenate([summed, local[:, inner:].sum(axis=0)])
 
-    def solve(self, matrices: Array, damping: float, right: Array) -> Array:
-        """Solve (sum of the intervals' matrices + damping I) y = right over the free unknowns.
+    def factor(self, matrices: Array, damping: float) -> Factor:
+        """Factor (sum of the intervals' matrices + damping I) over the free unknowns.
 
         Args:
             matrices: (nodes - 1, local, local), symmetric.
-            right: (nodes * block + shared,).
         Raises:
             NotPositiveDefinite: the damping is too small.
         """
         inner, free = 2 * self.block, self.free
         matrices = matrices * (self.seen_free[:, :, None] & self.seen_free[:, None, :])
-        right = np.where(free, right, 0.0)
         diagonal = np.where(free, damping, 1.0)
         size = (self._width + 1) * self.length
         band = np.bincount(self._band.ravel(), matrices[:, *self._upper].ravel(), minlength=size)
         band = band.reshape(self._width + 1, self.length)
         band[-1] += diagonal[: self.length]
-        border = np.stack([self._summed(matrices[:, :inner, inner + j]) for j in range(self.shared)] + [right[: self.length]], 1)
+        border = np.stack([self._summed(matrices[:, :inner, inner + j]) for j in range(self.shared)], axis=1)
         corner = matrices[:, inner:, inner:].sum(axis=0) + np.diag(diagonal[self.length :])
         try:
-            solved = scipy.linalg.solveh_banded(band, border, overwrite_ab=True, check_finite=False)
-            schur = corner - border[:, :-1].T @ solved[:, :-1]
-            tail = scipy.linalg.solve(schur, right[self.length :] - border[:, :-1].T @ solved[:, -1], assume_a="pos")
+            chol = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
+            solved = scipy.linalg.cho_solve_banded((chol, False), border, check_finite=False)
+            schur = scipy.linalg.cho_factor(corner - border.T @ solved)
         except (scipy.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefinite(str(error)) from None
-        return np.concatenate([solved[:, -1] - solved[:, :-1] @ tail, tail])
+        return Factor(chol, border, solved, schur, free)
 
     def _summed(self, local: Array) -> Array:
         return np.bincount(self._columns.ravel(), local.ravel(), minlength=self.length)
+
+
+@dataclasses.dataclass(frozen=True)
+class Factor:
+    """A factored matrix of a `Chain`: the band's Cholesky factor, the border, and the Schur complement's factor."""
+
+    band: Array
+    border: Array
+    solved: Array
+    schur: tuple[Array, bool]
+    free: Array
+
+    def solve(self, right: Array) -> Array:
+        """The solution for a right-hand side (nodes * block + shared,); zero for unknowns that are not free."""
+        right = np.where(self.free, right, 0.0)
+        length = len(self.border)
+        inner = scipy.linalg.cho_solve_banded((self.band, False), right[:length], check_finite=False)
+        tail = scipy.linalg.cho_solve(self.schur, right[length:] - self.border.T @ inner, check_finite=False)
+        return np.concatenate([inner - self.solved @ tail, tail])

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 
 from ..errors import TrajectoryError
 from ..integrators import RKMK, increment
+from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import Values
-from ..integrators.tableaus import RK4
 from .flat import Controls
 
 __all__ = ["Discretization", "Flight", "discretize", "fly", "step_derivatives"]
@@ -116,7 +116,9 @@ def fly(
 
     def advance(carry: tuple[jax.Array, Arrays, jax.Array], number: jax.Array) -> tuple[Any, Any]:
         time, state, sensitivity = carry
-        state, by_state, by_control, by_length, by_time = step_derivatives(dynamics, method, time, state, u, step, params)
+        state, by_state, by_control, by_length, by_time = step_derivatives(
+            dynamics, method, time, state, u, step, params
+        )
         # The substep starts at t + number h / substeps and is h / substeps long.
         by_h = (by_length + number * by_time) / substeps
         direct = jnp.concatenate([jnp.zeros((n, n), u.dtype), by_control, by_h[:, None], by_time[:, None]], axis=1)
@@ -138,7 +140,7 @@ def step_derivatives(
     def eta(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         held = controls.split(z[n : n + m])
         moved = group.retract(x, z[:n])
-        parts = increment(dynamics, method.tableau, z[n + m + 1], moved, lambda _: held, params, z[n + m])
+        parts = increment(dynamics, method.tableau, z[n + m + 1], moved, lambda _: held, params, z[n + m], rolled=True)
         flat = group.join(parts)
         return flat, flat
 

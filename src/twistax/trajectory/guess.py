@@ -17,7 +17,9 @@ from .arrays import Array
 __all__ = ["control_guess", "perturbation", "resample", "state_guess", "user_guess"]
 
 
-def user_guess(guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Control], lengths: Mapping[str, int]) -> dict[str, Array]:
+def user_guess(
+    guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Control], lengths: Mapping[str, int]
+) -> dict[str, Array]:
     """Checked guesses by name: one value, or one for each node (states) or interval (controls).
 
     Raises:
@@ -31,7 +33,9 @@ def user_guess(guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Con
             raise ModelError(f"guess names {name!r}; the system has: {', '.join(leaves)}")
         array, leaf, length = np.asarray(value, float), leaves[name], lengths[name]
         if array.shape not in (leaf.shape, (length, *leaf.shape)):
-            raise ShapeError(f"guess[{name!r}] expects shape {leaf.shape} or {(length, *leaf.shape)}, got {array.shape}")
+            raise ShapeError(
+                f"guess[{name!r}] expects shape {leaf.shape} or {(length, *leaf.shape)}, got {array.shape}"
+            )
         if not np.isfinite(array).all():
             raise ModelError(f"guess[{name!r}] has entries that are not finite")
         found[name] = array

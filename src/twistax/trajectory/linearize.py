@@ -31,7 +31,9 @@ class Linearization:
     B: jax.Array
 
 
-def linearize(dynamics: Dynamics, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Linearization:
+def linearize(
+    dynamics: Dynamics, t: Any, x: Values, u: Values | None = None, params: Values | None = None
+) -> Linearization:
     """The error dynamics of a system around a point, with right perturbations x (+) d.
 
     With the body velocity xi(t, x, u) of all states stacked, the neighbour x Exp(d) obeys to first order

@@ -32,14 +32,19 @@ Callback = Callable[[int, float, float], None]
 class Settings:
     """Constants of the optimiser; the defaults serve the cases in the tests and the landing."""
 
-    objective_weight: float = 1e-2
-    first_penalty: float = 10.0
-    largest_penalty: float = 1e7
-    penalty_growth: float = 3.0
-    inner_iterations: int = 12
-    first_damping: float = 1e-3
-    largest_damping: float = 1e8
+    objective_weight: float = 1.0
+    first_penalty: float = 1e3
+    largest_penalty: float = 1e9
+    penalty_growth: float = 5.0
+    first_violation: float = 1e-1
+    shrink: float = 0.3
+    inner_iterations: int = 40
+    first_damping: float = 1e-1
+    largest_damping: float = 1e12
     largest_step: float = 1.5
+    trials: int = 16
+    bend: float = 1.0
+    flat: float = 1e-5
     settled: float = 1e-4
 
 
@@ -91,6 +96,8 @@ class Optimizer:
         clip_time: the final time never leaves [clip, inf) during the search.
     """
 
+    trace = False
+
     def __init__(
         self,
         evaluate: Callable[[Iterate, Array], Evaluation],
@@ -118,35 +125,39 @@ class Optimizer:
             return self._outcome(point, Ending(False, False, False, False), 1)
         multipliers = np.zeros_like(point.rows)
         penalty, damping, count = s.first_penalty, s.first_damping, 1
-        before = np.inf
-        last_cost = np.inf
-        stalls = 0
+        allowed, last_cost, stalls = s.first_violation, np.inf, 0
         while True:
+            flat = 0
             for _ in range(s.inner_iterations):
                 found = self._step(point, multipliers, penalty, damping, max_iterations - count)
                 count += found.evaluations
                 damping = found.damping
                 if found.point is None:
                     break
-                gain = found.gain
                 point = found.point
                 if callback is not None:
                     callback(count, self.cost_of(point), float(self.violations(point).max(initial=0.0)))
-                if gain < 1e-7 or count >= max_iterations:
+                flat = flat + 1 if found.gain < s.flat else 0
+                if flat >= 2 or count >= max_iterations:
                     break
-            shifted, _ = self._shifted(point, multipliers, penalty)
-            multipliers = penalty * shifted
             violation = float(self.violations(point).max(initial=0.0))
             feasible = violation <= tolerance
-            settled = abs(point.cost - last_cost) <= s.settled * s.objective_weight
-            last_cost = point.cost
-            if feasible and settled:
-                return self._outcome(point, Ending(True, True, True, False), count)
-            stalls = stalls + 1 if violation > 0.5 * before and penalty >= s.largest_penalty else 0
-            before = violation
-            if count >= max_iterations or stalls >= 3:
+            settled = abs(point.cost - last_cost) <= s.settled
+            if self.trace:
+                print(
+                    f"outer mu {penalty:.1e} allowed {allowed:.1e} viol {violation:.2e} cost {point.raw.cost:.3f} count {count} damp {damping:.1e} tf {float(point.raw.iterate.final_time):.3f}"
+                )
+            if (feasible and settled) or count >= max_iterations or stalls >= 3:
                 return self._outcome(point, Ending(feasible, settled, True, stalls >= 3), count)
-            penalty = min(penalty * s.penalty_growth, s.largest_penalty)
+            last_cost = point.cost
+            if violation <= allowed:
+                multipliers = penalty * self._shifted(point, multipliers, penalty)[0]
+                allowed = max(s.shrink * violation, 0.1 * tolerance)
+            elif penalty < s.largest_penalty:
+                penalty = min(penalty * s.penalty_growth, s.largest_penalty)
+            else:
+                stalls += 1
+                multipliers = penalty * self._shifted(point, multipliers, penalty)[0]
 
     # ---- one step ---------------------------------------------------------------------------------------------
 
@@ -159,24 +170,47 @@ class Optimizer:
         matrices = matrices + self._smoothing * self._smoother
         slope = point.gradient + penalty * np.einsum("kr,krl->kl", shifted, point.slopes)
         downhill = -chain.scatter(slope) - self._smoothing * chain.scatter(self._smooth_pull(point))
+        pull = penalty * active[:, :, None] * point.slopes
         tried = 0
-        while tried < min(budget, 12) and damping <= s.largest_damping:
+        while tried < min(budget, s.trials) and damping <= s.largest_damping:
             try:
-                step = chain.solve(matrices, damping, downhill)
+                factor = chain.factor(matrices, damping)
             except NotPositiveDefinite:
                 damping = max(10.0 * damping, 1e-9)
                 continue
-            step = step * min(1.0, s.largest_step / max(float(np.abs(step).max()), 1e-300))
-            move = step * self._lengths
-            move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
-            trial = self._scaled(self._evaluate(point.raw.iterate, move))
+            step = factor.solve(downhill)
+            long = float(np.abs(step).max())
+            if long > s.largest_step:
+                step = step * (s.largest_step / long)
+            seen = chain.gather(step)
+            expected = step @ downhill - 0.5 * float(np.einsum("kl,klm,km", seen, matrices, seen))
+            trial, gain = self._try(point, step, multipliers, penalty, merit)
             tried += 1
-            if self._finite(trial):
-                gain = merit - self._merit(trial, self._shifted(trial, multipliers, penalty)[0], penalty)
-                if gain > 0.0:
-                    return _Step(trial, max(damping / 5.0, 1e-9), gain / max(1.0, abs(merit)), tried)
+            if gain < 0.9 * expected and trial is not None:
+                # Second-order correction: what the linear model missed, answered by the same matrix.
+                missed = trial.rows - point.rows - np.einsum("krl,kl->kr", point.slopes, seen)
+                bend = factor.solve(-chain.scatter(np.einsum("kr,krl->kl", missed, pull)))
+                if float(np.abs(bend).max()) <= s.bend * float(np.abs(step).max()):
+                    second, second_gain = self._try(point, step + bend, multipliers, penalty, merit)
+                    tried += 1
+                    if second_gain > gain:
+                        trial, gain = second, second_gain
+            ratio = gain / expected
+            if trial is not None and gain > 0.0:
+                factor_ = 0.2 if ratio > 0.75 else 1.0 if ratio > 0.25 else 3.0
+                return _Step(trial, max(factor_ * damping, 1e-9), gain / max(1.0, abs(merit)), tried)
             damping = 6.0 * damping
         return _Step(None, damping / 36.0, 0.0, tried)
+
+    def _try(
+        self, point: _Scaled, step: Array, multipliers: Array, penalty: float, merit: float
+    ) -> tuple[_Scaled | None, float]:
+        move = step * self._lengths
+        move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
+        trial = self._scaled(self._evaluate(point.raw.iterate, move))
+        if not self._finite(trial):
+            return None, -np.inf
+        return trial, merit - self._merit(trial, self._shifted(trial, multipliers, penalty)[0], penalty)
 
     def _shifted(self, point: _Scaled, multipliers: Array, penalty: float) -> tuple[Array, Array]:
         """The residuals the merit sees, and which rows are active."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..errors import ModelError, TrajectoryError
 from ..integrators import RKMK
-from ..lowering import Dynamics
 from ..integrators.tableaus import RK4
+from ..lowering import Dynamics
 from .arrays import Array
 from .banded import Chain
 from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
@@ -78,7 +78,9 @@ class Problem:
         substeps: int = 2,
     ) -> None:
         if not isinstance(dynamics, Dynamics):
-            raise ModelError(f"Problem expects a compiled system, got {type(dynamics).__name__}.\n  fix: tx.compile(...)")
+            raise ModelError(
+                f"Problem expects a compiled system, got {type(dynamics).__name__}.\n  fix: tx.compile(...)"
+            )
         if not isinstance(objective, Objective):
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
@@ -97,7 +99,9 @@ class Problem:
         self.final = end_values(dynamics.states, "final", values)
         rows = final_rows(dynamics, constraints)
         self._leaves = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
-        self._lengths = {s.name: self.nodes for s in dynamics.states} | {c.name: self.nodes - 1 for c in dynamics.controls}
+        self._lengths = {s.name: self.nodes for s in dynamics.states} | {
+            c.name: self.nodes - 1 for c in dynamics.controls
+        }
         self._guess = user_guess(guess, self._leaves, self._lengths)
         self.method, self.substeps = method or RKMK(RK4), int(substeps)
         self.transcription = Transcription(
@@ -164,7 +168,9 @@ class Problem:
             s.name: state_guess(s, given.get(s.name), self.initial[s.name], self.final[s.name], self.nodes)
             for s in dynamics.states
         }
-        us = [control_guess(c, given.get(c.name), self.nodes - 1).reshape(self.nodes - 1, -1) for c in dynamics.controls]
+        us = [
+            control_guess(c, given.get(c.name), self.nodes - 1).reshape(self.nodes - 1, -1) for c in dynamics.controls
+        ]
         flat = np.concatenate(us, axis=1) if us else np.zeros((self.nodes - 1, 0))
         return jax.tree.map(jnp.asarray, Iterate(xs, flat, np.asarray(self._time_guess)))
 
@@ -195,7 +201,9 @@ class Problem:
             evaluate(plain, np.zeros(len(lengths))),
             evaluate(plain, self._random_step(np.random.default_rng(0))),
         ]
-        samples = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))] or samples[:1]
+        samples = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))] or samples[
+            :1
+        ]
         return Optimizer(
             evaluate,
             Chain(self.nodes, t.block, 1, self._free),

@@ -145,7 +145,9 @@ class Transcription:
         moved = Iterate(xs, us, final_time)
         left, right = (jax.tree.map(lambda a, s=s: a[s], xs) for s in (slice(None, -1), slice(1, None)))
         numbers = jnp.arange(count, dtype=us.dtype)
-        values = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, None, None))(numbers, left, us, right, final_time, params)
+        values = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, None, None))(
+            numbers, left, us, right, final_time, params
+        )
         rows, slopes, cost, gradient, curvature = values
         ends, end_slopes, phi, phi_gradient, phi_curvature = self._end(
             jax.tree.map(lambda a: a[-1], xs), final_time, params
