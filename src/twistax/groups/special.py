@@ -9,6 +9,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from twistax.groups import quaternions, se3, so3
+from twistax.groups.components import cross, dot, unpack
 from twistax.groups.group import Group
 from twistax.groups.inputs import Input, multiply, of_shape
 from twistax.groups.order import LINEAR_FIRST, Order
@@ -21,7 +22,11 @@ def _nearest(R: Array) -> Array:
 
 
 def _skewness(R: Array) -> Array:
-    return jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype)))
+    """The larger of max |R^T R - I| and |det R - 1|, which a reflection fails."""
+    x, y, z = (unpack(R[:, i]) for i in range(3))
+    return jnp.maximum(
+        jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype))), jnp.abs(dot(x, cross(y, z)) - 1.0)
+    )
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ class SpecialOrthogonal(Group):
         return so3.tightened(g)
 
     def defect(self, g: Input) -> Float[Array, ""]:
-        """max |g^T g - I|."""
+        """The larger of max |g^T g - I| and |det g - 1|."""
         return _skewness(*of_shape("SO3.defect", {"g": self.shape}, g))
 
 
@@ -165,7 +170,7 @@ class SpecialEuclidean(Group):
         return se3.transform(so3.tightened(g[:3, :3]), g[:3, 3])
 
     def defect(self, g: Input) -> Float[Array, ""]:
-        """The larger of max |R^T R - I| and the deviation of the last row from (0, 0, 0, 1)."""
+        """The largest of max |R^T R - I|, |det R - 1| and the deviation of the last row from (0, 0, 0, 1)."""
         (g,) = of_shape("SE3.defect", {"g": self.shape}, g)
         row = jnp.max(jnp.abs(g[3] - jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype=g.dtype)))
         return jnp.maximum(_skewness(g[:3, :3]), row)

@@ -62,7 +62,7 @@ def failure(stepper: Stepper, t: jax.Array, x: Arrays) -> IntegrationError:
     if bad_controls:
         cause = f"control {bad_controls[0]!r} is not finite there"
         fix = "look at u between the start and the end of this step"
-    elif _not_finite(rates):
+    elif _not_finite(rates) and not _is_huge(x):
         cause = f"the rate of {_not_finite(rates)[0]!r} is not finite there, e.g. a division by zero"
         fix = "guard the expression, or stop before that state"
     else:
@@ -79,3 +79,8 @@ def failure(stepper: Stepper, t: jax.Array, x: Arrays) -> IntegrationError:
 
 def _not_finite(values: Mapping[str, Any]) -> list[str]:
     return [name for name, value in values.items() if not is_finite(value)]
+
+
+def _is_huge(x: Mapping[str, Any]) -> bool:
+    """Whether a state is so large that squares and cubes of it overflow."""
+    return any(np.abs(np.asarray(v)).max() > float(jnp.finfo(v.dtype).max) ** 0.25 for v in x.values())

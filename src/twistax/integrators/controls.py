@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
-from typing import Any, Self, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -47,9 +47,7 @@ class Table(ABC):
             steps = np.diff(np.asarray(self.ts))
             if not (steps > 0).all():
                 i = int(np.argmin(steps > 0))
-                raise InputError(
-                    f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} (rows {i}, {i + 1})"
-                )
+                raise InputError(f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} in row {i}")
         for field in ("ts", "values"):
             array = getattr(self, field)
             if not is_traced(array) and not np.isfinite(np.asarray(array)).all():
@@ -60,12 +58,12 @@ class Table(ABC):
         jax.tree_util.register_pytree_node(cls, lambda table: ((table.ts, table.values), None), cls._of)
 
     @classmethod
-    def _of(cls, _: None, children: tuple[Any, Any]) -> Self:
+    def _of(cls, _: None, children: Sequence[Any]) -> Table:
         table = object.__new__(cls)
         table.ts, table.values = children
         return table
 
-    def astype(self, dtype: Any) -> Self:
+    def astype(self, dtype: Any) -> Table:
         """The same table in another precision."""
         return self._of(None, (self.ts.astype(dtype), self.values.astype(dtype)))
 
@@ -119,7 +117,7 @@ class ByName:
     def __init__(self, values: Mapping[str, Any]) -> None:
         self.values = dict(values)
 
-    def sample(self, t: Any) -> Arrays | dict[str, Any]:
+    def sample(self, t: Any) -> Mapping[str, Any]:
         """A value of every control, to check names and shapes with."""
         return {name: v.values[0] if isinstance(v, Table) else v for name, v in self.values.items()}
 
@@ -140,9 +138,12 @@ class OfTime:
     def __init__(self, function: Callable[[jax.Array], Mapping[str, Any]]) -> None:
         self.function = function
 
-    def sample(self, t: Any) -> Any:
-        """The controls at the start."""
-        return self.function(t)
+    def sample(self, t: Any) -> Mapping[str, Any]:
+        """The controls at the start. Raises InputError if the function does not return a dict."""
+        values = self.function(t)
+        if not isinstance(values, Mapping):
+            raise InputError(f"the function u must return a dict by control name, got {type(values).__name__}")
+        return values
 
     def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> OfTime:
         """Nothing to cast before the function is called."""
@@ -150,7 +151,7 @@ class OfTime:
 
     def during(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The function, its values checked and cast."""
-        return lambda time: read_values("u(t)", dynamics.controls, self.function(time), time.dtype)
+        return lambda time: read_values("u(t)", dynamics.controls, self.sample(time), time.dtype)
 
 
 Signals: TypeAlias = ByName | OfTime
@@ -186,8 +187,6 @@ def controls_of(u: Any) -> Signals:
         return ByName(u)
     if isinstance(u, Table):
         raise InputError(f"u must be a dict, got a bare {type(u).__name__}.\n  fix: u={{'name of the control': table}}")
-    if not callable(u):
-        raise InputError(f"u must be a dict of arrays or tables, or a function of t, got {type(u).__name__}")
-    if not isinstance(u, Hashable):
-        raise InputError(f"the function u of type {type(u).__name__} is not hashable.\n  fix: u=lambda t: yours(t)")
-    return OfTime(u)
+    if callable(u):
+        return OfTime(u)
+    raise InputError(f"u must be a dict of arrays or tables, or a function of t, got {type(u).__name__}")

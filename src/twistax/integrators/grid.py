@@ -53,7 +53,7 @@ class Saves:
     off_grid: bool = dataclasses.field(metadata={"static": True})
 
 
-def make_grid(t0: Any, t1: Any, dt: Any, steps: int | None, dtype: Any) -> Grid:
+def make_grid(t0: Any, t1: Any, dt: Any, steps: Any, dtype: Any) -> Grid:
     """The grid with (t1 - t0) / dt rounded to whole steps, at least one, or with `steps` steps.
 
     Raises:
@@ -97,9 +97,9 @@ def place_saves(save_at: Any, grid: Grid, dtype: Any) -> Saves | None:
         raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {np.shape(save_at)}")
     if grid.span is None or is_traced(save_at):
         ts = jnp.asarray(save_at, dtype)
-        position = (ts - grid.t0) / grid.h
-        index = jnp.clip(jnp.floor(jax.lax.stop_gradient(position)), 0, max(grid.steps - 1, 0))
-        return Saves(ts, index.astype(int), position - index, True)
+        place = (ts - grid.t0) / grid.h
+        before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(grid.steps - 1, 0))
+        return Saves(ts, before.astype(int), place - before, True)
     times = np.asarray(save_at, float)
     start, end = grid.span
     _check_times(times, start, end)

@@ -102,7 +102,7 @@ def _known_flight(stepper: Stepper, x: Arrays, grid: Grid, saves: Saves | None, 
     if saves is None:
         ts, xs, good = grid.t1[None], recorded.xs, recorded.good
     else:
-        ts, xs, good = saves.ts, *jax.tree.map(lambda a: a[:-1], (recorded.xs, recorded.good))
+        ts, (xs, good) = saves.ts, jax.tree.map(lambda a: a[:-1], (recorded.xs, recorded.good))
         if saves.off_grid:
             xs, fine = _off_grid(stepper, xs, saves)
             good = good & fine

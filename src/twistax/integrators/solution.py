@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from typing import Any, Self
+from typing import Any
 
 import jax
+import numpy as np
 
 from ..lowering.dynamics import Arrays
 from .concrete import is_traced
@@ -17,19 +18,22 @@ __all__ = ["Result", "Solution", "Stats"]
 class Result(enum.IntEnum):
     """How an integration ended; `sentence` says it in words."""
 
-    sentence: str
+    DONE = 0
+    NON_FINITE = 1
 
-    DONE = 0, "the end time was reached"
-    NON_FINITE = 1, "a state became infinite or not a number"
-
-    def __new__(cls, code: int, sentence: str) -> Self:
-        member = int.__new__(cls, code)
-        member._value_ = code
-        member.sentence = sentence
-        return member
+    @property
+    def sentence(self) -> str:
+        """What happened, in plain words."""
+        return _SENTENCES[self]
 
     def __str__(self) -> str:
         return f"{self.name}: {self.sentence}"
+
+
+_SENTENCES = {
+    Result.DONE: "the end time was reached",
+    Result.NON_FINITE: "a state became infinite or not a number",
+}
 
 
 @jax.tree_util.register_dataclass
@@ -74,6 +78,5 @@ class Solution:
     @property
     def result(self) -> Any:
         """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
-        if is_traced(self.code) or getattr(self.code, "ndim", 0):
-            return self.code
-        return Result(int(self.code))
+        unknown = is_traced(self.code) or np.ndim(self.code) > 0
+        return self.code if unknown else Result(int(self.code))

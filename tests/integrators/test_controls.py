@@ -1,0 +1,148 @@
+"""Controls in every form: held, tables, functions of time; and what is said about wrong ones."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.tableaus import HEUN
+
+TIMES = np.array([0.0, 0.5, 1.0, 1.5])
+ROWS = np.array([[1.0, 0.0], [-2.0, 1.0], [0.5, 0.5], [3.0, -1.0]])
+
+
+def integrator() -> tx.Dynamics:
+    """x' = F: the flight is the integral of the control, exact for every method where F is piecewise linear."""
+    x, F = tx.State("x", shape=(2,)), tx.Control("F", shape=(2,))
+    return tx.compile(tx.System(rates={x: F}))
+
+
+def end(dynamics: tx.Dynamics, u: object, t1: float = 2.0, dt: float = 0.1, **rest: object) -> np.ndarray:
+    return np.asarray(tx.integrate(dynamics, {"x": np.zeros(2)}, t1=t1, dt=dt, u=u, **rest).xs["x"][-1])
+
+
+def test_an_array_is_held() -> None:
+    np.testing.assert_allclose(end(integrator(), {"F": [1.0, -2.0]}), [2.0, -4.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("dt", [0.5, 0.1, 0.1 / 3])
+def test_a_held_table_is_exact_on_steps_that_end_at_its_jumps(dt: float) -> None:
+    expected = 0.5 * ROWS.sum(axis=0)
+    np.testing.assert_allclose(end(integrator(), {"F": tx.Held(TIMES, ROWS)}, dt=dt), expected, rtol=1e-12)
+
+
+def test_a_held_table_holds_in_single_precision_and_far_from_zero() -> None:
+    table = tx.Held(TIMES + 1000.0, ROWS)
+    start = {"x": np.zeros(2, np.float32)}
+    sol = tx.integrate(integrator(), start, t0=1000.0, t1=1002.0, dt=0.5, u={"F": table})
+    assert sol.xs["x"].dtype == jnp.float32
+    np.testing.assert_array_equal(sol.xs["x"][0], 0.5 * ROWS.sum(axis=0))
+    # In double precision with steps that are no binary fractions.
+    sol = tx.integrate(integrator(), {"x": np.zeros(2)}, t0=1000.0, t1=1002.0, dt=0.1, u={"F": table})
+    np.testing.assert_allclose(sol.xs["x"][0], 0.5 * ROWS.sum(axis=0), rtol=1e-11)
+
+
+def test_a_held_table_starts_before_and_ends_after_its_rows() -> None:
+    table = tx.Held([0.5], [[1.0, 2.0]])
+    np.testing.assert_allclose(end(integrator(), {"F": table}, t1=1.0), [1.0, 2.0], rtol=1e-14)
+
+
+def test_a_linear_table_is_the_trapezoidal_rule() -> None:
+    expected = 0.5 * (0.5 * ROWS[0] + ROWS[1] + ROWS[2] + 0.5 * ROWS[3]) + 0.5 * ROWS[3]
+    np.testing.assert_allclose(end(integrator(), {"F": tx.Linear(TIMES, ROWS)}), expected, atol=1e-13)
+
+
+def test_a_function_is_called_at_stage_times() -> None:
+    """RK4 is Simpson's rule here, exact for cubics; Heun is the trapezoidal rule."""
+
+    def u(t: jax.Array) -> dict[str, jax.Array]:
+        return {"F": jnp.stack([t**3, 1.0 - t])}
+
+    np.testing.assert_allclose(end(integrator(), u), [4.0, 0.0], atol=1e-13)
+    crude = end(integrator(), u, dt=1.0, method=tx.RKMK(HEUN))
+    np.testing.assert_allclose(crude, [5.0, 0.0], rtol=1e-14)
+
+
+def test_forms_agree_where_they_mean_the_same() -> None:
+    dynamics, F = integrator(), np.array([0.3, -0.7])
+    forms = [
+        {"F": F},
+        {"F": tx.Held([0.0], F[None])},
+        {"F": tx.Linear([0.0, 2.0], np.stack([F, F]))},
+        lambda t: {"F": F},
+    ]
+    ends = [end(dynamics, u) for u in forms]
+    np.testing.assert_allclose(np.stack(ends[1:]), np.broadcast_to(ends[0], (3, 2)), rtol=1e-14)
+
+
+def test_a_partial_traces_its_arrays() -> None:
+    """Arrays bound by jax.tree_util.Partial are inputs: derivatives pass, and new ones do not compile again."""
+
+    def u(gain: jax.Array, t: jax.Array) -> dict[str, jax.Array]:
+        return {"F": gain * t}
+
+    dynamics = integrator()
+
+    def fly(gain: jax.Array) -> jax.Array:
+        start = {"x": np.zeros(2)}
+        return tx.integrate(dynamics, start, t1=2.0, dt=0.5, u=jax.tree_util.Partial(u, gain)).xs["x"][-1]
+
+    np.testing.assert_allclose(fly(jnp.array([1.0, 3.0])), [2.0, 6.0], rtol=1e-14)
+    np.testing.assert_allclose(jax.jacrev(fly)(jnp.array([1.0, 3.0])), 2.0 * np.eye(2), rtol=1e-14)
+
+
+def test_derivatives_pass_through_a_function_that_closes_over_what_is_traced() -> None:
+    dynamics = integrator()
+    fly = functools.partial(tx.integrate, dynamics, {"x": np.zeros(2)}, t1=2.0, dt=0.5)
+    slope = jax.grad(lambda gain: fly(u=lambda t: {"F": gain * t * jnp.ones(2)}).xs["x"].sum())(1.5)
+    np.testing.assert_allclose(slope, 4.0, rtol=1e-14)
+
+
+def test_derivatives_with_respect_to_a_table() -> None:
+    dynamics = integrator()
+
+    def fly(rows: jax.Array, form: type[tx.Held] | type[tx.Linear]) -> jax.Array:
+        return tx.integrate(dynamics, {"x": np.zeros(2)}, t1=1.5, dt=0.25, u={"F": form(TIMES, rows)}).xs["x"][0, 0]
+
+    np.testing.assert_allclose(jax.grad(fly)(jnp.asarray(ROWS), tx.Held)[:, 0], [0.5, 0.5, 0.5, 0.0], atol=1e-13)
+    np.testing.assert_allclose(jax.grad(fly)(jnp.asarray(ROWS), tx.Linear)[:, 0], [0.25, 0.5, 0.5, 0.25], atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("u", "message"),
+    [
+        (None, "Control 'F' is missing"),
+        ({"G": np.zeros(2)}, "unknown key 'G' in u; expected: 'F'"),
+        ({"F": np.zeros(3)}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
+        ({"F": tx.Held(TIMES, np.zeros((4, 3)))}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
+        (lambda t: {"F": np.zeros(3)}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
+        (lambda t: {}, "Control 'F' is missing"),
+        (lambda t: np.zeros(2), "the function u must return a dict by control name, got ndarray"),
+        ({"F": lambda t: np.zeros(2)}, r"u\['F'\] is a function.\n  fix: give one function"),
+        (tx.Held(TIMES, ROWS), "u must be a dict, got a bare Held"),
+        (np.zeros(2), "u must be a dict of arrays or tables, or a function of t, got ndarray"),
+        ({"F": [np.nan, 0.0]}, r"u\['F'\] is not finite"),
+    ],
+)
+def test_wrong_controls_are_named(u: object, message: str) -> None:
+    with pytest.raises(tx.InputError, match=message):
+        end(integrator(), u)
+
+
+@pytest.mark.parametrize(
+    ("form", "ts", "values", "error", "message"),
+    [
+        (tx.Held, [0.0, 0.0], ROWS[:2], tx.InputError, "Held expects increasing ts, got 0.0 before 0.0 in row 0"),
+        (tx.Held, [0.0, 1.0], ROWS, tx.ShapeError, "Held expects values with a row for each of the 2 times"),
+        (tx.Held, [0.0, np.nan], ROWS[:2], tx.InputError, "Held"),
+        (tx.Linear, [0.0, 1.0], ROWS[:2] + np.inf, tx.InputError, "Linear has values that are not finite"),
+        (tx.Linear, [0.0], ROWS[:1], tx.ShapeError, r"Linear expects ts with shape \(n,\), n >= 2, got \(1,\)"),
+        (tx.Linear, 0.0, ROWS, tx.ShapeError, "Linear expects ts"),
+    ],
+)
+def test_wrong_tables_are_named(form: type, ts: object, values: object, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        form(ts, values)

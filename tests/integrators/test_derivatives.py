@@ -1,0 +1,106 @@
+"""Derivatives of a whole flight, maps over starts, and flights inside jit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from integrator_bodies import forced, free_body, start
+
+import twistax as tx
+
+
+@pytest.fixture(scope="module")
+def body() -> tx.Dynamics:
+    """A free body that is pushed, in which every kind of input matters."""
+    system = free_body()
+    g, V = system.states
+    M = system.parameters[0]
+    F = tx.Control("F", shape=(6,))
+    return tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V))}))
+
+
+def test_forward_reverse_and_finite_differences_agree(body: tx.Dynamics) -> None:
+    """All inputs at once: start (in tangent coordinates), controls, parameters, start and end time, saved times."""
+    x0 = body.prepare(0.0, start(), reads=()).x
+    M = jnp.asarray(body.system.parameters[0].value)
+    ts = np.array([0.0, 0.33, 1.0])
+
+    def cost(z: dict[str, jax.Array]) -> jax.Array:
+        u = {"F": tx.Linear(ts, z["F"])}
+        t0, t1 = z["times"]
+        sol = tx.integrate(
+            body,
+            body.retract(x0, z["d"]),
+            t0=t0,
+            t1=t1,
+            steps=20,
+            u=u,
+            params={"M": M * z["size"]},
+            save_at=t0 + (t1 - t0) * z["share"],
+        )
+        weights = jnp.cos(jnp.arange(16.0)).reshape(4, 4)
+        return jnp.sum(sol.xs["g"][0] * weights) + jnp.sum(jnp.sin(sol.xs["V"][1])) + jnp.sum(sol.xs["g"][1, :3, 3])
+
+    rng = np.random.default_rng(1)
+    z = {
+        "d": jnp.asarray(0.1 * rng.normal(size=12)),
+        "F": jnp.asarray(rng.normal(size=(3, 6))),
+        "size": jnp.asarray(1.3),
+        "times": jnp.array([0.1, 0.9]),
+        "share": jnp.array([0.43, 0.9]),
+    }
+
+    def along(direction: dict[str, jax.Array], step: jax.Array) -> jax.Array:
+        return cost(jax.tree.map(lambda a, d: a + step * d, z, direction))
+
+    directions = {name: jnp.asarray(rng.normal(size=(4, *value.shape))) for name, value in z.items()}
+    gradient = jax.jit(jax.grad(cost))(z)
+    reverse = sum(jnp.sum((gradient[n][None] * d).reshape(4, -1), axis=1) for n, d in directions.items())
+    forward = jax.jit(jax.vmap(lambda d: jax.jvp(cost, (z,), (d,))[1]))(directions)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-11)
+    value = jax.jit(jax.vmap(along, in_axes=(0, None)))
+    difference = (value(directions, 1e-6) - value(directions, -1e-6)) / 2e-6
+    np.testing.assert_allclose(reverse, difference, rtol=1e-7)
+    assert min(float(jnp.abs(part).min()) for part in gradient.values()) > 1e-6
+
+
+def test_a_traced_flight_is_the_known_one(body: tx.Dynamics) -> None:
+    ts = np.array([0.0, 0.4, 0.73, 1.0])
+
+    def fly(x0: dict[str, np.ndarray]) -> tx.Solution:
+        return tx.integrate(body, x0, t1=1.0, dt=0.1, u={"F": np.ones(6)}, save_at=ts)
+
+    known, traced = fly(start()), jax.jit(fly)(start())
+    assert traced.result is tx.Result.DONE
+    assert traced.stats.steps == known.stats.steps
+    assert traced.stats.rhs_evaluations == known.stats.rhs_evaluations
+    for name in known.xs:
+        np.testing.assert_allclose(traced.xs[name], known.xs[name], atol=1e-14)
+    np.testing.assert_array_equal(traced.ts, known.ts)
+
+
+def test_a_map_over_starts_is_a_flight_of_each() -> None:
+    dynamics = forced()
+    starts = [start(seed) for seed in (3, 4, 5)]
+    batch = {name: np.stack([x0[name] for x0 in starts]) for name in starts[0]}
+    mapped = jax.vmap(lambda x0: tx.integrate(dynamics, x0, t1=0.5, dt=0.05))(batch)
+    assert mapped.xs["g"].shape == (3, 1, 4, 4)
+    assert (mapped.result == tx.Result.DONE).all()
+    for i, x0 in enumerate(starts):
+        np.testing.assert_allclose(mapped.xs["g"][i], tx.integrate(dynamics, x0, t1=0.5, dt=0.05).xs["g"], atol=1e-14)
+
+
+def test_a_traced_failure_stays_in_the_solution() -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: x * x}))
+    fly = jax.jit(lambda x0: tx.integrate(dynamics, {"x": x0}, t1=2.0, dt=0.01, save_at=np.array([0.5, 2.0])))
+    good, bad = fly(0.1), fly(1.0)
+    assert good.result is tx.Result.DONE
+    assert bad.result is tx.Result.NON_FINITE
+    assert np.isfinite(bad.xs["x"][0])
+    assert not np.isfinite(bad.xs["x"][1])
+
+
+def test_a_traced_end_needs_the_number_of_steps(body: tx.Dynamics) -> None:
+    with pytest.raises(tx.InputError, match="give steps=<whole number> instead of dt"):
+        jax.grad(lambda t1: tx.integrate(body, start(), t1=t1, dt=0.1, u={"F": np.ones(6)}).xs["V"].sum())(1.0)

@@ -1,0 +1,214 @@
+"""The interface of integrate: grid, saved times, precision, failures, no second compilation."""
+
+import inspect
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from integrator_bodies import forced, free_body, start
+
+import twistax as tx
+from twistax.tableaus import EULER, HEUN
+
+
+def decay() -> tx.Dynamics:
+    """x' = -a x + b F."""
+    x, F = tx.State("x"), tx.Control("F")
+    a = tx.Parameter("a", value=1.0)
+    return tx.compile(tx.System(rates={x: F - a * x}))
+
+
+def test_without_save_at_only_the_end_comes_back() -> None:
+    sol = tx.integrate(forced(), start(), t1=1.0, dt=0.3)
+    assert sol.ts.shape == (1,)
+    assert float(sol.ts[0]) == 1.0
+    assert sol.xs["g"].shape == (1, 4, 4)
+    assert sol.stats.steps == sol.stats["accepted"] == 3
+    assert sol.stats.rejected == 0
+    assert sol.stats.rhs_evaluations == 12
+    assert sol.result is tx.Result.DONE
+    assert str(sol.result) == "DONE: the end time was reached"
+    with pytest.raises(KeyError, match="the counts are steps, accepted"):
+        _ = sol.stats["stages"]
+
+
+def test_dt_is_rounded_to_whole_steps_and_steps_may_be_given() -> None:
+    by_dt = tx.integrate(forced(), start(), t1=1.0, dt=0.26)
+    by_steps = tx.integrate(forced(), start(), t1=1.0, steps=4)
+    np.testing.assert_array_equal(by_dt.xs["g"], by_steps.xs["g"])
+    assert tx.integrate(forced(), start(), t1=1.0, dt=5.0).stats.steps == 1
+    still = tx.integrate(forced(), start(), t0=1.0, t1=1.0, dt=0.1, save_at=[1.0])
+    assert still.stats.steps == 0
+    np.testing.assert_allclose(still.xs["g"][0], start()["g"], atol=1e-15)
+
+
+def test_saved_times_on_the_grid_are_its_points() -> None:
+    """0, a point that repeats, and the end; the rest of the flight is not disturbed."""
+    sol = tx.integrate(forced(), start(), t1=1.0, dt=0.1, save_at=[0.0, 0.3, 0.3, 1.0])
+    assert sol.stats.rhs_evaluations == 40
+    np.testing.assert_array_equal(sol.xs["g"][0], start()["g"])
+    np.testing.assert_array_equal(sol.xs["V"][1], sol.xs["V"][2])
+    np.testing.assert_allclose(sol.xs["V"][1], tx.integrate(forced(), start(), t1=0.3, dt=0.1).xs["V"][0], rtol=1e-13)
+    np.testing.assert_array_equal(sol.xs["g"][3], tx.integrate(forced(), start(), t1=1.0, dt=0.1).xs["g"][0])
+
+
+@pytest.mark.parametrize("tableau", [EULER, HEUN, tx.tableaus.RK4], ids=lambda tableau: tableau.name)
+def test_saved_times_off_the_grid_have_the_order_of_the_method(tableau: object) -> None:
+    ts = np.array([0.137, 0.5, 0.777, 1.0])
+    fine = tx.integrate(forced(), start(), t1=1.0, dt=1e-3, save_at=ts).xs
+    errors = []
+    for dt in (0.02, 0.01):
+        sol = tx.integrate(forced(), start(), t1=1.0, dt=dt, method=tx.RKMK(tableau), save_at=ts)
+        assert float(jnp.max(jax.vmap(tx.SE3.defect)(sol.xs["g"]))) < 1e-14
+        errors.append(np.abs(np.asarray(sol.xs["g"] - fine["g"])).max(axis=(1, 2)))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(np.full(4, tableau.order), abs=0.6)
+    assert (errors[1][[0, 2]] < 3.0 * errors[1][3]).all()
+
+
+def test_saved_times_may_be_coarse_single_precision_numbers() -> None:
+    ts = np.array([0.1, 0.3, 0.7, 0.9], dtype=np.float32)
+    sol = tx.integrate(forced(), start(), t1=1.0, dt=0.1, save_at=ts)
+    assert sol.stats.rhs_evaluations == 40
+
+
+def test_time_does_not_drift() -> None:
+    """x' = 1 at t >= 1, 0 before: a time summed up step by step would switch a step early or late."""
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: tx.Time() * 2.0}))
+    sol = tx.integrate(dynamics, {"x": np.float32(0.0)}, t1=1.0, dt=1e-5, method=tx.RKMK(EULER))
+    # Euler's sum of 2 t_i h is 1 - h; single precision sums of 1e5 terms of one sign are good to 1e-3 at worst.
+    assert abs(float(sol.xs["x"][0]) - 1.0) < 2e-3
+
+
+def test_single_precision_stays_single() -> None:
+    x0 = {name: value.astype(np.float32) for name, value in start().items()}
+    sol = tx.integrate(forced(), x0, t1=1.0, dt=0.01, save_at=[0.0, 0.5, 0.777, 1.0])
+    assert {value.dtype for value in sol.xs.values()} == {jnp.dtype("float32")}
+    assert sol.ts.dtype == jnp.float32
+    full = tx.integrate(forced(), start(), t1=1.0, dt=0.01, save_at=[0.0, 0.5, 0.777, 1.0])
+    np.testing.assert_allclose(sol.xs["g"], full.xs["g"], atol=1e-4)
+
+
+def compilations(caplog: pytest.LogCaptureFixture, call: object) -> list[str]:
+    caplog.clear()
+    with jax.log_compiles(), caplog.at_level(logging.WARNING):
+        call()
+    return [record.getMessage() for record in caplog.records if record.getMessage().startswith("Compiling")]
+
+
+def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+    dynamics = tx.compile(free_body())
+    M = np.asarray(dynamics.system.parameters[0].value)
+
+    def fly(dt: float, t1: float, seed: int, size: float, ts: list[float]) -> None:
+        tx.integrate(dynamics, start(seed), t1=t1, dt=dt, params={"M": size * M}, save_at=ts)
+
+    assert compilations(caplog, lambda: fly(0.1, 1.0, 3, 1.0, [0.11, 0.5]))
+    assert compilations(caplog, lambda: fly(0.03, 2.5, 4, 2.0, [0.2, 1.7])) == []
+
+
+def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+    dynamics = decay()
+    ts = np.array([0.0, 1.0])
+    forms = {
+        "held": lambda k: {"F": k},
+        "table": lambda k: {"F": tx.Held(ts, k * ts)},
+        "linear": lambda k: {"F": tx.Linear(ts + k, k * ts)},
+    }
+    for form in forms.values():
+        tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, u=form(1.0))
+        call = lambda form=form: tx.integrate(dynamics, {"x": 2.0}, t0=0.5, t1=3.0, dt=0.2, u=form(3.0))  # noqa: E731
+        assert compilations(caplog, call) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"dt": None}, "give either dt, the length of a step, or steps"),
+        ({"steps": 3}, "give either dt, the length of a step, or steps"),
+        ({"dt": 0.0}, "dt must be positive, got 0"),
+        ({"dt": np.nan}, "dt must be a finite number"),
+        ({"t1": -1.0}, "t1 = -1 lies before t0 = 0"),
+        ({"t1": np.inf}, "t1 must be a finite number"),
+        ({"dt": None, "steps": 2.5}, "steps must be a positive whole number, got 2.5"),
+        ({"save_at": [0.5, 0.2]}, "save_at must be sorted, got 0.5 before 0.2"),
+        ({"save_at": [0.5, 1.2]}, r"save_at must lie inside \[t0, t1\] = \[0, 1\], got 1.2"),
+        ({"save_at": [-0.1, 0.2]}, "got -0.1"),
+        ({"save_at": []}, r"save_at expects times with shape \(n,\)"),
+        ({"save_at": 0.5}, r"save_at expects times with shape \(n,\)"),
+        ({"save_at": [np.nan]}, "save_at has times that are not finite"),
+        ({"method": tx.tableaus.RK4}, r"method must be an object like tx.RKMK\(tx.tableaus.RK4\), got ButcherTableau"),
+        ({"x0": {"x": np.nan}}, r"x0\['x'\] is not finite: nan"),
+        ({"x0": {"y": 1.0}}, "unknown key 'y' in x"),
+        ({"params": {"a": np.inf}}, r"params\['a'\] is not finite: inf"),
+        ({"params": {"k": 1.0}}, "unknown key 'k' in params"),
+    ],
+)
+def test_nonsense_is_named(change: dict, message: str) -> None:
+    arguments = {"x0": {"x": 1.0}, "t1": 1.0, "dt": 0.1, "u": {"F": 0.0}} | change
+    with pytest.raises(tx.InputError, match=message):
+        inspect.unwrap(tx.integrate)(decay(), **arguments)  # past the checks that only the tests switch on
+
+
+@pytest.mark.parametrize("spoil", ["rotation", "reflection", "row"])
+def test_a_start_that_is_no_pose_is_refused(spoil: str) -> None:
+    x0 = start()
+    pose, off = x0["g"].copy(), "0.02"
+    if spoil == "rotation":
+        pose[:3, :3] *= 1.01
+        off = "0.0303"
+    elif spoil == "reflection":
+        pose[:3, 0], off = -pose[:3, 0], "2"
+    else:
+        pose[3, 0], off = 0.02, "0.02"
+    with pytest.raises(tx.InputError, match=rf"x0\['g'\] is no element of SE3: off by {off}"):
+        tx.integrate(forced(), x0 | {"g": pose}, t1=1.0, dt=0.1)
+
+
+def blow_up() -> tx.Dynamics:
+    """x' = x^2 reaches infinity at t = 1 from x = 1."""
+    x, y = tx.State("x"), tx.State("y")
+    return tx.compile(tx.System(rates={x: x * x, y: -y}))
+
+
+def test_a_blow_up_raises_and_names_time_state_and_cause() -> None:
+    with pytest.raises(tx.IntegrationError) as caught:
+        tx.integrate(blow_up(), {"x": 1.0, "y": 1.0}, t1=5.0, dt=0.01, save_at=[0.5, 5.0])
+    message = str(caught.value)
+    assert message.startswith("state 'x' became infinite or not a number in the step from t = 1.0")
+    assert "likely cause: the step 0.01 s is too long" in message
+    assert "last finite state: |x| = " in message
+
+
+def test_a_singular_rate_is_told_from_a_step_that_is_too_long() -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -1.0 / x}))
+    with pytest.raises(tx.IntegrationError, match="rate of 'x' is not finite there"):
+        tx.integrate(dynamics, {"x": 0.0}, t1=1.0, dt=0.1)
+
+
+def test_a_control_that_is_lost_on_the_way_is_named() -> None:
+    def u(t: jax.Array) -> dict[str, jax.Array]:
+        return {"F": jnp.sqrt(1.05 - t)}
+
+    with pytest.raises(tx.IntegrationError, match=r"step from t = 1 s.\n  likely cause: control 'F' is not finite"):
+        tx.integrate(decay(), {"x": 1.0}, t1=2.0, dt=0.1, u=u)
+
+
+def test_throw_false_keeps_the_good_part() -> None:
+    sol = tx.integrate(blow_up(), {"x": 1.0, "y": 1.0}, t1=5.0, dt=0.01, save_at=[0.5, 0.777, 3.0, 5.0], throw=False)
+    assert sol.result is tx.Result.NON_FINITE
+    np.testing.assert_allclose(sol.ts, [0.5, 0.777])
+    np.testing.assert_allclose(sol.xs["x"], [2.0, 1.0 / (1.0 - 0.777)], rtol=1e-6)
+    alone = tx.integrate(blow_up(), {"x": 1.0, "y": 1.0}, t1=5.0, dt=0.01, throw=False)
+    assert alone.result == tx.Result.NON_FINITE
+    assert 1.0 <= float(alone.ts[0]) < 1.1
+    assert np.isfinite(alone.xs["x"]).all()
+    assert alone.stats.steps == round(float(alone.ts[0]) / 0.01)
+
+
+def test_the_last_saved_time_lies_before_a_failure() -> None:
+    with pytest.raises(tx.IntegrationError):
+        tx.integrate(blow_up(), {"x": 1.0, "y": 1.0}, t1=5.0, dt=0.01, save_at=[0.5])
