@@ -151,7 +151,7 @@ def test_normalize_repairs_a_pose():
     skewed = T.copy()
     skewed[0, 1] += 1e-2
     assert SE3.defect(skewed) > 1e-3
-    assert STATE.defect({**STATE.identity(), "a": 1.5 * np.eye(3)}) == 1.25
+    assert STATE.defect({**STATE.identity(), "a": np.diag([1.5, 1.0 / 1.5, 1.0])}) == 1.25
 
 
 # --- arguments

@@ -37,6 +37,7 @@ def laws(group):
             "apply": group.right_jacobian_inv_apply(a, b),
             "defect": group.defect(g),
             "normalize": group.normalize(g),
+            "tighten": group.tighten(g),
         }
 
     # Not jitted: compiling all of it for every group takes longer than running it once, operation by operation.
@@ -162,6 +163,7 @@ def test_elements_lie_in_the_group(case):
     for _, _, value in values:
         assert value["defect"] < 1e-15
         close(oracle.represent(group, value["normalize"]), oracle.represent(group, value["exp"]), 1e-15)
+        close(oracle.represent(group, value["tighten"]), oracle.represent(group, value["exp"]), 1e-15)
 
 
 def test_groups_are_values(case):

@@ -151,6 +151,9 @@ class Product(Group):
     def normalize(self, g: Any) -> dict[str, Any]:
         return self._each("normalize", g)
 
+    def tighten(self, g: Any) -> dict[str, Any]:
+        return self._each("tighten", g)
+
     def defect(self, g: Any) -> Float[Array, ""]:
         """The largest defect of a factor."""
         defects = list(self._each("defect", g).values())
