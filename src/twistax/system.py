@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from .errors import ModelError, ShapeError
 from .expr import Constraint, Control, Expr, Leaf, Parameter, State, check_orders, find_path, leaves_of, to_expr
+from .expr.fields import ExprLike
 from .groups import Euclidean, Product
 
 L = TypeVar("L", bound=Leaf)
@@ -36,8 +37,8 @@ class System:
 
     def __init__(
         self,
-        rates: Mapping[State | str, Expr],
-        outputs: Mapping[str, Expr] | None = None,
+        rates: Mapping[State | str, ExprLike],
+        outputs: Mapping[str, ExprLike] | None = None,
         constraints: Sequence[Constraint] | Mapping[str, Constraint] = (),
         *,
         controls: Iterable[Control] | None = None,
@@ -145,7 +146,7 @@ def _named_constraints(constraints: Sequence[Constraint] | Mapping[str, Constrai
     return dict(constraints)
 
 
-def _declared_states(rates: Mapping[State | str, Expr], used: list[Leaf]) -> tuple[State, ...]:
+def _declared_states(rates: Mapping[State | str, ExprLike], used: list[Leaf]) -> tuple[State, ...]:
     found = {leaf.name: leaf for leaf in used if isinstance(leaf, State)}
     states: list[State] = []
     for key in rates:

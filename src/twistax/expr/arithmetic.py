@@ -178,7 +178,9 @@ class Mul(Expr):
         return "(" + " * ".join(operands) + ")"
 
     def to_latex(self, *operands: str) -> str:
-        return r" \, ".join(wrap_latex(f, s, 20) for f, s in zip(self.factors, operands))
+        first, *rest = (wrap_latex(f, s, 20) for f, s in zip(self.factors, operands))
+        # A number behind another factor needs a dot: 2 3 is not 23.
+        return first + "".join((r" \cdot " if s[0].isdigit() else r" \, ") + s for s in rest)
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -196,6 +198,7 @@ class Div(Expr):
     left: Operand
     right: Operand
     precedence = 20
+    keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
@@ -310,7 +313,6 @@ class MatMul(Expr):
     left: Operand
     right: Operand
     precedence = 20
-    keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         left, right = shapes
@@ -331,6 +333,15 @@ class MatMul(Expr):
         if left.ndim > 2 and right.ndim > 2:
             left, right = align(left, right)
         return left @ right
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        left, right = self.left, self.right
+        shared = [[(left, -1), (right, -min(right.ndim, 2))]]
+        if left.ndim > 1:
+            shared.append([(left, -2), (self, -1 if right.ndim == 1 else -2)])
+        if right.ndim > 1:
+            shared.append([(right, -1), (self, -1)])
+        return shared
 
     def makes_group_element(self, *operands: bool) -> bool:
         return all(operands)
@@ -373,17 +384,18 @@ def _broadcast_of(nodes: list[Expr]) -> Shape:
 
 def _cancel(terms: list[Expr]) -> list[Expr]:
     """Drop pairs x, -x."""
-    left: list[Expr] = []
-    for term in terms:
-        opposite = term.operand.key() if isinstance(term, Neg) else None
-        for i, other in enumerate(left):
-            negated = other.operand.key() if isinstance(other, Neg) else None
-            if other.key() == opposite or negated == term.key():
-                del left[i]
-                break
+    left: dict[int, Expr] = {}
+    waiting: dict[tuple[str, bool], list[int]] = {}
+    for i, term in enumerate(terms):
+        negative = isinstance(term, Neg)
+        key = term.operand.key() if isinstance(term, Neg) else term.key()
+        opposite = waiting.get((key, not negative))
+        if opposite:
+            del left[opposite.pop()]
         else:
-            left.append(term)
-    return left
+            left[i] = term
+            waiting.setdefault((key, negative), []).append(i)
+    return list(left.values())
 
 
 def rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:

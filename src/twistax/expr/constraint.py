@@ -26,6 +26,7 @@ class Constraint(Expr):
     lhs: Operand
     rhs: Operand
     precedence = 5
+    keeps_order = True
     abstract = True
     symbol: ClassVar[str] = "?"
     latex_symbol: ClassVar[str] = "?"

@@ -23,11 +23,14 @@ class Transpose(Expr):
     """Transpose: the last two axes change places. Scalars and vectors stay as they are."""
 
     operand: Operand
-    keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (shape,) = shapes
         return shape if len(shape) < 2 else (*shape[:-2], shape[-1], shape[-2])
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        rank = min(self.ndim, 2)
+        return [[(self.operand, -1 - i), (self, i - rank)] for i in range(rank)]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return values[0] if values[0].ndim < 2 else jnp.swapaxes(values[0], -1, -2)
@@ -62,7 +65,9 @@ class Diag(Expr):
     """
 
     operand: Operand
-    keeps_order = True
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        return [[(self.operand, -1), (self, -1), (self, -2)]]
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (shape,) = shapes
@@ -226,7 +231,9 @@ class Dot(Expr):
     left: Operand
     right: Operand
     precedence = 20
-    keeps_order = True
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        return [[(self.left, -1), (self.right, -1)]]
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         left, right = shapes
@@ -290,7 +297,9 @@ class Outer(Expr):
     left: Operand
     right: Operand
     precedence = 20
-    keeps_order = True
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        return [[(self.left, -1), (self, -2)], [(self.right, -1), (self, -1)]]
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         left, right = shapes

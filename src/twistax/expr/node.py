@@ -56,7 +56,7 @@ class Expr(Operators):
     precedence: ClassVar[int] = 100
     #: True for sums and products: an operand of the same class may be spliced into the operands.
     associative: ClassVar[bool] = False
-    #: True when operands and result of shape (6,) or (6, 6) share one twist order (sums, products, solves).
+    #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
     keeps_order: ClassVar[bool] = False
     #: True for bases that are no nodes themselves. It is not inherited.
     abstract: ClassVar[bool] = True
@@ -125,6 +125,11 @@ class Expr(Operators):
     def twist_orders(self) -> tuple[list[Order | None], Order | None]:
         """The twist order each operand must have, and that of the result; None where the node does not care."""
         return [None] * len(self.children()), None
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        """Axes that must have one twist order, in groups of (operand or this node, axis counted from the last)."""
+        values = [*self.children(), self] if self.keeps_order else []
+        return [[(value, -k) for value in values if value.ndim >= k] for k in range(1, self.ndim + 1)]
 
     def applied_to(self, vector: Expr) -> Expr | None:
         """A cheaper node for the product of this matrix with a vector; None if there is none."""
@@ -320,7 +325,7 @@ def substitute(root: Expr, exchange: Mapping[str, Expr]) -> Expr:
 
 
 def find_path(root: Expr, target: Expr) -> str:
-    """How to reach `target` from `root`: `Solve.b -> Sub.right -> Adjoint`."""
+    """How to reach `target` from `root`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long way is left out."""
     parents: dict[int, tuple[Expr, str]] = {}
     stack = [root]
     seen = {id(root)}
@@ -328,7 +333,7 @@ def find_path(root: Expr, target: Expr) -> str:
         node = stack.pop()
         if node is target:
             break
-        for child, name in zip(node.children(), node.child_names(), strict=True):
+        for name, child in node.outline():
             if id(child) not in seen:
                 seen.add(id(child))
                 parents[id(child)] = (node, name)
@@ -339,7 +344,10 @@ def find_path(root: Expr, target: Expr) -> str:
         parent, name = parents[id(current)]
         steps.append(f"{type(parent).__name__}.{name}")
         current = parent
-    return " -> ".join(reversed(steps))
+    steps.reverse()
+    if len(steps) > 12:
+        steps[5:-6] = ["..."]
+    return " -> ".join(steps)
 
 
 def _bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:

@@ -1,22 +1,31 @@
 """Which order the six-vectors of a system have, [v; w] or [w; v], and an error where two orders meet.
 
-Orders flow through the graph: a Lie node fixes the order of its six-dimensional operands and result; sums, products and
-solves hand it on; a state shares it with its rate. Values that must agree form one class; a class with two orders is a
-mistake somewhere, and both places are named.
+An order belongs to an axis of length six: a twist has one such axis, a 6x6 operator two, the Jacobian of an arm with
+six joints one for its twist and another for its joints. Orders flow along axes: a Lie node fixes those of its operands
+and its result, a sum demands one order of all terms, a product hands on what is not summed over, a state shares its
+order with its rate. What must agree forms a class; a class with two orders is a mistake somewhere, and both places are
+named. A 6x6 matrix may have joints on one side, so its two axes form no class; but it is a mistake, too, if both sides
+turn out to be six-vectors and of different order.
+
+Indexing and joining pieces end the flow. Constants, and what is made of constants and scalars alone, have no order and
+may stand anywhere.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from ..errors import OrderError
 from ..groups import Order
-from .leaves import Constant, State
+from .leaves import Constant, Leaf, State
 from .node import Expr, find_path
 
-#: The shapes an order concerns: twists, wrenches and momenta, and the operators on them.
-_SIX = ((6,), (6, 6))
+_SIX = 6
+_Token: TypeAlias = tuple[object, ...]
+#: An axis of a value: what stands for the value, and the axis counted from the last, -1.
+_Slot: TypeAlias = tuple[_Token, int]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,43 +39,133 @@ class _Place:
     value: Expr
 
     def __str__(self) -> str:
-        path = "" if self.value is self.root else f" {find_path(self.root, self.node)},"
+        path = "" if self.node is self.root else f" {find_path(self.root, self.node)},"
         return f"{self.name}:{path} {_short(self.value)} is {self.order!r}"
 
 
 class _Classes:
-    """Union-find over structural keys; a class remembers its order and the first place that fixed it."""
+    """Union-find over slots; a class remembers its order and the first place that fixed it."""
 
     def __init__(self) -> None:
-        self._parent: dict[str, str] = {}
-        self._fixed: dict[str, _Place] = {}
+        self._parent: dict[_Slot, _Slot] = {}
+        self._fixed: dict[_Slot, _Place] = {}
 
-    def _find(self, key: str) -> str:
-        while self._parent.setdefault(key, key) != key:
-            self._parent[key] = self._parent[self._parent[key]]
-            key = self._parent[key]
-        return key
+    def _find(self, slot: _Slot) -> _Slot:
+        while self._parent.setdefault(slot, slot) != slot:
+            self._parent[slot] = self._parent[self._parent[slot]]
+            slot = self._parent[slot]
+        return slot
 
-    def fix(self, place: _Place) -> None:
-        self._agree(self._find(place.value.key()), place)
+    def place_of(self, slot: _Slot) -> _Place | None:
+        """What fixed the order of an axis, if anything did."""
+        return self._fixed.get(self._find(slot))
 
-    def link(self, values: Iterable[Expr]) -> None:
-        roots = [self._find(value.key()) for value in values]
-        for root in roots[1:]:
-            first, root = self._find(roots[0]), self._find(root)
-            if root != first:
-                self._parent[root] = first
-                if root in self._fixed:
-                    self._agree(first, self._fixed[root])
+    def fix(self, slot: _Slot, place: _Place) -> None:
+        _agree(self._fixed.setdefault(self._find(slot), place), place)
 
-    def _agree(self, root: str, place: _Place) -> None:
-        known = self._fixed.setdefault(root, place)
-        if known.order != place.order:
-            raise OrderError(
-                f"two orders of six-vectors meet: {known.order!r} and {place.order!r}.\n"
-                f"  at: {known}\n  and: {place}\n"
-                "  fix: give both places the same order=, or put a tx.lie.Reorder between them"
-            )
+    def link(self, slots: Sequence[_Slot]) -> None:
+        for other in slots[1:]:
+            kept, gone = self._find(slots[0]), self._find(other)
+            if kept != gone:
+                self._parent[gone] = kept
+                if gone in self._fixed:
+                    self.fix(kept, self._fixed[gone])
+
+
+def _agree(known: _Place | None, place: _Place | None, where: str = "") -> None:
+    """Raise OrderError if two places fix different orders."""
+    if known and place and known.order != place.order:
+        raise OrderError(
+            f"two orders of six-vectors meet{where}: {known.order!r} and {place.order!r}.\n"
+            f"  at: {known}\n  and: {place}\n"
+            "  fix: give both places the same order=, or put a tx.lie.Reorder between them"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Scope:
+    """Where values live: in the system, or in the body of one Vmap, whose elements have no name outside."""
+
+    key: str = ""
+    outer: _Scope | None = None
+    #: Keys of the leaves that the body of a Vmap takes from outside.
+    captured: frozenset[str] = frozenset()
+
+    def of(self, value: Expr) -> _Scope:
+        """The scope of a value met here: a leaf from outside keeps its own."""
+        return self.outer.of(value) if self.outer is not None and value.key() in self.captured else self
+
+
+class _Flow:
+    """Walks all expressions of a system and gathers what their nodes say about orders."""
+
+    def __init__(self) -> None:
+        self._classes = _Classes()
+        self._free: dict[_Token, bool] = {}
+        self._operators: dict[_Token, str] = {}
+
+    def read(self, name: str, root: Expr) -> None:
+        """Everything below a root, children first, bodies of Vmaps too."""
+        for scope, node in self._below(root):
+            self._free[_token(scope, node)] = self._is_free(scope, node)
+            operands, result = node.twist_orders()
+            for value, order in [*zip(node.children(), operands, strict=True), (node, result)]:
+                if order is not None:
+                    self._fix(_Place(order, name, root, node, value), scope)
+            for axes in node.shared_orders():
+                six = [(value, axis) for value, axis in axes if value.shape[axis] == _SIX]
+                self._classes.link([self._slot(scope, node, value, axis) for value, axis in six])
+            for value in [*node.children(), node]:
+                if len(_axes(value)) == 2:
+                    self._operators.setdefault(self._slot(scope, node, value, -1)[0], f"{name}: {_short(value)}")
+
+    def read_rate(self, state: State, rate: Expr) -> None:
+        """The rate of a pose has the order of its group, another state that of its rate."""
+        if state.order is not None:
+            self._fix(_Place(state.order, f"the rate of the pose {state.name!r}", rate, rate, rate), _Scope())
+        elif state.shape == rate.shape:
+            for axis in _axes(rate):
+                self._classes.link([self._slot(_Scope(), state, value, axis) for value in (state, rate)])
+
+    def _fix(self, place: _Place, scope: _Scope) -> None:
+        for axis in _axes(place.value):
+            self._classes.fix(self._slot(scope, place.node, place.value, axis), place)
+
+    def check_operators(self) -> None:
+        """A 6x6 matrix takes and gives one order, where both its sides are known to be six-vectors."""
+        for token, text in self._operators.items():
+            known, place = (self._classes.place_of((token, axis)) for axis in (-1, -2))
+            _agree(known, place, f" on the two sides of {text}")
+
+    def _below(self, root: Expr) -> Iterator[tuple[_Scope, Expr]]:
+        """Children before parents, each once in all roots."""
+        stack = [(_Scope(), root, False)]
+        entered: set[_Token] = set()
+        while stack:
+            scope, node, done = stack.pop()
+            token = _token(scope, node)
+            if done:
+                yield scope, node
+            elif token not in entered and token not in self._free:
+                entered.add(token)
+                stack.append((scope, node, True))
+                stack.extend((scope, child, False) for child in reversed(node.children()))
+                stack.extend((_body_scope(scope, node), body, False) for body in _bodies(node))
+
+    def _is_free(self, scope: _Scope, node: Expr) -> bool:
+        """Whether nothing the value is made of has an order."""
+        if isinstance(node, Leaf):
+            return isinstance(node, Constant)
+        if node.twist_orders()[1] is not None:
+            return False
+        linked = [value for axes in node.shared_orders() for value, axis in axes if value.shape[axis] == _SIX]
+        sources = [value for value in linked if value is not node] or node.children()
+        return all(self._free[_token(scope, value)] for value in sources)
+
+    def _slot(self, scope: _Scope, parent: Expr, value: Expr, axis: int) -> _Slot:
+        """The axis of a value as its parent sees it: what is free of orders is another value in every place."""
+        token = _token(scope, value)
+        return ((*token, parent.key()) if self._free.get(token, False) else token), axis
 
 
 def check_orders(roots: Mapping[str, Expr], rates: Mapping[State, Expr]) -> None:
@@ -76,39 +175,33 @@ def check_orders(roots: Mapping[str, Expr], rates: Mapping[State, Expr]) -> None
         roots: every expression of a system, by the name used in messages.
         rates: the rate of every state: a pose's rate has the order of its group, another state that of its rate.
     """
-    classes = _Classes()
-    seen: set[str] = set()
+    flow = _Flow()
     for name, root in roots.items():
-        for node in _below(root, seen):
-            operands, result = node.twist_orders()
-            for value, order in [*zip(node.children(), operands, strict=True), (node, result)]:
-                if order is not None and _carries(value):
-                    classes.fix(_Place(order, name, root, node, value))
-            if node.keeps_order:
-                classes.link(value for value in [*node.children(), node] if _carries(value))
+        flow.read(name, root)
     for state, rate in rates.items():
-        if not _carries(rate):
-            continue
-        if state.order is not None:
-            classes.fix(_Place(state.order, f"the rate of the pose {state.name!r}", rate, rate, rate))
-        elif state.shape == rate.shape:
-            classes.link([state, rate])
+        flow.read_rate(state, rate)
+    flow.check_operators()
 
 
-def _below(root: Expr, seen: set[str]) -> Iterator[Expr]:
-    """Every node below the root that was not seen yet, those inside the body of a Vmap too."""
-    stack = [root]
-    while stack:
-        node = stack.pop()
-        if node.key() not in seen:
-            seen.add(node.key())
-            yield node
-            stack.extend(child for _, child in reversed(node.outline()))
+def _token(scope: _Scope, value: Expr) -> _Token:
+    return scope.of(value).key, value.key()
 
 
-def _carries(value: Expr) -> bool:
-    """Whether a value has an order: six-dimensional, and no constant, which may stand anywhere."""
-    return value.shape in _SIX and not isinstance(value, Constant)
+def _body_scope(scope: _Scope, node: Expr) -> _Scope:
+    captured = frozenset(child.key() for child in node.children() if isinstance(child, Leaf))
+    return _Scope(f"{scope.key}/{node.key()}", scope, captured)
+
+
+def _bodies(node: Expr) -> list[Expr]:
+    """What a node holds besides its children."""
+    children = {id(child) for child in node.children()}
+    return [part for _, part in node.outline() if id(part) not in children]
+
+
+def _axes(value: Expr) -> list[int]:
+    """The axes of a vector (6,) or an operator (6, 6), counted from the last."""
+    shape = value.shape
+    return [-1 - i for i in range(len(shape))] if shape in ((_SIX,), (_SIX, _SIX)) else []
 
 
 def _short(value: Expr, longest: int = 60) -> str:

@@ -73,11 +73,13 @@ class Inv(Expr):
     """
 
     operand: Operand
-    keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_square(self, "operand", shapes[0], stacks=True)
         return shapes[0]
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        return [[(self.operand, -1), (self, -2)], [(self.operand, -2), (self, -1)]]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return inverse(values[0])
@@ -114,7 +116,6 @@ class Solve(Expr):
 
     A: Operand
     b: Operand
-    keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         A, b = shapes
@@ -125,6 +126,11 @@ class Solve(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return solve(*values)
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        rows = -self.b.ndim
+        columns = [[(self.b, -1), (self, -1)]] if rows == -2 else []
+        return [[(self.A, -2), (self.b, rows)], [(self.A, -1), (self, rows)], *columns]
 
     def simplify(self) -> Expr:
         """I x = b is x = b; a diagonal divides; an inverse multiplies; a well-conditioned constant is inverted once."""
