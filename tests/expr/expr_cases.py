@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+
 from twistax.expr import Constant, Example, Expr, Inputs, all_nodes, evaluate_all
 
 

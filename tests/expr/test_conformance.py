@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from expr_cases import CASES, NODES, Case, function_of
+
 from twistax.errors import ImmutableError, ShapeError
 from twistax.expr import Expr
 

@@ -1,5 +1,6 @@
 """The expression language: leaves, nodes, constraints, and what walks over them."""
 
+from . import lie as lie
 from .arithmetic import Add, Div, MatMul, Mul, Neg, Power, Sub
 from .array import Concat, Hstack, Stack, Vstack
 from .block import Block
@@ -8,7 +9,6 @@ from .constraint import Constraint, Equality, Inequality
 from .elementwise import Abs, Exp, Log, Sign, Sqrt, Square
 from .extrema import Huber, LogSumExp, Max, Min, PositivePart, SmoothReLU
 from .indexing import Index
-from . import lie as lie
 from .interpolation import Bilerp, Cinterp, Linterp
 from .leaves import Constant, Control, Leaf, Parameter, State, Time, Variable
 from .leaves import Inputs as Inputs

@@ -18,18 +18,28 @@ _MARK = "_is_canonical"
 def canonicalize_all(roots: Sequence[Expr]) -> list[Expr]:
     """Simpler trees of the same shapes, equal wherever the originals are finite; parts they share stay shared."""
     nodes = postorder(*roots)
-    uses = Counter(id(child) for node in nodes for child in node.children())
+    uses = Counter(id(child) for node in nodes for child in node.children()) + Counter(map(id, roots))
+    absorbed = {id(c) for n in nodes if n.associative for c in n.children() if type(c) is type(n) and uses[id(c)] == 1}
     done: dict[int, Expr] = {}
+    operands: dict[int, list[Expr]] = {}
     for node in nodes:
         if _MARK in node.__dict__:
             done[id(node)] = node
             continue
         children: list[Expr] = []
         for child in node.children():
-            new = done[id(child)]
-            spliced = node.associative and type(new) is type(node) and uses[id(child)] == 1
-            children.extend(new.children() if spliced else [new])
-        done[id(node)] = _settled(node.with_children(children))
+            new = done.get(id(child))
+            if new is None:
+                children.extend(operands[id(child)])
+            elif node.associative and type(new) is type(node) and uses[id(child)] == 1:
+                children.extend(new.children())
+            else:
+                children.append(new)
+        # What its only user splices is simplified there, once, instead of at every level.
+        if id(node) in absorbed:
+            operands[id(node)] = children
+        else:
+            done[id(node)] = _settled(node.with_children(children))
     return [done[id(root)] for root in roots]
 
 

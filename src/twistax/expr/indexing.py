@@ -31,7 +31,8 @@ class Index(Expr):
     index: Any
 
     def __init__(self, base: ExprLike, index: Any) -> None:
-        super().__init__(base, tuple(map(_static, index)) if isinstance(index, tuple) else _static(index))
+        parts = tuple(map(_static, index)) if isinstance(index, tuple) else (_static(index),)
+        super().__init__(base, parts[0] if len(parts) == 1 else parts)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (shape,) = shapes
@@ -74,7 +75,11 @@ class Index(Expr):
             return _part_of_concat(self, base, first)
         if isinstance(base, Index) and len(base.base.shape) == 1 and isinstance(base.index, slice):
             return _part_of_slice(self, base, index)
-        return self
+        plain = _plain(index, base.shape)
+        return self if index_text(plain) == index_text(index) else Index(base, plain)
+
+    def details(self) -> list[str]:
+        return [f"[{index_text(self.index)}]"]
 
     def to_text(self, *operands: str) -> str:
         return f"{wrap(self.base, operands[0], 6)}[{index_text(self.index)}]"
@@ -129,6 +134,15 @@ def index_text(index: Any) -> str:
     if isinstance(index, np.ndarray):
         return str(index.tolist())
     return "..." if index is Ellipsis else str(index)
+
+
+def _plain(index: Any, shape: Shape) -> Any:
+    """One way of writing an index of whole numbers and slices: none negative, starts and stops written out."""
+    parts = index if isinstance(index, tuple) else (index,)
+    if not all(isinstance(part, (int, slice)) for part in parts):
+        return index
+    plain = tuple(_run(range(n)[p]) if isinstance(p, slice) else range(n)[p] for n, p in zip(shape, parts))
+    return plain if isinstance(index, tuple) else plain[0]
 
 
 def _positions(shape: Shape, index: Any) -> Any:

@@ -24,8 +24,8 @@ def segment(x: jax.Array, xp: jax.Array) -> jax.Array:
 
 
 def fraction(x: jax.Array, xp: jax.Array, i: jax.Array) -> jax.Array:
-    """How far x has come from breakpoint i to the next, kept between 0 and 1."""
-    return jnp.clip((x - xp[i]) / (xp[i + 1] - xp[i]), 0.0, 1.0)
+    """How far x, kept inside the table, has come from breakpoint i to the next: between 0 and 1."""
+    return (jnp.clip(x, xp[0], xp[-1]) - xp[i]) / (xp[i + 1] - xp[i])
 
 
 class Linterp(Expr):
@@ -125,9 +125,8 @@ class Cinterp(Expr):
         constant, linear, quadratic, cubic = coeffs[:, i]
         return constant + t * (linear + t * (quadratic + t * cubic))
 
-    def to_text(self, *operands: str) -> str:
-        method = "" if self.method == "cubic" else f", method={self.method!r}"
-        return f"Cinterp({operands[0]}, {len(self.xp)} points{method})"
+    def details(self) -> list[str]:
+        return [f"{len(self.xp)} points", *([] if self.method == "cubic" else [f"method={self.method!r}"])]
 
     @classmethod
     def example(cls) -> list[Example]:

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
 from .node import Example, Expr, Shape
+from .printing import matrix_latex, number_latex
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,13 +91,12 @@ class Constant(Leaf):
 
     def to_latex(self, *operands: str) -> str:
         if self.value.ndim == 0:
-            return f"{self.value:.6g}"
+            return number_latex(self.value[()])
         if self.value.size > 36 or self.value.ndim > 2:
             sizes = r" \times ".join(map(str, self.shape))
             return rf"\mathrm{{const}}_{{{sizes}}}"
         rows = self.value.reshape(-1, 1) if self.value.ndim == 1 else self.value
-        body = r" \\ ".join(" & ".join(f"{v:.4g}" for v in row) for row in rows)
-        return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
+        return matrix_latex([[number_latex(v, 4) for v in row] for row in rows])
 
     @classmethod
     def example(cls) -> list[Example]:

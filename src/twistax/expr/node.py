@@ -144,10 +144,13 @@ class Expr(Operators):
         """Cases for the conformance suite."""
         raise NotImplementedError(f"{cls.__name__}.example")
 
+    def details(self) -> list[str]:
+        """The static fields as texts and trees show them: those that differ from their defaults."""
+        return [f"{f.name}={getattr(self, f.name)!r}" for f in self._fields if f.shown(getattr(self, f.name))]
+
     def to_text(self, *operands: str) -> str:
         """One-line text from the operands' texts."""
-        static = [f"{f.name}={getattr(self, f.name)!r}" for f in self._fields if f.shown(getattr(self, f.name))]
-        return f"{self.label}({', '.join([*operands, *static])})"
+        return f"{self.label}({', '.join([*operands, *self.details()])})"
 
     def to_latex(self, *operands: str) -> str:
         """LaTeX from the operands' LaTeX."""

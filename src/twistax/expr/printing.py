@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from .node import Expr, postorder
 
@@ -16,8 +19,21 @@ def wrap(node: Expr, text: str, level: int) -> str:
 
 
 def wrap_latex(node: Expr, text: str, level: int) -> str:
-    """As `wrap`, with growing parentheses."""
-    return text if node.precedence >= level else rf"\left({text}\right)"
+    """As `wrap`, with growing parentheses, and around negative numbers that are no terms of a sum."""
+    plain = node.precedence >= level and not (text.startswith("-") and level > 10)
+    return text if plain else rf"\left({text}\right)"
+
+
+def number_latex(value: Any, digits: int = 6) -> str:
+    """A number as one writes it by hand."""
+    if isinstance(value, (bool, np.bool_)):
+        return r"\top" if value else r"\bot"
+    text = f"{value:.{digits}g}".replace("inf", r"\infty").replace("nan", r"\mathrm{nan}")
+    mantissa, _, exponent = text.partition("e")
+    if not exponent:
+        return text
+    power = rf"10^{{{int(exponent)}}}"
+    return power if mantissa == "1" else rf"{mantissa} \times {power}"
 
 
 def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
@@ -76,7 +92,7 @@ def tree(root: Expr) -> str:
 
 def _head(node: Expr) -> str:
     if node.children():
-        return type(node).__name__
+        return " ".join([type(node).__name__, *node.details()])
     return f"{type(node).__name__} {node.to_text()}"
 
 

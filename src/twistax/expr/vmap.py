@@ -70,12 +70,10 @@ class Vmap(Expr):
             body = to_expr(fn(*placeholders))
         finally:
             _depth.reset(token)
-        constraint = body if isinstance(body, Constraint) else None
-        node.__dict__.update(
-            batches=batches, axis=axis, body=constraint.residual() if constraint else body, placeholders=placeholders
-        )
+        residual = body.residual() if isinstance(body, Constraint) else body
+        node.__dict__.update(batches=batches, axis=axis, body=residual, placeholders=placeholders)
         node._seal()
-        return type(constraint)(node, 0.0) if constraint else node
+        return type(body)(node, 0.0) if isinstance(body, Constraint) else node
 
     def __init__(self, fn: Callable[..., Any], batch: Any, axis: int = 0) -> None:
         """Everything is done by `__new__`, which for a constraint gives a constraint."""
@@ -133,12 +131,14 @@ class Vmap(Expr):
         body = self.body.canonicalize()
         return self if body is self.body else self._copy(self.batches, body)
 
+    def details(self) -> list[str]:
+        return [f"axis={self.axis}"] if self.axis else []
+
     def to_text(self, *operands: str) -> str:
         names = ", ".join(p.to_text() for p in self.placeholders)
         batches = ", ".join(operands[: len(self.batches)])
         batches = batches if len(self.batches) == 1 else f"[{batches}]"
-        axis = f", axis={self.axis}" if self.axis else ""
-        return f"Vmap({names} -> {self.body!r}, batch={batches}{axis})"
+        return f"Vmap({', '.join([f'{names} -> {self.body!r}', f'batch={batches}', *self.details()])})"
 
     def to_latex(self, *operands: str) -> str:
         pairs = zip(self.placeholders, operands)
