@@ -16,7 +16,8 @@ from ..arithmetic import is_constant, zeros_of
 from ..fields import Operand
 from ..node import Example, Expr, Shape
 from ..shapes import expect
-from .base import TwistNode, body_values, pose_value, twist_state
+from .base import TwistNode, body_values, is_identity_element, pose_value, twist_state
+from .transforms import undoes
 
 
 class Adjoint(TwistNode):
@@ -193,6 +194,15 @@ class AdjointAction(TwistNode):
         rotated = so3.act(T[:3, :3], w)
         return self.order.join(so3.act(T[:3, :3], v) + so3.bracket(T[:3, 3], rotated), rotated)
 
+    def simplify(self) -> Expr:
+        """The identity leaves a twist as it is, and so does every pose a zero; the inverse pose undoes the pose."""
+        T, twist = self.transform, self.twist
+        if is_identity_element(T) or is_constant(twist, 0.0):
+            return twist
+        if isinstance(twist, AdjointAction) and twist.order == self.order and undoes(T, twist.transform):
+            return twist.twist
+        return self
+
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{Ad}}_{{{operands[0]}}} \, {operands[1]}"
 
@@ -229,6 +239,15 @@ class CoadjointAction(TwistNode):
         force, torque = self.order.split(wrench)
         rotated = so3.act(T[:3, :3], force)
         return self.order.join(rotated, so3.act(T[:3, :3], torque) + so3.bracket(T[:3, 3], rotated))
+
+    def simplify(self) -> Expr:
+        """The identity leaves a wrench as it is, and so does every pose a zero; the inverse pose undoes the pose."""
+        T, wrench = self.transform, self.wrench
+        if is_identity_element(T) or is_constant(wrench, 0.0):
+            return wrench
+        if isinstance(wrench, CoadjointAction) and wrench.order == self.order and undoes(T, wrench.transform):
+            return wrench.wrench
+        return self
 
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{Ad}}^*_{{{operands[0]}}} \, {operands[1]}"
