@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ShapeError
+from ..groups.inputs import multiply
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Shape
@@ -303,6 +304,10 @@ class Power(Expr):
         return [Example(a**2, {"a": signed}), Example(a**s, {"a": positive, "s": 1.3}), Example(a**-1, {"a": positive})]
 
 
+#: Up to so many scalar multiplications a matrix product is written as a sum of products, which XLA fuses.
+_SMALL = 512
+
+
 class MatMul(Expr):
     """Matrix product left @ right, NumPy's rules for vectors, matrices and stacks.
 
@@ -330,9 +335,13 @@ class MatMul(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         left, right = values
-        if left.ndim > 2 and right.ndim > 2:
-            left, right = align(left, right)
-        return left @ right
+        if left.ndim > 2 or right.ndim > 2 or left.size * right.size > _SMALL * right.shape[0]:
+            if left.ndim > 2 and right.ndim > 2:
+                left, right = align(left, right)
+            return jnp.matmul(left, right, precision=jax.lax.Precision.HIGHEST)
+        if left.ndim == 1:
+            return jnp.sum((left if right.ndim == 1 else left[:, None]) * right, axis=0)
+        return multiply(left, right)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         left, right = self.left, self.right
@@ -356,6 +365,10 @@ class MatMul(Expr):
             return zeros_of(self)
         applied = self.left.applied_to(self.right) if self.right.ndim == 1 else None
         return self if applied is None else applied
+
+    def applied_to(self, vector: Expr) -> Expr | None:
+        """(A B) x is A (B x), which needs no product of matrices."""
+        return MatMul(self.left, MatMul(self.right, vector)) if self.left.ndim == self.right.ndim == 2 else None
 
     def to_text(self, *operands: str) -> str:
         return f"({operands[0]} @ {operands[1]})"

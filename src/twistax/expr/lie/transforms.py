@@ -52,14 +52,18 @@ class Compose(Expr):
         return all(operands)
 
     def simplify(self) -> Expr:
-        """The identity vanishes; T^-1 T and T T^-1 are the identity for a group element."""
-        if is_identity_element(self.left):
-            return self.right
-        if is_identity_element(self.right):
-            return self.left
-        for inverse, element in ((self.left, self.right), (self.right, self.left)):
-            if isinstance(inverse, Inverse) and inverse.element.key() == element.key() and element.is_group_element:
-                return Constant(np.eye(self.shape[0]))
+        """The identity vanishes, and so does a group element beside its inverse, also inside of a chain."""
+        left, right = self.left, self.right
+        if is_identity_element(left):
+            return right
+        if is_identity_element(right):
+            return left
+        if undoes(left, right):
+            return Constant(np.eye(self.shape[0]))
+        if isinstance(right, Compose) and undoes(left, right.left):
+            return right.right
+        if isinstance(left, Compose) and undoes(left.right, right):
+            return left.left
         return self
 
     def to_latex(self, *operands: str) -> str:
@@ -112,6 +116,13 @@ class Inverse(Expr):
         ]
 
 
+def undoes(one: Expr, other: Expr) -> bool:
+    """Whether two group elements are inverse to each other by construction."""
+    pairs = ((one, other), (other, one))
+    inverse = any(isinstance(a, Inverse) and a.element.key() == b.key() for a, b in pairs)
+    return inverse and one.is_group_element
+
+
 class Act(Expr):
     """A rotation or a pose applied to points: R p, or R p + t. Shapes: (3, 3) or (4, 4), and (3,) or (k, 3) points.
 
@@ -137,8 +148,11 @@ class Act(Expr):
         return result
 
     def simplify(self) -> Expr:
-        """The identity vanishes."""
-        return self.point if is_identity_element(self.element) else self
+        """The identity vanishes; T^-1 undoes T."""
+        if is_identity_element(self.element):
+            return self.point
+        inner = self.point
+        return inner.point if isinstance(inner, Act) and undoes(self.element, inner.element) else self
 
     def to_latex(self, *operands: str) -> str:
         return r" \cdot ".join(operands)
