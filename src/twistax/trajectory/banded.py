@@ -40,9 +40,9 @@ class Chain:
         self._width = 2 * block - 1
         starts = block * np.arange(nodes - 1)
         self._columns = starts[:, None] + np.arange(2 * block)
-        row, column = np.triu_indices(2 * block)
-        self._upper = (row, column)
-        self._band = (self._width + row - column) * self.length + starts[:, None] + column
+        row, column = np.tril_indices(2 * block)
+        self._lower = (row, column)
+        self._band = (row - column) * self.length + starts[:, None] + column
         seen = np.concatenate([self._columns, np.broadcast_to(self.length + np.arange(shared), (nodes - 1, shared))], 1)
         self.seen_free = free[seen]
 
@@ -69,14 +69,15 @@ class Chain:
         matrices = matrices * (self.seen_free[:, :, None] & self.seen_free[:, None, :])
         diagonal = np.where(free, damping, 1.0)
         size = (self._width + 1) * self.length
-        band = np.bincount(self._band.ravel(), matrices[:, *self._upper].ravel(), minlength=size)
+        band = np.bincount(self._band.ravel(), matrices[:, *self._lower].ravel(), minlength=size)
         band = band.reshape(self._width + 1, self.length)
-        band[-1] += diagonal[: self.length]
+        band[0] += diagonal[: self.length]
         border = np.stack([self._summed(matrices[:, :inner, inner + j]) for j in range(self.shared)], axis=1)
         corner = matrices[:, inner:, inner:].sum(axis=0) + np.diag(diagonal[self.length :])
         try:
-            chol = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
-            solved = scipy.linalg.cho_solve_banded((chol, False), border, check_finite=False)
+            # The lower form: OpenBLAS starts threads for every column of the upper one, which a busy machine punishes.
+            chol = scipy.linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+            solved = scipy.linalg.cho_solve_banded((chol, True), border, check_finite=False)
             schur = scipy.linalg.cho_factor(corner - border.T @ solved)
         except (scipy.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefinite(str(error)) from None
@@ -100,6 +101,6 @@ class Factor:
         """The solution for a right-hand side (nodes * block + shared,); zero for unknowns that are not free."""
         right = np.where(self.free, right, 0.0)
         length = len(self.border)
-        inner = scipy.linalg.cho_solve_banded((self.band, False), right[:length], check_finite=False)
+        inner = scipy.linalg.cho_solve_banded((self.band, True), right[:length], check_finite=False)
         tail = scipy.linalg.cho_solve(self.schur, right[length:] - self.border.T @ inner, check_finite=False)
         return np.concatenate([inner - self.solved @ tail, tail])

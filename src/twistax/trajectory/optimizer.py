@@ -43,7 +43,9 @@ class Settings:
     largest_damping: float = 1e12
     largest_step: float = 1.5
     trials: int = 16
-    bend: float = 1.0
+    model_iterations: int = 20
+    relax: float = 0.2
+    tighten: float = 4.0
     flat: float = 1e-5
     settled: float = 1e-4
 
@@ -162,45 +164,80 @@ class Optimizer:
     # ---- one step ---------------------------------------------------------------------------------------------
 
     def _step(self, point: _Scaled, multipliers: Array, penalty: float, damping: float, budget: int) -> _Step:
-        s, chain = self.settings, self._chain
-        shifted, active = self._shifted(point, multipliers, penalty)
-        merit = self._merit(point, shifted, penalty)
-        weighted = point.slopes * active[:, :, None]
-        matrices = point.curvature + penalty * np.matmul(weighted.transpose(0, 2, 1), point.slopes)
-        matrices = matrices + self._smoothing * self._smoother
-        slope = point.gradient + penalty * np.einsum("kr,krl->kl", shifted, point.slopes)
-        downhill = -chain.scatter(slope) - self._smoothing * chain.scatter(self._smooth_pull(point))
-        pull = penalty * active[:, :, None] * point.slopes
+        s = self.settings
+        shift = multipliers / penalty
+        merit = self._merit(point, self._shifted(point, multipliers, penalty)[0], penalty)
         tried = 0
         while tried < min(budget, s.trials) and damping <= s.largest_damping:
             try:
-                factor = chain.factor(matrices, damping)
+                step, expected = self._minimize_model(point, shift, penalty, damping)
             except NotPositiveDefinite:
                 damping = max(10.0 * damping, 1e-9)
                 continue
-            step = factor.solve(downhill)
-            long = float(np.abs(step).max())
-            if long > s.largest_step:
-                step = step * (s.largest_step / long)
-            seen = chain.gather(step)
-            expected = step @ downhill - 0.5 * float(np.einsum("kl,klm,km", seen, matrices, seen))
             trial, gain = self._try(point, step, multipliers, penalty, merit)
             tried += 1
-            if gain < 0.9 * expected and trial is not None:
-                # Second-order correction: what the linear model missed, answered by the same matrix.
-                missed = trial.rows - point.rows - np.einsum("krl,kl->kr", point.slopes, seen)
-                bend = factor.solve(-chain.scatter(np.einsum("kr,krl->kl", missed, pull)))
-                if float(np.abs(bend).max()) <= s.bend * float(np.abs(step).max()):
-                    second, second_gain = self._try(point, step + bend, multipliers, penalty, merit)
-                    tried += 1
-                    if second_gain > gain:
-                        trial, gain = second, second_gain
-            ratio = gain / expected
             if trial is not None and gain > 0.0:
-                factor_ = 0.2 if ratio > 0.75 else 1.0 if ratio > 0.25 else 3.0
-                return _Step(trial, max(factor_ * damping, 1e-9), gain / max(1.0, abs(merit)), tried)
-            damping = 6.0 * damping
-        return _Step(None, damping / 36.0, 0.0, tried)
+                ratio = gain / expected
+                change = s.relax if ratio > 0.75 else 1.0 if ratio > 0.25 else 3.0
+                return _Step(trial, max(change * damping, 1e-9), gain / max(1.0, abs(merit)), tried)
+            damping = s.tighten * damping
+        return _Step(None, damping, 0.0, tried)
+
+    def _minimize_model(self, point: _Scaled, shift: Array, penalty: float, damping: float) -> tuple[Array, float]:
+        """The step that minimises the damped model of the merit, and how much the model without damping falls.
+
+        The model has linear residuals, so it is convex and piecewise quadratic: a kink where an inequality becomes
+        active. Newton's method with an exact search along the line ends once the active rows stay the same.
+        """
+        chain, s = self._chain, self.settings
+        start = np.where(self._exists, point.rows + shift, 0.0)
+        bends = point.curvature + self._smoothing * self._smoother
+        pull = chain.scatter(point.gradient + self._smoothing * self._smooth_pull(point)) * chain.free
+        step = np.zeros(len(pull))
+        values = start
+        bent = np.zeros_like(step)
+        active = self._equality | (values > 0.0)
+        for _ in range(s.model_iterations):
+            seen = np.where(active, values, 0.0)
+            slope = pull + bent + penalty * chain.scatter(np.einsum("kr,krl->kl", seen, point.slopes)) * chain.free
+            weighted = point.slopes * active[:, :, None]
+            matrices = bends + penalty * np.matmul(weighted.transpose(0, 2, 1), point.slopes)
+            self.solves = getattr(self, "solves", 0) + 1
+            move = chain.factor(matrices, damping).solve(-(slope + damping * step))
+            moves = np.einsum("krl,kl->kr", point.slopes, chain.gather(move))
+            bent_move = chain.scatter(np.einsum("kab,kb->ka", bends, chain.gather(move))) * chain.free
+            share = self._search(
+                values, moves, penalty, float((pull + bent + damping * step) @ move), float(bent_move @ move + damping * move @ move)
+            )
+            step, values, bent = step + share * move, values + share * moves, bent + share * bent_move
+            before, active = active, self._equality | (values > 0.0)
+            if share > 0.999 and (before == active).all():
+                break
+        long = float(np.abs(step).max())
+        if long > s.largest_step:
+            shrink = s.largest_step / long
+            step, bent, values = shrink * step, shrink * bent, start + shrink * (values - start)
+        return step, self._half(start, penalty) - self._half(values, penalty) - float(pull @ step + 0.5 * bent @ step)
+
+    def _half(self, values: Array, penalty: float) -> float:
+        return 0.5 * penalty * float((np.where(self._equality | (values > 0.0), values, 0.0) ** 2).sum())
+
+    def _search(self, values: Array, moves: Array, penalty: float, slope: float, bend: float) -> float:
+        """The share in (0, 1] of a move at which the model is least."""
+
+        def derivative(share: float) -> float:
+            now = values + share * moves
+            seen = np.where(self._equality | (now > 0.0), now, 0.0)
+            return slope + share * bend + penalty * float((seen * moves).sum())
+
+        if derivative(1.0) <= 0.0:
+            return 1.0
+        low, high = 0.0, 1.0
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if derivative(middle) < 0.0 else (low, middle)
+            if high - low < 1e-3 * high: break
+        return high
 
     def _try(
         self, point: _Scaled, step: Array, multipliers: Array, penalty: float, merit: float
