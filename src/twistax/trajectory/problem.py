@@ -97,7 +97,7 @@ class Problem:
         values, constraints = split_final(final)
         self.initial = end_values(dynamics.states, "initial", initial)
         self.final = end_values(dynamics.states, "final", values)
-        rows = final_rows(dynamics, constraints)
+        self.final_rows = rows = final_rows(dynamics, constraints)
         self._leaves = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
         self._lengths = {s.name: self.nodes for s in dynamics.states} | {
             c.name: self.nodes - 1 for c in dynamics.controls
@@ -153,11 +153,15 @@ class Problem:
             compiled = time.perf_counter()
             optimizer = self._optimizer(evaluate, plain)
             outcomes = []
+            sign = self.objective.sign
+            report: Callback | None = None
+            if callback is not None:
+                report = lambda number, cost, violation: callback(number, sign * cost, violation)  # noqa: E731
             for number in range(guesses):
                 start = plain
                 if seed is not None or number > 0:
                     start = self._perturbed(evaluate, plain, np.random.default_rng([seed or 0, number]))
-                outcomes.append(optimizer.run(start, max_iterations, tolerance, callback))
+                outcomes.append(optimizer.run(start, max_iterations, tolerance, report))
             done = time.perf_counter()
         return self._result(outcomes, tolerance, compiled - begin, done - compiled)
 
