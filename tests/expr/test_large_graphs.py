@@ -85,11 +85,10 @@ def test_a_deep_tree_of_sums_flattens() -> None:
 
 
 def test_the_place_of_an_error_is_found_in_a_deep_tree() -> None:
-    wrong = tx.Cross(x, tx.Concat(x, 1.0))
+    deep: tx.Expr = tx.Cross(x, tx.Concat(x, 1.0))
+    for _ in range(3000):
+        deep = tx.Sin(deep)
     with pytest.raises(ShapeError, match="Cross expects right with shape") as caught:
-        deep: tx.Expr = wrong
-        for _ in range(3000):
-            deep = tx.Sin(deep)
         deep.check_shape()
     assert "Cross" in str(caught.value.at)
     assert len(str(caught.value)) < 5000

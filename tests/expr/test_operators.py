@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twistax import expr as tx
-from twistax.errors import ModelError, ShapeError
+from twistax.errors import ShapeError
 
 s = tx.State("s")
 x, q, f6 = tx.State("x", shape=(3,)), tx.State("q", shape=(4,)), tx.State("f", shape=(6,))
@@ -134,18 +134,16 @@ def test_shape_errors(expr: tx.Expr, sentence: str) -> None:
 
 
 def test_a_shape_error_says_where_and_how_to_mend_it() -> None:
-    wrong = tx.Solve(A, x - tx.Cross(x, q))
+    wrong = 1.0 + tx.Norm(tx.Solve(A, x - tx.Cross(x, q)))
     with pytest.raises(ShapeError) as caught:
-        (1.0 + tx.Norm(wrong)).check_shape()
-    sentence, place, fix = (
-        str(caught.value).splitlines()[:3] if "fix" in str(caught.value) else (*str(caught.value).splitlines(), "")
-    )
+        wrong.check_shape()
+    sentence, place = str(caught.value).splitlines()
     assert sentence == "Cross expects right with shape (3,), got (4,)"
-    assert place.strip().startswith("at: Add.terms[1] -> Norm.operand -> Solve.b -> Sub.right -> Cross in ")
-    assert fix == ""
+    assert place == f"  at: Add.terms[1] -> Norm.operand -> Solve.b -> Sub.right -> Cross in {wrong!r}"
+    mendable = tx.Sin(A @ s)
     with pytest.raises(ShapeError) as caught:
-        tx.Sin(A @ s).check_shape()
-    assert "  fix: use * to multiply by a scalar" in str(caught.value)
+        mendable.check_shape()
+    assert str(caught.value).splitlines()[-1] == "  fix: use * to multiply by a scalar"
 
 
 def test_an_error_is_found_again() -> None:
@@ -170,10 +168,7 @@ def test_operators_build_the_right_nodes() -> None:
     assert hash(x) == id(x)
 
 
-def test_a_model_error_for_boolean_index_of_wrong_length() -> None:
+def test_a_mask_of_the_wrong_length() -> None:
+    short = x[np.array([True, False])]
     with pytest.raises(ShapeError, match="Index expects an index into shape"):
-        x[np.array([True, False])].check_shape()
-    with pytest.raises(ModelError, match="traced"):
-        import jax
-
-        jax.jit(lambda value: tx.Constant(value).value)(1.0)
+        short.check_shape()

@@ -39,7 +39,7 @@ def test_latex() -> None:
         r"\left(-3\right) \, x": -3.0 * x,
         r"2 \cdot 3 \, s": tx.Mul(2.0, 3.0, s),
         r"-x": -x,
-        r"-\left(-x\right)": -(-x),
+        r"-\left(-x\right)": tx.Neg(-x),
         r"\frac{x + s}{s}": (x + s) / s,
         r"{\left(x + s\right)}^{2}": (x + s) ** 2,
         r"{A}^{\top} \, x": A.T @ x,

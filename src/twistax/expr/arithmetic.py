@@ -108,7 +108,7 @@ class Sub(Expr):
         return left - right
 
     def simplify(self) -> Expr:
-        """x - x is 0; x - 0 is x; 0 - x is -x; x - (-y) is x + y; x - c is x + (-c)."""
+        """x - x is 0; x - 0 is x; 0 - x is -x; x - (-y) is x + y."""
         if self.left.key() == self.right.key():
             return zeros_of(self)
         if is_constant(self.right, 0.0) and self.left.shape == self.shape:
@@ -240,7 +240,7 @@ class Neg(Expr):
         return -values[0]
 
     def simplify(self) -> Expr:
-        """-(-x) is x; -(a - b) is b - a where the shapes allow."""
+        """-(-x) is x."""
         if isinstance(self.operand, Neg):
             return self.operand.operand
         return self
