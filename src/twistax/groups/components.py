@@ -29,7 +29,7 @@ def vector(components: Sequence[Array]) -> Array:
 
 def matrix(rows: Sequence[Sequence[Array]]) -> Array:
     """Rows of scalars as one matrix."""
-    return jnp.stack([entry for row in rows for entry in row]).reshape(len(rows), len(rows[0]))
+    return jnp.stack([jnp.stack(list(row)) for row in rows])
 
 
 def dot(a: Components, b: Components) -> Array:
