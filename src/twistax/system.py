@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from .errors import ModelError, ShapeError
 from .expr import Constraint, Control, Expr, Leaf, Parameter, State, check_orders, find_path, leaves_of, to_expr
-from .expr.fields import ExprLike
+from .expr.fields import ExprLike, freeze
 from .groups import Euclidean, Product
 
 L = TypeVar("L", bound=Leaf)
@@ -20,7 +20,7 @@ class System:
         rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.
             The rate of a group-valued state is its body velocity, shape (3,) or (6,); of another state, of its shape.
         outputs: named expressions to be computed on demand.
-        constraints: constraints (`a <= b`, `a >= b`, `a == b`), a list or a mapping from names.
+        constraints: constraints (`a <= b`, `a >= b`, `a == b`): one, a list, or a mapping from names.
         controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
 
     Attributes:
@@ -30,7 +30,7 @@ class System:
         group: the product group the state lives on.
 
     Raises:
-        ModelError: a missing, unknown, duplicate or undeclared name.
+        ModelError: a missing, unknown, duplicate or undeclared name; leaves of one name that differ; no expression.
         ShapeError: a rate of the wrong shape, or a shape that does not fit inside an expression.
         OrderError: a [v; w] quantity meets a [w; v] one.
     """
@@ -39,27 +39,30 @@ class System:
         self,
         rates: Mapping[State | str, ExprLike],
         outputs: Mapping[str, ExprLike] | None = None,
-        constraints: Sequence[Constraint] | Mapping[str, Constraint] = (),
+        constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
         *,
         controls: Iterable[Control] | None = None,
         parameters: Iterable[Parameter] | None = None,
     ) -> None:
-        if not rates:
+        if not isinstance(rates, Mapping) or not rates:
             raise ModelError("a System needs at least one state with a rate: rates={x: expression}")
-        self.outputs: dict[str, Expr] = {name: to_expr(expr) for name, expr in (outputs or {}).items()}
+        if outputs is not None and not isinstance(outputs, Mapping):
+            raise ModelError(f"outputs must be a dict from names to expressions, got {type(outputs).__name__}")
+        expressions = {key: _expression(f"rates[{_name_of(key)!r}]", rate) for key, rate in rates.items()}
+        self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         self.constraints: dict[str, Constraint] = _named_constraints(constraints)
         self._roots: dict[str, Expr] = {
-            **{f"rates[{_name_of(key)!r}]": to_expr(rate) for key, rate in rates.items()},
+            **{f"rates[{_name_of(key)!r}]": rate for key, rate in expressions.items()},
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
-        used = list(leaves_of(*self._roots.values()))
-        self.states: tuple[State, ...] = _declared_states(rates, used)
-        self.rates: dict[str, Expr] = {s.name: to_expr(r) for s, r in zip(self.states, rates.values())}
-        self.controls: tuple[Control, ...] = _declared(Control, controls, used, self._place)
-        self.parameters: tuple[Parameter, ...] = _declared(Parameter, parameters, used, self._place)
-        self.group = Product({state.name: state.group for state in self.states})
+        used = [leaf for leaf in leaves_of(*self._roots.values()) if isinstance(leaf, (State, Control, Parameter))]
+        self.states: tuple[State, ...] = _states(rates, used)
+        self.rates: dict[str, Expr] = dict(zip((s.name for s in self.states), expressions.values(), strict=True))
+        self.controls: tuple[Control, ...] = self._declared(Control, controls, used)
+        self.parameters: tuple[Parameter, ...] = self._declared(Parameter, parameters, used)
         self._check_names([*self.states, *self.controls, *self.parameters], used)
+        self.group = Product({state.name: state.group for state in self.states})
         self._check_shapes()
         check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
 
@@ -72,30 +75,50 @@ class System:
         for name, root in self._roots.items():
             if any(found is leaf for found in leaves_of(root)):
                 return f"{name}: {find_path(root, leaf)}"
-        return "not used"
+        return "a key of rates" if isinstance(leaf, State) else "declared, not used"
 
-    def _check_names(self, declared: list[Leaf], used: list[Leaf]) -> None:
+    def _declared(self, kind: type[L], declared: Iterable[L] | None, used: Sequence[Leaf]) -> tuple[L, ...]:
+        """The leaves of one kind in order: as declared, else as found."""
+        found = {leaf.name: leaf for leaf in reversed(used) if isinstance(leaf, kind)}
+        if declared is None:
+            return tuple(reversed(found.values()))
+        argument = f"{kind.__name__.lower()}s"
+        listed: Iterable[Any] = (declared,) if isinstance(declared, Expr) else declared
+        leaves = {id(leaf): leaf for leaf in listed}
+        for leaf in leaves.values():
+            if not isinstance(leaf, kind):
+                raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {leaf!r}")
+        names = {leaf.name for leaf in leaves.values()}
+        for name, leaf in found.items():
+            if name not in names:
+                raise ModelError(
+                    f"{kind.__name__} {name!r} is used but not declared.\n  at: {self._place(leaf)}\n"
+                    f"  fix: add it to {argument}=, or leave {argument}= out"
+                )
+        return tuple(leaves.values())
+
+    def _check_names(self, declared: Sequence[Leaf], used: Sequence[Leaf]) -> None:
         known: dict[str, Leaf] = {}
         for leaf in declared:
-            if leaf.name in known:
-                raise ModelError(
-                    f"two leaves are named {leaf.name!r}: {_kind(known[leaf.name])} and {_kind(leaf)}.\n"
-                    "  fix: names are unique within a system; rename one"
-                )
-            known[leaf.name] = leaf
+            if known.setdefault(leaf.name, leaf) is not leaf:
+                raise self._two_leaves(known[leaf.name], leaf)
         for leaf in used:
-            if isinstance(leaf, (State, Control, Parameter)):
-                mine = known.get(leaf.name)
-                if mine is None:
-                    raise ModelError(
-                        f"State {leaf.name!r} has no rate.\n  at: {self._place(leaf)}\n"
-                        f"  fix: add {leaf.name}: <rate> to rates, or make it a Control or a Parameter"
-                    )
-                if mine.key() != leaf.key():
-                    raise ModelError(
-                        f"two leaves are named {leaf.name!r}: {_kind(mine)} and {_kind(leaf)}.\n"
-                        f"  at: {self._place(leaf)}\n  fix: names are unique within a system; rename one"
-                    )
+            if leaf.name not in known:
+                raise ModelError(
+                    f"State {leaf.name!r} has no rate.\n  at: {self._place(leaf)}\n"
+                    f"  fix: add {leaf.name!r} to rates, or make it a Control or a Parameter"
+                )
+            if known[leaf.name] is not leaf and _differences(known[leaf.name], leaf):
+                raise self._two_leaves(known[leaf.name], leaf)
+
+    def _two_leaves(self, one: Leaf, other: Leaf) -> ModelError:
+        found = ", ".join(_differences(one, other)) if type(one) is type(other) else ""
+        differ = f", which differ in {found}" if found else ""
+        return ModelError(
+            f"two leaves are named {one.name!r}: {_kind(one)} and {_kind(other)}{differ}.\n"
+            f"  at: {self._place(one)}\n  and: {self._place(other)}\n"
+            "  fix: names are unique within a system; rename one, or use one object in both places"
+        )
 
     def _check_shapes(self) -> None:
         for name, root in self._roots.items():
@@ -107,6 +130,11 @@ class System:
             rate = self.rates[state.name]
             euclidean = isinstance(state.group, Euclidean)
             wanted = state.shape if euclidean else (state.group.dimension,)
+            if rate.boolean:
+                raise ModelError(
+                    f"the rate of {state.name!r} is true or false, not a number.\n"
+                    f"  at: rates[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
+                )
             if rate.shape != wanted:
                 kind = "of the state's shape" if euclidean else f"a body velocity on {state.group.name}"
                 raise ShapeError(
@@ -124,74 +152,61 @@ def _name_of(key: State | str) -> str:
     return key if isinstance(key, str) else getattr(key, "name", repr(key))
 
 
-def _named_constraints(constraints: Sequence[Constraint] | Mapping[str, Constraint]) -> dict[str, Constraint]:
-    if not isinstance(constraints, Mapping):
-        if isinstance(constraints, Expr):
-            constraints = [constraints]
-        named: dict[str, Constraint] = {}
-        for constraint in constraints:
+def _expression(place: str, value: ExprLike) -> Expr:
+    try:
+        return to_expr(value)
+    except ModelError as error:
+        raise ModelError(f"{place}: {error}") from None
+
+
+def _named_constraints(
+    constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
+) -> dict[str, Constraint]:
+    if isinstance(constraints, Mapping):
+        named = dict(constraints)
+    else:
+        named = {}
+        for constraint in [constraints] if isinstance(constraints, Constraint) else constraints:
             name = text = repr(constraint)
             number = 1
             while name in named:
                 number += 1
                 name = f"{text} ({number})"
             named[name] = constraint
-        constraints = named
-    for name, constraint in constraints.items():
+    for name, constraint in named.items():
         if not isinstance(constraint, Constraint):
             raise ModelError(
                 f"constraint {name!r} is not a constraint but {type(constraint).__name__}.\n"
                 "  fix: compare expressions, e.g. tx.linalg.Norm(F) <= 10.0"
             )
-    return dict(constraints)
+    return named
 
 
-def _declared_states(rates: Mapping[State | str, ExprLike], used: list[Leaf]) -> tuple[State, ...]:
-    found = {leaf.name: leaf for leaf in used if isinstance(leaf, State)}
-    states: list[State] = []
+def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tuple[State, ...]:
+    """The states in the order of the keys."""
+    found = {leaf.name: leaf for leaf in [*reversed(used), *rates] if isinstance(leaf, State)}
+    states: dict[str, State] = {}
     for key in rates:
-        if isinstance(key, State):
-            states.append(key)
-        elif isinstance(key, str):
-            if key not in found:
-                known = ", ".join(sorted(found)) or "none"
-                raise ModelError(
-                    f"rates names {key!r}, but no State of that name is used (known: {known}).\n"
-                    "  fix: give the State itself as the key"
-                )
-            states.append(found[key])
-        else:
+        if not isinstance(key, (State, str)):
             raise ModelError(f"a key of rates must be a State or its name, got {key!r}")
-    return tuple(states)
+        name = _name_of(key)
+        if name not in found:
+            known = ", ".join(sorted(found)) or "none"
+            raise ModelError(
+                f"rates names {name!r}, but no State of that name is used (known: {known}).\n"
+                "  fix: give the State itself as the key"
+            )
+        if name in states:
+            raise ModelError(f"the rate of {name!r} is given twice.\n  fix: one key a state: the State or its name")
+        states[name] = found[name]
+    return tuple(states.values())
 
 
-def _declared(kind: type[L], declared: Iterable[L] | None, used: list[Leaf], place: object) -> tuple[L, ...]:
-    found: dict[str, L] = {}
-    for leaf in used:
-        if isinstance(leaf, kind):
-            other = found.setdefault(leaf.name, leaf)
-            if other is not leaf and _metadata(other) != _metadata(leaf):
-                raise ModelError(
-                    f"two {kind.__name__}s are named {leaf.name!r} and differ in shape, bounds or value.\n"
-                    "  fix: use one object, or rename one"
-                )
-    if declared is None:
-        return tuple(found.values())
-    declared = tuple(declared)
-    for leaf in declared:
-        if not isinstance(leaf, kind):
-            raise ModelError(f"{kind.__name__.lower()}s must be {kind.__name__} leaves, got {leaf!r}")
-    missing = [name for name in found if name not in {leaf.name for leaf in declared}]
-    if missing:
-        where = place(found[missing[0]]) if callable(place) else ""
-        raise ModelError(
-            f"{kind.__name__} {missing[0]!r} is used but not declared.\n  at: {where}\n"
-            f"  fix: add it to {kind.__name__.lower()}s=, or leave {kind.__name__.lower()}s= out"
-        )
-    return declared
-
-
-def _metadata(leaf: Leaf) -> tuple[object, ...]:
-    from .expr.fields import freeze
-
-    return (leaf.key(), *(freeze(v) for k, v in sorted(leaf.__dict__.items()) if not k.startswith("_")))
+def _differences(one: Leaf, other: Leaf) -> list[str]:
+    """What distinguishes two leaves of one name."""
+    if type(one) is not type(other):
+        return ["kind"]
+    if one.shape != other.shape:
+        return ["shape"]
+    fields = [name for name in one.__dict__ if not name.startswith("_")]
+    return [name for name in fields if freeze(getattr(one, name)) != freeze(getattr(other, name))]

@@ -1,6 +1,6 @@
 """From trees to functions: one expression (`lower`) or a whole system (`compile`)."""
 
-from .dynamics import Dynamics, compile  # noqa: A004  the contract's name
+from .dynamics import Dynamics, compile
 from .explain import Explanation
 from .lower import lower
 

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ..errors import ModelError
-from ..expr import Constant, Equality, Expr, Inputs, Parameter, canonicalize_all, evaluate_all, leaves_of, postorder
+from ..expr import (
+    Constant,
+    Control,
+    Equality,
+    Expr,
+    Inputs,
+    Parameter,
+    State,
+    canonicalize_all,
+    evaluate_all,
+    leaves_of,
+    substitute,
+)
 from ..system import System
 from .explain import Explanation, count_equations, distinct_nodes, written_nodes
 from .inputs import Values, prepare
@@ -35,10 +47,10 @@ class Dynamics:
         self.system = system
         self._baked = tuple(bake)
         narrowed = _narrow(system.outputs, outputs)
-        substitute = _baker(system.parameters, bake)
-        self._rates = _canonical(system.rates, substitute)
-        self._outputs = _canonical(narrowed, substitute)
-        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, substitute)
+        constants = _constants(system.parameters, bake)
+        self._rates = _canonical(system.rates, constants)
+        self._outputs = _canonical(narrowed, constants)
+        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
         equal = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
         self._inequalities = {name: residual for name, residual in residuals.items() if name not in equal}
         self._equalities = {name: residual for name, residual in residuals.items() if name in equal}
@@ -76,7 +88,8 @@ class Dynamics:
     def difference(self, x: Values, y: Values) -> jax.Array:
         """The tangent vector d with retract(x, d) = y, shape (n,): Log(x^-1 y)."""
         inputs = self.prepare(0.0, x, reads=())
-        return self.group.difference(inputs.x, self.prepare(0.0, y, reads=()).x)
+        other = {name: value.astype(inputs.dtype) for name, value in self.prepare(0.0, y, reads=()).x.items()}
+        return self.group.difference(inputs.x, other)
 
     def explain(self) -> Explanation:
         """What is computed, what was left out, and the counts before and after."""
@@ -167,16 +180,19 @@ class Dynamics:
         }
 
     def _equations(self, roots: list[Expr]) -> int:
-        leaves = {leaf.name: leaf for leaf in leaves_of(*roots)}
+        """How many jaxpr equations the roots amount to."""
+        dtype = jax.dtypes.canonicalize_dtype(float)
+        leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
+        inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
 
         def function(values: Arrays) -> list[jax.Array]:
-            return evaluate_all(roots, lambda leaf: values.get(leaf.name, jnp.zeros(leaf.shape)))
+            return evaluate_all(roots, lambda leaf: values[leaf.key()] if leaf.key() in leaves else leaf.read(inputs))
 
-        shapes = {n: jax.ShapeDtypeStruct(f.shape, float) for n, f in leaves.items() if not isinstance(f, Constant)}
+        shapes = {key: jax.ShapeDtypeStruct(leaf.shape, dtype) for key, leaf in leaves.items()}
         return count_equations(jax.make_jaxpr(function)(shapes).jaxpr)
 
 
-def compile(  # noqa: A001  the contract's name
+def compile(
     system: System, *, outputs: Iterable[str] | None = None, bake: Mapping[str, Any] | None = None
 ) -> Dynamics:
     """Compile a system to jitted, differentiable functions.
@@ -192,6 +208,8 @@ def compile(  # noqa: A001  the contract's name
     """
     if not isinstance(system, System):
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
+    if bake is not None and not isinstance(bake, Mapping):
+        raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
     return Dynamics(system, outputs, dict(bake or {}))
 
 
@@ -205,35 +223,29 @@ def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[st
     return {name: outputs[name] for name in names}
 
 
-def _baker(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> Callable[[Expr], Expr]:
-    """A function that replaces baked parameters by constants throughout a tree."""
+def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Expr]:
+    """The baked parameters: key of the leaf -> constant."""
     known = {p.name: p for p in parameters}
     constants: dict[str, Expr] = {}
     for name, value in bake.items():
         if name not in known:
-            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {', '.join(known) or 'none'}")
-        constants[name] = Constant(known[name].replace(value=value).value)
-
-    def substitute(root: Expr) -> Expr:
-        if not constants:
-            return root
-        done: dict[int, Expr] = {}
-        for node in postorder(root):
-            if isinstance(node, Parameter) and node.name in constants:
-                done[id(node)] = constants[node.name]
-            else:
-                done[id(node)] = node.with_children([done[id(child)] for child in node.children()])
-        return done[id(root)]
-
-    return substitute
+            raise ModelError(
+                f"bake names {name!r}, which is no parameter; the system has: {', '.join(known) or 'none'}"
+            )
+        if value is None:
+            raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
+        constants[known[name].key()] = Constant(known[name].replace(value=value).value)
+    return constants
 
 
-def _canonical(exprs: Mapping[str, Expr], substitute: Callable[[Expr], Expr]) -> dict[str, Expr]:
-    return dict(zip(exprs, canonicalize_all([substitute(expr) for expr in exprs.values()])))
+def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:
+    roots = [substitute(expr, constants) for expr in exprs.values()] if constants else list(exprs.values())
+    return dict(zip(exprs, canonicalize_all(roots), strict=True))
 
 
 def _names(roots: list[Expr]) -> set[str]:
-    return {leaf.name for leaf in leaves_of(*roots)}
+    """The names of the states, controls and parameters that the roots read."""
+    return {leaf.name for leaf in leaves_of(*roots) if isinstance(leaf, (State, Control, Parameter))}
 
 
 def _size(expr: Expr) -> int:

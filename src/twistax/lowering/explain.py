@@ -16,8 +16,8 @@ class Explanation:
     """What was left out of a compiled system, with counts before and after. Print it.
 
     Attributes:
-        leaves: kind -> names that are read.
-        unused: one line per control, parameter or state that no rate needs.
+        leaves: kind -> names, in order.
+        unused: one line per control or parameter that no rate needs.
         baked: names of parameters folded into the code.
         nodes: (tree nodes as written, distinct nodes after canonicalize).
         equations: (jaxpr equations as written, after).
@@ -60,7 +60,9 @@ def count_equations(jaxpr: Any) -> int:
     """Equations of a jaxpr, inner ones included and calls themselves not."""
     total = 0
     for equation in jaxpr.eqns:
-        inner = [p for p in jax.tree_util.tree_leaves(list(equation.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+        inner = [
+            p for p in jax.tree_util.tree_leaves(list(equation.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)
+        ]
         total += sum(count_equations(getattr(p, "jaxpr", p)) for p in inner) if inner else 1
     return total
 

@@ -16,12 +16,13 @@ Values = Mapping[str, Any]
 
 
 def precision(*groups: Values | None) -> Any:
-    """The precision all values take: the widest float array of the first group that has one (x before u before params).
+    """The precision all values take: the widest float array of the first group that has one.
 
     Python numbers and integers have none; if nobody has one it is JAX's default float.
     """
     for values in groups:
-        dtypes = [np.dtype(v.dtype) for v in (values or {}).values() if hasattr(v, "dtype")]
+        given = values.values() if isinstance(values, Mapping) else ()
+        dtypes = [np.dtype(v.dtype) for v in given if hasattr(v, "dtype")]
         floats = [d for d in dtypes if jnp.issubdtype(d, jnp.floating)]
         if floats:
             return jax.dtypes.canonicalize_dtype(max(floats, key=lambda d: d.itemsize))
@@ -45,10 +46,7 @@ def read_values(kind: str, leaves: Iterable[Leaf], values: Values | None, dtype:
         raise InputError(f"unknown key {unknown[0]!r} in {kind}; expected: {listed}")
     found = {}
     for name, value in values.items():
-        try:
-            array = jnp.asarray(value)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{kind}[{name!r}] is not an array of numbers: {error}") from None
+        array = _array(f"{kind}[{name!r}]", value)
         if array.shape != known[name].shape:
             raise InputError(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
@@ -58,15 +56,28 @@ def read_values(kind: str, leaves: Iterable[Leaf], values: Values | None, dtype:
     return found
 
 
+def _array(place: str, value: Any) -> jax.Array:
+    """The value as an array of real numbers."""
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{place} is not an array of numbers: {error}") from None
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise InputError(f"{place} expects real numbers, got {array.dtype}")
+    return array
+
+
 def prepare(
     leaves: Sequence[Leaf], required: set[str], t: Any, x: Values | None, u: Values | None, params: Values | None
 ) -> Inputs:
     """The checked arguments. `leaves` are all that may be given, `required` the names that are read.
 
+    Their precision is that of x; where x has no float array, that of u, params or t, in this order.
+
     Raises:
         InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
     """
-    dtype = precision(x, u, params)
+    dtype = precision(x, u, params, {"t": t})
     kinds = {kind: [leaf for leaf in leaves if isinstance(leaf, kind)] for kind in (State, Control, Parameter)}
     states = read_values("x", kinds[State], x, dtype)
     controls = read_values("u", kinds[Control], u, dtype)
@@ -78,7 +89,7 @@ def prepare(
                 f"{leaf_kind.__name__} {missing[0].name!r} is missing: pass {name}={{{missing[0].name!r}: ...}} "
                 f"of shape {missing[0].shape}"
             )
-    time = jnp.asarray(t)
+    time = _array("t", t)
     if time.shape != ():
         raise InputError(f"t expects a scalar, got shape {time.shape}")
     inputs = Inputs(time.astype(dtype), states, controls, values, dtype)

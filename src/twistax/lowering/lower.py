@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import jax
 
 from ..errors import ModelError
-from ..expr import Constraint, Expr, evaluate_all, leaves_of, to_expr
+from ..expr import Constant, Constraint, Expr, Leaf, Time, evaluate_all, leaves_of, to_expr
+from ..expr.fields import freeze
 from .inputs import Values, prepare
 
 Lowered = Callable[..., Any]
@@ -26,6 +27,7 @@ def lower(expr: Any) -> Lowered:
 
     Raises:
         ShapeError: at once, if a shape does not fit.
+        ModelError: at once, if there is nothing to lower, or two leaves of one name differ.
         InputError: at call time, for an unknown key, a wrong shape or a missing value.
     """
     roots, treedef = jax.tree_util.tree_flatten(expr, is_leaf=lambda node: isinstance(node, Expr))
@@ -34,7 +36,7 @@ def lower(expr: Any) -> Lowered:
     nodes = [to_expr(root) for root in roots]
     for node in nodes:
         node.check_shape()
-    leaves = list({leaf.key(): leaf for leaf in leaves_of(*nodes)}.values())
+    leaves = _distinct(leaves_of(*nodes))
     required = {leaf.name for leaf in leaves}
 
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
@@ -45,3 +47,18 @@ def lower(expr: Any) -> Lowered:
     function.__name__ = "lowered"
     function.__doc__ = f"Lowered from {expr!r}" if not isinstance(expr, Mapping | Constraint) else "Lowered expression."
     return function
+
+
+def _distinct(leaves: Iterable[Leaf]) -> list[Leaf]:
+    """The named leaves, each once: x, u and params are read by name, so leaves of one name must be one."""
+    found: dict[tuple[type[Leaf], str], Leaf] = {}
+    for leaf in leaves:
+        if isinstance(leaf, (Constant, Time)):
+            continue
+        other = found.setdefault((type(leaf), leaf.name), leaf)
+        if other.key() != leaf.key() or freeze(getattr(other, "value", None)) != freeze(getattr(leaf, "value", None)):
+            raise ModelError(
+                f"two {type(leaf).__name__}s are named {leaf.name!r} and differ: shapes {other.shape} and {leaf.shape}"
+                f"{'' if other.shape != leaf.shape else ', different groups or values'}.\n  fix: rename one"
+            )
+    return list(found.values())
