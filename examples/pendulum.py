@@ -28,7 +28,12 @@ start = {"R": tx.lie.so3.exp(np.array([2.0, 0.0, 0.0])), "w": np.zeros(3)}
 times = np.linspace(0.0, 4.0, 9)
 free = tx.integrate(dynamics, start, t1=4.0, dt=1e-3, u={"torque": np.zeros(3)}, save_at=times)
 driven = tx.integrate(
-    dynamics, start, t1=4.0, dt=1e-3, u=lambda t: {"torque": jax.numpy.stack([jax.numpy.sin(3.0 * t), 0 * t, 0 * t])}, save_at=times
+    dynamics,
+    start,
+    t1=4.0,
+    dt=1e-3,
+    u=lambda t: {"torque": jax.numpy.stack([jax.numpy.sin(3.0 * t), 0 * t, 0 * t])},
+    save_at=times,
 )
 
 read = jax.vmap(lambda t, x: dynamics.outputs(t, x))

@@ -26,6 +26,8 @@ step = tx.lie.se3.exp(2.0 * u["xi"])
 exact = {"body": start["g"] @ step, "world": step @ start["g"]}
 for name, end in (("body", body_end), ("world", world_end)):
     error = np.abs(end - exact[name]).max()
-    print(f"velocity in the {name} frame: ends at {np.round(end[:3, 3], 6)}, error against the exact solution {error:.1e}")
+    print(
+        f"velocity in the {name} frame: ends at {np.round(end[:3, 3], 6)}, error against the exact solution {error:.1e}"
+    )
     if error > 1e-4:
         raise SystemExit("the integration is off")

@@ -48,7 +48,9 @@ def imported_modules(path: Path) -> set[str]:
                 rest = node.module.split(".")[1:]
                 found |= {".".join(rest)} if rest else {alias.name for alias in node.names}
         elif isinstance(node, ast.Import):
-            found |= {a.name.removeprefix("twistax").lstrip(".") for a in node.names if a.name.split(".")[0] == "twistax"}
+            found |= {
+                a.name.removeprefix("twistax").lstrip(".") for a in node.names if a.name.split(".")[0] == "twistax"
+            }
     return found
 
 
@@ -76,7 +78,10 @@ def run(code: str) -> str:
 
 def test_import_loads_no_heavy_package() -> None:
     heavy = ("diffrax", "scipy", "matplotlib", "equinox")
-    code = f"import jax, sys; before = set(sys.modules); import twistax; print([m for m in {heavy} if m in set(sys.modules) - before])"
+    code = (
+        "import jax, sys; before = set(sys.modules); import twistax;"
+        f"print([m for m in {heavy} if m in set(sys.modules) - before])"
+    )
     assert run(code) == "[]"
 
 

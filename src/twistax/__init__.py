@@ -18,7 +18,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from . import lie, linalg, spatial, tableaus
+from . import expr, lie, linalg, spatial, tableaus
 from .errors import (
     ImmutableError,
     InputError,
@@ -32,7 +32,7 @@ from .errors import (
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
 from .integrators import RKMK, Held, Linear, Result, Solution, integrate
-from .lowering import Dynamics, compile, lower  # noqa: A004  the contract's name
+from .lowering import Dynamics, compile, lower
 from .system import System
 
 if TYPE_CHECKING:
@@ -40,6 +40,45 @@ if TYPE_CHECKING:
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "ANGULAR_FIRST",
+    "LINEAR_FIRST",
+    "RKMK",
+    "SE3",
+    "SO3",
+    "Dynamics",
+    "Euclidean",
+    "Held",
+    "ImmutableError",
+    "InputError",
+    "IntegrationError",
+    "Linear",
+    "Maximize",
+    "Minimize",
+    "ModelError",
+    "Order",
+    "OrderError",
+    "Product",
+    "Result",
+    "ShapeError",
+    "Solution",
+    "System",
+    "TrajectoryError",
+    "TwistaxError",
+    "compile",
+    "diffrax",
+    "integrate",
+    "lie",
+    "linalg",
+    "lower",
+    "pose",
+    "spatial",
+    "tableaus",
+    "tangent_grad",
+    "trajectory",
+]
+__all__ += expr.__all__
 
 #: Loaded when first touched: they bring diffrax or SciPy with them.
 _LAZY_MODULES = ("diffrax", "trajectory")

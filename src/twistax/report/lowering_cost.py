@@ -44,14 +44,19 @@ def chain_equations() -> dict[str, int]:
     x, chain = shared_chain()
     value = {"x": jnp.ones(3)}
     dynamics = compile(System(rates={x: chain}))
-    forms = {"lower": lambda v: lower(chain)(0.0, v), "compile": lambda v: dynamics.vector_field(jnp.zeros(()), v, {}, {})}
+    forms = {
+        "lower": lambda v: lower(chain)(0.0, v),
+        "compile": lambda v: dynamics.vector_field(jnp.zeros(()), v, {}, {}),
+    }
     return {name: count_equations(jax.make_jaxpr(form)(value).jaxpr) for name, form in forms.items()}
 
 
 def import_seconds() -> float:
     """Median over fresh processes of the time `import twistax` takes once JAX is imported."""
     code = "import time, jax; t = time.perf_counter(); import twistax; print(time.perf_counter() - t)"
-    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(_RUNS)]
+    runs = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(_RUNS)
+    ]
     return median(float(run.stdout) for run in runs)
 
 
