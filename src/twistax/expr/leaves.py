@@ -79,7 +79,7 @@ class Constant(Leaf):
 
     def makes_group_element(self, *operands: bool) -> bool:
         group = {SO3.shape: SO3, SE3.shape: SE3}.get(self.shape)
-        return group is not None and not self.boolean and _is_element(self.value, group)
+        return group is not None and not self.boolean and _defect(self.value, group) < _ROUND_OFF
 
     def read(self, inputs: Inputs) -> jax.Array:
         return jax.numpy.asarray(self.value, bool if self.value.dtype == bool else inputs.dtype)
@@ -383,10 +383,6 @@ _ROUND_OFF = 1e-12
 def _defect(value: np.ndarray, group: Group) -> float:
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
         return float(group.defect(jax.numpy.asarray(value)))
-
-
-def _is_element(value: np.ndarray, group: Group) -> bool:
-    return bool(np.isfinite(value).all() and np.linalg.det(value[:3, :3]) > 0.0 and _defect(value, group) < _ROUND_OFF)
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
