@@ -382,7 +382,8 @@ _ROUND_OFF = 1e-12
 
 def _defect(value: np.ndarray, group: Group) -> float:
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        return float(group.defect(jax.numpy.asarray(value)))
+        # Compiled as one: a dozen eager operations would each be compiled alone.
+        return float(jax.jit(group.defect)(jax.numpy.asarray(value)))
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
