@@ -95,7 +95,7 @@ def discretize(
 
 def check_substeps(substeps: int) -> None:
     """Raise TrajectoryError unless substeps is a positive whole number."""
-    if not isinstance(substeps, int) or substeps < 1:
+    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
         raise TrajectoryError(f"substeps must be a positive whole number, got {substeps!r}")
 
 

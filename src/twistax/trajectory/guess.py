@@ -47,15 +47,16 @@ def state_guess(leaf: State, given: Array | None, initial: Array | None, final: 
 
     Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
     """
-    shape, euclidean = leaf.shape, isinstance(leaf.group, Euclidean)
     source = given if given is not None else leaf.guess
     if source is None:
-        rest = np.asarray(leaf.group.identity(float))
-        if euclidean:
+        rest = np.zeros(leaf.shape)
+        if isinstance(leaf.group, Euclidean):
             rest = _middle(leaf.min, leaf.max, rest)
+        elif initial is None and final is None:
+            rest = np.asarray(leaf.group.identity(float))
         first, last = _known(initial, _known(final, rest)), _known(final, _known(initial, rest))
         source = np.stack([first, last])
-    elif source.shape == shape:
+    elif source.shape == leaf.shape:
         source = source[None]
     values = resample(leaf.group, source, nodes)
     values[0], values[-1] = _known(initial, values[0]), _known(final, values[-1])

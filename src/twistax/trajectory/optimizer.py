@@ -1,12 +1,13 @@
 """The embedded optimiser: an augmented Lagrangian, minimised by Levenberg-Marquardt steps on the tangent space.
 
-The merit is
+The merit, all parts scaled, is
 
-    w J / |J'| + s |steps of the controls|^2 / 2 + mu/2 sum (c + l/mu)^2 + mu/2 sum max(g + l/mu, 0)^2
+    J + s |steps of the controls|^2 / 2 + mu/2 sum (c + l/mu)^2 + mu/2 sum max(g + l/mu, 0)^2
 
-over equalities c and inequalities g, all scaled. Inner iterations reduce it with the Gauss-Newton matrix of the
-residuals plus the curvature of the objective; outer ones update the multipliers l and the weight mu.
-Source: Nocedal and Wright, Numerical Optimization (2006), chapters 10.3 (Levenberg-Marquardt) and 17.3, 17.4
+over equalities c and inequalities g. Inner iterations reduce it: a step minimises the merit with linearised residuals
+plus the curvature of the objective plus damping, so that it sees inequalities before it runs into them. Outer ones
+update the multipliers l, or raise the weight mu where the violation does not fall.
+Source: Nocedal and Wright, Numerical Optimization (2006), chapters 10.3 (Levenberg-Marquardt), 17.3 and 17.4
 (augmented Lagrangian).
 """
 
@@ -20,34 +21,48 @@ import numpy as np
 
 from .arrays import Array
 from .banded import Chain, NotPositiveDefinite
+from .model import Model
 from .scaling import Scales
+from .smoothing import Smoothing
 from .transcription import Evaluation, Iterate
 
-__all__ = ["Ending", "Optimizer", "Outcome", "Settings"]
+__all__ = ["Callback", "Ending", "Optimizer", "Outcome", "Settings"]
 
+#: Called with (evaluations so far, objective, violation) after every accepted step.
 Callback = Callable[[int, float, float], None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Constants of the optimiser; the defaults serve the cases in the tests and the landing."""
+    """Constants of the optimiser; the defaults serve the cases in the tests and the landing.
 
-    objective_weight: float = 1.0
-    first_penalty: float = 1e3
+    Attributes:
+        first_penalty, largest_penalty, penalty_growth: the weight mu of violations and how it is raised.
+        first_violation, violation_share: the multipliers are updated once the violation is below the first, then once
+            it is below this share of what it was; otherwise the weight is raised.
+        inner_iterations: accepted steps between two updates.
+        first_damping, largest_damping: of the steps; beyond the largest the inner iterations end.
+        relax, tighten: factors of the damping after a step that did what the model said, and after one that failed.
+        largest_step: of any unknown in its scale.
+        flat: two steps in a row that gain less end the inner iterations.
+        settled: a change of the scaled objective between two updates that counts as none.
+        stalls: updates at the largest weight without progress that mean infeasible.
+    """
+
+    first_penalty: float = 3e2
     largest_penalty: float = 1e9
     penalty_growth: float = 5.0
     first_violation: float = 1e-1
-    shrink: float = 0.3
+    violation_share: float = 0.3
     inner_iterations: int = 40
     first_damping: float = 1e-1
     largest_damping: float = 1e12
-    largest_step: float = 1.5
-    trials: int = 16
-    model_iterations: int = 20
     relax: float = 0.2
     tighten: float = 4.0
-    flat: float = 1e-5
+    largest_step: float = 1.5
+    flat: float = 1e-4
     settled: float = 1e-4
+    stalls: int = 3
 
 
 class Ending(NamedTuple):
@@ -75,7 +90,7 @@ class Outcome(NamedTuple):
     iterations: int
 
 
-class _Scaled(NamedTuple):
+class _Point(NamedTuple):
     """An evaluation with everything divided by its scale."""
 
     raw: Evaluation
@@ -86,6 +101,13 @@ class _Scaled(NamedTuple):
     curvature: Array
 
 
+class _Merit(NamedTuple):
+    """The multipliers and the weight of the current merit."""
+
+    multipliers: Array
+    penalty: float
+
+
 class Optimizer:
     """Minimises a transcribed problem.
 
@@ -94,11 +116,10 @@ class Optimizer:
         chain: where the unknowns sit and which are free.
         equality, exists: kinds of rows, see `Transcription`.
         scales: sizes of unknowns, rows and objective.
-        smoothing: weight of the steps of the controls; `controls` says where they are in a block.
-        clip_time: the final time never leaves [clip, inf) during the search.
+        smoothing: weight of the steps of the controls.
+        controls: where they are in a node's block.
+        shortest_time: the final time never falls below it during the search.
     """
-
-    trace = False
 
     def __init__(
         self,
@@ -113,210 +134,120 @@ class Optimizer:
         settings: Settings | None = None,
     ) -> None:
         self._evaluate, self._chain, self._equality, self._exists = evaluate, chain, equality, exists
-        self._scales, self._controls, self._shortest_time = scales, controls, shortest_time
-        self.settings = settings or Settings()
-        self._smoothing = smoothing * self.settings.objective_weight
-        block = chain.block
-        self._lengths = np.concatenate([np.tile(scales.columns[:block], chain.nodes), scales.columns[2 * block :]])
+        self._scales, self._shortest_time = scales, shortest_time
+        self._settings = settings or Settings()
+        self._smoothing = Smoothing(chain, controls, scales.columns[controls], smoothing)
+        self._lengths = np.concatenate([np.tile(scales.columns[: chain.block], chain.nodes), scales.columns[-1:]])
 
     def run(self, iterate: Iterate, max_iterations: int, tolerance: float, callback: Callback | None = None) -> Outcome:
         """Optimise from an iterate until the violation is below the tolerance and the objective has settled."""
-        s = self.settings
-        point = self._scaled(self._evaluate(iterate, np.zeros(self._chain.length + 1)))
-        if not self._finite(point):
-            return self._outcome(point, Ending(False, False, False, False), 1)
-        multipliers = np.zeros_like(point.rows)
-        penalty, damping, count = s.first_penalty, s.first_damping, 1
-        allowed, last_cost, stalls = s.first_violation, np.inf, 0
+        s = self._settings
+        point = self._point(iterate, np.zeros(len(self._lengths)))
+        if point is None:
+            raw = self._evaluate(iterate, np.zeros(len(self._lengths)))
+            return Outcome(raw, np.zeros(raw.rows.shape), Ending(False, False, False, False), 1)
+        merit = _Merit(np.zeros_like(point.rows), s.first_penalty)
+        damping, count, allowed, last_cost, stalls = s.first_damping, 1, s.first_violation, np.inf, 0
         while True:
-            flat = 0
-            for _ in range(s.inner_iterations):
-                found = self._step(point, multipliers, penalty, damping, max_iterations - count)
-                count += found.evaluations
-                damping = found.damping
-                if found.point is None:
-                    break
-                point = found.point
-                if callback is not None:
-                    callback(count, self.cost_of(point), float(self.violations(point).max(initial=0.0)))
-                flat = flat + 1 if found.gain < s.flat else 0
-                if flat >= 2 or count >= max_iterations:
-                    break
-            violation = float(self.violations(point).max(initial=0.0))
-            feasible = violation <= tolerance
-            settled = abs(point.cost - last_cost) <= s.settled
-            if self.trace:
-                print(
-                    f"outer mu {penalty:.1e} allowed {allowed:.1e} viol {violation:.2e} cost {point.raw.cost:.3f} count {count} damp {damping:.1e} tf {float(point.raw.iterate.final_time):.3f}"
-                )
-            if (feasible and settled) or count >= max_iterations or stalls >= 3:
-                return self._outcome(point, Ending(feasible, settled, True, stalls >= 3), count)
+            point, damping, count = self._reduce(point, merit, damping, count, max_iterations, callback)
+            violation = self._violation(point)
+            feasible, settled = violation <= tolerance, abs(point.cost - last_cost) <= s.settled
+            if (feasible and settled) or count >= max_iterations or stalls >= s.stalls:
+                ending = Ending(feasible, settled, True, stalls >= s.stalls)
+                return Outcome(point.raw, self._violations(point), ending, count)
             last_cost = point.cost
-            if violation <= allowed:
-                multipliers = penalty * self._shifted(point, multipliers, penalty)[0]
-                allowed = max(s.shrink * violation, 0.1 * tolerance)
-            elif penalty < s.largest_penalty:
-                penalty = min(penalty * s.penalty_growth, s.largest_penalty)
-            else:
-                stalls += 1
-                multipliers = penalty * self._shifted(point, multipliers, penalty)[0]
+            if violation > allowed and merit.penalty < s.largest_penalty:
+                merit = merit._replace(penalty=min(merit.penalty * s.penalty_growth, s.largest_penalty))
+                continue
+            stalls = stalls + 1 if violation > allowed else 0
+            merit = merit._replace(multipliers=merit.penalty * self._counted(point, merit))
+            allowed = max(s.violation_share * violation, 0.1 * tolerance)
 
-    # ---- one step ---------------------------------------------------------------------------------------------
+    def _reduce(
+        self, point: _Point, merit: _Merit, damping: float, count: int, limit: int, callback: Callback | None
+    ) -> tuple[_Point, float, int]:
+        """Inner iterations: steps until the merit no longer falls."""
+        s = self._settings
+        flat = 0
+        for _ in range(s.inner_iterations):
+            found, gain, damping, evaluations = self._step(point, merit, damping, limit - count)
+            count += evaluations
+            if found is None:
+                # Every damping failed: nothing to gain here. Start the next merit from a moderate one.
+                return point, s.first_damping, count
+            point = found
+            if callback is not None:
+                callback(count, float(point.raw.cost), self._violation(point))
+            flat = flat + 1 if gain < s.flat else 0
+            if flat == 2 or count >= limit:
+                break
+        return point, damping, count
 
-    def _step(self, point: _Scaled, multipliers: Array, penalty: float, damping: float, budget: int) -> _Step:
-        s = self.settings
-        shift = multipliers / penalty
-        merit = self._merit(point, self._shifted(point, multipliers, penalty)[0], penalty)
+    def _step(
+        self, point: _Point, merit: _Merit, damping: float, budget: int
+    ) -> tuple[_Point | None, float, float, int]:
+        """The next point (None if every damping failed), the gain, the damping to go on with, evaluations."""
+        s, chain = self._settings, self._chain
+        before = self._value(point, merit)
+        pull = chain.scatter(point.gradient + self._smoothing.gradient(point.raw.iterate.us))
+        model = Model(
+            chain,
+            np.where(self._exists, point.rows + merit.multipliers / merit.penalty, 0.0),
+            point.slopes,
+            self._equality,
+            np.where(chain.free, pull, 0.0),
+            point.curvature + self._smoothing.curvature,
+            merit.penalty,
+        )
         tried = 0
-        while tried < min(budget, s.trials) and damping <= s.largest_damping:
+        while tried < budget and damping <= s.largest_damping:
             try:
-                step, expected = self._minimize_model(point, shift, penalty, damping)
+                step, expected = model.minimize(damping, s.largest_step)
             except NotPositiveDefinite:
                 damping = max(10.0 * damping, 1e-9)
                 continue
-            trial, gain = self._try(point, step, multipliers, penalty, merit)
-            tried += 1
-            if trial is not None and gain > 0.0:
-                ratio = gain / expected
-                change = s.relax if ratio > 0.75 else 1.0 if ratio > 0.25 else 3.0
-                return _Step(trial, max(change * damping, 1e-9), gain / max(1.0, abs(merit)), tried)
-            damping = s.tighten * damping
-        return _Step(None, damping, 0.0, tried)
-
-    def _minimize_model(self, point: _Scaled, shift: Array, penalty: float, damping: float) -> tuple[Array, float]:
-        """The step that minimises the damped model of the merit, and how much the model without damping falls.
-
-        The model has linear residuals, so it is convex and piecewise quadratic: a kink where an inequality becomes
-        active. Newton's method with an exact search along the line ends once the active rows stay the same.
-        """
-        chain, s = self._chain, self.settings
-        start = np.where(self._exists, point.rows + shift, 0.0)
-        bends = point.curvature + self._smoothing * self._smoother
-        pull = chain.scatter(point.gradient + self._smoothing * self._smooth_pull(point)) * chain.free
-        step = np.zeros(len(pull))
-        values = start
-        bent = np.zeros_like(step)
-        active = self._equality | (values > 0.0)
-        for _ in range(s.model_iterations):
-            seen = np.where(active, values, 0.0)
-            slope = pull + bent + penalty * chain.scatter(np.einsum("kr,krl->kl", seen, point.slopes)) * chain.free
-            weighted = point.slopes * active[:, :, None]
-            matrices = bends + penalty * np.matmul(weighted.transpose(0, 2, 1), point.slopes)
-            self.solves = getattr(self, "solves", 0) + 1
-            move = chain.factor(matrices, damping).solve(-(slope + damping * step))
-            moves = np.einsum("krl,kl->kr", point.slopes, chain.gather(move))
-            bent_move = chain.scatter(np.einsum("kab,kb->ka", bends, chain.gather(move))) * chain.free
-            share = self._search(
-                values, moves, penalty, float((pull + bent + damping * step) @ move), float(bent_move @ move + damping * move @ move)
-            )
-            step, values, bent = step + share * move, values + share * moves, bent + share * bent_move
-            before, active = active, self._equality | (values > 0.0)
-            if share > 0.999 and (before == active).all():
+            if expected <= 0.0:
                 break
-        long = float(np.abs(step).max())
-        if long > s.largest_step:
-            shrink = s.largest_step / long
-            step, bent, values = shrink * step, shrink * bent, start + shrink * (values - start)
-        return step, self._half(start, penalty) - self._half(values, penalty) - float(pull @ step + 0.5 * bent @ step)
+            move = step * self._lengths
+            move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
+            trial = self._point(point.raw.iterate, move)
+            tried += 1
+            gain = -np.inf if trial is None else before - self._value(trial, merit)
+            if gain > 0.0:
+                factor = s.relax if gain > 0.75 * expected else 1.0 if gain > 0.25 * expected else 3.0
+                return trial, gain, max(factor * damping, 1e-9), tried
+            damping *= s.tighten
+        return None, 0.0, damping, tried
 
-    def _half(self, values: Array, penalty: float) -> float:
-        return 0.5 * penalty * float((np.where(self._equality | (values > 0.0), values, 0.0) ** 2).sum())
+    # ---- the merit ----------------------------------------------------------------------------------------------
 
-    def _search(self, values: Array, moves: Array, penalty: float, slope: float, bend: float) -> float:
-        """The share in (0, 1] of a move at which the model is least."""
+    def _counted(self, point: _Point, merit: _Merit) -> Array:
+        """The shifted residuals that the merit sees; zero where an inequality is inactive."""
+        shifted = point.rows + merit.multipliers / merit.penalty
+        return np.where(self._exists & (self._equality | (shifted > 0.0)), shifted, 0.0)
 
-        def derivative(share: float) -> float:
-            now = values + share * moves
-            seen = np.where(self._equality | (now > 0.0), now, 0.0)
-            return slope + share * bend + penalty * float((seen * moves).sum())
+    def _value(self, point: _Point, merit: _Merit) -> float:
+        squares = float((self._counted(point, merit) ** 2).sum())
+        return point.cost + self._smoothing.value(point.raw.iterate.us) + 0.5 * merit.penalty * squares
 
-        if derivative(1.0) <= 0.0:
-            return 1.0
-        low, high = 0.0, 1.0
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if derivative(middle) < 0.0 else (low, middle)
-            if high - low < 1e-3 * high: break
-        return high
-
-    def _try(
-        self, point: _Scaled, step: Array, multipliers: Array, penalty: float, merit: float
-    ) -> tuple[_Scaled | None, float]:
-        move = step * self._lengths
-        move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
-        trial = self._scaled(self._evaluate(point.raw.iterate, move))
-        if not self._finite(trial):
-            return None, -np.inf
-        return trial, merit - self._merit(trial, self._shifted(trial, multipliers, penalty)[0], penalty)
-
-    def _shifted(self, point: _Scaled, multipliers: Array, penalty: float) -> tuple[Array, Array]:
-        """The residuals the merit sees, and which rows are active."""
-        shifted = point.rows + multipliers / penalty
-        active = self._exists & (self._equality | (shifted > 0.0))
-        return np.where(active, shifted, 0.0), active
-
-    def _merit(self, point: _Scaled, shifted: Array, penalty: float) -> float:
-        steps = np.diff(self._scaled_controls(point), axis=0)
-        return point.cost + 0.5 * penalty * float((shifted**2).sum()) + 0.5 * self._smoothing * float((steps**2).sum())
-
-    # ---- smoothing of the controls ------------------------------------------------------------------------------
-
-    def _scaled_controls(self, point: _Scaled) -> Array:
-        return point.raw.iterate.us / self._scales.columns[self._controls]
-
-    @property
-    def _smoother(self) -> Array:
-        """(intervals, local, local): second derivative of sum |u_(k+1) - u_k|^2 / 2."""
-        chain = self._chain
-        difference = np.zeros((self._controls.stop - self._controls.start, chain.local))
-        for i, j in enumerate(range(self._controls.start, self._controls.stop)):
-            difference[i, j], difference[i, chain.block + j] = -1.0, 1.0
-        # The last interval has no control after it.
-        neighbours = np.arange(chain.nodes - 1) < chain.nodes - 2
-        return neighbours[:, None, None] * (difference.T @ difference)
-
-    def _smooth_pull(self, point: _Scaled) -> Array:
-        """(intervals, local): first derivative of sum |u_(k+1) - u_k|^2 / 2."""
-        chain = self._chain
-        pull = np.zeros((chain.nodes - 1, chain.local))
-        steps = np.diff(self._scaled_controls(point), axis=0)
-        pull[:-1, self._controls] = -steps
-        pull[:-1, chain.block + self._controls.start : chain.block + self._controls.stop] = steps
-        return pull
-
-    # ---- scales and judgement -------------------------------------------------------------------------------------
-
-    def _scaled(self, raw: Evaluation) -> _Scaled:
-        columns, rows = self._scales.columns, self._scales.rows
-        weight = self.settings.objective_weight / self._scales.cost
-        return _Scaled(
-            raw,
-            np.where(self._exists, raw.rows / rows, 0.0),
-            raw.slopes * (columns / rows[:, None]) * self._exists[:, :, None],
-            weight * float(raw.cost),
-            weight * raw.gradient * columns,
-            weight * raw.curvature * (columns[:, None] * columns),
-        )
-
-    def violations(self, point: _Scaled) -> Array:
+    def _violations(self, point: _Point) -> Array:
         """(intervals, rows) scaled violations; zero where a row holds or is not asked."""
         return np.where(self._equality, np.abs(point.rows), np.maximum(point.rows, 0.0))
 
-    def cost_of(self, point: _Scaled) -> float:
-        return float(point.raw.cost)
+    def _violation(self, point: _Point) -> float:
+        return float(self._violations(point).max(initial=0.0))
 
-    def _finite(self, point: _Scaled) -> bool:
-        values = (point.rows, point.slopes, point.gradient, point.curvature)
-        return bool(np.isfinite(point.cost)) and all(bool(np.isfinite(v).all()) for v in values)
-
-    def _outcome(self, point: _Scaled, ending: Ending, count: int) -> Outcome:
-        return Outcome(point.raw, self.violations(point), ending, count)
-
-
-class _Step(NamedTuple):
-    """An accepted step (None if every damping failed), the damping to go on with, the merit's gain, and its price."""
-
-    point: _Scaled | None
-    damping: float
-    gain: float
-    evaluations: int
+    def _point(self, iterate: Iterate, move: Array) -> _Point | None:
+        """The scaled evaluation after a move; None if it is not finite."""
+        raw = self._evaluate(iterate, move)
+        if not all(np.isfinite(values).all() for values in (raw.rows, raw.slopes, raw.cost, raw.gradient, raw.curvature)):
+            return None
+        columns, rows, cost = self._scales.columns, self._scales.rows, self._scales.cost
+        return _Point(
+            raw,
+            np.where(self._exists, raw.rows / rows, 0.0),
+            raw.slopes * (columns / rows[:, None]) * self._exists[:, :, None],
+            float(raw.cost) / cost,
+            raw.gradient * columns / cost,
+            raw.curvature * (columns[:, None] * columns) / cost,
+        )

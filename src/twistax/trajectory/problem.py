@@ -260,7 +260,7 @@ class Problem:
     def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
         """All parameters as double-precision arrays; checks them on the way."""
         with jax.enable_x64(True):
-            zeros_x = {s.name: np.asarray(s.group.identity(float)) for s in self.dynamics.states}
+            zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
             zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
             families = ("rates", "constraints")
             inputs = self.dynamics.prepare(0.0, zeros_x, zeros_u, params, reads=families)

@@ -1,0 +1,106 @@
+"""The closed form of a step's derivatives against the derivative of the logarithm and finite differences."""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from trajectory_systems import everything, sample
+
+import twistax as tx
+from twistax.trajectory import Discretization, discretize
+
+H, T = 0.3, 0.4
+N, M = 19, 4
+
+
+def flight(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[..., dict]:
+    """The end of an interval by the integrators' own step: (x, z) with z = [d, du, dh, dt]."""
+
+    def end(x: dict, u: dict, z: jax.Array) -> dict:
+        control = {"F": u["F"] + z[N : N + 3], "q": u["q"] + z[N + 3]}
+        h, t = (H + z[N + M]) / substeps, T + z[N + M + 1]
+        inputs = dynamics.prepare(t, dynamics.retract(x, z[:N]), control)
+        state = dict(inputs.x)
+        for i in range(substeps):
+            state = method.step(dynamics, t + i * h, state, lambda _: dict(inputs.u), dict(inputs.params), h)
+        return state
+
+    return end
+
+
+@functools.cache
+def case(angular: bool, substeps: int) -> tuple[tx.Dynamics, tx.RKMK, Callable[..., dict], Callable[..., Discretization]]:
+    dynamics = tx.compile(everything(tx.ANGULAR_FIRST if angular else tx.LINEAR_FIRST))
+    method = tx.RKMK(tx.tableaus.RK4)
+    found = jax.jit(lambda x, u: discretize(dynamics, T, x, u, H, method=method, substeps=substeps))
+    return dynamics, method, jax.jit(flight(dynamics, method, substeps)), found
+
+
+def stacked(step: Discretization) -> np.ndarray:
+    return np.column_stack([step.A, step.B, step.h_derivative, step.t_derivative])
+
+
+@pytest.mark.parametrize(("angular", "substeps"), [(False, 1), (True, 1), (False, 3)])
+def test_closed_form_equals_the_derivative_of_the_logarithm(angular: bool, substeps: int) -> None:
+    dynamics, _, end, found = case(angular, substeps)
+    x, u = sample(2)
+    zero = jnp.zeros(N + M + 2)
+    planned = end(x, u, zero)
+    expected = jax.jit(jax.jacfwd(lambda z: dynamics.difference(planned, end(x, u, z))))(zero)
+    step = found(x, u)
+    for name, value in planned.items():
+        np.testing.assert_allclose(step.x1[name], value, atol=1e-13)
+    np.testing.assert_allclose(stacked(step), expected, atol=1e-12)
+
+
+def test_closed_form_equals_richardson_differences() -> None:
+    dynamics, _, end, found = case(False, 1)
+    x, u = sample(3)
+    planned = end(x, u, jnp.zeros(N + M + 2))
+    apart = jax.jit(jax.vmap(lambda z: dynamics.difference(planned, end(x, u, z))))
+
+    def central(size: float) -> np.ndarray:
+        steps = size * np.eye(N + M + 2)
+        return np.asarray(apart(steps) - apart(-steps)).T / (2.0 * size)
+
+    richardson = (4.0 * central(5e-4) - central(1e-3)) / 3.0
+    np.testing.assert_allclose(stacked(found(x, u)), richardson, atol=1e-8)
+
+
+def test_what_a_wrong_transport_would_change_is_large() -> None:
+    dynamics, *_, found = case(False, 1)
+    x, u = sample(2)
+    step = found(x, u)
+    eta = dynamics.difference(x, step.x1)
+    # Without Ad(Exp(-eta)), or with its inverse, A differs by far more than the bars above.
+    transport = np.asarray(dynamics.group.Ad(dynamics.group.exp(-eta)))
+    assert np.abs(transport - np.eye(N)).max() > 0.1
+
+
+def test_euclidean_states_reduce_to_the_matrix_exponential() -> None:
+    x, u = tx.State("x", shape=(2,)), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: np.array([[0.0, 1.0], [-4.0, 0.0]]) @ x + np.array([0.0, 1.0]) * u}))
+    step = discretize(dynamics, 0.0, {"x": np.zeros(2)}, {"u": 0.0}, 0.1, substeps=20)
+    c, s = np.cos(0.2), np.sin(0.2)
+    np.testing.assert_allclose(step.A, [[c, s / 2], [-2 * s, c]], atol=1e-9)
+    np.testing.assert_allclose(step.B[:, 0], [(1 - c) / 4, s / 2], atol=1e-9)
+
+
+def test_it_maps_over_intervals_and_keeps_precision() -> None:
+    dynamics, method, _, found = case(False, 1)
+    points = [sample(seed) for seed in range(3)]
+    xs, us = jax.tree.map(lambda *a: np.stack(a).astype(np.float32), *points)
+    lengths = np.array([0.1, 0.2, 0.3], np.float32)
+    many = jax.jit(jax.vmap(lambda x, u, h: discretize(dynamics, T, x, u, h, method=method)))(xs, us, lengths)
+    assert many.A.dtype == np.float32
+    np.testing.assert_allclose(many.A[2], found(*points[2]).A, atol=1e-4)
+
+
+@pytest.mark.parametrize("substeps", [0, -1, True])
+def test_nonsense_substeps_are_refused(substeps: int) -> None:
+    dynamics, *_ = case(False, 1)
+    with pytest.raises(tx.TrajectoryError, match="substeps"):
+        discretize(dynamics, T, *sample(0), H, substeps=substeps)
