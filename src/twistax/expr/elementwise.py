@@ -80,7 +80,7 @@ class Sqrt(Entrywise):
 
 
 class Exp(Entrywise):
-    """Exponential e^x, entry by entry; x without unit. The exponential of a twist is `tx.lie.Exp`."""
+    """Exponential e^x, entry by entry; x without unit. Of a twist: `tx.lie.SE3Exp`."""
 
     operand: Operand
 
@@ -100,7 +100,7 @@ class Exp(Entrywise):
 
 
 class Log(Entrywise):
-    """Natural logarithm log(x), entry by entry; x > 0 without unit. The logarithm of a pose is `tx.lie.Log`."""
+    """Natural logarithm log(x), entry by entry; x > 0 without unit. Of a pose: `tx.lie.SE3Log`."""
 
     operand: Operand
 
