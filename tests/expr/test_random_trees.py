@@ -59,9 +59,9 @@ class Forest:
         return [
             lambda: tx.Sin(e), lambda: tx.Cos(e), lambda: tx.Tanh(e), lambda: tx.Atan(e), lambda: -e,
             lambda: tx.Square(e), lambda: tx.Abs(e), lambda: tx.PositivePart(e), lambda: tx.Huber(e),
-            lambda: tx.Sqrt(1.0 + tx.Square(e)),            lambda: tx.Log(2.0 + tx.Sin(e)), lambda: tx.Exp(tx.Tanh(e)), lambda: tx.Asin(0.9 * tx.Sin(e)),
-            lambda: tx.SmoothReLU(e, c=0.5), lambda: e + 0.0, lambda: 1.0 * e, lambda: e - e, lambda: -(0.0 - e),
-            lambda: e**2, lambda: e.T.T, lambda: tx.Exp(tx.Log(1.0 + tx.Abs(e))),
+            lambda: tx.Sqrt(1.0 + tx.Square(e)), lambda: tx.Log(2.0 + tx.Sin(e)), lambda: tx.Exp(tx.Tanh(e)),
+            lambda: tx.Asin(0.9 * tx.Sin(e)), lambda: tx.SmoothReLU(e, c=0.5), lambda: e + 0.0, lambda: 1.0 * e,
+            lambda: e - e, lambda: -(0.0 - e), lambda: e**2, lambda: e.T.T, lambda: tx.Exp(tx.Log(1.0 + tx.Abs(e))),
         ]  # fmt: skip
 
     def binary(self, shape: tuple[int, ...], depth: int) -> list[Build]:
