@@ -113,6 +113,11 @@ SOUND = {
     "a scalar times ones": outputs(y=ad(V, L) - c * np.ones(6), z=ad(W, A) - c * np.ones(6)),
     "six joints": outputs(y=ad(J @ q, L), z=ad(N @ q, A)),
     "torques of six joints": rates((q, tx.linalg.Solve(M, J.T @ ad(V, L) + N.T @ ad(W, A) - q)), (V, F), (W, K)),
+    "twists and torques of six joints": rates(
+        (q, J.T @ ad(J @ q, L) + N.T @ ad(N @ q, A) + tx.linalg.Solve(J, ad(V, L)) + tx.linalg.Inv(N) @ ad(W, A)),
+        (V, F),
+        (W, K),
+    ),
     "six thrusters": rates((V, ad(V, L) + J @ F), (W, ad(W, A) + N @ F)),
     "an index ends the flow": outputs(y=ad(V[:], L), z=ad(V[[3, 4, 5, 0, 1, 2]], A)),
     "joining ends the flow": outputs(y=ad(V, L), z=ad(tx.Concat(V[3:], V[:3]), A)),

@@ -164,3 +164,45 @@ def test_only_the_bracket_has_the_same_values(surface: Surface) -> None:
     np.testing.assert_allclose(theirs, value_of(THEIRS[surface.name](*values)), rtol=1e-12, atol=1e-13)
     same = np.abs(theirs - value_of(surface.of(tx)(*values))).max() < 0.1
     assert same == (surface.name == "Adjoint")
+
+
+def published_coadjoint(xi: tx.Expr, momentum: tx.Expr) -> tx.Expr:
+    """[w x f + v x tau; w x tau], the published formula for xi = [v; w], momentum = [f; tau]."""
+    v, w, f, tau = tx.lie.linear(xi), tx.lie.angular(xi), tx.lie.linear(momentum), tx.lie.angular(momentum)
+    cross = tx.linalg.Cross
+    return tx.lie.twist(linear=cross(w, f) + cross(v, tau), angular=cross(w, tau))
+
+
+def test_the_published_coadjoint_stands_as_written_here() -> None:
+    rng = np.random.default_rng(6)
+    xi, momentum = rng.normal(size=(2, 6))
+    theirs = value_of(published_coadjoint(tx.Constant(xi), tx.Constant(momentum)))
+    np.testing.assert_allclose(theirs, value_of(THEIRS["AdjointDual"](xi, momentum)), rtol=1e-13)
+
+
+def test_only_this_coadjoint_is_dual_to_the_bracket_both_share() -> None:
+    """<ad*_xi mu, eta> + <mu, ad_xi eta> = 0."""
+    xi, momentum, eta = map(tx.Constant, np.random.default_rng(7).normal(size=(3, 6)))
+    bracket = tx.linalg.Dot(momentum, tx.lie.Adjoint(xi, eta))
+    assert abs(value_of(tx.linalg.Dot(tx.lie.AdjointDual(xi, momentum), eta) + bracket)) < 1e-14
+    assert abs(value_of(tx.linalg.Dot(published_coadjoint(xi, momentum), eta) + bracket)) > 0.1
+
+
+@pytest.mark.parametrize(("coadjoint", "conserves"), [(tx.lie.AdjointDual, True), (published_coadjoint, False)])
+def test_a_free_body_keeps_its_momentum_in_space_with_this_coadjoint_only(coadjoint: Any, conserves: bool) -> None:
+    """m = 2 kg, J = diag(1, 2, 3) kg m2, no force, 5 s. Energy is blind: both formulas keep it."""
+    M = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    momentum = M @ V
+    body = tx.System(
+        rates={g: V, V: tx.linalg.Solve(M, -coadjoint(V, momentum))},
+        outputs={"momentum": g[:3, :3] @ tx.lie.linear(momentum), "energy": 0.5 * tx.linalg.Dot(V, momentum)},
+    )
+    dynamics = tx.compile(body)
+    start = {"g": np.eye(4), "V": np.array([1.0, -0.5, 0.3, 0.4, 1.1, -0.7])}
+    end = tx.integrate(dynamics, start, t1=5.0, dt=5e-3, method=tx.RKMK(tx.tableaus.RK4))
+    before = dynamics.outputs(0.0, start)
+    after = dynamics.outputs(5.0, {name: values[-1] for name, values in end.xs.items()})
+    lost = float(np.linalg.norm(after["momentum"] - before["momentum"]))
+    assert lost < 1e-9 if conserves else lost > 1.0
+    assert float(after["energy"]) == pytest.approx(float(before["energy"]), rel=1e-9)
