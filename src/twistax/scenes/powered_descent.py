@@ -1,8 +1,8 @@
 """Powered descent of a rocket stage, six degrees of freedom, written against the public API.
 
-World frame: z up, origin on the pad. Body frame: at the centre of mass, z along the thrust axis, nose up. SI units, rad.
-The vehicle is a rigid body that loses mass through its engine; air is left out. The moments of inertia are held
-constant, and the centre of mass does not move in the body.
+World frame: z up, origin on the pad. Body frame: at the centre of mass, z towards the nose. SI units, rad.
+The stage is a rigid body that loses mass through its engine; air is left out. The moments of inertia are held constant,
+and the centre of mass does not move in the body.
 """
 
 from __future__ import annotations
@@ -10,7 +10,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 import twistax as tx
 
@@ -19,7 +22,7 @@ __all__ = ["G0", "Limit", "Start", "Vehicle", "guess", "limits", "problem", "sys
 #: Standard gravity as rounded in this case, m/s2; also turns specific impulse into exhaust speed.
 G0 = 9.81
 
-Array = np.ndarray[Any, Any]
+Array = NDArray[Any]
 Vector = tuple[float, float, float]
 
 
@@ -53,7 +56,7 @@ class Vehicle:
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """Where the descent begins; the angular velocity is zero there."""
+    """Where the descent begins."""
 
     #: height above the pad and horizontal offset from it (x, y), m
     height: float = 900.0
@@ -63,12 +66,13 @@ class Start:
     #: the body is turned from upright by this angle, rad, about this world axis
     tilt: float = np.deg2rad(60.0)
     tilt_axis: Vector = (-0.2, -1.0, 0.0)
+    #: angular velocity about the same axis, back towards upright, rad/s
+    righting: float = np.deg2rad(4.6)
 
     @property
-    def rotation_vector(self) -> Array:
-        """Rotation from the upright attitude to this one, (3,), rad."""
-        axis = np.array(self.tilt_axis)
-        return self.tilt * axis / np.linalg.norm(axis)
+    def axis(self) -> Array:
+        """The tilt axis, (3,), of length 1."""
+        return np.array(self.tilt_axis) / np.linalg.norm(self.tilt_axis)
 
     @property
     def position(self) -> Array:
@@ -99,9 +103,18 @@ class Limit:
     def slack(self) -> float:
         return 0.01 * abs(self.bound) * self.factor or 0.5
 
+    @property
+    def relation(self) -> str:
+        return "<=" if self.sign > 0.0 else ">="
+
+    @property
+    def shown(self) -> str:
+        """The bound in `unit`."""
+        return f"{self.bound * self.factor:,.5g}"
+
     def margin(self, values: Any) -> Array:
         """How far values stay inside, in `unit`; negative where they exceed the limit."""
-        return self.sign * (self.bound - np.asarray(values)) * self.factor
+        return np.asarray(self.sign * (self.bound - np.asarray(values)) * self.factor)
 
 
 def system(vehicle: Vehicle | None = None) -> tx.System:
@@ -139,7 +152,7 @@ def system(vehicle: Vehicle | None = None) -> tx.System:
             "gimbal": thrust * np.cos(v.max_gimbal) <= T[2],
             "tilt": R[2, 2] >= np.cos(v.max_tilt),
             "rate": rate <= v.max_rate,
-            "glide cone": cone >= 0.0,
+            "inside the cone": cone >= 0.0,
         },
     )
 
@@ -154,34 +167,45 @@ def limits(vehicle: Vehicle | None = None) -> list[Limit]:
         Limit("gimbal", "gimbal", v.max_gimbal, 1.0, "deg", degrees),
         Limit("tilt", "tilt", v.max_tilt, 1.0, "deg", degrees),
         Limit("rate", "rate", v.max_rate, 1.0, "deg/s", degrees),
-        Limit("glide cone", "cone", 0.0, -1.0, "m", 1.0),
+        Limit("inside the cone", "cone", 0.0, -1.0, "m", 1.0),
         Limit("dry mass", "mass", v.dry_mass, -1.0, "kg", 1.0),
     ]
 
 
 def initial(start: Start, vehicle: Vehicle) -> dict[str, Any]:
     """The state at the start, by name."""
-    R = np.asarray(tx.lie.so3.exp(start.rotation_vector))
-    twist = np.concatenate([R.T @ np.array(start.velocity), np.zeros(3)])
-    return {"g": tx.pose(position=start.position, rotation=R), "V": twist, "m": vehicle.mass}
+    (pose,) = _poses(start, np.ones(1))
+    # The tilt axis has the same coordinates in the world and in the body.
+    twist = np.concatenate([pose[:3, :3].T @ np.array(start.velocity), -start.righting * start.axis])
+    return {"g": pose, "V": twist, "m": vehicle.mass}
 
 
 def guess(start: Start, vehicle: Vehicle, nodes: int, final_time: float) -> dict[str, Any]:
     """A straight line to the pad at falling speed, turning upright evenly, at 60 % of full thrust."""
-    share = np.linspace(1.0, 0.0, nodes)[:, None]
-    rotations = np.stack([np.asarray(tx.lie.so3.exp(s * start.rotation_vector)) for s in share])
-    poses = np.zeros((nodes, 4, 4))
-    poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rotations, share * start.position, 1.0
-    linear = np.einsum("kji,kj->ki", rotations, share * np.array(start.velocity))
-    angular = np.broadcast_to(-start.rotation_vector / final_time, (nodes, 3))
+    share = np.linspace(1.0, 0.0, nodes)
+    poses = _poses(start, share)
+    linear = np.einsum("kji,kj->ki", poses[:, :3, :3], share[:, None] * np.array(start.velocity))
+    angular = np.broadcast_to(-start.tilt / final_time * start.axis, (nodes, 3))
     thrust = np.array([0.0, 0.0, 0.6 * vehicle.max_thrust])
-    burnt = np.linalg.norm(thrust) / (vehicle.specific_impulse * G0) * final_time * (1.0 - share[:, 0])
+    burnt = thrust[2] / (vehicle.specific_impulse * G0) * final_time * (1.0 - share)
     return {
         "g": poses,
         "V": np.concatenate([linear, angular], axis=1),
         "m": np.maximum(vehicle.mass - burnt, vehicle.dry_mass),
         "T": thrust,
     }
+
+
+def _poses(start: Start, share: Array) -> Array:
+    """Poses between upright on the pad (share 0) and the start (share 1), (n, 4, 4)."""
+
+    @jax.jit
+    @jax.vmap
+    def pose(s: jax.Array) -> jax.Array:
+        rotation = tx.lie.so3.exp(s * start.tilt * jnp.asarray(start.axis))
+        return tx.pose(position=s * jnp.asarray(start.position), rotation=rotation)
+
+    return np.asarray(pose(jnp.asarray(share)))
 
 
 def problem(

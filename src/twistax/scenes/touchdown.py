@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-import twistax as tx
-
 from .powered_descent import Array, Limit
 
-__all__ = ["Flight", "Miss", "Reach", "held", "reaches", "sampled"]
+__all__ = ["ALLOWED", "SAMPLES", "Flight", "Miss", "Reach", "flown", "planned", "reaches"]
+
+#: Samples of an interval between nodes; an RKMK method takes as many steps there.
+SAMPLES = 40
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,16 +55,31 @@ class Flight:
         return np.einsum("kij,kj->ki", self.rotation, self.us["T"])
 
 
-def held(us: dict[str, Array], edges: Array, ts: Array) -> dict[str, Array]:
-    """The controls at some times; each is held from one edge to the next. At an edge, the one that begins there."""
-    number = np.clip(np.searchsorted(edges, ts, side="right") - 1, 0, len(edges) - 2)
-    return {name: values[number] for name, values in us.items()}
+def flown(result: Any, method: Any) -> Flight:
+    """The controls of a `TrajectoryResult` flown from the start, each held over its interval. See its `replay`.
+
+    Raises:
+        IntegrationError: the flight did not reach its end.
+    """
+    replay = result.replay(method, steps=SAMPLES)
+    return _with_outputs(result, replay.ts, replay.xs, replay.us)
 
 
-def sampled(dynamics: Any, ts: Array, xs: dict[str, Array], us: dict[str, Array]) -> Flight:
-    """A flight from samples of states and controls; the outputs are evaluated along it."""
-    outputs = jax.jit(jax.vmap(dynamics.outputs))(ts, xs, us)
+def planned(result: Any) -> Flight:
+    """The nodes of a `TrajectoryResult`, each with the control held from it on, the last with the one held until it."""
+    us = {name: np.concatenate([values, values[-1:]]) for name, values in result.us.items()}
+    return _with_outputs(result, result.ts, result.xs, us)
+
+
+def _with_outputs(result: Any, ts: Array, xs: dict[str, Array], us: dict[str, Array]) -> Flight:
+    outputs = _outputs(result.problem.dynamics)(ts, xs, us)
     return Flight(ts, xs, us, {name: np.asarray(values) for name, values in outputs.items()})
+
+
+@functools.lru_cache(maxsize=4)
+def _outputs(dynamics: Any) -> Callable[..., Any]:
+    """The outputs of many samples, compiled once for a system."""
+    return jax.jit(jax.vmap(dynamics.outputs))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,6 +110,10 @@ class Miss:
         return all(value <= bar for value, bar in zip(mine, bars))
 
 
+#: A landing counts if the controls, flown again, miss by no more than this.
+ALLOWED = Miss(position=0.5, velocity=0.1, angle=0.5)
+
+
 @dataclasses.dataclass(frozen=True)
 class Reach:
     """How near a flight comes to a limit.
@@ -109,9 +130,9 @@ class Reach:
     margin: float
 
     @property
-    def excess(self) -> float:
-        """How far the limit is exceeded, relative to what is allowed for numerical reasons; above 1 is a violation."""
-        return max(-self.margin, 0.0) / self.limit.slack
+    def holds(self) -> bool:
+        """Whether the limit holds, but for its slack. Not a number does not."""
+        return self.margin >= -self.limit.slack
 
 
 def reaches(flight: Flight, limits: Sequence[Limit]) -> list[Reach]:

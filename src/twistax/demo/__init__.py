@@ -1,0 +1,1 @@
+"""The main job of the command line: a powered descent, checked, solved, flown again, drawn and tabled."""

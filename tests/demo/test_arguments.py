@@ -1,0 +1,82 @@
+"""What the demo's command line takes, and the one line it answers nonsense with."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from twistax.__main__ import main
+from twistax.demo.arguments import parse_start
+from twistax.scenes.powered_descent import Start
+
+
+def test_a_start_spelled_out_is_the_default() -> None:
+    text = "height=900,offset=400:150,velocity=-60:-20:-100,tilt=60,axis=-0.2:-1:0,righting=4.6"
+    start, default = parse_start(text), Start()
+    assert (start.height, start.offset, start.velocity) == (default.height, default.offset, default.velocity)
+    assert start.tilt_axis == default.tilt_axis
+    assert start.tilt == pytest.approx(default.tilt)
+    assert start.righting == pytest.approx(default.righting)
+
+
+def test_what_is_left_out_keeps_its_default() -> None:
+    start = parse_start(" tilt = 20 , offset=-3:4.5")
+    assert start.tilt == pytest.approx(math.radians(20.0))
+    assert start.offset == (-3.0, 4.5)
+    assert start.height == Start().height
+
+
+NONSENSE = {
+    "--initial hight=900": "hight=900' is not one of height",
+    "--initial height": "'height' is not one of height",
+    "--initial height=tall": "height expects a number, got 'tall'",
+    "--initial height=nan": "height expects a number, got 'nan'",
+    "--initial height=-5": "height must be above zero, got -5",
+    "--initial offset=1:2:3": "offset expects 2 numbers separated by colons",
+    "--initial velocity=1:2": "velocity expects 3 numbers separated by colons",
+    "--initial velocity=1e300:0:0": "no entry may exceed 1e6",
+    "--initial tilt=200": "tilt must be from 0 to 180 degrees, got 200",
+    "--initial axis=0:0:0": "axis must not be zero",
+    "--initial tilt=1,tilt=2": "tilt is given twice",
+    "--guess-seed -1": "expects a whole number from 0",
+    "--guess-seed x": "expects a whole number from 0",
+    "--nodes 3": "expects a whole number from 5 to 200, got '3'",
+    "--nodes many": "expects a whole number from 5 to 200, got 'many'",
+    "--max-iterations 0": "expects a whole number from 1",
+    "--colour red": "unrecognized arguments",
+}
+
+
+@pytest.mark.parametrize("words", NONSENSE)
+def test_nonsense_ends_in_one_clear_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["demo", *words.split()])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.count("\n") == 1
+    assert NONSENSE[words] in said
+
+
+def test_an_unknown_or_missing_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["fly"], []):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["demo", "--out", str(tmp_path / "file")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "cannot write" in said
+
+
+def test_help_documents_the_start_and_the_perturbation(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["demo", "--help"])
+    said = capsys.readouterr().out
+    assert ended.value.code == 0
+    for word in ("height=900", "velocity", "righting", "+- 40 m", "--nodes", "--out"):
+        assert word in said
