@@ -32,7 +32,9 @@ def flight(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[..
 
 
 @functools.cache
-def case(angular: bool, substeps: int) -> tuple[tx.Dynamics, tx.RKMK, Callable[..., dict], Callable[..., Discretization]]:
+def case(
+    angular: bool, substeps: int
+) -> tuple[tx.Dynamics, tx.RKMK, Callable[..., dict], Callable[..., Discretization]]:
     dynamics = tx.compile(everything(tx.ANGULAR_FIRST if angular else tx.LINEAR_FIRST))
     method = tx.RKMK(tx.tableaus.RK4)
     found = jax.jit(lambda x, u: discretize(dynamics, T, x, u, H, method=method, substeps=substeps))
@@ -70,7 +72,7 @@ def test_closed_form_equals_richardson_differences() -> None:
     np.testing.assert_allclose(stacked(found(x, u)), richardson, atol=1e-8)
 
 
-def test_what_a_wrong_transport_would_change_is_large() -> None:
+def test_the_transport_in_this_case_is_far_from_the_identity() -> None:
     dynamics, *_, found = case(False, 1)
     x, u = sample(2)
     step = found(x, u)

@@ -43,7 +43,9 @@ def test_error_dynamics_equal_the_mixed_derivative_of_two_flows(order: tx.Order)
     np.testing.assert_allclose(found.A, A, atol=1e-12)
     np.testing.assert_allclose(found.B, B, atol=1e-12)
     rates = dynamics(T, x, u)
-    np.testing.assert_allclose(found.rate, np.concatenate([np.ravel(rates[n]) for n in dynamics.group.factors]), atol=1e-14)
+    np.testing.assert_allclose(
+        found.rate, np.concatenate([np.ravel(rates[n]) for n in dynamics.group.factors]), atol=1e-14
+    )
     # The case can see a missing or reversed ad term.
     assert np.abs(dynamics.group.ad(found.rate)).max() > 0.1
 

@@ -87,7 +87,8 @@ def discretize(
     inputs = dynamics.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(h, inputs.dtype)
-    flight = fly(dynamics, method or RKMK(RK4), inputs.t, inputs.x, flat, length, inputs.params, substeps)
+    x, params = dict(inputs.x), dict(inputs.params)
+    flight = fly(dynamics, method or RKMK(RK4), inputs.t, x, flat, length, params, substeps)
     n, m, last = dynamics.dimension, flat.shape[0], flight.sensitivity[-1]
     x1 = {name: values[-1] for name, values in flight.xs.items()}
     return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])

@@ -64,7 +64,7 @@ def state_guess(leaf: State, given: Array | None, initial: Array | None, final: 
 
 
 def control_guess(leaf: Control, given: Array | None, intervals: int) -> Array:
-    """Values of a control in all intervals: what is given, or the middle of its box, or the point of it nearest zero."""
+    """Values of a control in all intervals: what is given, or the middle of its box, or its point nearest zero."""
     source = given if given is not None else leaf.guess
     if source is None:
         source = _middle(leaf.min, leaf.max, np.zeros(leaf.shape))
@@ -95,11 +95,11 @@ def perturbation(rng: np.random.Generator, lengths: Array, free: Array, states: 
     return np.where(free, rng.normal(size=lengths.shape) * spread * lengths, 0.0)
 
 
-def _known(values: Array | None, otherwise: Array) -> Array:
+def _known(values: Array | None, otherwise: Any) -> Any:
     return otherwise if values is None else np.where(np.isnan(values), otherwise, values)
 
 
-def _middle(low: Array | None, high: Array | None, otherwise: Array) -> Array:
+def _middle(low: Array | None, high: Array | None, otherwise: Any) -> Any:
     """The middle of a box; where it is open, the point of it nearest to another value."""
     low = np.full(otherwise.shape, -np.inf) if low is None else low
     high = np.full(otherwise.shape, np.inf) if high is None else high

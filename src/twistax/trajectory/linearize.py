@@ -56,7 +56,7 @@ def linearize(
 
     def velocity(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         moved = dynamics.group.retract(inputs.x, z[:n])
-        rates = dynamics.vector_field(inputs.t, moved, controls.split(z[n:]), inputs.params)
+        rates = dynamics.vector_field(inputs.t, moved, controls.split(z[n:]), dict(inputs.params))
         flat_rate = flat_rates(dynamics, rates)
         return flat_rate, flat_rate
 

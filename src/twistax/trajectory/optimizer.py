@@ -240,7 +240,9 @@ class Optimizer:
     def _point(self, iterate: Iterate, move: Array) -> _Point | None:
         """The scaled evaluation after a move; None if it is not finite."""
         raw = self._evaluate(iterate, move)
-        if not all(np.isfinite(values).all() for values in (raw.rows, raw.slopes, raw.cost, raw.gradient, raw.curvature)):
+        if not all(
+            np.isfinite(values).all() for values in (raw.rows, raw.slopes, raw.cost, raw.gradient, raw.curvature)
+        ):
             return None
         columns, rows, cost = self._scales.columns, self._scales.rows, self._scales.cost
         return _Point(

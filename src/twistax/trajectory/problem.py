@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError, TrajectoryError
+from ..expr import Control, State
 from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
@@ -20,8 +21,8 @@ from .conditions import check_leaves, end_values, final_rows, fixed_entries, spl
 from .discretize import check_substeps
 from .guess import control_guess, perturbation, state_guess, user_guess
 from .objective import Objective
-from .optimizer import Callback, Optimizer, Outcome
-from .result import Status, TrajectoryResult
+from .optimizer import Callback, Optimizer
+from .result import TrajectoryResult, best_result
 from .rows import describe_path
 from .scaling import Scales, column_scales
 from .transcription import Evaluation, Iterate, Transcription
@@ -65,15 +66,15 @@ class Problem:
     def __init__(
         self,
         dynamics: Dynamics,
-        objective: Objective,
+        objective: Any,
         *,
-        nodes: int = 25,
-        final_time: float | tuple[float, float],
+        nodes: Any = 25,
+        final_time: Any,
         initial: Mapping[Any, Any] | None = None,
         final: Any = None,
         params: Mapping[str, Any] | None = None,
         guess: Mapping[Any, Any] | None = None,
-        final_time_guess: float | None = None,
+        final_time_guess: Any = None,
         method: RKMK | None = None,
         substeps: int = 2,
     ) -> None:
@@ -91,14 +92,16 @@ class Problem:
         for place, expr in (("the objective", objective.final), ("the running cost", objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)
-        self.dynamics, self.objective, self.nodes = dynamics, objective, int(nodes)
+        self.dynamics, self.nodes = dynamics, int(nodes)
+        self.objective: Objective = objective
         self.time_limits = _time_limits(final_time)
         self._time_guess = _time_guess(final_time_guess, self.time_limits)
         values, constraints = split_final(final)
         self.initial = end_values(dynamics.states, "initial", initial)
         self.final = end_values(dynamics.states, "final", values)
         self.final_rows = rows = final_rows(dynamics, constraints)
-        self._leaves = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
+        self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
+        self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {s.name: self.nodes for s in dynamics.states} | {
             c.name: self.nodes - 1 for c in dynamics.controls
         }
@@ -163,12 +166,12 @@ class Problem:
                     start = self._perturbed(evaluate, plain, np.random.default_rng([seed or 0, number]))
                 outcomes.append(optimizer.run(start, max_iterations, tolerance, report))
             done = time.perf_counter()
-        return self._result(outcomes, tolerance, compiled - begin, done - compiled)
+        return best_result(self, outcomes, tolerance, compiled - begin, done - compiled)
 
     def _start(self, given: Mapping[str, Array]) -> Iterate:
         """The guess as an iterate."""
         dynamics = self.dynamics
-        xs = {
+        xs: dict[str, Any] = {
             s.name: state_guess(s, given.get(s.name), self.initial[s.name], self.final[s.name], self.nodes)
             for s in dynamics.states
         }
@@ -226,7 +229,7 @@ class Problem:
         for name, leaf in self._leaves.items():
             path = np.asarray(plain.xs[name] if name in plain.xs else controls[name])
             known = [leaf.min, leaf.max, self.initial.get(name), self.final.get(name), *path]
-            values[name] = [value for value in known if value is not None]
+            values[name] = [np.asarray(value) for value in known if value is not None]
         return values
 
     def _free_unknowns(self) -> Array:
@@ -266,79 +269,6 @@ class Problem:
             inputs = self.dynamics.prepare(0.0, zeros_x, zeros_u, params, reads=families)
             return {name: np.asarray(value) for name, value in inputs.params.items()}
 
-    # ---- the result -------------------------------------------------------------------------------------------
-
-    def _result(
-        self, outcomes: list[Outcome], tolerance: float, compile_seconds: float, solve_seconds: float
-    ) -> TrajectoryResult:
-        statuses = [_status(outcome) for outcome in outcomes]
-        sign = self.objective.sign
-        tries = tuple(
-            (status, sign * float(o.evaluation.cost), float(o.violations.max(initial=0.0)), o.iterations)
-            for status, o in zip(statuses, outcomes)
-        )
-
-        def rank(number: int) -> tuple[bool, float]:
-            status, outcome = statuses[number], outcomes[number]
-            solved = status is Status.SOLVED
-            return not solved, float(outcome.evaluation.cost) if solved else float(outcome.violations.max(initial=0.0))
-
-        best = min(range(len(outcomes)), key=rank)
-        outcome, status = outcomes[best], statuses[best]
-        iterate = outcome.evaluation.iterate
-        final_time = float(iterate.final_time)
-        return TrajectoryResult(
-            problem=self,
-            xs={name: np.asarray(values) for name, values in iterate.xs.items()},
-            us=self.transcription.controls.split(np.asarray(iterate.us)),
-            ts=np.linspace(0.0, final_time, self.nodes),
-            final_time=final_time,
-            cost=tries[best][1],
-            violation=tries[best][2],
-            violations=self._violations(outcome),
-            status=status,
-            message=self._message(status, outcome),
-            iterations=outcome.iterations,
-            tries=tries,
-            compile_seconds=compile_seconds,
-            solve_seconds=solve_seconds,
-        )
-
-    def _violations(self, outcome: Outcome) -> dict[str, float]:
-        t = self.transcription
-        rows = np.asarray(outcome.evaluation.rows)
-        sizes = np.where(t.exists, np.where(t.equality, np.abs(rows), np.maximum(rows, 0.0)), 0.0).max(axis=0)
-        found: dict[str, float] = {}
-        for name, size in zip(t.names, sizes):
-            found[name] = max(found.get(name, 0.0), float(size))
-        return found
-
-    def _message(self, status: Status, outcome: Outcome) -> str:
-        text = f"{status}."
-        if status in (Status.SOLVED, Status.NON_FINITE):
-            return text
-        t = self.transcription
-        rows = np.asarray(outcome.evaluation.rows)
-        worst = []
-        for part in (slice(t.n, None), slice(0, t.n)):
-            scaled = outcome.violations[:, part]
-            if scaled.size and scaled.max() > 0.0:
-                interval, row = np.unravel_index(int(scaled.argmax()), scaled.shape)
-                row = int(row) + (part.start or 0)
-                worst.append(
-                    f"{t.names[row]!r} at {t.place(int(interval), row)} is off by {abs(rows[interval, row]):.3g}"
-                )
-        return f"{text} Worst: {'; '.join(worst)}." if worst else text
-
-
-def _status(outcome: Outcome) -> Status:
-    ending = outcome.ending
-    if not ending.finite:
-        return Status.NON_FINITE
-    if ending.feasible and ending.settled:
-        return Status.SOLVED
-    return Status.INFEASIBLE if ending.stalled else Status.MAX_ITERATIONS
-
 
 def _time_limits(final_time: Any) -> tuple[float, float]:
     limits = np.asarray(final_time, float) if np.ndim(final_time) <= 1 else np.zeros(0)
@@ -350,7 +280,7 @@ def _time_limits(final_time: Any) -> tuple[float, float]:
     return low, high
 
 
-def _time_guess(value: float | None, limits: tuple[float, float]) -> float:
+def _time_guess(value: Any, limits: tuple[float, float]) -> float:
     low, high = limits
     if value is None:
         return 0.5 * (low + high)

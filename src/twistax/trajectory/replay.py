@@ -16,10 +16,10 @@ from ..integrators import RKMK, Held, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
 from .arrays import Array
+from .result import TrajectoryResult, largest_by_name
 
 if TYPE_CHECKING:
     from .problem import Problem
-    from .result import TrajectoryResult
 
 __all__ = ["Replay", "replay"]
 
@@ -146,8 +146,8 @@ def _judged(result: TrajectoryResult, xs: dict[str, Array], steps: int) -> Repla
     problem, ts = result.problem, _times(result, steps)
     intervals = problem.nodes - 1
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
-    end = {name: values[-1] for name, values in xs.items()}
-    planned = {name: values[-1] for name, values in result.xs.items()}
+    end = {name: np.asarray(values[-1]) for name, values in xs.items()}
+    planned = {name: np.asarray(values[-1]) for name, values in result.xs.items()}
     vectors = {name: _difference(g, planned[name], end[name]) for name, g in problem.dynamics.group.factors.items()}
     return Replay(
         ts=ts,
@@ -192,8 +192,8 @@ def _path_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], 
         return jnp.max(sizes, axis=(0, 1))
 
     points = {name: values[window] for name, values in xs.items()}
-    worst = np.asarray(largest(ts[window], points, {name: values for name, values in result.us.items()}))
-    return _by_name(list(rows.names), worst)
+    worst = np.asarray(largest(ts[window], points, dict(result.us)))
+    return largest_by_name(rows.names, worst)
 
 
 def _final_violations(problem: Problem, t: float, end: dict[str, Array]) -> dict[str, float]:
@@ -209,11 +209,4 @@ def _final_violations(problem: Problem, t: float, end: dict[str, Array]) -> dict
     params = {name: jnp.asarray(value) for name, value in problem.params.items()}
     values = np.asarray(residuals(jnp.asarray(t), end, params))
     equality = np.arange(len(values)) >= len(values) - rows.equalities
-    return _by_name(rows.names, np.where(equality, np.abs(values), np.maximum(values, 0.0)))
-
-
-def _by_name(names: list[str], sizes: Array) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for name, size in zip(names, sizes):
-        found[name] = max(found.get(name, 0.0), float(size))
-    return found
+    return largest_by_name(rows.names, np.where(equality, np.abs(values), np.maximum(values, 0.0)))

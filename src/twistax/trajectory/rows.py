@@ -6,7 +6,6 @@ import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
 from math import prod
-from typing import Any
 
 import numpy as np
 
@@ -114,12 +113,7 @@ def names_of(constraints: Mapping[str, Constraint]) -> list[str]:
 def where(substeps: int, interval: int, point: int) -> str:
     """Words for a point of an interval."""
     if point == 0:
-        return f"node {interval}"
+        return f"at node {interval}"
     if point == substeps:
-        return f"node {interval + 1}"
+        return f"at node {interval + 1}"
     return f"between nodes {interval} and {interval + 1}"
-
-
-def as_tuple(value: Any) -> tuple[Any, ...]:
-    """A sequence as a tuple, anything else alone in one."""
-    return tuple(value) if isinstance(value, (list, tuple)) else (value,)

@@ -131,7 +131,7 @@ class Transcription:
         row -= self.n
         if row < len(self._points):
             return where(self.substeps, interval, int(self._points[row]))
-        return f"node {self.nodes - 1}"
+        return f"at node {self.nodes - 1}"
 
     # ---- traced -----------------------------------------------------------------------------------------------
 
@@ -213,11 +213,13 @@ class Transcription:
         shares = (number + jnp.linspace(0.0, 1.0, last + 1, dtype=sensitivity.dtype)) / count
         return maps.at[:, -1, -1].set(shares)
 
-    def _around(self, x: Arrays, u: jax.Array, t: jax.Array) -> tuple[Callable[..., tuple[Any, ...]], jax.Array]:
+    def _around(
+        self, x: Arrays, u: jax.Array, t: jax.Array
+    ) -> tuple[Callable[[jax.Array], tuple[Any, Any, Any]], jax.Array]:
         """(t, x, u) as a function of z = [d, u, t], and the z of the point itself."""
         n, m, group = self.n, self.m, self.dynamics.group
 
-        def point(z: jax.Array) -> tuple[Any, ...]:
+        def point(z: jax.Array) -> tuple[Any, Any, Any]:
             return z[-1], group.retract(x, z[:n]), self.controls.split(z[n : n + m])
 
         return point, jnp.concatenate([jnp.zeros(n, u.dtype), u, t[None]])

@@ -1,0 +1,125 @@
+"""Problems whose optimum is known."""
+
+import numpy as np
+import pytest
+from trajectory_systems import double_integrator, free_flyer, spinning_ball
+
+import twistax as tx
+from twistax.trajectory import Problem, Status, TrajectoryResult
+
+
+def least_norm(intervals: int, final_time: float) -> np.ndarray:
+    """The held controls of least energy that move a double integrator by 1, rest to rest; exact linear algebra."""
+    h = final_time / intervals
+    ends = np.zeros((2, intervals))
+    for k in range(intervals):
+        left = final_time - (k + 1) * h
+        ends[:, k] = [h * (left + h / 2), h]
+    return ends.T @ np.linalg.solve(ends @ ends.T, [1.0, 0.0])
+
+
+def test_least_energy_of_a_double_integrator() -> None:
+    dynamics = tx.compile(double_integrator())
+    u = dynamics.controls[0]
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=u**2, smoothing=0.0),
+        nodes=11,
+        final_time=2.0,
+        initial={"p": 0.0, "v": 0.0},
+        final={"p": 1.0, "v": 0.0},
+    )
+    result = problem.solve()
+    expected = least_norm(10, 2.0)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.us["u"], expected, atol=1e-4)
+    assert result.cost == pytest.approx((expected**2).sum() * 0.2, rel=1e-6)
+    assert result.cost == pytest.approx(12.0 / 2.0**3, rel=0.02)
+    assert result.xs["p"].shape == (11,)
+    assert result.us["u"].shape == (10,)
+    np.testing.assert_allclose(result.ts, np.linspace(0.0, 2.0, 11))
+    flown = result.replay(steps=3)
+    assert flown.misses["p"]["distance"] < 1e-6
+    assert flown.ts.shape == (31,)
+
+
+def test_a_ball_turns_about_one_axis() -> None:
+    """A spherical body turns rest to rest along the geodesic, timed like the double integrator."""
+    axis, angle = np.array([2.0, -1.0, 2.0]) / 3.0, 2.2
+    dynamics = tx.compile(spinning_ball())
+    start = np.asarray(tx.SO3.exp(np.array([0.4, 1.0, -0.3])))
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=dynamics.controls[0] @ dynamics.controls[0], smoothing=0.0),
+        nodes=9,
+        final_time=1.0,
+        initial={"R": start, "w": np.zeros(3)},
+        final={"R": start @ np.asarray(tx.SO3.exp(angle * axis)), "w": np.zeros(3)},
+    )
+    result = problem.solve(seed=3)
+    assert result.solved
+    np.testing.assert_allclose(result.us["u"], angle * least_norm(8, 1.0)[:, None] * axis, atol=2e-3)
+
+
+def test_a_pose_is_reached_through_almost_a_half_turn() -> None:
+    """With |v|^2 + |w|^2 as cost the best flight turns evenly and goes straight: J = (angle^2 + distance^2) / T."""
+    angle, shift = np.pi - 0.01, np.array([1.0, 2.0, -0.5])
+    dynamics = tx.compile(free_flyer())
+    V = dynamics.controls[0]
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=V @ V, smoothing=0.0),
+        nodes=21,
+        final_time=2.0,
+        initial={"g": np.eye(4)},
+        final={"g": tx.pose(position=shift, rotation=tx.SO3.exp(angle * np.array([0.6, 0.0, 0.8])))},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx((angle**2 + shift @ shift) / 2.0, rel=5e-3)
+    rates = np.linalg.norm(result.us["V"][:, 3:], axis=1)
+    np.testing.assert_allclose(rates, angle / 2.0, rtol=2e-2)
+    miss = result.replay(steps=4).misses["g"]
+    assert miss["position"] < 1e-4
+    assert miss["angle"] < 1e-4
+
+
+def fastest(**options: object) -> TrajectoryResult:
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    problem = Problem(
+        dynamics,
+        tx.Minimize(tx.Time(), smoothing=0.0),
+        nodes=21,
+        final_time=(0.5, 6.0),
+        initial={p: 0.0, v: 0.0},
+        final=[{v: 0.0}, p == 1.0],
+    )
+    return problem.solve(**options)
+
+
+def test_least_time_is_bang_bang() -> None:
+    """|u| <= 1, distance 1, rest to rest: full ahead, full back, T = 2."""
+    seen = []
+    result = fastest(callback=lambda *state: seen.append(state))
+    assert result.solved
+    assert result.final_time == pytest.approx(2.0, abs=1e-3)
+    assert result.cost == pytest.approx(result.final_time)
+    np.testing.assert_allclose(result.us["u"], np.repeat([1.0, -1.0], 10), atol=2e-2)
+    assert result.violation <= 1e-6
+    assert seen[-1][0] <= result.iterations
+    assert seen[-1][1] == pytest.approx(result.cost, abs=1e-2)
+
+
+def test_a_maximum_is_reported_as_stated() -> None:
+    """How far can a limited push for 1 s carry: p = 1/2, under a speed limit between nodes too."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    limited = tx.compile(tx.System(rates={p: v, v: u}, constraints={"speed": v <= 0.6}))
+    result = Problem(limited, tx.Maximize(p), nodes=6, final_time=1.0, initial={"p": 0.0, "v": 0.0}, substeps=3).solve(
+        guesses=2
+    )
+    assert result.solved
+    # Full push until v = 0.6, then coasting: held controls of 0.2 s reach that exactly.
+    assert result.cost == pytest.approx(0.5 * 0.6**2 + 0.6 * 0.4, abs=1e-4)
+    assert len(result.tries) == 2
+    assert result.replay(steps=10).violations["speed"] < 1e-6

@@ -1,0 +1,140 @@
+"""What a problem says when it cannot be solved, or not be stated."""
+
+import functools
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from trajectory_systems import free_flyer
+
+import twistax as tx
+from twistax.trajectory import Problem, Status, TrajectoryResult
+
+
+@functools.cache
+def integrator(limit: float = 1.0) -> tx.Dynamics:
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-limit, max=limit)
+    return tx.compile(tx.System(rates={p: v, v: u}, constraints={"wall": p <= 2.0}))
+
+
+def problem(**changes: Any) -> Problem:
+    dynamics = changes.pop("dynamics", integrator())
+    options: dict[str, Any] = {
+        "objective": tx.Minimize(running=dynamics.controls[0] ** 2),
+        "nodes": 8,
+        "final_time": 3.0,
+        "initial": {"p": 0.0, "v": 0.0},
+        "final": {"p": 1.0, "v": 0.0},
+    }
+    return Problem(dynamics, **(options | changes))
+
+
+def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
+    result = problem(final_time=1.0).solve()
+    assert result.status is Status.INFEASIBLE
+    assert "u >= -1" in result.message or "u <= 1" in result.message
+    assert "node" in result.message
+    assert result.violation > 1e-2
+    assert not result.solved
+
+
+def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
+    result = problem(final={"p": 2.5, "v": 0.0}).solve()
+    assert result.status is Status.INFEASIBLE
+    assert "'wall' at node 7 is off by 0.5" in result.message
+    assert result.violations["wall"] == pytest.approx(0.5)
+
+
+def test_too_few_iterations_are_said() -> None:
+    result = problem().solve(max_iterations=2)
+    assert result.status is Status.MAX_ITERATIONS
+    assert result.iterations == 2
+
+
+def test_values_that_are_not_finite_are_said() -> None:
+    p, u = tx.State("p"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={p: u / p}))
+    result = Problem(dynamics, tx.Minimize(p), nodes=4, final_time=1.0, initial={p: 0.0}).solve()
+    assert result.status is Status.NON_FINITE
+    assert "finite" in result.message
+
+
+def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
+    stated = problem()
+    with jax.enable_x64(False):
+        first: TrajectoryResult = stated.solve(seed=4)
+        flown = first.replay(steps=5)
+    again, other = stated.solve(seed=4), stated.solve(seed=5)
+    assert first.solved
+    assert first.xs["p"].dtype == np.float64
+    assert flown.xs["p"].dtype == np.float64
+    assert flown.misses["p"]["distance"] < 1e-6
+    np.testing.assert_array_equal(first.us["u"], again.us["u"])
+    assert (first.us["u"] != other.us["u"]).any()
+    assert again.compile_seconds < first.compile_seconds
+
+
+def test_several_guesses_give_the_best_and_warm_starts_work() -> None:
+    stated = problem()
+    several = stated.solve(guesses=3)
+    assert len(several.tries) == 3
+    assert several.cost == min(cost for status, cost, *_ in several.tries if status is Status.SOLVED)
+    warm = stated.solve(guess={**several.xs, **several.us})
+    assert warm.iterations < several.iterations
+
+
+BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({"nodes": 1}, tx.TrajectoryError, "nodes"),
+    ({"final_time": (5.0, 3.0)}, tx.TrajectoryError, "final_time"),
+    ({"final_time": -1.0}, tx.TrajectoryError, "final_time"),
+    ({"final_time": (1.0, 2.0, 3.0)}, tx.TrajectoryError, "final_time"),
+    ({"final_time": (1.0, 4.0), "final_time_guess": 5.0}, tx.TrajectoryError, "final_time_guess"),
+    ({"substeps": 0}, tx.TrajectoryError, "substeps"),
+    ({"initial": {"q": 0.0}}, tx.ModelError, "'q'"),
+    ({"initial": {"p": np.zeros(2)}}, tx.ShapeError, "'p'"),
+    ({"final": {"nope": 0.0}}, tx.ModelError, "nope"),
+    ({"final": [3.0]}, tx.ModelError, "float"),
+    ({"final": [tx.Control("u") <= 1.0]}, tx.ModelError, "no value at the final node"),
+    ({"final": [tx.State("stranger") == 1.0]}, tx.ModelError, "stranger"),
+    ({"objective": tx.Minimize(tx.State("stranger"))}, tx.ModelError, "stranger"),
+    ({"objective": tx.State("p")}, tx.ModelError, "tx.Minimize"),
+    ({"guess": {"w": 0.0}}, tx.ModelError, "'w'"),
+    ({"guess": {"p": np.zeros(5)}}, tx.ShapeError, "'p'"),
+    ({"params": {"mass": 1.0}}, tx.InputError, "mass"),
+]
+
+
+@pytest.mark.parametrize(("changes", "error", "text"), BAD, ids=lambda value: value if isinstance(value, str) else "")
+def test_nonsense_is_one_clear_error(changes: dict[str, Any], error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        problem(**changes)
+
+
+def test_ends_outside_their_box_are_refused() -> None:
+    p = tx.State("p", min=0.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: tx.Control("u")}))
+    with pytest.raises(tx.TrajectoryError, match=r"initial value of p is 2, which violates its bound: 2 > 1"):
+        Problem(dynamics, tx.Minimize(p), final_time=1.0, initial={p: 2.0})
+
+
+def test_an_end_that_is_no_pose_is_refused() -> None:
+    dynamics = tx.compile(free_flyer())
+    with pytest.raises(tx.ModelError, match="not an element of SE3"):
+        Problem(dynamics, tx.Minimize(tx.Time()), final_time=1.0, initial={"g": 2.0 * np.eye(4)})
+
+
+def test_objectives_check_themselves() -> None:
+    with pytest.raises(tx.ModelError, match="running"):
+        tx.Minimize()
+    with pytest.raises(tx.ShapeError, match="scalar"):
+        tx.Maximize(tx.State("x", shape=(3,)))
+    with pytest.raises(tx.ModelError, match="smoothing"):
+        tx.Minimize(tx.Time(), smoothing=-1.0)
+
+
+def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
+    x, u, k = tx.State("x"), tx.Control("u"), tx.Parameter("k", value=2.0)
+    dynamics = tx.compile(tx.System(rates={x: k * u}), bake={"k": 3.0})
+    with pytest.raises(tx.ModelError, match="baked"):
+        Problem(dynamics, tx.Minimize(k * x), final_time=1.0)
