@@ -46,6 +46,7 @@ REWRITES: list[tuple[str, tx.Expr, tx.Expr]] = [
     ("s * ones keeps its shape", s * ONES, k(ONES) * s),
     ("s + zeros keeps its shape", s + ZEROS, s + k(ZEROS)),
     ("s - s of a vector", (s + ZEROS) - s, (s + k(ZEROS)) - s),
+    ("what cancels leaves its shape", tx.Add(x, s, -x), s + k(ZEROS)),
     ("s ** ones", s**ONES, s ** k(ONES)),
     # cancellation
     ("x - x", x - x, k(ZEROS)),

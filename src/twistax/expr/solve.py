@@ -14,6 +14,7 @@ from .indexing import Index
 from .leaves import Constant, Parameter, State
 from .linalg import Diag
 from .node import Example, Expr, Shape, leaves_of
+from .printing import wrap_latex
 from .shapes import expect_square
 
 #: Above this condition number a constant matrix is not inverted beforehand: a solve leaves the smaller residual.
@@ -105,7 +106,7 @@ class Inv(Expr):
         return Diag(Div(1.0, self.operand.operand)) if isinstance(self.operand, Diag) else self
 
     def to_latex(self, *operands: str) -> str:
-        return rf"{{\left({operands[0]}\right)}}^{{-1}}"
+        return rf"{{{wrap_latex(self.operand, operands[0], 60)}}}^{{-1}}"
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -130,6 +131,7 @@ class Solve(Expr):
 
     A: Operand
     b: Operand
+    precedence = 20
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         A, b = shapes
@@ -161,7 +163,7 @@ class Solve(Expr):
         return self
 
     def to_latex(self, *operands: str) -> str:
-        return rf"{{\left({operands[0]}\right)}}^{{-1}} \, {operands[1]}"
+        return rf"{{{wrap_latex(self.A, operands[0], 60)}}}^{{-1}} \, {wrap_latex(self.b, operands[1], 21)}"
 
     @classmethod
     def example(cls) -> list[Example]:
