@@ -192,9 +192,7 @@ class Dynamics:
         return count_equations(jax.make_jaxpr(function)(shapes).jaxpr)
 
 
-def compile(
-    system: System, *, outputs: Iterable[str] | None = None, bake: Mapping[str, Any] | None = None
-) -> Dynamics:
+def compile(system: System, *, outputs: Iterable[str] | None = None, bake: Mapping[str, Any] | None = None) -> Dynamics:
     """Compile a system to jitted, differentiable functions.
 
     Only what is asked for is lowered: rates, outputs and constraints are separate functions, traced when first called.
