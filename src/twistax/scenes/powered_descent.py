@@ -101,7 +101,7 @@ class Limit:
 
     @property
     def slack(self) -> float:
-        return 0.01 * abs(self.bound) * self.factor or 0.5
+        return float(0.01 * abs(self.bound) * self.factor or 0.5)
 
     @property
     def relation(self) -> str:
