@@ -71,7 +71,8 @@ def test_a_chain_that_doubles_is_known_at_once() -> None:
 
 def test_a_long_chain_needs_no_deep_recursion() -> None:
     chain: Expr = g
+    turned = TURN @ g
     for _ in range(3000):
-        chain = lie.Compose(chain, TURN @ g)
+        chain = lie.Compose(chain, turned)
     assert chain.is_group_element
     assert lie.Inverse(lie.Inverse(chain)).canonicalize().key() == chain.canonicalize().key()

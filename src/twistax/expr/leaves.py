@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -380,10 +381,15 @@ _ROTATION_TOLERANCE = 1e-6
 _ROUND_OFF = 1e-12
 
 
+@functools.cache
+def _compiled_defect(group: Group) -> Callable[..., jax.Array]:
+    # Compiled as one, once: a dozen eager operations would each be compiled alone.
+    return jax.jit(group.defect)
+
+
 def _defect(value: np.ndarray, group: Group) -> float:
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        # Compiled as one: a dozen eager operations would each be compiled alone.
-        return float(jax.jit(group.defect)(jax.numpy.asarray(value)))
+        return float(_compiled_defect(group)(jax.numpy.asarray(value)))
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
