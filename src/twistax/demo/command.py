@@ -101,7 +101,8 @@ def _describe_start(start: scene.Start, vehicle: scene.Vehicle) -> str:
     offset, velocity = np.linalg.norm(start.offset), np.linalg.norm(start.velocity)
     return (
         f"{vehicle.mass / 1e3:g} t, {start.height:g} m up, {offset:.0f} m off the pad, at {velocity:.0f} m/s "
-        f"({-start.velocity[2]:g} down), tilted by {np.rad2deg(start.tilt):g} deg"
+        f"({-start.velocity[2]:g} down), tilted by {np.rad2deg(start.tilt):g} deg, "
+        f"turning back at {np.rad2deg(start.righting):g} deg/s"
     )
 
 
