@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import everything, sample, spinning_ball
+from trajectory_systems import everything, quick_jit, sample, spinning_ball
 
 import twistax as tx
 from twistax.trajectory import Discretization, discretize
@@ -23,10 +23,12 @@ def flight(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[..
         control = {"F": u["F"] + z[N : N + 3], "q": u["q"] + z[N + 3]}
         h, t = (H + z[N + M]) / substeps, T + z[N + M + 1]
         inputs = dynamics.prepare(t, dynamics.retract(x, z[:N]), control)
-        state = dict(inputs.x)
-        for i in range(substeps):
-            state = method.step(dynamics, t + i * h, state, lambda _: dict(inputs.u), dict(inputs.params), h)
-        return state
+        control, params = dict(inputs.u), dict(inputs.params)
+
+        def step(i: jax.Array, state: dict) -> dict:
+            return method.step(dynamics, t + i.astype(t.dtype) * h, state, lambda _: control, params, h)
+
+        return jax.lax.fori_loop(0, substeps, step, dict(inputs.x))
 
     return end
 
@@ -37,8 +39,8 @@ def case(
 ) -> tuple[tx.Dynamics, tx.RKMK, Callable[..., dict], Callable[..., Discretization]]:
     dynamics = tx.compile(everything(tx.ANGULAR_FIRST if angular else tx.LINEAR_FIRST))
     method = tx.RKMK(tx.tableaus.RK4)
-    found = jax.jit(lambda x, u: discretize(dynamics, T, x, u, H, method=method, substeps=substeps))
-    return dynamics, jax.jit(flight(dynamics, method, substeps)), found
+    found = quick_jit(lambda x, u: discretize(dynamics, T, x, u, H, method=method, substeps=substeps))
+    return dynamics, flight(dynamics, method, substeps), found
 
 
 def stacked(step: Discretization) -> np.ndarray:
@@ -49,8 +51,8 @@ def test_closed_form_equals_the_derivative_of_the_logarithm() -> None:
     dynamics, end, found = case(tx.LINEAR_FIRST, 1)
     x, u = sample(2)
     zero = jnp.zeros(N + M + 2)
-    planned = end(x, u, zero)
-    expected = jax.jit(jax.jacfwd(lambda z: dynamics.difference(planned, end(x, u, z))))(zero)
+    planned = quick_jit(end)(x, u, zero)
+    expected = quick_jit(jax.jacfwd(lambda z: dynamics.difference(planned, end(x, u, z))))(zero)
     step = found(x, u)
     for name, value in planned.items():
         np.testing.assert_allclose(step.x1[name], value, atol=1e-13)
@@ -61,8 +63,8 @@ def test_closed_form_equals_the_derivative_of_the_logarithm() -> None:
 def test_closed_form_equals_richardson_differences(order: tx.Order, substeps: int) -> None:
     dynamics, end, found = case(order, substeps)
     x, u = sample(3)
-    planned = end(x, u, jnp.zeros(N + M + 2))
-    apart = jax.jit(jax.vmap(lambda z: dynamics.difference(planned, end(x, u, z))))
+    planned = quick_jit(end)(x, u, jnp.zeros(N + M + 2))
+    apart = quick_jit(jax.vmap(lambda z: dynamics.difference(planned, end(x, u, z))))
 
     def central(size: float) -> np.ndarray:
         steps = size * np.eye(N + M + 2)
@@ -99,7 +101,7 @@ def test_it_maps_over_intervals_and_keeps_precision() -> None:
     xs, us, lengths = jax.tree.map(
         lambda a: a.astype(np.float32), (xs, {"u": np.zeros((3, 3))}, np.array([0.1, 0.2, 0.3]))
     )
-    many = jax.jit(jax.vmap(lambda x, u, h: discretize(dynamics, T, x, u, h)))(xs, us, lengths)
+    many = quick_jit(jax.vmap(lambda x, u, h: discretize(dynamics, T, x, u, h)))(xs, us, lengths)
     assert many.A.dtype == np.float32
     # A turn about z at 1 rad/s: the attitude error turns back by the angle that was flown.
     c, s = np.cos(0.3), np.sin(0.3)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import everything, sample, spinning_ball
+from trajectory_systems import everything, quick_jit, sample, spinning_ball
 
 import twistax as tx
 from twistax.trajectory import Linearization, linearize
@@ -30,14 +30,14 @@ def by_two_flows(dynamics: tx.Dynamics, x: dict, u: dict) -> tuple[jax.Array, ja
         return dynamics.difference(flown(tau, x, flat), neighbour)
 
     zero = jnp.zeros(dynamics.dimension + flat.shape[0])
-    mixed = jax.jit(jax.jacfwd(jax.jacfwd(apart, argnums=1), argnums=0))(jnp.asarray(0.0), zero)
+    mixed = quick_jit(jax.jacfwd(jax.jacfwd(apart, argnums=1), argnums=0))(jnp.asarray(0.0), zero)
     return mixed[:, : dynamics.dimension], mixed[:, dynamics.dimension :]
 
 
 def test_error_dynamics_equal_the_mixed_derivative_of_two_flows() -> None:
     dynamics = tx.compile(everything(tx.ANGULAR_FIRST))
     x, u = sample(1)
-    found = jax.jit(lambda x, u: linearize(dynamics, T, x, u))(x, u)
+    found = quick_jit(lambda x, u: linearize(dynamics, T, x, u))(x, u)
     A, B = by_two_flows(dynamics, x, u)
     np.testing.assert_allclose(found.A, A, atol=1e-12)
     np.testing.assert_allclose(found.B, B, atol=1e-12)
@@ -54,7 +54,7 @@ def test_it_maps_over_points_and_keeps_precision() -> None:
     rng = np.random.default_rng(0)
     xs = {"R": np.asarray(jax.vmap(tx.SO3.exp)(rng.normal(size=(3, 3)))), "w": rng.normal(size=(3, 3))}
     xs, us = jax.tree.map(lambda a: a.astype(np.float32), (xs, {"u": rng.normal(size=(3, 3))}))
-    many = jax.jit(jax.vmap(lambda x, u: linearize(dynamics, T, x, u)))(xs, us)
+    many = quick_jit(jax.vmap(lambda x, u: linearize(dynamics, T, x, u)))(xs, us)
     assert isinstance(many, Linearization)
     assert many.A.shape == (3, 6, 6)
     assert many.A.dtype == np.float32

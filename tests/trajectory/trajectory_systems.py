@@ -1,8 +1,14 @@
 """Systems with known answers, or with every kind of state, that the trajectory tests share."""
 
+import functools
+
+import jax
 import numpy as np
 
 import twistax as tx
+
+#: jit for code that runs once: compiled in less time, to slower code.
+quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def double_integrator() -> tx.System:
