@@ -46,6 +46,13 @@ def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
     assert result.violations["wall"] == pytest.approx(0.5)
 
 
+def test_a_start_beyond_a_wall_is_said_at_once() -> None:
+    result = problem(initial={"p": 3.0, "v": 0.0}).solve()
+    assert result.status is Status.INFEASIBLE
+    assert "'wall' at node 0 is off by 1" in result.message
+    assert result.iterations == 1
+
+
 def test_too_few_iterations_are_said() -> None:
     result = problem().solve(max_iterations=2)
     assert result.status is Status.MAX_ITERATIONS

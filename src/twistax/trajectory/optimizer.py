@@ -114,7 +114,7 @@ class Optimizer:
     Args:
         evaluate: (iterate, step) -> the evaluation after the step, as NumPy arrays.
         chain: where the unknowns sit and which are free.
-        equality, exists: kinds of rows, see `Transcription`.
+        equality, exists, decided: kinds of rows, see `Transcription`.
         scales: sizes of unknowns, rows and objective.
         smoothing: weight of the steps of the controls.
         controls: where they are in a node's block.
@@ -127,6 +127,7 @@ class Optimizer:
         chain: Chain,
         equality: Array,
         exists: Array,
+        decided: Array,
         scales: Scales,
         smoothing: float,
         controls: slice,
@@ -134,7 +135,7 @@ class Optimizer:
         settings: Settings | None = None,
     ) -> None:
         self._evaluate, self._chain, self._equality, self._exists = evaluate, chain, equality, exists
-        self._scales, self._shortest_time = scales, shortest_time
+        self._decided, self._scales, self._shortest_time = decided, scales, shortest_time
         self._settings = settings or Settings()
         self._smoothing = Smoothing(chain, controls, scales.columns[controls], smoothing)
         self._lengths = np.concatenate([np.tile(scales.columns[: chain.block], chain.nodes), scales.columns[-1:]])
@@ -146,6 +147,10 @@ class Optimizer:
         if point is None:
             raw = self._evaluate(iterate, np.zeros(len(self._lengths)))
             return Outcome(raw, np.zeros(raw.rows.shape), Ending(False, False, False, False), 1)
+        if self._violations(point)[self._decided].max(initial=0.0) > tolerance:
+            return Outcome(
+                point.raw, np.where(self._decided, self._violations(point), 0.0), Ending(False, False, True, True), 1
+            )
         merit = _Merit(np.zeros_like(point.rows), s.first_penalty)
         damping, count, allowed, last_cost, stalls = s.first_damping, 1, s.first_violation, np.inf, 0
         while True:

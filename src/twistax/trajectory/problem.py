@@ -116,6 +116,7 @@ class Problem:
             describe_path(dynamics),
             (rows.names, rows.residuals, rows.equalities),
             self.time_limits,
+            frozenset(s.name for s in dynamics.states if fixed_entries(s, self.initial[s.name]).all()),
         )
         self.params = self._prepared(params)
         self._compiled: Callable[..., Evaluation] | None = None
@@ -216,6 +217,7 @@ class Problem:
             Chain(self.nodes, t.block, 1, self._free),
             t.equality,
             t.exists,
+            t.decided,
             Scales.measured(columns, t.n, samples),
             self.objective.smoothing,
             slice(t.n, t.block),

@@ -9,7 +9,7 @@ from math import prod
 
 import numpy as np
 
-from ..expr import Constraint, Control, Equality, Expr, State, Time, leaves_of
+from ..expr import Constraint, Control, Equality, Leaf, State, Time, leaves_of
 from ..lowering import Dynamics
 from .arrays import Array
 
@@ -38,11 +38,18 @@ class Bound:
 
 @dataclasses.dataclass(frozen=True)
 class PathRows:
-    """The rows of the path function: the system's inequalities, its equalities, then the boxes of the leaves."""
+    """The rows of the path function: the system's inequalities, its equalities, then the boxes of the leaves.
+
+    Attributes:
+        names, equality, reads: of every row.
+        states: the states every row reads.
+        bounds: the boxes, as the last rows.
+    """
 
     names: tuple[str, ...]
     equality: Array
     reads: tuple[Reads, ...]
+    states: tuple[frozenset[str], ...]
     bounds: tuple[Bound, ...]
 
     def asked(self, intervals: int, substeps: int) -> Array:
@@ -58,15 +65,29 @@ class PathRows:
                 mask[:, :, row] = True
         return mask
 
+    def decided(self, intervals: int, substeps: int, fixed: frozenset[str]) -> Array:
+        """Rows that no unknown can change, because the start fixes all they read: a mask like that of `asked`.
+
+        Args:
+            fixed: the states whose start is given in full.
+        """
+        mask = np.zeros((intervals, substeps + 1, len(self.names)), bool)
+        for row, (reads, states) in enumerate(zip(self.reads, self.states)):
+            mask[0, 0, row] = reads is Reads.STATE and states <= fixed
+        return mask
+
 
 def describe_path(dynamics: Dynamics) -> PathRows:
     """The rows of a compiled system, in the order `dynamics.constraints` has them, and its leaves' boxes."""
     residuals = {name: constraint.residual() for name, constraint in dynamics.system.constraints.items()}
     reads: list[Reads] = []
+    states: list[frozenset[str]] = []
     for equality in (False, True):
         for name, constraint in dynamics.system.constraints.items():
             if isinstance(constraint, Equality) == equality:
-                reads += [_reads(residuals[name])] * prod(residuals[name].shape)
+                entries, leaves = prod(residuals[name].shape), list(leaves_of(residuals[name].canonicalize()))
+                reads += [_reads(leaves)] * entries
+                states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
     names = [*dynamics.constraint_names["inequality"], *dynamics.constraint_names["equality"]]
     bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
     equality_rows = np.zeros(len(names) + len(bounds), bool)
@@ -75,12 +96,13 @@ def describe_path(dynamics: Dynamics) -> PathRows:
         names=(*names, *(b.name for b in bounds)),
         equality=equality_rows,
         reads=(*reads, *(b.reads for b in bounds)),
+        states=(*states, *(frozenset([b.leaf]) for b in bounds)),
         bounds=bounds,
     )
 
 
-def _reads(residual: Expr) -> Reads:
-    kinds = [type(leaf) for leaf in leaves_of(residual.canonicalize())]
+def _reads(leaves: Sequence[Leaf]) -> Reads:
+    kinds = [type(leaf) for leaf in leaves]
     if Control not in kinds:
         return Reads.STATE
     return Reads.BOTH if State in kinds or Time in kinds else Reads.CONTROL

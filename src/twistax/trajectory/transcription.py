@@ -70,11 +70,13 @@ class Transcription:
         final: names and residuals of the conditions on the final node, inequalities (<= 0) first.
         final_equalities: how many of the final rows, from the end, are equalities.
         time_limits: (low, high) of the final time; low = high fixes it.
+        fixed: states whose start is given in full.
 
     Attributes:
         names: the name of every row.
         equality: (rows,) which rows are equalities.
         exists: (intervals, rows) which rows are asked in which interval.
+        decided: (intervals, rows) which of them no unknown can change.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class Transcription:
         path: PathRows,
         final: tuple[list[str], list[Expr], int],
         time_limits: tuple[float, float],
+        fixed: frozenset[str],
     ) -> None:
         self.dynamics, self.method, self.nodes, self.substeps = dynamics, method, nodes, substeps
         self.objective, self.path, self.time_limits = objective, path, time_limits
@@ -123,6 +126,10 @@ class Transcription:
         self.exists = np.concatenate(
             [np.ones((nodes - 1, self.n), bool), asked[:, self._kept], np.tile(last[:, None], finals + times)], axis=1
         )
+
+        decided = path.decided(nodes - 1, substeps, fixed).reshape(nodes - 1, -1)[:, self._kept]
+        self.decided = np.zeros_like(self.exists)
+        self.decided[:, self.n : self.n + len(self._kept)] = decided
 
     def place(self, interval: int, row: int) -> str:
         """Words for where a row of an interval is asked."""
