@@ -46,7 +46,8 @@ class Settings:
         largest_step: of any unknown in its scale.
         flat: two steps in a row that gain less end the inner iterations.
         settled: a change of the scaled objective between two updates that counts as none.
-        stalls: updates at the largest weight without progress that mean infeasible.
+        stalled, stalls: this many updates in a row whose violation stays above that share of the one before mean
+            that no trajectory is found.
     """
 
     first_penalty: float = 3e2
@@ -62,7 +63,8 @@ class Settings:
     largest_step: float = 1.5
     flat: float = 1e-4
     settled: float = 1e-4
-    stalls: int = 3
+    stalled: float = 0.97
+    stalls: int = 4
 
 
 class Ending(NamedTuple):
@@ -152,19 +154,20 @@ class Optimizer:
                 point.raw, np.where(self._decided, self._violations(point), 0.0), Ending(False, False, True, True), 1
             )
         merit = _Merit(np.zeros_like(point.rows), s.first_penalty)
-        damping, count, allowed, last_cost, stalls = s.first_damping, 1, s.first_violation, np.inf, 0
+        damping, count, allowed, last_cost = s.first_damping, 1, s.first_violation, np.inf
+        before, stalls = np.inf, 0
         while True:
             point, damping, count = self._reduce(point, merit, damping, count, max_iterations, callback)
             violation = self._violation(point)
             feasible, settled = violation <= tolerance, abs(point.cost - last_cost) <= s.settled
+            stalls = stalls + 1 if violation > max(allowed, s.stalled * before) else 0
             if (feasible and settled) or count >= max_iterations or stalls >= s.stalls:
                 ending = Ending(feasible, settled, True, stalls >= s.stalls)
                 return Outcome(point.raw, self._violations(point), ending, count)
-            last_cost = point.cost
+            last_cost, before = point.cost, violation
             if violation > allowed and merit.penalty < s.largest_penalty:
                 merit = merit._replace(penalty=min(merit.penalty * s.penalty_growth, s.largest_penalty))
                 continue
-            stalls = stalls + 1 if violation > allowed else 0
             merit = merit._replace(multipliers=merit.penalty * self._counted(point, merit))
             allowed = max(s.violation_share * violation, 0.1 * tolerance)
 
