@@ -123,3 +123,14 @@ def test_a_maximum_is_reported_as_stated() -> None:
     assert result.cost == pytest.approx(0.5 * 0.6**2 + 0.6 * 0.4, abs=1e-4)
     assert len(result.tries) == 2
     assert result.replay(steps=10).violations["speed"] < 1e-6
+
+
+def test_free_entries_of_the_start_are_chosen_too() -> None:
+    """x' = u, |u| <= 1, x <= 2, one entry starts at 0 and the other anywhere: the best end is (1, 2)."""
+    x = tx.State("x", shape=(2,), min=-2.0, max=2.0, initial=[0.0, None])
+    u = tx.Control("u", shape=(2,), min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    result = Problem(dynamics, tx.Maximize(x[0] + x[1]), nodes=4, final_time=1.0).solve()
+    assert result.solved
+    np.testing.assert_allclose(result.xs["x"][-1], [1.0, 2.0], atol=1e-4)
+    assert result.xs["x"][0, 0] == 0.0
