@@ -37,7 +37,7 @@ def _from_rotation(R: Array) -> Array:
             raise InputError(
                 "pose expects rotation to be orthonormal with determinant +1, got max|R'R - I| = "
                 f"{skew:.3g} (at most {allowed:.1g} is allowed) and det R = {determinant:.6g}\n"
-                "  fix: twistax.groups.SO3.normalize(R) gives the nearest rotation of a slightly drifted matrix"
+                "  fix: tx.SO3.normalize(R) gives the nearest rotation of a slightly drifted matrix"
             )
     return R
 
