@@ -131,7 +131,7 @@ def test_explain() -> None:
     ]
     lines = str(explanation).splitlines()
     assert set(explanation.unused) <= set(lines)
-    assert any(line.startswith("equations: ") for line in lines)
+    assert any(line.startswith("equations of the rates: ") for line in lines)
     assert explanation.as_dict()["unused"] == explanation.unused
     baked = tx.compile(SYSTEM, bake={"M": INERTIA}).explain()
     assert "baked in: M" in str(baked)

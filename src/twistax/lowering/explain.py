@@ -36,7 +36,9 @@ class Explanation:
     def __str__(self) -> str:
         lines = [f"{kind}: {', '.join(names) or 'none'}" for kind, names in self.leaves.items()]
         lines.append(f"nodes of the rates: {self.nodes[0]} as written, {self.nodes[1]} distinct after simplification")
-        lines.append(f"equations of the rates: {self.equations[0]} as written, {self.equations[1]} after simplification")
+        lines.append(
+            f"equations of the rates: {self.equations[0]} as written, {self.equations[1]} after simplification"
+        )
         if self.baked:
             lines.append(f"baked in: {', '.join(self.baked)}")
         return "\n".join(lines + self.unused)
