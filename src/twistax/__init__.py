@@ -36,7 +36,7 @@ from .lowering import Dynamics, compile, lower
 from .system import System
 
 if TYPE_CHECKING:
-    from . import diffrax, trajectory
+    from . import diffrax, mechanics, trajectory
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.1.0"
@@ -72,6 +72,7 @@ __all__ = [
     "lie",
     "linalg",
     "lower",
+    "mechanics",
     "pose",
     "spatial",
     "tableaus",
@@ -80,8 +81,8 @@ __all__ = [
 ]
 __all__ += expr.__all__
 
-#: Loaded when first touched: they bring diffrax or SciPy with them.
-_LAZY_MODULES = ("diffrax", "trajectory")
+#: Loaded when first touched: they bring diffrax or SciPy with them, or serve some models only.
+_LAZY_MODULES = ("diffrax", "mechanics", "trajectory")
 _LAZY_NAMES = {"Minimize": "trajectory", "Maximize": "trajectory"}
 
 
