@@ -4,22 +4,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import prod
+from typing import Any
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from twistax.errors import ModelError
 from twistax.groups.group import Group
 from twistax.groups.inputs import Input, of_shape
 
 __all__ = ["Euclidean"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Euclidean(Group):
-    """Arrays of one shape under addition; () and matrices too. The tangent is the array read row by row, (size,)."""
+    """Arrays of one shape under addition; () and matrices too. The tangent is the array read row by row, (size,).
+
+    `Euclidean(3)` is `Euclidean((3,))`, that is R^3. Raises ModelError for anything but a size or a shape.
+    """
 
     shape: tuple[int, ...] = ()
+
+    def __init__(self, shape: Any = ()) -> None:
+        sizes = (shape,) if isinstance(shape, int) else shape
+        if not isinstance(sizes, tuple) or not all(isinstance(n, int) and n >= 0 for n in sizes):
+            raise ModelError(
+                f"Euclidean expects a size or a shape of sizes >= 0, got {shape!r}\n"
+                "  fix: write Euclidean(3) or Euclidean((3, 2))"
+            )
+        object.__setattr__(self, "shape", sizes)
 
     @property
     def name(self) -> str:
