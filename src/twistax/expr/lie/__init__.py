@@ -1,6 +1,7 @@
 """Nodes of Lie groups and their algebras."""
 
 from .adjoint import Adjoint, AdjointAction, AdjointDual, CoadjointAction, SE3Adjoint, SE3AdjointDual, SO3Adjoint
+from .axis import AxisRotation
 from .jacobians import LeftJacobian, LeftJacobianInverse, RightJacobian, RightJacobianInverse
 from .maps import SE3Exp, SE3Log, SO3Exp, SO3Log
 from .parts import AngularPart, JoinedParts, LinearPart, Reorder, angular, linear, twist, wrench
@@ -12,6 +13,7 @@ __all__ = [
     "AdjointAction",
     "AdjointDual",
     "AngularPart",
+    "AxisRotation",
     "CoadjointAction",
     "Compose",
     "Hat",
