@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import ModelError
 
-__all__ = ["ButcherTableau"]
+__all__ = ["ButcherTableau", "lower_triangle"]
 
 #: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
 _TOLERANCE = 1e-13
@@ -28,6 +28,8 @@ class ButcherTableau:
         a: (s, s), strictly lower triangular; rows sum to c.
         b, c: (s,); b sums to 1.
         embedded_order, b_embedded: for pairs, order and weights of the solution that estimates the error, else None.
+        second_embedded_order, b_second_embedded: a second such solution, of lower order, for methods that weigh two
+            estimates against each other.
 
     Raises:
         ModelError: a wrong shape, a value that is not finite, an implicit stage, or a sum that is off.
@@ -42,6 +44,8 @@ class ButcherTableau:
     c: Any
     embedded_order: int | None = None
     b_embedded: Any = None
+    second_embedded_order: int | None = None
+    b_second_embedded: Any = None
 
     def __post_init__(self) -> None:
         for field in ("a", "b", "c"):
@@ -62,21 +66,49 @@ class ButcherTableau:
         self._check_weights("b", self.b)
         if not isinstance(self.order, int) or self.order < 1:
             raise self._error(f"order must be a positive whole number, got {self.order!r}")
-        if (self.embedded_order is None) != (self.b_embedded is None):
-            raise self._error("a pair needs both embedded_order and b_embedded")
-        if self.b_embedded is not None:
-            object.__setattr__(self, "b_embedded", self._array("b_embedded"))
-            if self.b_embedded.shape != (s,):
-                raise self._error(f"b_embedded must have shape ({s},), got {self.b_embedded.shape}")
-            self._check_weights("b_embedded", self.b_embedded)
+        self._check_embedded("embedded_order", "b_embedded")
+        self._check_embedded("second_embedded_order", "b_second_embedded")
+        if self.b_second_embedded is not None and self.b_embedded is None:
+            raise self._error("a second embedded solution needs a first one")
 
     @property
     def stages(self) -> int:
         """The number of evaluations of the right-hand side a step."""
         return int(self.b.size)
 
+    @property
+    def is_pair(self) -> bool:
+        """Whether the method estimates its own error."""
+        return self.b_embedded is not None
+
+    @property
+    def error_order(self) -> int:
+        """The power of the step with which the estimated error of one step falls.
+
+        With two embedded solutions the estimate is e1^2 / sqrt(e1^2 + e2^2 / 100), as in the program DOP853.
+
+        Raises:
+            ModelError: the method has no embedded solution.
+        """
+        if self.embedded_order is None:
+            raise self._error("the method has no embedded solution, so it cannot choose its own steps")
+        if self.second_embedded_order is None:
+            return self.embedded_order + 1
+        return 2 * (self.embedded_order + 1) - (self.second_embedded_order + 1)
+
     def __repr__(self) -> str:
         return f"ButcherTableau({self.name}, order {self.order}, {self.stages} stages)"
+
+    def _check_embedded(self, order: str, weights: str) -> None:
+        if (getattr(self, order) is None) != (getattr(self, weights) is None):
+            raise self._error(f"a pair needs both {order} and {weights}")
+        if getattr(self, weights) is None:
+            return
+        array = self._array(weights)
+        object.__setattr__(self, weights, array)
+        if array.shape != self.b.shape:
+            raise self._error(f"{weights} must have shape {self.b.shape}, got {array.shape}")
+        self._check_weights(weights, array)
 
     def _array(self, field: str) -> np.ndarray:
         given: Sequence[Any] = getattr(self, field)
@@ -95,3 +127,11 @@ class ButcherTableau:
 
     def _error(self, sentence: str) -> ModelError:
         return ModelError(f"tableau {self.name!r}: {sentence}")
+
+
+def lower_triangle(rows: Sequence[Sequence[float]]) -> np.ndarray:
+    """The square matrix a of the rows below its first one: row i + 1 has entries 0 to i, and the rest is zero."""
+    a = np.zeros((len(rows) + 1, len(rows) + 1))
+    for i, row in enumerate(rows, start=1):
+        a[i, :i] = row
+    return a
