@@ -1,0 +1,202 @@
+"""The Earth as a rotating ellipsoid: geodetic coordinates, frames, and the velocity of its air.
+
+Frames, all right-handed, lengths in m, angles in rad:
+
+    inertial      origin at the Earth's centre, z along the axis of rotation
+    Earth-fixed   the same origin and z; turned about z by the Earth's angle; x at longitude 0
+    local         axes north, east, down at a geodetic latitude and longitude
+
+A rotation R_ab maps coordinates of frame b to frame a.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ...errors import ModelError, ShapeError
+from ...expr import Atan2, Block, Concat, Cos, Cross, Example, Expr, Norm, Sin, Sqrt, State, to_expr
+from ...expr.fields import ExprLike, Operand
+from ...expr.node import Shape
+from ...expr.shapes import expect
+
+__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "north_east_down", "turned_about_z"]
+
+
+class Geodetic(NamedTuple):
+    """Geodetic latitude and longitude in rad, altitude above the ellipsoid in m; three scalar expressions."""
+
+    latitude: Expr
+    longitude: Expr
+    altitude: Expr
+
+
+@dataclasses.dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid of revolution that turns evenly about its axis, with its air.
+
+    Attributes:
+        radius: the equatorial radius a, m.
+        flattening: f = (a - b) / a, with b the distance of the poles from the centre.
+        rate: rate of rotation about z, rad/s.
+    Raises:
+        ModelError: the radius is not positive, the flattening not in [0, 1), or the rate not finite.
+    """
+
+    radius: float
+    flattening: float
+    rate: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.radius < np.inf:
+            raise ModelError(f"Ellipsoid expects radius to be a positive number of m, got {self.radius!r}")
+        if not 0.0 <= self.flattening < 1.0:
+            raise ModelError(f"Ellipsoid expects flattening in [0, 1), got {self.flattening!r}; 1/f was meant?")
+        if not np.isfinite(self.rate):
+            raise ModelError(f"Ellipsoid expects rate to be a finite number of rad/s, got {self.rate!r}")
+
+    @property
+    def polar_radius(self) -> float:
+        """b = a (1 - f), m."""
+        return self.radius * (1.0 - self.flattening)
+
+    @property
+    def eccentricity_squared(self) -> float:
+        """e^2 = f (2 - f)."""
+        return self.flattening * (2.0 - self.flattening)
+
+    def geodetic(self, position: ExprLike) -> Geodetic:
+        """Latitude, longitude and altitude of an Earth-fixed position (3,).
+
+        Of an inertial position, latitude and altitude are the same; the longitude then counts from the inertial x axis.
+        On the axis the longitude is taken as 0 and its derivative as 0. Raises ShapeError.
+        """
+        p = _vector("geodetic", "position", position)
+        meridian = Meridian(Norm(p[:2]), p[2], self)
+        return Geodetic(meridian[0], Atan2(p[1], p[0]), meridian[1])
+
+    def position(self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike) -> Expr:
+        """The Earth-fixed position (3,) of geodetic coordinates."""
+        latitude, longitude, altitude = to_expr(latitude), to_expr(longitude), to_expr(altitude)
+        sine, e2 = Sin(latitude), self.eccentricity_squared
+        normal = self.radius / Sqrt(1.0 - e2 * sine**2)
+        distance = (normal + altitude) * Cos(latitude)
+        return Concat(distance * Cos(longitude), distance * Sin(longitude), ((1.0 - e2) * normal + altitude) * sine)
+
+    def to_inertial(self, t: ExprLike) -> Expr:
+        """The rotation (3, 3) from Earth-fixed to inertial axes, which coincide at t = 0."""
+        return turned_about_z(self.rate * to_expr(t))
+
+    def air_velocity(self, position: ExprLike, velocity: ExprLike) -> Expr:
+        """Velocity (3,) relative to air at rest on the turning Earth, v - W x p, from inertial position and velocity.
+
+        Raises ShapeError.
+        """
+        p, v = _vector("air_velocity", "position", position), _vector("air_velocity", "velocity", velocity)
+        return v - Cross([0.0, 0.0, self.rate], p)
+
+
+#: The World Geodetic System 1984: a and f of its ellipsoid, nominal rate of rotation.
+#: Source: NIMA TR8350.2, Department of Defense World Geodetic System 1984, third edition.
+WGS84 = Ellipsoid(radius=6378137.0, flattening=1.0 / 298.257223563, rate=7.292115e-5)
+
+
+def turned_about_z(angle: ExprLike) -> Expr:
+    """The rotation (3, 3) about z by an angle in rad."""
+    angle = to_expr(angle)
+    c, s = Cos(angle), Sin(angle)
+    return Block([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
+    """The rotation (3, 3) from local axes north, east, down to Earth-fixed axes: its columns are these directions."""
+    latitude, longitude = to_expr(latitude), to_expr(longitude)
+    s, c, sl, cl = Sin(latitude), Cos(latitude), Sin(longitude), Cos(longitude)
+    return Block([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
+
+
+class Meridian(Expr):
+    """Geodetic latitude and altitude of a point in its meridian plane: [latitude in rad, altitude in m].
+
+    Shapes: (), () -> (2,). Bowring's iteration for the reduced latitude, three rounds, without trigonometry. The
+    altitude is measured from the point of the ellipsoid so found, along its vertical; an error of the latitude enters
+    by its square.
+    Derivatives are those of the exact functions: along the vertical for the altitude, across it for the latitude.
+    Good to round-off from 100 km below the ellipsoid outward. Within 50 km of the centre latitude has no meaning.
+
+    Attributes:
+        rho: distance from the axis, m, not negative.
+        z: height above the equatorial plane, m.
+        ellipsoid: the reference.
+    Raises:
+        ShapeError: rho or z is no scalar.
+    Source: Bowring, Transformation from spatial to geographical coordinates, Survey Review 23 (1976).
+    """
+
+    rho: Operand
+    z: Operand
+    ellipsoid: Ellipsoid = WGS84
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "rho", shapes[0], ())
+        expect(self, "z", shapes[1], ())
+        return (2,)
+
+    def evaluate(self, *values: Array) -> Array:
+        return jnp.stack(latitude_and_altitude(self.ellipsoid, *values))
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        # A planet of size one: the finite differences of the suite need values and steps of like size.
+        planet = Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)
+        rho, z = State("rho"), State("z")
+        return [
+            Example(cls(rho, z, planet), {"rho": 0.8, "z": 0.9}),
+            Example(cls(rho, z, planet), {"rho": 1.1, "z": -0.01}),
+            Example(cls(rho, z), {"rho": 0.0, "z": 6.4e6}, smooth=False),
+        ]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def latitude_and_altitude(ellipsoid: Ellipsoid, rho: Array, z: Array) -> tuple[Array, Array]:
+    """Geodetic latitude and altitude of a point at distance rho from the axis and height z; see `Meridian`."""
+    a, b, e2 = ellipsoid.radius, ellipsoid.polar_radius, ellipsoid.eccentricity_squared
+    sine, cosine = _direction(a * z, b * rho)  # of the reduced latitude
+    for _ in range(3):
+        up, out = z + (e2 * a * a / b) * sine**3, rho - e2 * a * cosine**3
+        sine, cosine = _direction(b * up, a * out)
+    north, outward = _direction(up, out)  # the vertical
+    return jnp.arctan2(up, out), (rho - a * cosine) * outward + (z - b * sine) * north
+
+
+@latitude_and_altitude.defjvp
+def _latitude_and_altitude_jvp(
+    ellipsoid: Ellipsoid, primals: tuple[Array, Array], tangents: tuple[Array, Array]
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    latitude, altitude = latitude_and_altitude(ellipsoid, *primals)
+    sine, cosine = jnp.sin(latitude), jnp.cos(latitude)
+    e2 = ellipsoid.eccentricity_squared
+    curvature = ellipsoid.radius * (1.0 - e2) / (1.0 - e2 * sine * sine) ** 1.5  # radius of curvature of the meridian
+    d_rho, d_z = tangents
+    turned = (cosine * d_z - sine * d_rho) / (curvature + altitude)
+    return (latitude, altitude), (turned, cosine * d_rho + sine * d_z)
+
+
+def _direction(y: Array, x: Array) -> tuple[Array, Array]:
+    """Sine and cosine of the angle of the point (x, y); zeros at the origin."""
+    square = x * x + y * y
+    scale = 1.0 / jnp.sqrt(jnp.where(square == 0.0, 1.0, square))
+    return y * scale, x * scale
+
+
+def _vector(function: str, name: str, value: ExprLike) -> Expr:
+    vector = to_expr(value)
+    if vector.shape != (3,):
+        raise ShapeError(f"{function} expects {name} with shape (3,), got {vector.shape}")
+    return vector

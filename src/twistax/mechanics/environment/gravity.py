@@ -1,0 +1,95 @@
+"""Gravity of a planet at a position relative to its centre, as expressions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ...errors import ModelError, ShapeError
+from ...expr import Constant, Dot, Expr, Sqrt, to_expr
+from ...expr.fields import ExprLike
+
+__all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PointMass:
+    """Gravity of a point or a homogeneous ball.
+
+    Attributes:
+        gm: gravitational constant times mass, m3/s2.
+    Raises:
+        ModelError: gm is not positive.
+    """
+
+    gm: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "gm", self.gm)
+
+    def acceleration(self, position: ExprLike) -> Expr:
+        """-GM p / |p|^3, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError."""
+        p = _position(position)
+        square = Dot(p, p)
+        return (-self.gm / (square * Sqrt(square))) * p
+
+
+@dataclasses.dataclass(frozen=True)
+class J2:
+    """Gravity of an oblate planet: a point mass and the second zonal harmonic.
+
+    The potential is U = GM/r (1 - J2 (R/r)^2 (3 (z/r)^2 - 1)/2), with z along the axis of rotation. It does not depend
+    on the longitude, so the position may be given in axes that turn with the planet or do not.
+
+    Attributes:
+        gm: gravitational constant times mass, m3/s2.
+        radius: the equatorial radius R that belongs to j2, m.
+        j2: the second zonal harmonic, not normalised.
+    Raises:
+        ModelError: gm or radius is not positive, or j2 is not finite.
+    Source: Vallado, Fundamentals of Astrodynamics and Applications, chapter on special perturbations;
+    Montenbruck and Gill, Satellite Orbits, section on the geopotential.
+    """
+
+    gm: float
+    radius: float
+    j2: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "gm", self.gm)
+        _positive(self, "radius", self.radius)
+        if not np.isfinite(self.j2):
+            raise ModelError(f"J2 expects j2 to be a finite number, got {self.j2!r}")
+
+    def acceleration(self, position: ExprLike) -> Expr:
+        """The gradient of U, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError.
+
+        -GM/r^3 p * (1 + k (1 - s), 1 + k (1 - s), 1 + k (3 - s)), k = 3/2 J2 (R/r)^2, s = 5 (z/r)^2.
+        """
+        p = _position(position)
+        inverse = 1.0 / Dot(p, p)
+        k = 1.5 * self.j2 * self.radius**2 * inverse
+        s = 5.0 * p[2] ** 2 * inverse
+        return (-self.gm * inverse * Sqrt(inverse)) * p * (1.0 + k * (Constant([1.0, 1.0, 3.0]) - s))
+
+
+def _positive(owner: object, name: str, value: float) -> None:
+    if not 0.0 < value < np.inf:
+        raise ModelError(f"{type(owner).__name__} expects {name} to be a positive number, got {value!r}")
+
+
+def _position(position: ExprLike) -> Expr:
+    p = to_expr(position)
+    if p.shape != (3,):
+        raise ShapeError(
+            f"acceleration expects position with shape (3,), got {p.shape}",
+            hint="the position of a pose state g is g[:3, 3]",
+        )
+    return p
+
+
+#: GM with the atmosphere, and J2 of the ellipsoid's normal gravity field, as it follows from a, f, GM and the rate.
+#: Source: NIMA TR8350.2, Department of Defense World Geodetic System 1984, third edition.
+EARTH_J2 = J2(gm=3.986004418e14, radius=6378137.0, j2=1.08262982e-3)
+EARTH_POINT_MASS = PointMass(gm=EARTH_J2.gm)
