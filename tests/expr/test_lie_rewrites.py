@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from lie_oracles import sides
@@ -16,6 +18,7 @@ r, r2 = tx.State("r", group=tx.SO3), tx.State("r2", group=tx.SO3)
 #: Matrices that are no poses and no rotations, and nobody said they were.
 P, Q = tx.State("P", (4, 4)), tx.State("Q", (3, 3))
 a, b, w, v = tx.State("a", (6,)), tx.State("b", (6,)), tx.State("w", (3,)), tx.State("v", (3,))
+H = tx.State("H", (6, 2))
 EYE3, EYE4, ZERO = np.eye(3), np.eye(4), np.zeros(6)
 TURN = tx.pose(position=[1.0, 2.0, 3.0], euler=[0.3, -0.4, 0.5])
 
@@ -31,9 +34,15 @@ VALUES = {
     "b": RNG.normal(size=6),
     "w": RNG.normal(size=3) * 3.0,
     "v": RNG.normal(size=3),
+    "H": RNG.normal(size=(6, 2)),
 }
 
-inverse, compose, act = lie.Inverse, lie.Compose, lie.Act
+inverse, compose, act, cross = lie.Inverse, lie.Compose, lie.Act, tx.linalg.Cross
+
+
+def joined(linear: Any, angular: Any, order: tx.Order = L) -> Expr:
+    return lie.JoinedParts(linear, angular, order=order)
+
 
 REWRITES: dict[str, tuple[Expr, Expr]] = {
     "bracket with itself": (lie.Adjoint(a, a), tx.Constant(ZERO)),
@@ -87,6 +96,45 @@ REWRITES: dict[str, tuple[Expr, Expr]] = {
     "a part of a twist": (lie.linear(lie.twist(linear=v, angular=w)), v),
     "the other part, [w; v]": (lie.angular(lie.wrench(force=v, torque=w, order=A), order=A), w),
     "Reorder twice": (lie.Reorder(lie.Reorder(a, order=A)), a),
+    "Ad' @ wrench": (lie.SE3Adjoint(g).T @ b, lie.CoadjointAction(g, b, inverse=True)),
+    "Ad*' @ twist, [w; v]": (lie.SE3AdjointDual(g, order=A).T @ a, lie.AdjointAction(g, a, order=A, inverse=True)),
+    "Ad'": (lie.SE3Adjoint(g, order=A).T, lie.SE3AdjointDual(inverse(g), order=A)),
+    "Ad*'": (lie.SE3AdjointDual(g).T, lie.SE3Adjoint(inverse(g))),
+    "Ad^-1": (tx.linalg.Inv(lie.SE3Adjoint(g)), lie.SE3Adjoint(inverse(g))),
+    "Ad*^-1": (tx.linalg.Inv(lie.SE3AdjointDual(inverse(g), order=A)), lie.SE3AdjointDual(g, order=A)),
+    "Solve(Ad, x)": (tx.linalg.Solve(lie.SE3Adjoint(g), a), lie.AdjointAction(g, a, inverse=True)),
+    "Solve(Ad*, columns)": (tx.linalg.Solve(lie.SE3AdjointDual(g), H), lie.CoadjointAction(g, H, inverse=True)),
+    "Ad of an inverse @ twist": (lie.SE3Adjoint(inverse(g)) @ a, lie.AdjointAction(g, a, inverse=True)),
+    "the inverse action of an inverse": (lie.AdjointAction(inverse(g), a, inverse=True), lie.AdjointAction(g, a)),
+    "Ad @ columns": (lie.SE3Adjoint(g) @ H, lie.AdjointAction(g, H)),
+    "Ad* @ columns": (lie.SE3AdjointDual(P) @ H, lie.CoadjointAction(P, H)),
+    "(Ad H) q": (lie.SE3Adjoint(g) @ H @ v[:2], lie.AdjointAction(g, H @ v[:2])),
+    "there and back, columns": (lie.SE3Adjoint(inverse(g)) @ (lie.SE3Adjoint(g) @ H), H),
+    "inverse of a translation": (inverse(lie.translation(v)), lie.translation(-v)),
+    "inverse of a rotation's pose": (inverse(lie.rotation(Q)), lie.rotation(inverse(Q))),
+    "translated twist": (
+        lie.SE3Adjoint(lie.translation(v)) @ a,
+        joined(lie.linear(a) + cross(v, lie.angular(a)), lie.angular(a)),
+    ),
+    "translated twist, [w; v]": (
+        lie.SE3Adjoint(lie.translation(v), order=A) @ a,
+        joined(lie.linear(a, A) + cross(v, lie.angular(a, A)), lie.angular(a, A), A),
+    ),
+    "rotated wrench": (lie.SE3AdjointDual(lie.rotation(r)) @ b, joined(act(r, lie.linear(b)), act(r, lie.angular(b)))),
+    "rotated columns": (lie.SE3Adjoint(lie.rotation(r)) @ H, joined(r @ lie.linear(H), r @ lie.angular(H))),
+    "a velocity": (lie.SE3Adjoint(g) @ joined(v, ZERO[:3]), joined(act(g[:3, :3], v), ZERO[:3])),
+    "a torque": (lie.SE3AdjointDual(g) @ joined(ZERO[:3], v), joined(ZERO[:3], act(g[:3, :3], v))),
+    "an axis": (lie.SE3Adjoint(h) @ np.eye(6)[5], joined(cross(h[:3, 3], h[:3, :3][:, 2]), h[:3, :3][:, 2])),
+    "bracket with a velocity": (lie.Adjoint(a, joined(v, ZERO[:3])), joined(cross(lie.angular(a), v), ZERO[:3])),
+    "coadjoint of a torque, [w; v]": (
+        lie.AdjointDual(a, joined(ZERO[:3], v, A), order=A),
+        joined(ZERO[:3], cross(lie.angular(a, A), v), A),
+    ),
+    "R 0": (act(r, 0.0 * v), tx.Constant(ZERO[:3])),
+    "R times a unit vector": (act(Q, 2.0 * EYE3[1]), 2.0 * Q[:, 1]),
+    "x cross 0": (cross(v, 0.0 * w), tx.Constant(ZERO[:3])),
+    "(-x) cross (-y)": (cross(-v, -w), cross(v, w)),
+    "a part of columns": (lie.linear(joined(lie.angular(H), lie.linear(H))), lie.angular(H)),
     "constants": (lie.SE3Exp(np.r_[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]), tx.Constant(tx.pose(position=[1.0, 2.0, 3.0]))),
 }
 
@@ -104,9 +152,17 @@ KEPT: dict[str, Expr] = {
     "(M^-1)^-1 of what may be no pose": inverse(inverse(P)),
     "a point moved by what may be no pose": act(inverse(P), act(P, v)),
     "a twist moved by what may be no pose": lie.AdjointAction(inverse(P), lie.AdjointAction(P, a)),
-    "two frames that differ": lie.AdjointAction(inverse(g), lie.AdjointAction(h, a)),
-    "there and back in two orders": lie.AdjointAction(inverse(g), lie.AdjointAction(g, a, order=A), order=L),
-    "a twist and a wrench": lie.AdjointAction(inverse(g), lie.CoadjointAction(g, a)),
+    "two frames that differ": lie.AdjointAction(g, lie.AdjointAction(h, a), inverse=True),
+    "there and back in two orders": lie.AdjointAction(g, lie.AdjointAction(g, a, order=A), inverse=True),
+    "a twist and a wrench": lie.AdjointAction(g, lie.CoadjointAction(g, a), inverse=True),
+    "there and there again": lie.CoadjointAction(g, lie.CoadjointAction(g, a)),
+    "the inverse of what may be no pose": lie.CoadjointAction(inverse(P), a),
+    "Ad' of what may be no pose": lie.SE3Adjoint(P).T,
+    "Ad^-1 of what may be no pose": tx.linalg.Inv(lie.SE3AdjointDual(P)),
+    "Solve(Ad, x) of what may be no pose": tx.linalg.Solve(lie.SE3Adjoint(P), a),
+    "zeros in a half of the other order": lie.AdjointAction(g, lie.twist(linear=v, angular=ZERO[:3]), order=A),
+    "a unit vector moved by a pose": act(g, EYE3[0]),
+    "columns moved by any pose": lie.AdjointAction(g, H),
     "the same pose twice": compose(g, g),
     "Hat(Vee(M)) of what may be no twist": lie.Hat(lie.Vee(P)),
     "Vee(Hat(xi)) in two orders": lie.Vee(lie.Hat(a), order=A),

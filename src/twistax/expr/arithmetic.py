@@ -363,12 +363,13 @@ class MatMul(Expr):
             return self.left
         if is_constant(self.left, 0.0) or is_constant(self.right, 0.0):
             return zeros_of(self)
-        applied = self.left.applied_to(self.right) if self.right.ndim == 1 else None
+        applied = self.left.applied_to(self.right) if self.right.ndim in (1, 2) else None
         return self if applied is None else applied
 
     def applied_to(self, vector: Expr) -> Expr | None:
         """(A B) x is A (B x), which needs no product of matrices."""
-        return MatMul(self.left, MatMul(self.right, vector)) if self.left.ndim == self.right.ndim == 2 else None
+        matrices = self.left.ndim == self.right.ndim == 2
+        return MatMul(self.left, MatMul(self.right, vector)) if matrices and vector.ndim == 1 else None
 
     def to_text(self, *operands: str) -> str:
         return f"({operands[0]} @ {operands[1]})"

@@ -46,13 +46,12 @@ def canonicalize_all(roots: Sequence[Expr]) -> list[Expr]:
 def _settled(node: Expr) -> Expr:
     """Fold and simplify until nothing changes; a rewrite may build new nodes, which are settled first."""
     while _MARK not in node.__dict__:
+        node = node.with_children([_settled(child) for child in node.children()])
         node.check_shape()
         simpler = fold(node)
         if simpler is node:
             simpler = node.simplify()
         if simpler is node:
             node.__dict__[_MARK] = True
-        elif _MARK not in simpler.__dict__:
-            simpler = simpler.with_children([_settled(child) for child in simpler.children()])
         node = simpler
     return node

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import ModelError, ShapeError
 from ..groups.components import cross, unpack, vector
-from .arithmetic import Neg, zeros_of
+from .arithmetic import Div, Neg, is_constant, zeros_of
 from .elementwise import Abs, absolute, square_root
 from .fields import ExprLike, Operand
 from .leaves import State
@@ -38,11 +38,15 @@ class Transpose(Expr):
     def makes_group_element(self, *operands: bool) -> bool:
         return operands[0] and self.shape == (3, 3)
 
+    def transposed(self) -> Expr | None:
+        return self.operand
+
     def simplify(self) -> Expr:
-        """The transpose of a transpose, of a vector or of a diagonal matrix is the matrix or vector itself."""
-        if len(self.shape) < 2 or isinstance(self.operand, Diag):
+        """A vector is its own transpose; some matrices know theirs: transposes, diagonal matrices, Ad and Ad*."""
+        if len(self.shape) < 2:
             return self.operand
-        return self.operand.operand if isinstance(self.operand, Transpose) else self
+        known = self.operand.transposed()
+        return self if known is None else known
 
     def to_text(self, *operands: str) -> str:
         return f"({operands[0]}).T"
@@ -76,6 +80,12 @@ class Diag(Expr):
                 f"Diag expects a vector, got shape {shape}", hint="for the diagonal of a matrix use A[range, range]"
             )
         return shape + shape
+
+    def transposed(self) -> Expr | None:
+        return self
+
+    def inverted(self) -> Expr | None:
+        return Diag(Div(1.0, self.operand))
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         (entries,) = values
@@ -254,11 +264,18 @@ class Dot(Expr):
         return [Example(Dot(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])})]
 
 
+def cross_columns(a: jax.Array, b: jax.Array) -> jax.Array:
+    """a x b of a vector (3,) with a vector (3,) or with each column of (3, k)."""
+    return vector(cross(unpack(a), tuple(jnp.unstack(b))))
+
+
 class Cross(Expr):
     """Vector product a x b. Shapes: (3,), (3,) -> (3,); the unit is the product of both.
 
+    With k columns on the right, a x b_i column by column: (3,), (3, k) -> (3, k).
+
     Raises:
-        ShapeError: an operand is not of shape (3,).
+        ShapeError: an operand of another shape.
     """
 
     left: Operand
@@ -266,16 +283,26 @@ class Cross(Expr):
     precedence = 20
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "left", shapes[0], (3,))
-        expect(self, "right", shapes[1], (3,))
-        return (3,)
+        left, right = shapes
+        expect(self, "left", left, (3,))
+        if len(right) != 2 or right[0] != 3:
+            expect(self, "right", right, (3,), "k columns have shape (3, k)" if len(right) == 2 else None)
+        return right
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        return [[(self.right, -1), (self, -1)]]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return vector(cross(unpack(values[0]), unpack(values[1])))
+        return cross_columns(*values)
 
     def simplify(self) -> Expr:
-        """a x a is 0."""
-        return zeros_of(self) if self.left.key() == self.right.key() else self
+        """a x a and a x 0 are 0; (-a) x b and a x (-b) are -(a x b)."""
+        left, right = self.left, self.right
+        if is_constant(left, 0.0) or is_constant(right, 0.0) or left.key() == right.key():
+            return zeros_of(self)
+        if isinstance(left, Neg):
+            return Neg(Cross(left.operand, right))
+        return Neg(Cross(left, right.operand)) if isinstance(right, Neg) else self
 
     def to_latex(self, *operands: str) -> str:
         left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
@@ -283,8 +310,10 @@ class Cross(Expr):
 
     @classmethod
     def example(cls) -> list[Example]:
-        a, b = State("a", shape=(3,)), State("b", shape=(3,))
-        return [Example(Cross(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])})]
+        a, b, m = State("a", shape=(3,)), State("b", shape=(3,)), State("m", shape=(3, 2))
+        values = {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])}
+        columns = {"a": values["a"], "m": np.arange(6.0).reshape(3, 2)}
+        return [Example(Cross(a, b), values), Example(Cross(a, -m), columns)]
 
 
 class Outer(Expr):

@@ -126,13 +126,25 @@ class Expr(Operators):
         """The twist order each operand must have, and that of the result; None where the node does not care."""
         return [None] * len(self.children()), None
 
+    def twist_axes(self, value: Expr) -> list[int]:
+        """The axes of this node or an operand that `twist_orders` speaks of, counted from the last."""
+        return [-1 - i for i in range(value.ndim)]
+
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         """Axes that must have one twist order, in groups of (operand or this node, axis counted from the last)."""
         values = [*self.children(), self] if self.keeps_order else []
         return [[(value, -k) for value in values if value.ndim >= k] for k in range(1, self.ndim + 1)]
 
     def applied_to(self, vector: Expr) -> Expr | None:
-        """A cheaper node for the product of this matrix with a vector; None if there is none."""
+        """A cheaper node for the product of this matrix with a vector or with columns; None if there is none."""
+        return None
+
+    def transposed(self) -> Expr | None:
+        """A node that is the transpose of this matrix, other than `Transpose`; None if there is none."""
+        return None
+
+    def inverted(self) -> Expr | None:
+        """A node that is the inverse of this matrix, other than `Inv`; None if there is none."""
         return None
 
     def makes_group_element(self, *operands: bool) -> bool:

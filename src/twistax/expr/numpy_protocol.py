@@ -73,6 +73,13 @@ def _dot(a: Any, b: Any) -> Expr:
     return Dot(a, b) if a.ndim == b.ndim == 1 else MatMul(a, b)
 
 
+def _cross(a: Any, b: Any) -> Expr:
+    a, b = to_expr(a), to_expr(b)
+    if a.ndim > 1 or b.ndim > 1:
+        raise TypeError("np.cross of expressions knows vectors; tx.linalg.Cross takes k columns (3, k) on the right")
+    return Cross(a, b)
+
+
 def _joined(arrays: Any, axis: int = 0) -> Expr:
     exprs = [to_expr(array) for array in arrays]
     if axis in (1, -1) and all(e.ndim == 2 for e in exprs):
@@ -107,7 +114,7 @@ FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
     np.dot: _dot,
     np.vdot: Dot,
     np.inner: Dot,
-    np.cross: Cross,
+    np.cross: _cross,
     np.outer: Outer,
     np.trace: Trace,
     np.transpose: _transposed,

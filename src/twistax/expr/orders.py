@@ -128,8 +128,9 @@ class _Flow:
                 self._classes.link([self._slot(_Scope(), state, value, axis) for value in (state, rate)])
 
     def _fix(self, place: _Place, scope: _Scope) -> None:
-        for axis in _axes(place.value):
-            self._classes.fix(self._slot(scope, place.node, place.value, axis), place)
+        for axis in place.node.twist_axes(place.value):
+            if place.value.shape[axis] == _SIX:
+                self._classes.fix(self._slot(scope, place.node, place.value, axis), place)
 
     def check_operators(self) -> None:
         """A 6x6 matrix takes and gives one order, where both its sides are known to be six-vectors."""

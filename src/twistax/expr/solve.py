@@ -100,10 +100,12 @@ class Inv(Expr):
         return inverse(values[0])
 
     def simplify(self) -> Expr:
-        """The inverse of an inverse is the matrix; of a diagonal matrix, that of the reciprocals."""
-        if isinstance(self.operand, Inv):
-            return self.operand.operand
-        return Diag(Div(1.0, self.operand.operand)) if isinstance(self.operand, Diag) else self
+        """Some matrices know their inverse: inverses, diagonal matrices, Ad and Ad*."""
+        known = self.operand.inverted()
+        return self if known is None else known
+
+    def inverted(self) -> Expr | None:
+        return self.operand
 
     def to_latex(self, *operands: str) -> str:
         return rf"{{{wrap_latex(self.operand, operands[0], 60)}}}^{{-1}}"
@@ -150,14 +152,15 @@ class Solve(Expr):
         return [[(self.A, -2), (self.b, rows)], [(self.A, -1), (self, rows)], *columns]
 
     def simplify(self) -> Expr:
-        """I x = b is x = b; a diagonal divides; an inverse multiplies; a well-conditioned constant is inverted once."""
+        """I x = b is x = b; a diagonal divides; a known inverse multiplies; a good constant is inverted once."""
         A, b = self.A, self.b
         if is_identity(A):
             return b
-        if isinstance(A, Inv):
-            return MatMul(A.operand, b)
         if isinstance(A, Diag):
             return Div(b, A.operand if len(b.shape) == 1 else Index(A.operand, (slice(None), None)))
+        known = A.inverted()
+        if known is not None:
+            return MatMul(known, b)
         if isinstance(A, Constant) and np.linalg.cond(A.value) <= WORST_CONDITION:
             return MatMul(Constant(np.linalg.inv(A.value)), b)
         return self

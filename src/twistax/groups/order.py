@@ -25,14 +25,17 @@ class Order:
     def __repr__(self) -> str:
         return "LINEAR_FIRST" if self.linear_leads else "ANGULAR_FIRST"
 
-    def split(self, xi: Input) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-        """(v, w): the linear and the angular part of a six-vector in this order. Raises ShapeError."""
-        (xi,) = of_shape("Order.split", {"xi": (6,)}, xi)
+    def split(self, xi: Input) -> tuple[Float[Array, "3 *k"], Float[Array, "3 *k"]]:
+        """(v, w): linear and angular part of a six-vector in this order, or of k columns (6, k). Raises ShapeError."""
+        (xi,) = floats(xi)
+        (xi,) = of_shape("Order.split", {"xi": (6, *_columns(xi))}, xi)
         return (xi[:3], xi[3:]) if self.linear_leads else (xi[3:], xi[:3])
 
-    def join(self, v: Input, w: Input) -> Float[Array, "6"]:
-        """The six-vector of a linear part v and an angular part w, in this order. Raises ShapeError."""
-        v, w = of_shape("Order.join", {"v": (3,), "w": (3,)}, v, w)
+    def join(self, v: Input, w: Input) -> Float[Array, "6 *k"]:
+        """The six-vector of a linear part v and an angular part w in this order, or k columns. Raises ShapeError."""
+        v, w = floats(v, w)
+        part = (3, *_columns(v))
+        v, w = of_shape("Order.join", {"v": part, "w": part}, v, w)
         return jnp.concatenate([v, w] if self.linear_leads else [w, v])
 
     def from_linear_first(self, a: Input) -> Float[Array, "*shape"]:
@@ -45,6 +48,10 @@ class Order:
     def to_linear_first(self, a: Input) -> Float[Array, "*shape"]:
         """A vector (6,) or matrix (6, 6) in this order brought to linear first. Swapping the halves undoes itself."""
         return self.from_linear_first(a)
+
+
+def _columns(a: Array) -> tuple[int, ...]:
+    return a.shape[1:] if a.ndim == 2 else ()
 
 
 LINEAR_FIRST = Order(linear_leads=True)

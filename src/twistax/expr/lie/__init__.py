@@ -1,11 +1,12 @@
 """Nodes of Lie groups and their algebras."""
 
-from .adjoint import Adjoint, AdjointAction, AdjointDual, CoadjointAction, SE3Adjoint, SE3AdjointDual, SO3Adjoint
+from .actions import AdjointAction, CoadjointAction
+from .adjoint import Adjoint, AdjointDual, SE3Adjoint, SE3AdjointDual, SO3Adjoint
 from .axis import AxisRotation
 from .jacobians import LeftJacobian, LeftJacobianInverse, RightJacobian, RightJacobianInverse
 from .maps import SE3Exp, SE3Log, SO3Exp, SO3Log
 from .parts import AngularPart, JoinedParts, LinearPart, Reorder, angular, linear, twist, wrench
-from .transforms import Act, Compose, Hat, Inverse, Pose, Vee
+from .transforms import Act, Compose, Hat, Inverse, Pose, Vee, rotation, translation
 
 __all__ = [
     "Act",
@@ -36,6 +37,8 @@ __all__ = [
     "Vee",
     "angular",
     "linear",
+    "rotation",
+    "translation",
     "twist",
     "wrench",
 ]

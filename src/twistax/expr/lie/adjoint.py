@@ -9,15 +9,20 @@ R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [w; v].
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax
 
 from ...groups import LINEAR_FIRST, Order, se3, so3
-from ..arithmetic import is_constant, zeros_of
+from ..arithmetic import Add, is_constant, zeros_of
 from ..fields import Operand
+from ..linalg import Cross
 from ..node import Example, Expr, Shape
 from ..shapes import expect
-from .base import TwistNode, body_values, is_identity_element, pose_value, twist_state
-from .transforms import undoes
+from .actions import AdjointAction, CoadjointAction
+from .base import TwistNode, body_values, pose_value, twist_state
+from .parts import JoinedParts, halves, has_zero_half
+from .transforms import Inverse
 
 
 class Adjoint(TwistNode):
@@ -46,9 +51,14 @@ class Adjoint(TwistNode):
         return self.in_linear_first(se3.bracket, *values)
 
     def simplify(self) -> Expr:
-        """[xi, xi] is 0, and so is the bracket with 0."""
-        zero = is_constant(self.twist1, 0.0) or is_constant(self.twist2, 0.0)
-        return zeros_of(self) if zero or self.twist1.key() == self.twist2.key() else self
+        """[xi, xi] is 0, and so is the bracket with 0; with a half of zeros only the other products are left."""
+        one, other = self.twist1, self.twist2
+        if is_constant(one, 0.0) or is_constant(other, 0.0) or one.key() == other.key():
+            return zeros_of(self)
+        if not (has_zero_half(one, self.order) or has_zero_half(other, self.order)):
+            return self
+        (v1, w1), (v2, w2) = halves(one, self.order), halves(other, self.order)
+        return JoinedParts(Add(Cross(w1, v2), Cross(v1, w2)), Cross(w1, w2), order=self.order)
 
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{ad}}_{{{operands[0]}}}\left({operands[1]}\right)"
@@ -85,8 +95,13 @@ class AdjointDual(TwistNode):
         return self.in_linear_first(se3.coad, *values)
 
     def simplify(self) -> Expr:
-        """A body at rest, or without momentum, has no such term."""
-        return zeros_of(self) if is_constant(self.twist, 0.0) or is_constant(self.momentum, 0.0) else self
+        """A body at rest, or without momentum, has no such term; a half of zeros leaves only the other products."""
+        if is_constant(self.twist, 0.0) or is_constant(self.momentum, 0.0):
+            return zeros_of(self)
+        if not (has_zero_half(self.twist, self.order) or has_zero_half(self.momentum, self.order)):
+            return self
+        (v, w), (p, L) = halves(self.twist, self.order), halves(self.momentum, self.order)
+        return JoinedParts(Cross(w, p), Add(Cross(v, p), Cross(w, L)), order=self.order)
 
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{ad}}^*_{{{operands[0]}}}\left({operands[1]}\right)"
@@ -96,10 +111,47 @@ class AdjointDual(TwistNode):
         return cls.in_both_orders(lambda order: cls(twist_state("a"), twist_state("b"), order=order), body_values())
 
 
-class SE3Adjoint(TwistNode):
+class _FrameMatrix(TwistNode):
+    """What Ad_T and Ad*_T share: each is the other's inverse transpose."""
+
+    transform: Operand
+    order: Order = LINEAR_FIRST
+    abstract = True
+    symbol: ClassVar[str] = ""
+
+    @staticmethod
+    def matrix(T: jax.Array) -> jax.Array:
+        """The matrix for linear-first six-vectors."""
+        raise NotImplementedError
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect(self, "transform", shapes[0], (4, 4))
+        return (6, 6)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return self.in_linear_first(self.matrix, values[0])
+
+    def _of_inverse(self, node: type[Expr]) -> Expr | None:
+        known = self.transform.is_group_element
+        return node(Inverse(self.transform), order=self.order) if known else None
+
+    def inverted(self) -> Expr | None:
+        """The same of the inverse pose."""
+        return self._of_inverse(type(self))
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"{self.symbol}_{{{operands[0]}}}"
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return cls.in_both_orders(lambda order: cls(pose_value("T"), order=order), body_values())
+
+
+class SE3Adjoint(_FrameMatrix):
     """Ad_T, the 6x6 matrix that maps twists of frame b to frame a: xi_a = Ad_T xi_b, (Ad_T xi)^ = T xi^ T^-1.
 
-    For [v; w]: Ad_T = [R [p]R; 0 R]. Shapes: (4, 4) -> (6, 6). A product with a vector is computed without the matrix.
+    For [v; w]: Ad_T = [R [p]R; 0 R]. Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed
+    without the matrix.
 
     Attributes:
         transform: T_ab (4, 4).
@@ -108,33 +160,26 @@ class SE3Adjoint(TwistNode):
         ShapeError: transform is not of shape (4, 4).
     """
 
-    transform: Operand
-    order: Order = LINEAR_FIRST
     label = "Ad"
+    symbol = r"\mathrm{Ad}"
 
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "transform", shapes[0], (4, 4))
-        return (6, 6)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.in_linear_first(se3.Ad, values[0])
+    @staticmethod
+    def matrix(T: jax.Array) -> jax.Array:
+        return se3.Ad(T)
 
     def applied_to(self, vector: Expr) -> Expr | None:
         return AdjointAction(self.transform, vector, order=self.order)
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{Ad}}_{{{operands[0]}}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(pose_value("T"), order=order), body_values())
+    def transposed(self) -> Expr | None:
+        """Ad_T' = Ad*_(T^-1)."""
+        return self._of_inverse(SE3AdjointDual)
 
 
-class SE3AdjointDual(TwistNode):
+class SE3AdjointDual(_FrameMatrix):
     """Ad*_T = Ad_T^-T, the 6x6 matrix that maps wrenches and momenta of frame b to frame a: F_a = Ad*_T F_b.
 
     Power is the same in both frames: F_a . xi_a = F_b . xi_b. For [f; tau]: Ad*_T = [R 0; [p]R R].
-    Shapes: (4, 4) -> (6, 6). A product with a vector is computed without the matrix.
+    Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed without the matrix.
 
     Attributes:
         transform: T_ab (4, 4).
@@ -143,118 +188,19 @@ class SE3AdjointDual(TwistNode):
         ShapeError: transform is not of shape (4, 4).
     """
 
-    transform: Operand
-    order: Order = LINEAR_FIRST
     label = "Ad_dual"
+    symbol = r"\mathrm{Ad}^*"
 
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "transform", shapes[0], (4, 4))
-        return (6, 6)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.in_linear_first(se3.Ad_dual, values[0])
+    @staticmethod
+    def matrix(T: jax.Array) -> jax.Array:
+        return se3.Ad_dual(T)
 
     def applied_to(self, vector: Expr) -> Expr | None:
         return CoadjointAction(self.transform, vector, order=self.order)
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{Ad}}^*_{{{operands[0]}}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(pose_value("T"), order=order), body_values())
-
-
-class AdjointAction(TwistNode):
-    """Ad_T xi without the matrix: [R v + p x R w; R w]. Shapes: (4, 4), (6,) -> (6,).
-
-    `canonicalize` makes it of `SE3Adjoint(T) @ xi`.
-
-    Attributes:
-        transform: T_ab (4, 4).
-        twist: in frame b, (6,).
-        order: order of the twist and the result.
-    Raises:
-        ShapeError: an operand of another shape.
-    """
-
-    transform: Operand
-    twist: Operand
-    order: Order = LINEAR_FIRST
-    label = "Ad"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "transform", shapes[0], (4, 4))
-        expect(self, "twist", shapes[1], (6,))
-        return (6,)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        T, xi = values
-        v, w = self.order.split(xi)
-        rotated = so3.act(T[:3, :3], w)
-        return self.order.join(so3.act(T[:3, :3], v) + so3.bracket(T[:3, 3], rotated), rotated)
-
-    def simplify(self) -> Expr:
-        """The identity leaves a twist as it is, and so does every pose a zero; the inverse pose undoes the pose."""
-        T, twist = self.transform, self.twist
-        if is_identity_element(T) or is_constant(twist, 0.0):
-            return twist
-        if isinstance(twist, AdjointAction) and twist.order == self.order and undoes(T, twist.transform):
-            return twist.twist
-        return self
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{Ad}}_{{{operands[0]}}} \, {operands[1]}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(pose_value("T"), twist_state("a"), order=order), body_values())
-
-
-class CoadjointAction(TwistNode):
-    """Ad*_T F without the matrix: [R f; R tau + p x R f]. Shapes: (4, 4), (6,) -> (6,).
-
-    `canonicalize` makes it of `SE3AdjointDual(T) @ F`.
-
-    Attributes:
-        transform: T_ab (4, 4).
-        wrench: in frame b, (6,).
-        order: order of the wrench and the result.
-    Raises:
-        ShapeError: an operand of another shape.
-    """
-
-    transform: Operand
-    wrench: Operand
-    order: Order = LINEAR_FIRST
-    label = "Ad_dual"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "transform", shapes[0], (4, 4))
-        expect(self, "wrench", shapes[1], (6,))
-        return (6,)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        T, wrench = values
-        force, torque = self.order.split(wrench)
-        rotated = so3.act(T[:3, :3], force)
-        return self.order.join(rotated, so3.act(T[:3, :3], torque) + so3.bracket(T[:3, 3], rotated))
-
-    def simplify(self) -> Expr:
-        """The identity leaves a wrench as it is, and so does every pose a zero; the inverse pose undoes the pose."""
-        T, wrench = self.transform, self.wrench
-        if is_identity_element(T) or is_constant(wrench, 0.0):
-            return wrench
-        if isinstance(wrench, CoadjointAction) and wrench.order == self.order and undoes(T, wrench.transform):
-            return wrench.wrench
-        return self
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{Ad}}^*_{{{operands[0]}}} \, {operands[1]}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(pose_value("T"), twist_state("a"), order=order), body_values())
+    def transposed(self) -> Expr | None:
+        """(Ad*_T)' = Ad_(T^-1)."""
+        return self._of_inverse(SE3Adjoint)
 
 
 class SO3Adjoint(Expr):
@@ -290,9 +236,7 @@ class SO3Adjoint(Expr):
 
 __all__ = [
     "Adjoint",
-    "AdjointAction",
     "AdjointDual",
-    "CoadjointAction",
     "SE3Adjoint",
     "SE3AdjointDual",
     "SO3Adjoint",

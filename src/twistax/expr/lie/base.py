@@ -13,6 +13,7 @@ from ...errors import ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ..leaves import Constant, State
 from ..node import Example, Expr, Shape
+from ..shapes import expect
 
 _SIX = ((6,), (6, 6))
 
@@ -47,6 +48,29 @@ class TwistNode(Expr):
         return [Example(build(order), values, smooth) for order in (LINEAR_FIRST, ANGULAR_FIRST)]
 
 
+class ColumnsNode(TwistNode):
+    """A node over six-vectors that may stand side by side, as the k columns of (6, k). Only its rows have an order."""
+
+    abstract = True
+
+    def twist_orders(self) -> tuple[list[Order | None], Order | None]:
+        has_six_rows = [value.shape[:1] == (6,) for value in [*self.children(), self]]
+        *operands, result = [self.order if six else None for six in has_six_rows]
+        return operands, result
+
+    def twist_axes(self, value: Expr) -> list[int]:
+        return [-value.ndim]
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        return [[(value, -1) for value in [*self.children(), self] if value.ndim == 2]]
+
+
+def expect_columns(node: Expr, operand: str, got: Shape, rows: int) -> None:
+    """Raise the plain sentence unless an operand is one vector of so many rows, or k of them side by side."""
+    if len(got) != 2 or got[0] != rows:
+        expect(node, operand, got, (rows,), f"one vector ({rows},) or k columns ({rows}, k)")
+
+
 #: The numeric maps that belong to a tangent vector, and to a group element or a matrix of the algebra, by shape.
 OF_TANGENT: dict[Shape, ModuleType] = {(3,): so3, (6,): se3}
 OF_MATRIX: dict[Shape, ModuleType] = {(3, 3): so3, (4, 4): se3}
@@ -72,6 +96,11 @@ def twist_state(name: str) -> State:
     return State(name, shape=(6,))
 
 
+def twist_columns(name: str) -> State:
+    """Two six-vectors side by side."""
+    return State(name, shape=(6, 2))
+
+
 def pose_value(name: str, rotation: bool = False) -> State:
     """A matrix leaf that the cases fill with a pose or a rotation."""
     return State(name, shape=(3, 3) if rotation else (4, 4))
@@ -90,4 +119,5 @@ def body_values() -> dict[str, np.ndarray]:
             "T": np.asarray(se3.exp(turn[0])),
             "S": np.asarray(se3.exp(turn[1])),
             "R": np.asarray(so3.exp(turn[0, 3:])),
+            "A": rng.normal(size=(6, 2)),
         }

@@ -2,86 +2,87 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax
+import numpy as np
 
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order
+from ..arithmetic import is_constant
 from ..fields import ExprLike, Operand
+from ..folding import fold
 from ..leaves import State
 from ..node import Example, Expr, Shape
 from ..shapes import expect
-from .base import TwistNode, body_values, twist_state
+from .base import ColumnsNode, TwistNode, body_values, expect_columns, twist_columns, twist_state
 
 
-class LinearPart(TwistNode):
-    """v of [v; w], or f of [f; tau]. Shapes: (6,) -> (3,).
-
-    Attributes:
-        vector: a twist, wrench or momentum (6,).
-        order: its order.
-    Raises:
-        ShapeError: vector is not of shape (6,).
-    """
+class _Part(ColumnsNode):
+    """What both parts share."""
 
     vector: Operand
     order: Order = LINEAR_FIRST
+    abstract = True
+    #: Which operand of JoinedParts it is.
+    place: ClassVar[int] = 0
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_columns(self, "vector", shapes[0], 6)
+        return (3, *shapes[0][1:])
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return self.order.split(values[0])[self.place]
+
+    def simplify(self) -> Expr:
+        """A part of joined parts is the part."""
+        joined = self.vector
+        if isinstance(joined, JoinedParts) and joined.order == self.order:
+            return joined.children()[self.place]
+        return self
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        columns = Example(cls(twist_columns("A")), body_values())
+        return [*cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values()), columns]
+
+
+class LinearPart(_Part):
+    """v of [v; w], or f of [f; tau]. Shapes: (6,) -> (3,); (6, k) -> (3, k).
+
+    Attributes:
+        vector: a twist, wrench or momentum (6,), or k of them as columns.
+        order: its order.
+    Raises:
+        ShapeError: vector has no six rows.
+    """
+
     label = "linear"
 
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "vector", shapes[0], (6,))
-        return (3,)
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.order.split(values[0])[0]
-
-    def simplify(self) -> Expr:
-        """The linear part of joined parts is the part."""
-        joined = self.vector
-        return joined.linear if isinstance(joined, JoinedParts) and joined.order == self.order else self
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values())
-
-
-class AngularPart(TwistNode):
-    """w of [v; w], or tau of [f; tau]. Shapes: (6,) -> (3,).
+class AngularPart(_Part):
+    """w of [v; w], or tau of [f; tau]. Shapes: (6,) -> (3,); (6, k) -> (3, k).
 
     Attributes:
-        vector: a twist, wrench or momentum (6,).
+        vector: a twist, wrench or momentum (6,), or k of them as columns.
         order: its order.
     Raises:
-        ShapeError: vector is not of shape (6,).
+        ShapeError: vector has no six rows.
     """
 
-    vector: Operand
-    order: Order = LINEAR_FIRST
     label = "angular"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "vector", shapes[0], (6,))
-        return (3,)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.order.split(values[0])[1]
-
-    def simplify(self) -> Expr:
-        """The angular part of joined parts is the part."""
-        joined = self.vector
-        return joined.angular if isinstance(joined, JoinedParts) and joined.order == self.order else self
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values())
+    place = 1
 
 
-class JoinedParts(TwistNode):
-    """The six-vector of a linear and an angular part. Shapes: (3,), (3,) -> (6,). Made by `twist` and `wrench`.
+class JoinedParts(ColumnsNode):
+    """The six-vector of a linear and an angular part. Shapes: (3,), (3,) -> (6,); (3, k), (3, k) -> (6, k).
+
+    Made by `twist` and `wrench`.
 
     Attributes:
-        linear, angular: (3,) each.
+        linear, angular: (3,) each, or k columns each.
         order: order of the result.
     Raises:
-        ShapeError: a part is not of shape (3,).
+        ShapeError: a part has no three rows, or the parts differ in shape.
     """
 
     linear: Operand
@@ -90,9 +91,10 @@ class JoinedParts(TwistNode):
     label = "join"
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "linear", shapes[0], (3,))
-        expect(self, "angular", shapes[1], (3,))
-        return (6,)
+        linear, angular = shapes
+        expect_columns(self, "linear", linear, 3)
+        expect(self, "angular", angular, linear)
+        return (6, *linear[1:])
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return self.order.join(*values)
@@ -103,8 +105,20 @@ class JoinedParts(TwistNode):
 
     @classmethod
     def example(cls) -> list[Example]:
-        v, w = State("v", shape=(3,)), State("w", shape=(3,))
-        return cls.in_both_orders(lambda order: cls(v, w, order=order), body_values())
+        v, w, m = State("v", shape=(3,)), State("w", shape=(3,)), State("m", shape=(3, 2))
+        both = cls.in_both_orders(lambda order: cls(v, w, order=order), body_values())
+        return [*both, Example(cls(m, -m), {"m": np.arange(6.0).reshape(3, 2)})]
+
+
+def halves(vector: Expr, order: Order) -> tuple[Expr, Expr]:
+    """The linear and the angular part of a canonical six-vector or of columns, as far as they are known."""
+    linear, angular = (fold(part(vector, order=order).simplify()) for part in (LinearPart, AngularPart))
+    return linear, angular
+
+
+def has_zero_half(vector: Expr, order: Order) -> bool:
+    """Whether one part is known to be zero."""
+    return any(is_constant(half, 0.0) for half in halves(vector, order))
 
 
 class Reorder(TwistNode):
@@ -150,12 +164,12 @@ def _other(order: Order) -> Order:
 
 
 def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The linear part (3,) of a twist, wrench or momentum (6,)."""
+    """The linear part (3,) of a twist, wrench or momentum (6,); of k columns (6, k), (3, k)."""
     return LinearPart(vector, order=order)
 
 
 def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The angular part (3,) of a twist, wrench or momentum (6,)."""
+    """The angular part (3,) of a twist, wrench or momentum (6,); of k columns (6, k), (3, k)."""
     return AngularPart(vector, order=order)
 
 

@@ -9,7 +9,10 @@ import jax
 import numpy as np
 
 from ...groups import LINEAR_FIRST, Order, se3
-from ..fields import Operand
+from ..arithmetic import Mul, Neg, is_constant, zeros_of
+from ..fields import ExprLike, Operand
+from ..folding import fold
+from ..indexing import Index
 from ..leaves import Constant, State
 from ..linalg import Cross
 from ..node import Example, Expr, Shape
@@ -99,10 +102,14 @@ class Inverse(Expr):
         return operands[0]
 
     def simplify(self) -> Expr:
-        """The inverse of the inverse of a group element is the element."""
+        """The inverse of the inverse of a group element is the element; that of a translation, its negative."""
         inner = self.element
         if isinstance(inner, Inverse) and inner.element.is_group_element:
             return inner.element
+        if isinstance(inner, Pose) and inner.is_translation:
+            return Pose(inner.rotation, Neg(inner.position))
+        if isinstance(inner, Pose) and inner.is_rotation:
+            return Pose(Inverse(inner.rotation), inner.position)
         return self
 
     def to_latex(self, *operands: str) -> str:
@@ -148,11 +155,19 @@ class Act(Expr):
         return result
 
     def simplify(self) -> Expr:
-        """The identity vanishes; T^-1 undoes T."""
-        if is_identity_element(self.element):
-            return self.point
-        inner = self.point
-        return inner.point if isinstance(inner, Act) and undoes(self.element, inner.element) else self
+        """The identity vanishes; T^-1 undoes T; R 0 is 0; R times a unit vector is a column of R."""
+        element, point = self.element, self.point
+        if is_identity_element(element):
+            return point
+        if isinstance(point, Act) and undoes(element, point.element):
+            return point.point
+        if element.shape == (3, 3) and isinstance(point, Constant):
+            if is_constant(point, 0.0):
+                return zeros_of(self)
+            if point.shape == (3,) and np.count_nonzero(point.value) == 1:
+                axis = int(np.flatnonzero(point.value)[0])
+                return Mul(Constant(point.value[axis]), Index(element, np.s_[:, axis]))
+        return self
 
     def to_latex(self, *operands: str) -> str:
         return r" \cdot ".join(operands)
@@ -188,9 +203,43 @@ class Pose(Expr):
     def makes_group_element(self, *operands: bool) -> bool:
         return operands[0]
 
+    @property
+    def is_translation(self) -> bool:
+        """Whether the rotation is known to be the identity."""
+        return is_identity_element(self.rotation)
+
+    @property
+    def is_rotation(self) -> bool:
+        """Whether the position is known to be zero."""
+        return is_constant(self.position, 0.0)
+
     @classmethod
     def example(cls) -> list[Example]:
-        return [Example(cls(pose_value("R", rotation=True), State("v", shape=(3,))), body_values())]
+        R, v = pose_value("R", rotation=True), State("v", shape=(3,))
+        return [Example(pose, body_values()) for pose in (cls(R, v), translation(v), rotation(R))]
+
+
+def translation(position: ExprLike) -> Expr:
+    """The pose [I p; 0 1] of a frame at p (3,), in m, with the axes of the other; an expression, numbers or an array.
+
+    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product.
+    """
+    return Pose(np.eye(3), position)
+
+
+def rotation(rotation: ExprLike) -> Expr:
+    """The pose [R 0; 0 1] of a frame turned by R (3, 3) about the origin of the other; an expression or an array.
+
+    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else.
+    """
+    return Pose(rotation, np.zeros(3))
+
+
+def parts_of_pose(T: Expr) -> tuple[Expr, Expr]:
+    """The rotation and the position of a canonical pose, as far as they are known."""
+    if isinstance(T, Pose):
+        return T.rotation, T.position
+    return fold(Index(T, np.s_[:3, :3])), fold(Index(T, np.s_[:3, 3]))
 
 
 class Hat(TwistNode):
@@ -269,4 +318,4 @@ class Vee(TwistNode):
         ]
 
 
-__all__ = ["Act", "Compose", "Hat", "Inverse", "Pose", "Vee"]
+__all__ = ["Act", "Compose", "Hat", "Inverse", "Pose", "Vee", "rotation", "translation"]
