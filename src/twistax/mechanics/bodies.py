@@ -221,7 +221,7 @@ def _check_inertia(tensor: np.ndarray | None) -> None:
         raise ModelError(
             "SpatialInertia expects principal moments none of which is above the sum of the other two (no body has "
             f"such), got {moments} kg m2.\n"
-            "  fix: give the tensor about the centre of mass, or use SpatialInertia.about_origin; check signs and units;\n"
+            "  fix: give the tensor about the centre of mass, or use SpatialInertia.about_origin; check signs, units;\n"
             "  of a flat body, round the largest moment down"
         )
 
