@@ -5,10 +5,10 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from twistax.groups.components import Components, dot, matrix, unpack, vector
+from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
 from twistax.groups.inputs import multiply
 
-__all__ = ["from_rotation", "hamilton", "to_rotation", "unscaled"]
+__all__ = ["from_rotation", "hamilton", "product", "rotate", "rotation_rows", "to_rotation", "unscaled"]
 
 
 def _squares(R: Array) -> list[list[Array]]:
@@ -56,30 +56,35 @@ def from_rotation(R: Array) -> Array:
 
 def to_rotation(q: Array) -> Array:
     """The rotation matrix of a quaternion of any length but zero."""
-    w, x, y, z = unpack(q)
-    double = 2.0 / (w * w + dot((x, y, z), (x, y, z)))
+    q_ = unpack(q)
+    return matrix(rotation_rows(q_, 2.0 / (q_[0] * q_[0] + dot(q_[1:], q_[1:]))))
+
+
+def rotation_rows(q: Components, double: Array | float = 2.0) -> list[list[Array]]:
+    """The rows of the rotation matrix of a unit quaternion; of another one with double = 2 / |q|^2."""
+    w, x, y, z = q
     ax, ay, az = double * x, double * y, double * z
     wx, wy, wz, xx, xy, xz = w * ax, w * ay, w * az, x * ax, x * ay, x * az
     yy, yz, zz = y * ay, y * az, z * az
-    return matrix(
-        [
-            [1.0 - (yy + zz), xy - wz, xz + wy],
-            [xy + wz, 1.0 - (xx + zz), yz - wx],
-            [xz - wy, yz + wx, 1.0 - (xx + yy)],
-        ]
-    )
+    return [
+        [1.0 - (yy + zz), xy - wz, xz + wy],
+        [xy + wz, 1.0 - (xx + zz), yz - wx],
+        [xz - wy, yz + wx, 1.0 - (xx + yy)],
+    ]
+
+
+def rotate(q: Components, v: Components) -> Components:
+    """R(q) v for a unit quaternion, by two cross products."""
+    twice = scale(2.0, cross(q[1:], v))
+    return add(v, scale(q[0], twice), cross(q[1:], twice))
 
 
 def hamilton(p: Array, q: Array) -> Array:
     """The product p q; R(p q) = R(p) R(q)."""
-    a, b = unpack(p), unpack(q)
-    u: Components = a[1:]
-    v: Components = b[1:]
-    return vector(
-        [
-            a[0] * b[0] - dot(u, v),
-            a[0] * v[0] + b[0] * u[0] + (u[1] * v[2] - u[2] * v[1]),
-            a[0] * v[1] + b[0] * u[1] + (u[2] * v[0] - u[0] * v[2]),
-            a[0] * v[2] + b[0] * u[2] + (u[0] * v[1] - u[1] * v[0]),
-        ]
-    )
+    return vector(product(unpack(p), unpack(q)))
+
+
+def product(a: Components, b: Components) -> Components:
+    """The product a b of two quaternions."""
+    u, v = a[1:], b[1:]
+    return (a[0] * b[0] - dot(u, v), *add(scale(a[0], v), scale(b[0], u), cross(u, v)))

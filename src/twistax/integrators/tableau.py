@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ModelError
 
@@ -129,7 +130,7 @@ class ButcherTableau:
         return ModelError(f"tableau {self.name!r}: {sentence}")
 
 
-def lower_triangle(rows: Sequence[Sequence[float]]) -> np.ndarray:
+def lower_triangle(rows: Sequence[Sequence[float | int]]) -> NDArray[Any]:
     """The square matrix a of the rows below its first one: row i + 1 has entries 0 to i, and the rest is zero."""
     a = np.zeros((len(rows) + 1, len(rows) + 1))
     for i, row in enumerate(rows, start=1):
