@@ -1,21 +1,20 @@
 """The four operators of OpenSCvx's adjoint module, held to its surface: what a user of 0.5.2 finds unchanged here.
 
 The expected values stand in this file, so that nothing but this package is needed; where OpenSCvx is installed, it is
-asked the same questions. Its values are another matter: both packages call their vectors [v; w], but most of its
-formulas are those of [w; v]; the last test says which.
+asked the same questions. Its values are another matter, see test_openscvx_values.py: both packages call their vectors
+[v; w], but most of its formulas are those of [w; v]; the last tests show it of the coadjoint.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import importlib.util
-import warnings
 from typing import Any
 
 import numpy as np
 import pytest
 from expr_cases import value_of
+from openscvx_cases import CASES, OURS
+from openscvx_lowering import openscvx
 
 import twistax as tx
 
@@ -58,20 +57,10 @@ SENTENCES = [
 NUMBERS = [2, 0.5, np.arange(6.0), np.eye(4), np.float64(3.0)]
 
 
-def openscvx() -> Any:
-    """OpenSCvx, or None where it is not installed."""
-    if importlib.util.find_spec("openscvx") is None:
-        return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return importlib.import_module("openscvx")
-
-
 @pytest.fixture(params=["twistax", "openscvx"])
 def package(request: pytest.FixtureRequest) -> Any:
     """Both packages answer the same questions, the other one only where it is there."""
-    found = tx if request.param == "twistax" else openscvx()
-    return found or pytest.skip("OpenSCvx is not installed")
+    return tx if request.param == "twistax" else openscvx()
 
 
 by_surface = pytest.mark.parametrize("surface", SURFACES, ids=lambda surface: surface.name)
@@ -140,32 +129,6 @@ def test_the_error_also_says_where_and_how_to_mend() -> None:
         (tx.lie.Adjoint(V, V[:3]) + V).check_shape()
 
 
-#: What each operator of 0.5.2 computes, said in the operators of this package.
-THEIRS = {
-    "Adjoint": lambda a, b: tx.lie.Adjoint(a, b),
-    "AdjointDual": lambda a, b: tx.lie.Reorder(tx.lie.AdjointDual(a, tx.lie.Reorder(b))),
-    "SE3Adjoint": lambda T: tx.lie.SE3Adjoint(T, order=tx.ANGULAR_FIRST),
-    "SE3AdjointDual": lambda T: tx.lie.SE3AdjointDual(T, order=tx.ANGULAR_FIRST),
-}
-
-
-@by_surface
-def test_only_the_bracket_has_the_same_values(surface: Surface) -> None:
-    """The other three treat wrenches and momenta, and the changes of frame, as [w; v]."""
-    other = openscvx()
-    if other is None:
-        pytest.skip("OpenSCvx is not installed")
-    lowering = importlib.import_module("openscvx.symbolic.lower")
-    rng = np.random.default_rng(5)
-    values = [rng.normal(size=6) for _ in surface.arguments]
-    if surface.accepts == (4, 4):
-        values = [value_of(tx.lie.SE3Exp(values[0]))]
-    theirs = np.asarray(lowering.lower_to_jax(surface.of(other)(*values))(None, None, None, None))
-    np.testing.assert_allclose(theirs, value_of(THEIRS[surface.name](*values)), rtol=1e-12, atol=1e-13)
-    same = np.abs(theirs - value_of(surface.of(tx)(*values))).max() < 0.1
-    assert same == (surface.name == "Adjoint")
-
-
 def published_coadjoint(xi: tx.Expr, momentum: tx.Expr) -> tx.Expr:
     """[w x f + v x tau; w x tau], the published formula for xi = [v; w], momentum = [f; tau]."""
     v, w, f, tau = tx.lie.linear(xi), tx.lie.angular(xi), tx.lie.linear(momentum), tx.lie.angular(momentum)
@@ -173,11 +136,15 @@ def published_coadjoint(xi: tx.Expr, momentum: tx.Expr) -> tx.Expr:
     return tx.lie.twist(linear=cross(w, f) + cross(v, tau), angular=cross(w, tau))
 
 
+#: What AdjointDual of 0.5.2 computes, said in the operators of this package; OpenSCvx itself is asked elsewhere.
+THEIRS = next(case.here for case in CASES if case.node == "AdjointDual")
+
+
 def test_the_published_coadjoint_stands_as_written_here() -> None:
     rng = np.random.default_rng(6)
     xi, momentum = rng.normal(size=(2, 6))
     theirs = value_of(published_coadjoint(tx.Constant(xi), tx.Constant(momentum)))
-    np.testing.assert_allclose(theirs, value_of(THEIRS["AdjointDual"](xi, momentum)), rtol=1e-13)
+    np.testing.assert_allclose(theirs, value_of(THEIRS(OURS, xi, momentum)), rtol=1e-13)
 
 
 def test_only_this_coadjoint_is_dual_to_the_bracket_both_share() -> None:
