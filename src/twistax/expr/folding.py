@@ -22,4 +22,9 @@ def fold(node: Expr) -> Expr:
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
         values = [jax.numpy.asarray(child.value) for child in children if isinstance(child, Constant)]
         result = np.asarray(node.evaluate(*values))
-    return Constant(result) if np.isfinite(result).all() else node
+    if not np.isfinite(result).all():
+        return node
+    constant = Constant(result)
+    if node.structured:
+        constant.__dict__["_folded_from"] = node
+    return constant

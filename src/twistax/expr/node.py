@@ -58,6 +58,8 @@ class Expr(Operators):
     associative: ClassVar[bool] = False
     #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
     keeps_order: ClassVar[bool] = False
+    #: True for matrices whose `applied_to` is cheaper than a product with their numbers, even where these are known.
+    structured: ClassVar[bool] = False
     #: True for bases that are no nodes themselves. It is not inherited.
     abstract: ClassVar[bool] = True
 

@@ -117,6 +117,7 @@ class _FrameMatrix(TwistNode):
     transform: Operand
     order: Order = LINEAR_FIRST
     abstract = True
+    structured = True
     symbol: ClassVar[str] = ""
 
     @staticmethod
