@@ -64,7 +64,7 @@ class Joint(ABC):
             self.velocity = State(f"{name}_velocity", (self.dofs,))
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({getattr(self, 'name', None)!r})"
+        return f"{type(self).__name__}({self.name!r})"
 
     def _motion(self, motion: Any) -> np.ndarray:
         H = np.array(motion, dtype=np.float64)
