@@ -80,6 +80,17 @@ def test_known_parts_of_columns(order: tx.Order) -> None:
         agree(found, each(lambda M, X: M @ X, matrix, H))
 
 
+def test_vector_products_with_columns() -> None:
+    """Column by column; NumPy's function, which reads rows, is not given columns."""
+    square = tx.State("X", (3, 3))
+    P, X = RNG.normal(size=(CASES, 3)), RNG.normal(size=(CASES, 3, 3))
+    agree(batched(tx.linalg.Cross(p, -square), p=P, X=X), each(lambda a, B: -np.cross(a, B.T).T, P, X))
+    agree(batched(np.cross(p, square[0]), p=P, X=X), each(lambda a, B: np.cross(a, B[0]), P, X))
+    for columns in (square, np.eye(3)):
+        with pytest.raises(TypeError, match=r"np\.cross of expressions knows vectors"):
+            np.cross(p, columns)
+
+
 def equations(expr: Expr) -> list[Any]:
     values = {leaf.name: jnp.ones(leaf.shape) for leaf in leaves_of(expr.canonicalize()) if hasattr(leaf, "guess")}
     return list(jax.make_jaxpr(function_of(expr.canonicalize()))(values).jaxpr.eqns)
