@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import csv
 import dataclasses
+import functools
 import itertools
 import re
 from pathlib import Path
@@ -43,34 +44,46 @@ class Track:
         position: inertial, (n, 3).
         attitude: rotations from body axes to north, east, down, (n, 3, 3).
         rate: body rate with respect to inertial axes, (n, 3).
+        altitude: above the ellipsoid, (n,).
         density: of the air at that altitude, (n,).
     """
 
     position: Array
     attitude: Array
     rate: Array
+    altitude: Array
     density: Array
 
 
 # ---- flying ------------------------------------------------------------------------------------------------------
 
 dynamics = tx.compile(system())
-outputs = jax.jit(jax.vmap(lambda t, x, params: dynamics.outputs(t, x, None, params), (0, 0, None)))
 
 
-def fly(case: CheckCase, step: float = STEP) -> Track:
+@functools.partial(jax.jit, static_argnums=0)
+def outputs(dynamics: tx.Dynamics, ts: Any, xs: Any, params: Any) -> dict[str, jax.Array]:
+    """The system's outputs along a flight."""
+    return jax.vmap(lambda t, x: dynamics.outputs(t, x, None, params))(ts, xs)
+
+
+def fly(case: CheckCase, step: float = STEP, dynamics: tx.Dynamics = dynamics) -> Track:
     """A case by RKMK of order 4 with fixed steps."""
     params = case.parameters()
     method = tx.RKMK(tx.tableaus.RK4)
     flight = tx.integrate(dynamics, case.start(), t1=DURATION, dt=step, method=method, params=params, save_at=TIMES)
-    found = outputs(flight.ts, flight.xs, params)
-    return Track(*(np.asarray(found[name]) for name in ("position", "attitude", "rate", "density")))
+    found = outputs(dynamics, flight.ts, flight.xs, params)
+    return Track(**{field.name: np.asarray(found[field.name]) for field in dataclasses.fields(Track)})
 
 
-def earth_relative(case: CheckCase) -> CheckCase:
-    """The case with damping by the rates relative to the turning Earth."""
-    assert case.damping is not None
-    return dataclasses.replace(case, damping=dataclasses.replace(case.damping, frame_rate=earth.WGS84.rate))
+@dataclasses.dataclass(frozen=True)
+class Tabulated:
+    """Air whose density is that of a trajectory, by a cubic spline over altitude."""
+
+    track: Track
+
+    def density(self, altitude: tx.Expr) -> tx.Expr:
+        upwards = np.argsort(self.track.altitude)
+        return tx.Cinterp(altitude, self.track.altitude[upwards], self.track.density[upwards])
 
 
 # ---- reading -----------------------------------------------------------------------------------------------------
@@ -124,7 +137,8 @@ class Table:
     def track(self) -> Track:
         euler = self.columns("eulerAngle", "Roll Pitch Yaw")
         rate = self.columns("bodyAngularRateWrtEi", "Roll Pitch Yaw")
-        return Track(self.position(), np.asarray(_attitude(euler)), rate, self.column("airDensity"))
+        air = self.column("altitudeMsl"), self.column("airDensity")
+        return Track(self.position(), np.asarray(_attitude(euler)), rate, *air)
 
 
 def read(directory: Path, case: CheckCase) -> dict[str, Track]:
@@ -186,6 +200,22 @@ def inside(ours: Track, tracks: dict[str, Track]) -> None:
         print(f"  {text}: {count} of {len(TIMES)} times{by}")
 
 
+def explain(case: CheckCase, tracks: dict[str, Track]) -> None:
+    """Print what becomes of the differences where damping or air are changed to what a simulation seems to use."""
+    assert case.damping is not None
+    turning = dataclasses.replace(case.damping, frame_rate=earth.WGS84.rate)
+    rounded = dataclasses.replace(case.damping, chord=0.67 * 0.3048)
+    relative = fly(dataclasses.replace(case, damping=turning))
+    print("  with damping by the rates relative to the turning Earth:")
+    for number, track in tracks.items():
+        row(f"twistax - sim {number}", apart(relative, track))
+    print("  with the density of the simulation, and for 01 a chord of 0.67 ft for 2/3 ft:")
+    for number, damping in {"01": rounded, "04": case.damping}.items():
+        theirs = tx.compile(system(Tabulated(tracks[number])))
+        flown = fly(dataclasses.replace(case, damping=damping), dynamics=theirs)
+        row(f"twistax - sim {number}", apart(flown, tracks[number]))
+
+
 def compare(directory: Path) -> dict[str, dict[str, dict[str, Array]]]:
     """Print the differences of every case; return them by case and by what is compared."""
     shown = {}
@@ -202,10 +232,7 @@ def compare(directory: Path) -> dict[str, dict[str, dict[str, Array]]]:
         off = {number: np.max(np.abs(track.density / ours.density - 1.0)) for number, track in tracks.items()}
         print("  density, relative difference: " + ", ".join(f"sim {n} {x:.0e}" for n, x in off.items()))
         if case.damping:
-            other = fly(earth_relative(case))
-            print("  with damping by the rates relative to the turning Earth:")
-            for number, track in tracks.items():
-                row(f"twistax - sim {number}", apart(other, track))
+            explain(case, tracks)
         shown[f"case {case.number}, {case.title}"] = lines
     return shown
 

@@ -93,12 +93,14 @@ def example() -> ModuleType:
 @pytest.fixture(scope="module")
 def flights(example: ModuleType) -> dict[str, Flight]:
     """Every output over time. The example's compiled system serves all cases and steps."""
-    dynamics, outputs = example.dynamics, example.outputs
 
     def fly(case: CheckCase, step: float) -> Flight:
         params = case.parameters()
-        flight = tx.integrate(dynamics, case.start(), t1=DURATION, dt=step, params=params, save_at=TIMES)
-        return {name: np.asarray(value) for name, value in outputs(flight.ts, flight.xs, params).items()}
+        flight = tx.integrate(example.dynamics, case.start(), t1=DURATION, dt=step, params=params, save_at=TIMES)
+        return {
+            name: np.asarray(value)
+            for name, value in example.outputs(example.dynamics, flight.ts, flight.xs, params).items()
+        }
 
     cases = {str(n): case for n, case in CASES.items()} | {"3 in Earth's axes": earth_relative(CASES[3])}
     found = {name: fly(case, 2.5e-3) for name, case in cases.items()}
@@ -285,6 +287,8 @@ def test_the_example_reads_every_form(
         (tmp_path / folder).mkdir()
         for simulation, form in FORMS.items():
             write(tmp_path / folder / f"sim_{simulation}.csv", flights[f"{number} halved"], form)
+    for track in example.read(tmp_path, CASES[3]).values():
+        np.testing.assert_allclose(track.density, flights["3"]["density"], rtol=1e-9)
     shown = example.compare(tmp_path)
     assert len(shown) == 3
     for lines in shown.values():
@@ -292,7 +296,7 @@ def test_the_example_reads_every_form(
             assert line["position"].max() < 1e-7
             assert line["attitude"].max() < 1e-9
             assert line["rate"].max() < 1e-10
-    assert capsys.readouterr().out.count("twistax - sim 04") == 4
+    assert capsys.readouterr().out.count("twistax - sim 04") == 5  # three cases, two variants
     file = tmp_path / "differences.png"
     example.plot(shown, file)
     assert file.stat().st_size > 10_000

@@ -13,14 +13,14 @@ Source of starts, bodies, forces and published values: Murri, Jackson and Shelto
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 import twistax as tx
 from twistax.mechanics.environment import atmosphere, earth, gravity
 
-__all__ = ["CASES", "DURATION", "CheckCase", "Published", "RateDamping", "system"]
+__all__ = ["CASES", "DURATION", "Air", "CheckCase", "Published", "RateDamping", "system"]
 
 Vector = tuple[float, float, float]
 
@@ -113,7 +113,15 @@ class CheckCase:
         }
 
 
-def system() -> tx.System:
+@runtime_checkable
+class Air(Protocol):
+    """Air at rest relative to the Earth."""
+
+    def density(self, altitude: tx.Expr) -> tx.Expr:
+        """Density in kg/m3 at a geometric altitude in m."""
+
+
+def system(air: Air = atmosphere.US1976) -> tx.System:
     """Newton-Euler under J2 gravity and damping moments: states g (pose, body to inertial) and V (body twist).
 
     Parameters: mass, kg; inertia, principal moments (3,), kg m2; damping, `RateDamping.coefficients` (3,), m4;
@@ -131,7 +139,7 @@ def system() -> tx.System:
     to_inertial = earth.WGS84.to_inertial(tx.Time())
     latitude, _, altitude = earth.WGS84.geodetic(p)
     longitude = earth.WGS84.geodetic(to_inertial.T @ p).longitude
-    density = atmosphere.US1976.density(altitude)
+    density = air.density(altitude)
     airspeed = tx.linalg.Norm(earth.WGS84.air_velocity(p, velocity))
 
     F = tx.lie.wrench(
