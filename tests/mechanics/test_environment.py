@@ -197,7 +197,7 @@ def test_another_atmosphere_and_what_makes_none() -> None:
 # ---- the Earth's figure ------------------------------------------------------------------------------------------
 
 LATITUDES = np.concatenate([[-np.pi / 2, 0.0, np.pi / 2], np.linspace(-1.57, 1.57, 37), [1e-9, -1e-9, 1.5707]])
-ALTITUDES = np.array([-1e3, 0.0, 10.0, 9144.0, 86e3, 4e5, 1e6, 3.6e7])
+ALTITUDES = np.array([-1e5, -1e3, 0.0, 10.0, 9144.0, 86e3, 4e5, 1e6, 3.6e7])
 A, E2 = mp.mpf(6378137), (2 - 1 / mp.mpf("298.257223563")) / mp.mpf("298.257223563")
 
 
