@@ -127,6 +127,14 @@ REWRITES: dict[str, tuple[Expr, Expr]] = {
     "a velocity": (lie.SE3Adjoint(g) @ joined(v, ZERO[:3]), joined(act(g[:3, :3], v), ZERO[:3])),
     "a torque": (lie.SE3AdjointDual(g) @ joined(ZERO[:3], v), joined(ZERO[:3], act(g[:3, :3], v))),
     "an axis": (lie.SE3Adjoint(h) @ np.eye(6)[5], joined(cross(h[:3, 3], h[:3, :3][:, 2]), h[:3, :3][:, 2])),
+    "a rate, back": (
+        lie.SE3Adjoint(inverse(g)) @ joined(ZERO[:3], w),
+        joined(act(inverse(g[:3, :3]), -cross(g[:3, 3], w)), act(inverse(g[:3, :3]), w)),
+    ),
+    "columns of torques, back": (
+        lie.SE3AdjointDual(inverse(g)) @ joined(np.zeros((3, 2)), lie.linear(H)),
+        joined(np.zeros((3, 2)), inverse(g[:3, :3]) @ lie.linear(H)),
+    ),
     "bracket with a velocity": (lie.Adjoint(a, joined(v, ZERO[:3])), joined(cross(lie.angular(a), v), ZERO[:3])),
     "coadjoint of a torque, [w; v]": (
         lie.AdjointDual(a, joined(ZERO[:3], v, A), order=A),
