@@ -1,15 +1,19 @@
-"""Runge-Kutta-Munthe-Kaas: a Runge-Kutta method in exponential coordinates around the start of each step."""
+"""Runge-Kutta-Munthe-Kaas: a Runge-Kutta method in coordinates around the start of each step."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 
 import jax
 import jax.numpy as jnp
 
+from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from .charts import Chart, Exponential
+from .charts.whole import Blocks, StateCoordinates, coordinates_of
+from .stages import combine, stage_slopes
 from .tableau import ButcherTableau
 
 __all__ = ["RKMK", "ControlsAt", "increment"]
@@ -60,14 +64,8 @@ def increment(
 
     if rolled:
         return _rolled_increment(slope, tableau, {n: group.dimension for n, group in factors.items()}, t, h)
-    slopes: list[Arrays] = []
-    for row, node in zip(tableau.a.tolist(), tableau.c.tolist(), strict=True):
-        time = t + node * h if node else t
-        if any(row):
-            slopes.append(slope(time, _combine(row, slopes, h)))
-        else:
-            slopes.append(_flat(dynamics.vector_field(time, x, u_at(time), params)))
-    return _combine(tableau.b.tolist(), slopes, h)
+    slopes = stage_slopes(tableau, slope, lambda time: _flat(dynamics.vector_field(time, x, u_at(time), params)), t, h)
+    return combine(tableau.b.tolist(), slopes, h)
 
 
 def _rolled_increment(
@@ -92,39 +90,67 @@ def _rolled_increment(
 
 @dataclasses.dataclass(frozen=True)
 class RKMK:
-    """The explicit Runge-Kutta-Munthe-Kaas method of a tableau, in exponential coordinates. See `increment`.
+    """The explicit Runge-Kutta-Munthe-Kaas method of a tableau in a chart.
 
-    On states without a group it is the Runge-Kutta method. Methods are values: equal tableaus, equal methods.
+    On states without a group it is the Runge-Kutta method. Methods are values: they are equal where tableaus and charts
+    are.
+
+    Attributes:
+        tableau: the coefficients.
+        chart: the coordinates around the start of a step, a `tx.charts.Chart`; exponential coordinates with as many
+            commutators as the order needs if left out.
+
+    Raises:
+        ModelError: no tableau, or no chart.
     """
 
     tableau: ButcherTableau
+    chart: Chart | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tableau, ButcherTableau):
+            raise ModelError(f"RKMK expects a tableau like tx.tableaus.RK4, got {self.tableau!r}")
+        if self.chart is None:
+            object.__setattr__(self, "chart", Exponential(commutators=max(1, self.tableau.order - 2)))
+        if not isinstance(self.chart, Chart):
+            raise ModelError(f"RKMK expects a chart like tx.charts.Exponential(), got {self.chart!r}")
 
     @property
     def evaluations(self) -> int:
         """Evaluations of the right-hand side a step."""
         return self.tableau.stages
 
+    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
+        """The coordinates of this method's chart for the states of a system."""
+        return coordinates_of(self.chart, dynamics.group)
+
+    def advance(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> Blocks:
+        """The stored state after one step of length h. Pure and traceable.
+
+        Rounding takes rotations out of their group, linearly in the number of steps where the twist is constant;
+        settling once a step keeps them at round-off.
+        """
+        local = self.coordinates(dynamics)
+
+        def omega(time: jax.Array, moved: Blocks) -> Blocks:
+            return local.rate(_flat(dynamics.vector_field(time, local.value(moved), u_at(time), params)))
+
+        def slope(time: jax.Array, z: Blocks) -> Blocks:
+            moved = local.move(y, z)
+            return local.slope(z, moved, omega(time, moved))
+
+        slopes = stage_slopes(self.tableau, slope, lambda time: local.first_slope(y, omega(time, y)), t, h)
+        z = combine(self.tableau.b.tolist(), slopes, h)
+        return local.settle(z, local.move(y, z))
+
     def step(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Arrays:
-        """The state after one step of length h, from prepared arguments. Pure and traceable.
-
-        Products of rotations lose orthonormality by round-off, linearly in the number of steps where the twist is
-        constant; tightening once a step keeps it at round-off.
-        """
-        eta = increment(dynamics, self.tableau, t, x, u_at, params, h)
-        return {n: group.tighten(group.retract(x[n], eta[n])) for n, group in dynamics.group.factors.items()}
-
-
-def _combine(weights: Iterable[float], slopes: list[Arrays], h: jax.Array) -> Arrays:
-    """h sum_i weights[i] slopes[i], zeros skipped."""
-    used = [(weight, slope) for weight, slope in zip(weights, slopes) if weight]
-
-    def total(name: str) -> jax.Array:
-        terms = [slope[name] if weight == 1.0 else weight * slope[name] for weight, slope in used]
-        return h * sum(terms[1:], terms[0])
-
-    return {name: total(name) for name in used[0][1]}
+        """The state after one step of length h, from prepared arguments. Pure and traceable."""
+        local = self.coordinates(dynamics)
+        return local.value(self.advance(dynamics, t, local.enter(x), u_at, params, h))
 
 
 def _flat(rates: Arrays) -> Arrays:
