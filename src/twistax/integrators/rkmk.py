@@ -14,6 +14,9 @@ from .tableau import ButcherTableau
 
 __all__ = ["RKMK", "ControlsAt", "increment"]
 
+#: Beyond this many stages written one after another XLA takes minutes to compile a step; a loop takes about a second.
+_MOST_UNROLLED = 7
+
 #: The prepared controls at a stage time.
 ControlsAt = Callable[[jax.Array], Arrays]
 
@@ -112,7 +115,8 @@ class RKMK:
         Products of rotations lose orthonormality by round-off, linearly in the number of steps where the twist is
         constant; tightening once a step keeps it at round-off.
         """
-        eta = increment(dynamics, self.tableau, t, x, u_at, params, h)
+        rolled = self.tableau.stages > _MOST_UNROLLED
+        eta = increment(dynamics, self.tableau, t, x, u_at, params, h, rolled=rolled)
         return {n: group.tighten(group.retract(x[n], eta[n])) for n, group in dynamics.group.factors.items()}
 
 
