@@ -66,7 +66,8 @@ start = {"g": np.eye(4), "V": np.array([0.4, -0.2, 0.3, 0.9, 1.4, -0.7])}
 rk4 = tx.tableaus.RK4
 
 
-def munthe_kaas(sign: float, count: int) -> np.ndarray:
+@jax.jit
+def munthe_kaas(sign: float, count: int) -> jax.Array:
     """The pose after 1 s in `count` steps; eta' = J_r(sign eta)^-1 Omega, and the right sign is +1."""
 
     def slope(x, eta, gain):
@@ -74,14 +75,14 @@ def munthe_kaas(sign: float, count: int) -> np.ndarray:
         rate = body(0.0, here)
         return tx.lie.se3.right_jacobian_inv(sign * eta) @ rate["g"], rate["V"]
 
-    def step(x, _):
+    def step(_, x):
         slopes = []
         for row in (*rk4.a, rk4.b):
             eta, gain = (sum((a / count * k[i] for a, k in zip(row, slopes) if a), jnp.zeros(6)) for i in (0, 1))
             slopes.append(slope(x, eta, gain))
-        return {"g": x["g"] @ tx.lie.se3.exp(eta), "V": x["V"] + gain}, None
+        return {"g": x["g"] @ tx.lie.se3.exp(eta), "V": x["V"] + gain}
 
-    return np.asarray(jax.jit(lambda x: jax.lax.scan(step, x, length=count)[0]["g"])(start))
+    return jax.lax.fori_loop(0, count, step, jax.tree.map(jnp.asarray, start))["g"]
 
 
 exact = np.asarray(tx.integrate(body, start, t1=1.0, dt=1e-3).xs["g"][-1])

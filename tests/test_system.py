@@ -33,6 +33,11 @@ MISTAKES: dict[str, tuple[Build, type[Exception], list[str]]] = {
         tx.ModelError,
         ["the rate of 'V' is given twice", "fix: one key a state"],
     ),
+    "two states of one name, both with rates": (
+        lambda: tx.System(rates={V: F, tx.State("V", shape=(6,)): F}),
+        tx.ModelError,
+        ["two States named 'V' have rates", "fix: names are unique", "the states of a joint are named after the joint"],
+    ),
     "a missing rate": (
         lambda: tx.System(rates={V: F * s}),
         tx.ModelError,

@@ -197,6 +197,12 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
                 "  fix: give the State itself as the key"
             )
         if name in states:
+            first = next(other for other in rates if _name_of(other) == name)
+            if isinstance(first, State) and isinstance(key, State):
+                raise ModelError(
+                    f"two States named {name!r} have rates.\n  fix: names are unique within a system; rename one "
+                    "(the states of a joint are named after the joint)"
+                )
             raise ModelError(f"the rate of {name!r} is given twice.\n  fix: one key a state: the State or its name")
         states[name] = found[name]
     return tuple(states.values())

@@ -145,6 +145,12 @@ REWRITES: dict[str, tuple[Expr, Expr]] = {
     "x cross 0": (cross(v, 0.0 * w), tx.Constant(ZERO[:3])),
     "(-x) cross (-y)": (cross(-v, -w), cross(v, w)),
     "a part of columns": (lie.linear(joined(lie.angular(H), lie.linear(H))), lie.angular(H)),
+    "Ad' of a constant pose": (lie.SE3Adjoint(TURN).T @ b, lie.CoadjointAction(inverse(TURN), b)),
+    "Ad*^-1 of one": (
+        tx.linalg.Inv(lie.SE3AdjointDual(TURN, order=A)) @ H,
+        lie.CoadjointAction(inverse(TURN), H, order=A),
+    ),
+    "Solve(Ad, x) of one": (tx.linalg.Solve(lie.SE3Adjoint(TURN), a), lie.AdjointAction(inverse(TURN), a)),
     "constants": (lie.SE3Exp(np.r_[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]), tx.Constant(tx.pose(position=[1.0, 2.0, 3.0]))),
 }
 

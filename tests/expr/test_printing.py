@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from twistax import SE3, SO3, lie
 from twistax import expr as tx
 
 s, x, y = tx.State("s"), tx.State("x", shape=(3,)), tx.State("y_ref", shape=(3,))
@@ -53,6 +54,22 @@ def test_latex() -> None:
         r"x \le 1": x <= 1.0,
         r"\begin{bmatrix} s & 0 \\ 1 & -s \end{bmatrix}": tx.Block([[s, 0.0], [1.0, -s]]),
         r"\left[{e_{\mathrm{0.0}}}_{[0]}\right]_{e_{\mathrm{0.0}} \in A}": tx.Vmap(lambda a: a[0], A),
+    }
+    assert {expr.latex(): expr for expr in cases.values()}.keys() == cases.keys()
+
+
+def test_latex_of_changes_of_frame() -> None:
+    """Sums and products as operands stand in parentheses wherever they would be read wrongly."""
+    g, h, R = tx.State("g", group=SE3), tx.State("h", group=SE3), tx.State("R", group=SO3)
+    V = tx.State("V", (6,))
+    back = lie.AdjointAction(lie.Compose(g, h), V, inverse=True)
+    cases = {
+        r"\mathrm{Ad}_{g} \, \left(V + V\right)": lie.AdjointAction(g, V + V),
+        r"\mathrm{Ad}_{g} \, \mathrm{Ad}^*_{h} \, V": lie.AdjointAction(g, lie.CoadjointAction(h, V)),
+        r"\mathrm{Ad}_{{\left(g \circ h\right)}^{-1}} \, V": back,
+        r"{\left(g \circ h\right)}^{-1} \circ g": lie.Compose(lie.Inverse(lie.Compose(g, h)), g),
+        r"R \cdot \left(x + y_{\mathrm{ref}}\right)": lie.Act(R, x + y),
+        r"\left(R \cdot x\right) \times y_{\mathrm{ref}}": tx.Cross(lie.Act(R, x), y),
     }
     assert {expr.latex(): expr for expr in cases.values()}.keys() == cases.keys()
 

@@ -154,7 +154,8 @@ SKEWED = np.eye(3) + 0.1 * np.eye(3, k=1)
         ({"mass": [1.0]}, tx.ShapeError, r"mass with shape \(\), got \(1,\)"),
         ({"center_of_mass": [0.0, 1.0]}, tx.ShapeError, r"center_of_mass with shape \(3,\), got \(2,\)"),
         ({"center_of_mass": [0.0, 1.0, np.nan]}, tx.ModelError, "finite center_of_mass"),
-        ({"inertia": np.ones(3)}, tx.ShapeError, r"inertia with shape \(3, 3\), got \(3,\)"),
+        ({"mass": None}, tx.ModelError, r"SpatialInertia expects mass with shape \(\): .*got NoneType"),
+        ({"inertia": np.ones(3)}, tx.ShapeError, r"(?s)inertia with shape \(3, 3\), got \(3,\).*fix: .*np.diag"),
         ({"inertia": np.full((3, 3), np.nan)}, tx.ModelError, "finite inertia"),
         ({"inertia": SKEWED}, tx.ModelError, "symmetric inertia"),
         ({"inertia": np.diag([1.0, 1.0, -0.1])}, tx.ModelError, r"not negative, got \[-0.1, 1.0, 1.0\]"),
@@ -186,10 +187,35 @@ def test_arguments_of_another_shape_are_named() -> None:
         (lambda: body.weight(V, g), r"T with shape \(4, 4\), got \(6,\)"),
         (lambda: body.weight(T, 9.81), r"gravity with shape \(3,\), got \(\)"),
         (lambda: body.in_frame(np.eye(3)), r"T with shape \(4, 4\), got \(3, 3\)"),
-        (lambda: power(g, V), r"F with shape \(6,\), got \(3,\)"),
+        (lambda: power(g, V), r"power expects F with shape \(6,\), got \(3,\)"),
     ):
         with pytest.raises(tx.ShapeError, match=words):
             call()
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        2.0 * np.eye(4),
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        np.eye(4) + 0.1 * np.eye(4, k=-3),
+        np.full((4, 4), np.nan),
+        np.eye(4) * [1.0, 1.0, 1.001, 1.0],
+    ],
+    ids=["scaled", "mirrored", "position in the last row", "no numbers", "stretched"],
+)
+def test_numbers_that_are_no_pose_are_refused(matrix: np.ndarray) -> None:
+    body = body_of(FIRST)
+    for call in (lambda: body.in_frame(matrix), lambda: body.weight(matrix, np.zeros(3))):
+        with pytest.raises(tx.ModelError, match=r"(?s)T to be a pose \[R p; 0 1\].*fix: build it with tx.pose"):
+            call()
+    body.in_frame(np.round(VALUES["T"], 5))  # typed with few digits
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_only_bodies_can_be_merged() -> None:
+    with pytest.raises(tx.ModelError, match=r"merge expects another SpatialInertia, got 3\.0"):
+        body_of(FIRST).merge(3.0)  # type: ignore[arg-type]
 
 
 # ---- in flight ----------------------------------------------------------------------------------------------------

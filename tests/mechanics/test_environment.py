@@ -190,6 +190,10 @@ def test_another_atmosphere_and_what_makes_none() -> None:
         dataclasses.replace(AIR, bases=AIR.bases[::-1])
     with pytest.raises(ModelError, match="temperatures above 0 K"):
         dataclasses.replace(AIR, temperature_at_base=50.0)
+    with pytest.raises(ModelError, match="LayeredAtmosphere expects pressure_at_base to be a positive number, got -1"):
+        dataclasses.replace(AIR, pressure_at_base=-1.0)
+    with pytest.raises(ModelError, match="gas_constant to be a positive number, got 0"):
+        dataclasses.replace(AIR, gas_constant=0.0)
     with pytest.raises(ModelError, match="one that does not fall"):
         dataclasses.replace(AIR, lapses=(*AIR.lapses[:-1], -1e-3))
 
@@ -328,5 +332,14 @@ def test_the_earth_refuses_what_has_no_meaning() -> None:
         earth.Ellipsoid(radius=1.0, flattening=0.0, rate=np.inf)
     with pytest.raises(ShapeError, match=r"geodetic expects position with shape \(3,\), got \(\)"):
         earth.WGS84.geodetic(tx.State("z"))
+    for build, words in (
+        (lambda: earth.WGS84.position([0.1, 0.2], 0.0, 0.0), r"position expects latitude with shape \(\), got \(2,\)"),
+        (lambda: earth.WGS84.position(0.0, 0.0, [1.0]), r"position expects altitude with shape \(\), got \(1,\)"),
+        (lambda: earth.north_east_down(0.0, [0.1]), r"north_east_down expects longitude with shape \(\), got \(1,\)"),
+        (lambda: earth.WGS84.to_inertial([0.0]), r"to_inertial expects t with shape \(\), got \(1,\)"),
+        (lambda: earth.turned_about_z([0.0]), r"turned_about_z expects angle with shape \(\), got \(1,\)"),
+    ):
+        with pytest.raises(ShapeError, match=words):
+            build()
     with pytest.raises(ShapeError, match=r"air_velocity expects velocity with shape \(3,\), got \(2,\)"):
         earth.WGS84.air_velocity(p, tx.State("v", shape=(2,)))

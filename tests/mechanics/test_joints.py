@@ -269,6 +269,16 @@ class Mismatched(Loose):
     group = tx.SO3
 
 
+class Flat(Loose):
+    def placement(self, position: tx.Expr) -> tx.Expr:
+        return tx.Constant(np.eye(3))
+
+
+def two_of_one_name() -> tx.System:
+    one, other = joints.Revolute("h", axis=(0, 0, 1)), joints.Revolute("h", axis=(1, 0, 0))
+    return tx.System(rates={**one.rates, one.velocity: [0.0], **other.rates, other.velocity: [0.0]})
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("build", "error", "words"),
@@ -282,6 +292,12 @@ class Mismatched(Loose):
         (lambda: tx.lie.AxisRotation(tx.State("q", shape=(1,)), AXIS).shape, tx.ShapeError, r"angle\[0\]"),
         (lambda: Loose("j", motion=np.ones((6, 2))), tx.ModelError, "independent columns"),
         (lambda: Loose("j", motion=np.full((6, 1), np.inf)), tx.ModelError, "finite"),
+        (lambda: Loose("j", motion="z"), tx.ModelError, "motion to be an array of numbers, got 'z'"),
+        (lambda: Loose("j", motion=np.eye(6)[0], working="z"), tx.ModelError, "working to be an array of numbers"),
+        (lambda: Flat("j", motion=np.eye(6)[0]).transform, tx.ShapeError, r"its placement with shape \(4, 4\)"),
+        (two_of_one_name, tx.ModelError, "(?s)two States named 'h_position'.*named after the joint"),
+        (lambda: JOINTS["ball"][0].screws_in(2.0 * np.eye(4)), tx.ModelError, r"pose T to be a pose \[R p; 0 1\]"),
+        (lambda: JOINTS["hinge"][0].actuation(None), tx.ModelError, "actuation of a joint expects the wrench F"),
         (lambda: Loose("j", motion=np.eye(3)), tx.ShapeError, r"motion with shape \(6, k\).*got \(3, 3\)"),
         (lambda: Loose("j", motion=np.eye(6)[0], working=np.eye(6)[1]), tx.ModelError, "unit power"),
         (lambda: Loose("j", motion=np.eye(6)[0], working=np.eye(6)[:, :2]), tx.ShapeError, "shape of motion"),

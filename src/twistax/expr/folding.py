@@ -25,6 +25,9 @@ def fold(node: Expr) -> Expr:
     if not np.isfinite(result).all():
         return node
     constant = Constant(result)
-    if node.structured:
-        constant.__dict__["_folded_from"] = node
+    # The transpose and the inverse of such a matrix are such matrices again.
+    known = any(isinstance(child, Constant) and child.folded_from is not None for child in children)
+    origin = node.simplify() if known else node
+    if origin.structured:
+        constant.__dict__["_folded_from"] = origin
     return constant

@@ -82,10 +82,23 @@ class Constant(Leaf):
         group = {SO3.shape: SO3, SE3.shape: SE3}.get(self.shape)
         return group is not None and not self.boolean and _defect(self.value, group) < _ROUND_OFF
 
-    def applied_to(self, vector: Expr) -> Expr | None:
-        """What the matrix this constant was folded from makes of a product, if that is cheaper."""
+    @property
+    def folded_from(self) -> Expr | None:
+        """The structured matrix whose numbers these are, if `canonicalize` made them of one."""
         origin: Expr | None = self.__dict__.get("_folded_from")
+        return origin
+
+    def applied_to(self, vector: Expr) -> Expr | None:
+        origin = self.folded_from
         return None if origin is None else origin.applied_to(vector)
+
+    def transposed(self) -> Expr | None:
+        origin = self.folded_from
+        return None if origin is None else origin.transposed()
+
+    def inverted(self) -> Expr | None:
+        origin = self.folded_from
+        return None if origin is None else origin.inverted()
 
     def read(self, inputs: Inputs) -> jax.Array:
         return jax.numpy.asarray(self.value, bool if self.value.dtype == bool else inputs.dtype)

@@ -18,6 +18,9 @@ from .tableau import ButcherTableau
 
 __all__ = ["RKMK", "ControlsAt", "increment"]
 
+#: Beyond this many stages written one after another XLA takes minutes to compile a step; a loop takes about a second.
+_MOST_UNROLLED = 7
+
 #: The prepared controls at a stage time.
 ControlsAt = Callable[[jax.Array], Arrays]
 
@@ -148,9 +151,31 @@ class RKMK:
     def step(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Arrays:
+<<<<<<< HEAD
         """The state after one step of length h, from prepared arguments. Pure and traceable."""
         local = self.coordinates(dynamics)
         return local.value(self.advance(dynamics, t, local.enter(x), u_at, params, h))
+=======
+        """The state after one step of length h, from prepared arguments. Pure and traceable.
+
+        Products of rotations lose orthonormality by round-off, linearly in the number of steps where the twist is
+        constant; tightening once a step keeps it at round-off.
+        """
+        rolled = self.tableau.stages > _MOST_UNROLLED
+        eta = increment(dynamics, self.tableau, t, x, u_at, params, h, rolled=rolled)
+        return {n: group.tighten(group.retract(x[n], eta[n])) for n, group in dynamics.group.factors.items()}
+
+
+def _combine(weights: Iterable[float], slopes: list[Arrays], h: jax.Array) -> Arrays:
+    """h sum_i weights[i] slopes[i], zeros skipped."""
+    used = [(weight, slope) for weight, slope in zip(weights, slopes) if weight]
+
+    def total(name: str) -> jax.Array:
+        terms = [slope[name] if weight == 1.0 else weight * slope[name] for weight, slope in used]
+        return h * sum(terms[1:], terms[0])
+
+    return {name: total(name) for name in used[0][1]}
+>>>>>>> main
 
 
 def _flat(rates: Arrays) -> Arrays:

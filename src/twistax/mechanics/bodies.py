@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import ModelError, ShapeError
-from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, canonicalize_all, to_expr
+from ..errors import ModelError
+from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, canonicalize_all
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, Hat, angular, linear, wrench
 from ..expr.lie import twist as join
+from .arguments import of_shape, pose
 
 #: How far, relative to the largest entry, an inertia tensor may be from symmetric, positive and triangular.
 _ROUND_OFF = 1e-9
@@ -41,9 +42,7 @@ class SpatialInertia:
     """
 
     def __init__(self, *, mass: ExprLike, center_of_mass: ExprLike = (0.0, 0.0, 0.0), inertia: ExprLike) -> None:
-        self.mass = _of_shape("mass", mass, ())
-        self.center_of_mass = _of_shape("center_of_mass", center_of_mass, (3,))
-        self.inertia = _of_shape("inertia", inertia, (3, 3))
+        self.mass, self.center_of_mass, self.inertia = _parts_of(mass, center_of_mass, inertia)
         _check_mass(_known(self.mass))
         _check_center(_known(self.center_of_mass))
         _check_inertia(_known(self.inertia))
@@ -55,8 +54,8 @@ class SpatialInertia:
         Raises:
             ShapeError, ModelError: as the constructor; a tensor too small for the mass at its distance is unphysical.
         """
-        m, c = _of_shape("mass", mass, ()), _of_shape("center_of_mass", center_of_mass, (3,))
-        return cls._derived(m, c, _of_shape("inertia", inertia, (3, 3)) - _steiner(m, c))
+        m, c, tensor = _parts_of(mass, center_of_mass, inertia)
+        return cls._derived(m, c, tensor - _steiner(m, c))
 
     @classmethod
     def _derived(cls, mass: Expr, center_of_mass: Expr, inertia: Expr) -> SpatialInertia:
@@ -76,13 +75,13 @@ class SpatialInertia:
 
     def momentum(self, V: ExprLike) -> Expr:
         """M V = [p; L] (6,) of a twist V (6,): p = m (v + w x c), L = I_c w + c x p; N s, N m s. Raises ShapeError."""
-        v, w = self._parts(V)
+        v, w = _velocities("momentum", V)
         p = self.mass * self._velocity_of_center(v, w)
         return wrench(force=p, torque=self._with_arm(self.inertia @ w, p))
 
     def kinetic_energy(self, V: ExprLike) -> Expr:
         """(m |v + w x c|^2 + w . I_c w) / 2 () of a twist V (6,), J. Raises ShapeError."""
-        v, w = self._parts(V)
+        v, w = _velocities("kinetic_energy", V)
         u = self._velocity_of_center(v, w)
         return 0.5 * (self.mass * Dot(u, u) + Dot(w, self.inertia @ w))
 
@@ -94,9 +93,10 @@ class SpatialInertia:
             gravity: a (3,) in world axes, m/s2.
         Raises:
             ShapeError: an argument of another shape.
+            ModelError: T is made of numbers and no pose.
         """
-        R = _of_shape("T", T, (4, 4))[:3, :3]
-        force = self.mass * (R.T @ _of_shape("gravity", gravity, (3,)))
+        R = pose("weight", "T", T)[:3, :3]
+        force = self.mass * (R.T @ of_shape("weight", "gravity", gravity, (3,), "a vector in world axes"))
         return wrench(force=force, torque=self._with_arm(Constant(np.zeros(3)), force))
 
     def acceleration(self, V: ExprLike, F: ExprLike) -> Expr:
@@ -119,8 +119,8 @@ class SpatialInertia:
                 f"got {np.linalg.eigvalsh(tensor).tolist()} kg m2.\n"
                 "  fix: merge the point or rod with the rest of the body, or give it a thickness"
             )
-        v, w = self._parts(V)
-        wrench_on_it = _of_shape("F", F, (6,))
+        v, w = _velocities("acceleration", V)
+        wrench_on_it = of_shape("acceleration", "F", F, (6,))
         f, tau = linear(wrench_on_it), angular(wrench_on_it)
         turning = Solve(self.inertia, self._with_arm(tau, -f) - Cross(w, self.inertia @ w))
         moving = f / self.mass - Cross(w, self._velocity_of_center(v, w))
@@ -129,14 +129,24 @@ class SpatialInertia:
     def in_frame(self, T: ExprLike) -> SpatialInertia:
         """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: M_a = Ad*_T M Ad_T^-1.
 
-        T must be constant while the body moves: frame a is fixed to the body, too. Raises ShapeError.
+        T must be constant while the body moves: frame a is fixed to the body, too.
+
+        Raises:
+            ShapeError: T is not of shape (4, 4).
+            ModelError: T is made of numbers and no pose.
         """
-        pose = _of_shape("T", T, (4, 4))
-        R = pose[:3, :3]
-        return self._derived(self.mass, Act(pose, self.center_of_mass), R @ self.inertia @ R.T)
+        T_ab = pose("in_frame", "T", T)
+        R = T_ab[:3, :3]
+        return self._derived(self.mass, Act(T_ab, self.center_of_mass), R @ self.inertia @ R.T)
 
     def merge(self, other: SpatialInertia) -> SpatialInertia:
-        """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`."""
+        """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`.
+
+        Raises:
+            ModelError: other is no SpatialInertia.
+        """
+        if not isinstance(other, SpatialInertia):
+            raise ModelError(f"merge expects another SpatialInertia, got {other!r}")
         m = self.mass + other.mass
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
         apart = self.center_of_mass - other.center_of_mass
@@ -149,10 +159,6 @@ class SpatialInertia:
     @property
     def _centered(self) -> bool:
         return isinstance(self.center_of_mass, Constant) and not self.center_of_mass.value.any()
-
-    def _parts(self, V: ExprLike) -> tuple[Expr, Expr]:
-        twist = _of_shape("V", V, (6,))
-        return linear(twist), angular(twist)
 
     def _velocity_of_center(self, v: Expr, w: Expr) -> Expr:
         """v + w x c."""
@@ -169,7 +175,13 @@ def power(F: ExprLike, V: ExprLike) -> Expr:
     Raises:
         ShapeError: an argument is not of shape (6,).
     """
-    return Dot(_of_shape("F", F, (6,)), _of_shape("V", V, (6,)))
+    return Dot(of_shape("power", "F", F, (6,)), of_shape("power", "V", V, (6,)))
+
+
+def _velocities(owner: str, V: ExprLike) -> tuple[Expr, Expr]:
+    """v and w of a twist."""
+    twist = of_shape(owner, "V", V, (6,))
+    return linear(twist), angular(twist)
 
 
 def _steiner(m: Expr, c: Expr) -> Expr:
@@ -177,11 +189,13 @@ def _steiner(m: Expr, c: Expr) -> Expr:
     return m * (Dot(c, c) * np.eye(3) - Outer(c, c))
 
 
-def _of_shape(name: str, value: ExprLike, shape: tuple[int, ...]) -> Expr:
-    expr = to_expr(value)
-    if expr.shape != shape:
-        raise ShapeError(f"SpatialInertia expects {name} with shape {shape}, got {expr.shape}")
-    return expr
+def _parts_of(mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> tuple[Expr, Expr, Expr]:
+    body = "SpatialInertia"
+    return (
+        of_shape(body, "mass", mass, ()),
+        of_shape(body, "center_of_mass", center_of_mass, (3,)),
+        of_shape(body, "inertia", inertia, (3, 3), "principal moments go in as np.diag([Ixx, Iyy, Izz])"),
+    )
 
 
 def _known(expr: Expr) -> np.ndarray | None:

@@ -10,7 +10,7 @@ difference, relative to the largest entry of the reference where that is above 1
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -22,6 +22,17 @@ from ..expr import Expr, State, lie
 from ..expr.linalg import Dot
 from ..groups import ANGULAR_FIRST, LINEAR_FIRST, Order
 from ..lowering import lower
+from .references import (
+    Values,
+    bracket_matrix,
+    commutator,
+    conjugate,
+    hat,
+    join,
+    mean_exponential,
+    total,
+    total_in_a,
+)
 
 __all__ = ["BAR", "Row", "identities", "main"]
 
@@ -30,8 +41,6 @@ BAR = 1e-12
 
 _SEED = 20240607
 _POINTS = 4
-
-Values = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -57,55 +66,6 @@ class _Identity:
     reference: Callable[[Order, Values], np.ndarray]
 
 
-# ---- references ---------------------------------------------------------------------------------------------------
-
-
-def _skew(w: np.ndarray) -> np.ndarray:
-    x, y, z = w
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _join(v: np.ndarray, w: np.ndarray, order: Order) -> np.ndarray:
-    return np.concatenate([v, w] if order.linear_leads else [w, v])
-
-
-def _hat(xi: np.ndarray, order: Order) -> np.ndarray:
-    v, w = (xi[:3], xi[3:]) if order.linear_leads else (xi[3:], xi[:3])
-    return np.block([[_skew(w), v[:, None]], [np.zeros((1, 4))]])
-
-
-def _vee(X: np.ndarray, order: Order) -> np.ndarray:
-    return _join(X[:3, 3], np.array([X[2, 1], X[0, 2], X[1, 0]]), order)
-
-
-def _commutator(order: Order, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    X, Y = _hat(xi, order), _hat(eta, order)
-    return _vee(X @ Y - Y @ X, order)
-
-
-def _bracket_matrix(order: Order, xi: np.ndarray) -> np.ndarray:
-    return np.stack([_commutator(order, xi, unit) for unit in np.eye(6)], axis=1)
-
-
-def _conjugate(order: Order, T: np.ndarray, xi: np.ndarray) -> np.ndarray:
-    return _vee(T @ _hat(xi, order) @ np.linalg.inv(T), order)
-
-
-def _total(points: np.ndarray, forces: np.ndarray, order: Order) -> np.ndarray:
-    """Force and torque about the origin of forces that act at points."""
-    return _join(forces.sum(axis=0), np.cross(points, forces).sum(axis=0), order)
-
-
-def _total_in_a(order: Order, T: np.ndarray, points: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    return _total(points @ T[:3, :3].T + T[:3, 3], forces @ T[:3, :3].T, order)
-
-
-def _mean_exponential(M: np.ndarray) -> np.ndarray:
-    """The integral of expm(s M) over s from 0 to 1, as a block of one larger exponential."""
-    n = len(M)
-    return expm(np.block([[M, np.eye(n)], [np.zeros((n, 2 * n))]]))[:n, n:]
-
-
 # ---- the identities -----------------------------------------------------------------------------------------------
 
 _xi, _eta, _F = (State(name, shape=(6,)) for name in ("xi", "eta", "F"))
@@ -124,51 +84,51 @@ _IDENTITIES = (
     _Identity(
         "ad_xi eta = (X Y - Y X)^v",
         lambda o: lie.Adjoint(_xi, _eta, order=o),
-        lambda o, z: _commutator(o, z["xi"], z["eta"]),
+        lambda o, z: commutator(o, z["xi"], z["eta"]),
     ),
     _Identity("<ad*_xi F, eta> + <F, ad_xi eta> = 0", _pairing, lambda o, z: np.zeros(())),
     _Identity(
         "Ad_T eta = (T Y T^-1)^v",
         lambda o: lie.SE3Adjoint(_T, order=o) @ _eta,
-        lambda o, z: _conjugate(o, z["T"], z["eta"]),
+        lambda o, z: conjugate(o, z["T"], z["eta"]),
     ),
     _Identity(
         "Ad*_T F: forces at points, moved",
         lambda o: lie.SE3AdjointDual(_T, order=o) @ _F,
-        lambda o, z: _total_in_a(o, z["T"], z["points"], z["forces"]),
+        lambda o, z: total_in_a(o, z["T"], z["points"], z["forces"]),
     ),
     _Identity("<Ad*_T F, Ad_T eta> = <F, eta>", _power, lambda o, z: np.asarray(z["F"] @ z["eta"])),
-    _Identity("Exp xi = expm(X)", lambda o: lie.SE3Exp(_xi, order=o), lambda o, z: expm(_hat(z["xi"], o))),
+    _Identity("Exp xi = expm(X)", lambda o: lie.SE3Exp(_xi, order=o), lambda o, z: expm(hat(z["xi"], o))),
     _Identity("Log expm(X) = xi", lambda o: lie.SE3Log(_T, order=o), lambda o, z: z["log"]),
     _Identity(
         "Ad_Exp(xi) = expm(ad_xi)",
         lambda o: lie.SE3Adjoint(lie.SE3Exp(_xi, order=o), order=o),
-        lambda o, z: expm(_bracket_matrix(o, z["xi"])),
+        lambda o, z: expm(bracket_matrix(o, z["xi"])),
     ),
     _Identity(
         "Ad*_Exp(xi) = expm(-ad_xi^T)",
         lambda o: lie.SE3AdjointDual(lie.SE3Exp(_xi, order=o), order=o),
-        lambda o, z: expm(-_bracket_matrix(o, z["xi"]).T),
+        lambda o, z: expm(-bracket_matrix(o, z["xi"]).T),
     ),
     _Identity(
         "J_l = integral of expm(s ad)",
         lambda o: lie.LeftJacobian(_xi, order=o),
-        lambda o, z: _mean_exponential(_bracket_matrix(o, z["xi"])),
+        lambda o, z: mean_exponential(bracket_matrix(o, z["xi"])),
     ),
     _Identity(
         "J_r = integral of expm(-s ad)",
         lambda o: lie.RightJacobian(_xi, order=o),
-        lambda o, z: _mean_exponential(-_bracket_matrix(o, z["xi"])),
+        lambda o, z: mean_exponential(-bracket_matrix(o, z["xi"])),
     ),
     _Identity(
         "J_l^-1",
         lambda o: lie.LeftJacobianInverse(_xi, order=o),
-        lambda o, z: np.linalg.inv(_mean_exponential(_bracket_matrix(o, z["xi"]))),
+        lambda o, z: np.linalg.inv(mean_exponential(bracket_matrix(o, z["xi"]))),
     ),
     _Identity(
         "J_r^-1",
         lambda o: lie.RightJacobianInverse(_xi, order=o),
-        lambda o, z: np.linalg.inv(_mean_exponential(-_bracket_matrix(o, z["xi"]))),
+        lambda o, z: np.linalg.inv(mean_exponential(-bracket_matrix(o, z["xi"]))),
     ),
 )
 
@@ -180,10 +140,10 @@ def _cases(order: Order, cases: int) -> list[dict[str, np.ndarray]]:
     for _ in range(cases):
         axes = rng.normal(size=(2, 3))
         turns = axes / np.linalg.norm(axes, axis=1)[:, None] * rng.uniform(0.0, 3.1, size=(2, 1))
-        xi, log = (_join(v, w, order) for v, w in zip(2.0 * rng.normal(size=(2, 3)), turns, strict=True))
+        xi, log = (join(v, w, order) for v, w in zip(2.0 * rng.normal(size=(2, 3)), turns, strict=True))
         points, forces = rng.normal(size=(2, _POINTS, 3))
-        wrench = _total(points, forces, order)
-        eta, T = rng.normal(size=6), expm(_hat(log, order))
+        wrench = total(points, forces, order)
+        eta, T = rng.normal(size=6), expm(hat(log, order))
         found.append({"xi": xi, "log": log, "T": T, "eta": eta, "F": wrench, "points": points, "forces": forces})
     return found
 

@@ -23,7 +23,7 @@ from ..expr.lie import SE3Adjoint, SE3AdjointDual
 from ..groups import LINEAR_FIRST
 from ..lowering import lower
 from ..mechanics import SpatialInertia, joints, power
-from .identities import Values, _bracket_matrix, _conjugate, _hat, _total, _total_in_a
+from .references import Values, bracket_matrix, conjugate, hat, total, total_in_a
 
 __all__ = ["BAR", "Row", "main", "mechanics"]
 
@@ -78,7 +78,7 @@ def _first(vector: Expr, count: int) -> Expr:
 
 
 def _moved_motions(H: np.ndarray, z: Values) -> np.ndarray:
-    columns = [_conjugate(LINEAR_FIRST, z["T"], column) for column in H.T]
+    columns = [conjugate(LINEAR_FIRST, z["T"], column) for column in H.T]
     return np.stack(columns, axis=1) if columns else H
 
 
@@ -135,7 +135,7 @@ def _sums(points: np.ndarray, masses: np.ndarray, suffix: str) -> dict[str, np.n
 
 def _velocities(xi: np.ndarray, points: np.ndarray) -> np.ndarray:
     """What a twist does to points: X [r; 1]."""
-    return points @ _hat(xi, LINEAR_FIRST)[:3, :3].T + xi[:3]
+    return points @ hat(xi, LINEAR_FIRST)[:3, :3].T + xi[:3]
 
 
 def _mass_matrix(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
@@ -149,7 +149,7 @@ def _moved_points(z: Values, which: str = "") -> np.ndarray:
 
 
 def _momentum(z: Values) -> np.ndarray:
-    return _total(z["points"], z["masses"][:, None] * _velocities(z["V"], z["points"]), LINEAR_FIRST)
+    return total(z["points"], z["masses"][:, None] * _velocities(z["V"], z["points"]), LINEAR_FIRST)
 
 
 def _kinetic_energy(z: Values) -> np.ndarray:
@@ -162,12 +162,12 @@ def _both(z: Values) -> np.ndarray:
 
 
 def _acceleration(z: Values) -> np.ndarray:
-    carried = _bracket_matrix(LINEAR_FIRST, z["V"]).T @ _momentum(z)
+    carried = bracket_matrix(LINEAR_FIRST, z["V"]).T @ _momentum(z)
     return np.linalg.solve(_mass_matrix(z["points"], z["masses"]), z["F"] + carried)
 
 
 def _weight(z: Values) -> np.ndarray:
-    return _total(z["points"], z["masses"][:, None] * (z["pose"][:3, :3].T @ z["gravity"]), LINEAR_FIRST)
+    return total(z["points"], z["masses"][:, None] * (z["pose"][:3, :3].T @ z["gravity"]), LINEAR_FIRST)
 
 
 def _body_checks() -> Iterator[_Check]:
@@ -180,7 +180,7 @@ def _body_checks() -> Iterator[_Check]:
     yield _Check(
         "momentum in another frame",
         moved.momentum(SE3Adjoint(_T) @ _V),
-        lambda z: _total_in_a(
+        lambda z: total_in_a(
             LINEAR_FIRST, z["T"], z["points"], z["masses"][:, None] * _velocities(z["V"], z["points"])
         ),
     )
@@ -218,7 +218,7 @@ def _cases(cases: int) -> list[dict[str, np.ndarray]]:
         z = {"points": points, "points2": points2, "forces": forces, "masses": masses, "masses2": masses2}
         z |= {name: _pose(*rng.normal(size=(2, 3))) for name in ("T", "pose")}
         z |= {name: rng.normal(size=6) for name in ("V", "tau", "rate")}
-        z |= {"F": _total(points, forces, LINEAR_FIRST), "q": np.asarray(rng.uniform(-6.0, 6.0))}
+        z |= {"F": total(points, forces, LINEAR_FIRST), "q": np.asarray(rng.uniform(-6.0, 6.0))}
         z |= {"gravity": rng.normal(size=3)} | _sums(points, masses, "") | _sums(points2, masses2, "2")
         found.append(z)
     return found

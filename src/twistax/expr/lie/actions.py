@@ -17,6 +17,7 @@ from ..arithmetic import MatMul, is_constant
 from ..fields import Operand
 from ..linalg import Cross, cross_columns
 from ..node import Example, Expr, Shape
+from ..printing import wrap_latex
 from ..shapes import expect
 from .base import ColumnsNode, body_values, expect_columns, is_identity_element, pose_value, twist_columns, twist_state
 from .parts import JoinedParts, halves, has_zero_half
@@ -32,6 +33,7 @@ class _Action(ColumnsNode):
     order = LINEAR_FIRST
     inverse = False
     abstract = True
+    precedence = 20
     #: The operator in formulas.
     symbol: ClassVar[str] = ""
 
@@ -103,8 +105,8 @@ class _Action(ColumnsNode):
         return self.with_children([transform, MatMul(columns, vector)]) if vector.ndim == 1 else None
 
     def to_latex(self, *operands: str) -> str:
-        transform = f"{{{operands[0]}}}^{{-1}}" if self.inverse else operands[0]
-        return rf"{self.symbol}_{{{transform}}} \, {operands[1]}"
+        transform = Inverse(self.transform).to_latex(operands[0]) if self.inverse else operands[0]
+        return rf"{self.symbol}_{{{transform}}} \, {wrap_latex(self.children()[1], operands[1], 20)}"
 
     @classmethod
     def example(cls) -> list[Example]:

@@ -16,6 +16,7 @@ from ..indexing import Index
 from ..leaves import Constant, State
 from ..linalg import Cross
 from ..node import Example, Expr, Shape
+from ..printing import wrap_latex
 from ..shapes import expect
 from .base import (
     OF_MATRIX,
@@ -41,6 +42,7 @@ class Compose(Expr):
     left: Operand
     right: Operand
     label = "compose"
+    precedence = 20
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "left", shapes[0], OF_MATRIX)
@@ -70,7 +72,7 @@ class Compose(Expr):
         return self
 
     def to_latex(self, *operands: str) -> str:
-        return r" \circ ".join(operands)
+        return r" \circ ".join(wrap_latex(*pair, 20) for pair in zip(self.children(), operands))
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -113,7 +115,7 @@ class Inverse(Expr):
         return self
 
     def to_latex(self, *operands: str) -> str:
-        return rf"{{{operands[0]}}}^{{-1}}"
+        return rf"{{{wrap_latex(self.element, operands[0], 60)}}}^{{-1}}"
 
     @classmethod
     def example(cls) -> list[Example]:
@@ -143,6 +145,7 @@ class Act(Expr):
     element: Operand
     point: Operand
     label = "act"
+    precedence = 20
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "element", shapes[0], OF_MATRIX)
@@ -170,7 +173,8 @@ class Act(Expr):
         return self
 
     def to_latex(self, *operands: str) -> str:
-        return r" \cdot ".join(operands)
+        element, point = operands
+        return rf"{wrap_latex(self.element, element, 20)} \cdot {wrap_latex(self.point, point, 21)}"
 
     @classmethod
     def example(cls) -> list[Example]:

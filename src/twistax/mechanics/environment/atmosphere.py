@@ -12,6 +12,7 @@ from ...errors import ModelError
 from ...expr import Example, Expr, Sqrt, State, to_expr
 from ...expr.elementwise import Entrywise
 from ...expr.fields import ExprLike, Operand
+from ..arguments import positive
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 
@@ -37,7 +38,7 @@ class LayeredAtmosphere:
         heat_ratio: c_p / c_v.
     Raises:
         ModelError: bases and lapses differ in number, the bases do not increase, a temperature at a base or in the last
-            layer without end would not be positive.
+            layer without end would not be positive, another of the numbers is not positive.
     """
 
     bases: tuple[float, ...]
@@ -51,6 +52,8 @@ class LayeredAtmosphere:
     heat_ratio: float
 
     def __post_init__(self) -> None:
+        for name in ("pressure_at_base", "gravity", "radius", "molar_mass", "gas_constant", "heat_ratio"):
+            positive(self, name, getattr(self, name))
         if len(self.bases) != len(self.lapses) or not self.bases:
             raise ModelError(
                 f"LayeredAtmosphere expects a lapse for each base, got {len(self.bases)} bases "

@@ -20,11 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ...errors import ModelError, ShapeError
-from ...expr import Atan2, Block, Concat, Cos, Cross, Example, Expr, Norm, Sin, Sqrt, State, to_expr
+from ...errors import ModelError
+from ...expr import Atan2, Block, Concat, Cos, Cross, Example, Expr, Norm, Sin, Sqrt, State
 from ...expr.fields import ExprLike, Operand
 from ...expr.node import Shape
 from ...expr.shapes import expect
+from ..arguments import of_shape, positive
 
 __all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "north_east_down", "turned_about_z"]
 
@@ -54,8 +55,7 @@ class Ellipsoid:
     rate: float
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.radius < np.inf:
-            raise ModelError(f"Ellipsoid expects radius to be a positive number of m, got {self.radius!r}")
+        positive(self, "radius", self.radius, "m")
         if not 0.0 <= self.flattening < 1.0:
             raise ModelError(f"Ellipsoid expects flattening in [0, 1), got {self.flattening!r}; 1/f was meant?")
         if not np.isfinite(self.rate):
@@ -77,28 +77,30 @@ class Ellipsoid:
         Of an inertial position, latitude and altitude are the same; the longitude then counts from the inertial x axis.
         On the axis the longitude is taken as 0 and its derivative as 0. Raises ShapeError.
         """
-        p = _vector("geodetic", "position", position)
+        p = of_shape("geodetic", "position", position, (3,))
         meridian = Meridian(Norm(p[:2]), p[2], self)
         return Geodetic(meridian[0], Atan2(p[1], p[0]), meridian[1])
 
     def position(self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike) -> Expr:
-        """The Earth-fixed position (3,) of geodetic coordinates."""
-        latitude, longitude, altitude = to_expr(latitude), to_expr(longitude), to_expr(altitude)
+        """The Earth-fixed position (3,) of geodetic coordinates, (), rad and m. Raises ShapeError."""
+        latitude, longitude = _angle("position", "latitude", latitude), _angle("position", "longitude", longitude)
+        altitude = of_shape("position", "altitude", altitude, ())
         sine, e2 = Sin(latitude), self.eccentricity_squared
         normal = self.radius / Sqrt(1.0 - e2 * sine**2)
         distance = (normal + altitude) * Cos(latitude)
         return Concat(distance * Cos(longitude), distance * Sin(longitude), ((1.0 - e2) * normal + altitude) * sine)
 
     def to_inertial(self, t: ExprLike) -> Expr:
-        """The rotation (3, 3) from Earth-fixed to inertial axes, which coincide at t = 0."""
-        return turned_about_z(self.rate * to_expr(t))
+        """The rotation (3, 3) from Earth-fixed to inertial axes, which coincide at t = 0 s. Raises ShapeError."""
+        return turned_about_z(self.rate * of_shape("to_inertial", "t", t, ()))
 
     def air_velocity(self, position: ExprLike, velocity: ExprLike) -> Expr:
         """Velocity (3,) relative to air at rest on the turning Earth, v - W x p, from inertial position and velocity.
 
         Raises ShapeError.
         """
-        p, v = _vector("air_velocity", "position", position), _vector("air_velocity", "velocity", velocity)
+        p = of_shape("air_velocity", "position", position, (3,))
+        v = of_shape("air_velocity", "velocity", velocity, (3,))
         return v - Cross([0.0, 0.0, self.rate], p)
 
 
@@ -108,15 +110,19 @@ WGS84 = Ellipsoid(radius=6378137.0, flattening=1.0 / 298.257223563, rate=7.29211
 
 
 def turned_about_z(angle: ExprLike) -> Expr:
-    """The rotation (3, 3) about z by an angle in rad."""
-    angle = to_expr(angle)
+    """The rotation (3, 3) about z by an angle (), rad. Raises ShapeError."""
+    angle = _angle("turned_about_z", "angle", angle)
     c, s = Cos(angle), Sin(angle)
     return Block([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
-    """The rotation (3, 3) from local axes north, east, down to Earth-fixed axes: its columns are these directions."""
-    latitude, longitude = to_expr(latitude), to_expr(longitude)
+    """The rotation (3, 3) from local axes north, east, down to Earth-fixed axes: its columns are these directions.
+
+    Of a latitude () and a longitude (), rad. Raises ShapeError.
+    """
+    where = "north_east_down"
+    latitude, longitude = _angle(where, "latitude", latitude), _angle(where, "longitude", longitude)
     s, c, sl, cl = Sin(latitude), Cos(latitude), Sin(longitude), Cos(longitude)
     return Block([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
 
@@ -195,8 +201,5 @@ def _direction(y: Array, x: Array) -> tuple[Array, Array]:
     return y * scale, x * scale
 
 
-def _vector(function: str, name: str, value: ExprLike) -> Expr:
-    vector = to_expr(value)
-    if vector.shape != (3,):
-        raise ShapeError(f"{function} expects {name} with shape (3,), got {vector.shape}")
-    return vector
+def _angle(function: str, name: str, value: ExprLike) -> Expr:
+    return of_shape(function, name, value, (), "one place at a time: latitude, longitude and angles are scalars")

@@ -6,9 +6,10 @@ import dataclasses
 
 import numpy as np
 
-from ...errors import ModelError, ShapeError
-from ...expr import Constant, Dot, Expr, Sqrt, to_expr
+from ...errors import ModelError
+from ...expr import Constant, Dot, Expr, Sqrt
 from ...expr.fields import ExprLike
+from ..arguments import of_shape, positive
 
 __all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass"]
 
@@ -26,7 +27,7 @@ class PointMass:
     gm: float
 
     def __post_init__(self) -> None:
-        _positive(self, "gm", self.gm)
+        positive(self, "gm", self.gm)
 
     def acceleration(self, position: ExprLike) -> Expr:
         """-GM p / |p|^3, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError."""
@@ -57,8 +58,8 @@ class J2:
     j2: float
 
     def __post_init__(self) -> None:
-        _positive(self, "gm", self.gm)
-        _positive(self, "radius", self.radius)
+        positive(self, "gm", self.gm)
+        positive(self, "radius", self.radius)
         if not np.isfinite(self.j2):
             raise ModelError(f"J2 expects j2 to be a finite number, got {self.j2!r}")
 
@@ -74,19 +75,8 @@ class J2:
         return (-self.gm * inverse * Sqrt(inverse)) * p * (1.0 + k * (Constant([1.0, 1.0, 3.0]) - s))
 
 
-def _positive(owner: object, name: str, value: float) -> None:
-    if not 0.0 < value < np.inf:
-        raise ModelError(f"{type(owner).__name__} expects {name} to be a positive number, got {value!r}")
-
-
 def _position(position: ExprLike) -> Expr:
-    p = to_expr(position)
-    if p.shape != (3,):
-        raise ShapeError(
-            f"acceleration expects position with shape (3,), got {p.shape}",
-            hint="the position of a pose state g is g[:3, 3]",
-        )
-    return p
+    return of_shape("acceleration", "position", position, (3,), "the position of a pose state g is g[:3, 3]")
 
 
 #: GM with the atmosphere, and J2 of the ellipsoid's normal gravity field, as it follows from a, f, GM and the rate.

@@ -12,6 +12,7 @@ from ...errors import ModelError, ShapeError
 from ...expr import Constant, Expr, State
 from ...expr.fields import ExprLike
 from ...groups import Group
+from ..arguments import of_shape
 from .screws import Screws, complement
 
 #: How far h*^T H may be from the identity.
@@ -36,7 +37,8 @@ class Joint(ABC):
         screws: the three subspaces in the child's joint frame.
 
     Raises:
-        ModelError: no name; H not finite or with dependent columns; h*^T H is not I; a group of another dimension.
+        ModelError: no name; H or h* no numbers; H not finite or with dependent columns; h*^T H is not I; a group of
+            another dimension.
         ShapeError: H or h* of another shape.
     """
 
@@ -66,9 +68,15 @@ class Joint(ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
 
+    def _columns(self, name: str, value: Any) -> np.ndarray:
+        try:
+            columns = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ModelError(f"{self!r} expects {name} to be an array of numbers, got {value!r}") from None
+        return columns[:, None] if columns.ndim == 1 else columns
+
     def _motion(self, motion: Any) -> np.ndarray:
-        H = np.array(motion, dtype=np.float64)
-        H = H[:, None] if H.ndim == 1 else H
+        H = self._columns("motion", motion)
         if H.ndim != 2 or H.shape[0] != 6 or H.shape[1] > 6:
             raise ShapeError(f"{self!r} expects motion with shape (6, k), k from 0 to 6, got {np.shape(motion)}")
         if not np.isfinite(H).all() or (H.size and np.linalg.matrix_rank(H) < H.shape[1]):
@@ -79,8 +87,7 @@ class Joint(ABC):
         return H
 
     def _working(self, working: Any, H: np.ndarray) -> np.ndarray:
-        h = np.array(working, dtype=np.float64)
-        h = h[:, None] if h.ndim == 1 else h
+        h = self._columns("working", working)
         if h.shape != H.shape:
             raise ShapeError(f"{self!r} expects working with the shape of motion, {H.shape}, got {h.shape}")
         product = h.T @ H
@@ -97,8 +104,13 @@ class Joint(ABC):
 
     @functools.cached_property
     def transform(self) -> Expr:
-        """T_pc (4, 4): maps coordinates of the child's joint frame to the parent's."""
-        return self.placement(Constant(np.zeros(0)) if self.position is None else self.position)
+        """T_pc (4, 4): maps coordinates of the child's joint frame to the parent's.
+
+        Raises:
+            ShapeError: `placement` of a subclass gives another shape.
+        """
+        position = Constant(np.zeros(0)) if self.position is None else self.position
+        return of_shape(repr(self), "its placement", self.placement(position), (4, 4))
 
     @property
     def rates(self) -> dict[State | str, ExprLike]:

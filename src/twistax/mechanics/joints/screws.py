@@ -16,10 +16,10 @@ import dataclasses
 
 import numpy as np
 
-from ...errors import ShapeError
-from ...expr import Expr, to_expr
+from ...expr import Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import SE3Adjoint, SE3AdjointDual
+from ..arguments import of_shape, pose
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Screws:
         Raises:
             ShapeError: F is not of shape (6,).
         """
-        return self.motion_subspace.T @ _of_shape("actuation", "the wrench F", F, (6,))
+        return self.motion_subspace.T @ of_shape("actuation of a joint", "the wrench F", F, (6,))
 
     def wrench(self, tau: ExprLike) -> Expr:
         """h* tau (6,): the wrench on the child of an actuator with the generalised force tau (k,).
@@ -51,7 +51,7 @@ class Screws:
             ShapeError: tau is not of shape (k,).
         """
         freedoms = self.motion_subspace.shape[1]
-        return self.working_wrench @ _of_shape("wrench", "the generalised force tau", tau, (freedoms,))
+        return self.working_wrench @ of_shape("wrench of a joint", "the generalised force tau", tau, (freedoms,))
 
     def reaction(self, F: ExprLike) -> Expr:
         """F - h* (H^T F) (6,): the part of a wrench F (6,) that the bearing carries; in the span of H-bar*.
@@ -59,7 +59,7 @@ class Screws:
         Raises:
             ShapeError: F is not of shape (6,).
         """
-        whole = _of_shape("reaction", "the wrench F", F, (6,))
+        whole = of_shape("reaction of a joint", "the wrench F", F, (6,))
         return whole - self.working_wrench @ (self.motion_subspace.T @ whole)
 
     def in_frame(self, T: ExprLike) -> Screws:
@@ -67,19 +67,13 @@ class Screws:
 
         Raises:
             ShapeError: T is not of shape (4, 4).
+            ModelError: T is made of numbers and no pose.
         """
-        pose = _of_shape("a change of frame", "the pose T", T, (4, 4))
-        moved = SE3AdjointDual(pose)
+        T_ab = pose("a change of frame of a joint", "the pose T", T)
+        moved = SE3AdjointDual(T_ab)
         return Screws(
-            SE3Adjoint(pose) @ self.motion_subspace, moved @ self.working_wrench, moved @ self.constraint_wrenches
+            SE3Adjoint(T_ab) @ self.motion_subspace, moved @ self.working_wrench, moved @ self.constraint_wrenches
         )
-
-
-def _of_shape(what: str, name: str, value: ExprLike, shape: tuple[int, ...]) -> Expr:
-    expr = to_expr(value)
-    if expr.shape != shape:
-        raise ShapeError(f"{what} of a joint expects {name} with shape {shape}, got {expr.shape}")
-    return expr
 
 
 def complement(columns: np.ndarray) -> np.ndarray:
