@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 
 from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Chart, Exponential
 from .charts.whole import Blocks, StateCoordinates, coordinates_of
-from .stages import combine, stage_slopes
+from .stages import stage_slopes
 from .tableau import ButcherTableau
 
 __all__ = ["RKMK", "ControlsAt", "increment"]
-
-#: Beyond this many stages written one after another XLA takes minutes to compile a step; a loop takes about a second.
-_MOST_UNROLLED = 7
 
 #: The prepared controls at a stage time.
 ControlsAt = Callable[[jax.Array], Arrays]
@@ -33,8 +29,6 @@ def increment(
     u_at: ControlsAt,
     params: Arrays,
     h: jax.Array,
-    *,
-    rolled: bool = False,
 ) -> Arrays:
     """The tangent eta of one step, so that the step ends at x (+) eta = x Exp(eta).
 
@@ -50,8 +44,6 @@ def increment(
     Args:
         u_at: the prepared controls at a stage time.
         h: the length of the step in s.
-        rolled: one traced stage in a loop instead of all of them in a row: about half the time to compile where
-            derivatives are taken, and a little slower to run.
     Returns:
         name -> tangent (dimension of the state,), of states without a group read row by row.
 
@@ -65,30 +57,8 @@ def increment(
         rates = _flat(dynamics.vector_field(time, point, u_at(time), params))
         return {name: group.right_jacobian_inv_apply(eta[name], rates[name]) for name, group in factors.items()}
 
-    if rolled:
-        return _rolled_increment(slope, tableau, {n: group.dimension for n, group in factors.items()}, t, h)
-    slopes = stage_slopes(tableau, slope, lambda time: _flat(dynamics.vector_field(time, x, u_at(time), params)), t, h)
-    return combine(tableau.b.tolist(), slopes, h)
-
-
-def _rolled_increment(
-    slope: Callable[[jax.Array, Arrays], Arrays],
-    tableau: ButcherTableau,
-    dimensions: Mapping[str, int],
-    t: jax.Array,
-    h: jax.Array,
-) -> Arrays:
-    """The increment by a loop over stages; stages that are still to come count zero."""
-    a, b, c = (jnp.asarray(table, h.dtype) for table in (tableau.a, tableau.b, tableau.c))
-
-    def stage(slopes: Arrays, row: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Arrays, None]:
-        number, weights, node = row
-        found = slope(t + node * h, {name: h * (weights @ k) for name, k in slopes.items()})
-        return {name: k.at[number].set(found[name]) for name, k in slopes.items()}, None
-
-    start = {name: jnp.zeros((tableau.stages, n), h.dtype) for name, n in dimensions.items()}
-    slopes, _ = jax.lax.scan(stage, start, (jnp.arange(tableau.stages), a, c))
-    return {name: h * (b @ k) for name, k in slopes.items()}
+    first = _flat(dynamics.vector_field(t, x, u_at(t), params))
+    return stage_slopes(tableau, slope, first, t, h).combine(tableau.b, h)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,38 +114,16 @@ class RKMK:
             moved = local.move(y, z)
             return local.slope(z, moved, omega(time, moved))
 
-        slopes = stage_slopes(self.tableau, slope, lambda time: local.first_slope(y, omega(time, y)), t, h)
-        z = combine(self.tableau.b.tolist(), slopes, h)
+        slopes = stage_slopes(self.tableau, slope, local.first_slope(y, omega(t, y)), t, h)
+        z = slopes.combine(self.tableau.b, h)
         return local.settle(z, local.move(y, z))
 
     def step(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Arrays:
-<<<<<<< HEAD
         """The state after one step of length h, from prepared arguments. Pure and traceable."""
         local = self.coordinates(dynamics)
         return local.value(self.advance(dynamics, t, local.enter(x), u_at, params, h))
-=======
-        """The state after one step of length h, from prepared arguments. Pure and traceable.
-
-        Products of rotations lose orthonormality by round-off, linearly in the number of steps where the twist is
-        constant; tightening once a step keeps it at round-off.
-        """
-        rolled = self.tableau.stages > _MOST_UNROLLED
-        eta = increment(dynamics, self.tableau, t, x, u_at, params, h, rolled=rolled)
-        return {n: group.tighten(group.retract(x[n], eta[n])) for n, group in dynamics.group.factors.items()}
-
-
-def _combine(weights: Iterable[float], slopes: list[Arrays], h: jax.Array) -> Arrays:
-    """h sum_i weights[i] slopes[i], zeros skipped."""
-    used = [(weight, slope) for weight, slope in zip(weights, slopes) if weight]
-
-    def total(name: str) -> jax.Array:
-        terms = [slope[name] if weight == 1.0 else weight * slope[name] for weight, slope in used]
-        return h * sum(terms[1:], terms[0])
-
-    return {name: total(name) for name in used[0][1]}
->>>>>>> main
 
 
 def _flat(rates: Arrays) -> Arrays:

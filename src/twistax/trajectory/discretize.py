@@ -141,7 +141,7 @@ def step_derivatives(
     def eta(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         held = controls.split(z[n : n + m])
         moved = group.retract(x, z[:n])
-        parts = increment(dynamics, method.tableau, z[n + m + 1], moved, lambda _: held, params, z[n + m], rolled=True)
+        parts = increment(dynamics, method.tableau, z[n + m + 1], moved, lambda _: held, params, z[n + m])
         flat = group.join(parts)
         return flat, flat
 
