@@ -40,6 +40,9 @@ GOOD = {"name": "mine", "order": 2, "a": [[0, 0], [1, 0]], "b": [0.5, 0.5], "c":
         ({"embedded_order": 1}, "a pair needs both embedded_order and b_embedded"),
         ({"embedded_order": 1, "b_embedded": [1.0, 0.1]}, "b_embedded must sum to 1"),
         ({"embedded_order": 1, "b_embedded": [1.0]}, r"b_embedded must have shape \(2,\), got \(1,\)"),
+        ({"embedded_order": 0, "b_embedded": [1.0, 0.0]}, "embedded_order must be a positive whole number, got 0"),
+        ({"second_embedded_order": 1}, "a pair needs both second_embedded_order and b_second_embedded"),
+        ({"second_embedded_order": 1, "b_second_embedded": [1.0, 0.0]}, "a second embedded solution needs a first one"),
     ],
 )
 def test_a_wrong_tableau_says_what_is_wrong(change: dict, message: str) -> None:
