@@ -14,7 +14,8 @@ from .tableau import ButcherTableau
 
 __all__ = ["RKMK", "ControlsAt", "increment"]
 
-#: Beyond this many stages written one after another XLA takes minutes to compile a step; a loop takes about a second.
+#: Beyond this many stages a loop over them, which compiles once, saves more than it costs: the first step of a forced
+#: rigid body with DOP853 takes 8.0 s with its stages one after another and 1.4 s in a loop.
 _MOST_UNROLLED = 7
 
 #: The prepared controls at a stage time.
