@@ -58,3 +58,17 @@ def test_a_pair_and_methods_are_values() -> None:
     assert tx.RKMK(RK4) == tx.RKMK(RK4)
     assert hash(tx.RKMK(RK4)) == hash(tx.RKMK(RK4))
     assert tx.RKMK(RK4) != tx.RKMK(HEUN)
+
+
+def test_the_power_of_the_estimated_error() -> None:
+    """That of the embedded order plus one; DOP853 weighs two estimates against each other."""
+    powers = {tableau.name: tableau.error_order for tableau in ALL if tableau.is_pair}
+    assert powers == {
+        "Bogacki-Shampine 3(2)": 3,
+        "Dormand-Prince 5(4)": 5,
+        "Tsitouras 5(4)": 5,
+        "DOP853": 8,
+        "Dormand-Prince 8(7)": 8,
+    }
+    with pytest.raises(tx.ModelError, match="'RK4': the method has no embedded solution"):
+        _ = RK4.error_order
