@@ -100,12 +100,18 @@ class Table:
 
     def __init__(self, path: Path) -> None:
         with path.open(newline="") as file:
-            self.names, *rows = list(csv.reader(file))
-        self.path, self.values = path, np.array(rows, dtype=float)
+            self.names, *rows = list(csv.reader(file)) or [[]]
+        self.path = path
+        try:
+            self.values = np.array(rows, dtype=float)
+        except ValueError as error:
+            raise SystemExit(f"{path}: expected as many numbers in each row as there are columns: {error}") from None
         if self.values.shape[0] != len(TIMES) or not np.allclose(self["time"], TIMES, rtol=0.0, atol=1e-6):
             raise SystemExit(f"{path}: expected {len(TIMES)} rows from 0 to {DURATION:g} s at 10 Hz")
 
     def __getitem__(self, name: str) -> Array:
+        if name not in self.names:
+            raise SystemExit(f"{self.path}: no column {name}")
         return self.values[:, self.names.index(name)]
 
     def __contains__(self, quantity: str) -> bool:

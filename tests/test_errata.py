@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import twistax as tx
+from twistax.mechanics import SpatialInertia
 from twistax.tableaus import RK4
 
 Array = np.ndarray
@@ -212,6 +213,14 @@ class Erratum:
     tolerance: float = 1e-12
 
 
+def moved_inertia(T: Array, M: Array) -> Array:
+    mass, first = M[0, 0], M[3:, :3]
+    centre = np.array([first[2, 1], first[0, 2], first[1, 0]]) / mass
+    about_centre = M[3:, 3:] + mass * skew(centre) @ skew(centre)
+    body = SpatialInertia(mass=mass, center_of_mass=centre, inertia=about_centre)
+    return value(body.in_frame(pose).matrix, T=T)
+
+
 def parts(six: Array) -> tuple[Array, Array]:
     return six[:3], six[3:]
 
@@ -251,7 +260,7 @@ ROWS = [
     Erratum(
         "U2",
         kinetic_energy,
-        lambda T, M: tx.lie.se3.Ad_dual(T) @ M @ tx.lie.se3.Ad(tx.lie.se3.inverse(T)),
+        moved_inertia,
         lambda T, M: tx.lie.se3.Ad_dual(T) @ M @ tx.lie.se3.Ad(T),
     ),
     Erratum(

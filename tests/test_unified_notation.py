@@ -1,4 +1,4 @@
-"""docs/unified_notation.md, line by line, against matrices written out in NumPy."""
+"""Operators, kinematics and groups of docs/unified_notation.md against matrices written out in NumPy."""
 
 import jax
 import numpy as np

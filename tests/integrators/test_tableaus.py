@@ -40,6 +40,9 @@ GOOD = {"name": "mine", "order": 2, "a": [[0, 0], [1, 0]], "b": [0.5, 0.5], "c":
         ({"embedded_order": 1}, "a pair needs both embedded_order and b_embedded"),
         ({"embedded_order": 1, "b_embedded": [1.0, 0.1]}, "b_embedded must sum to 1"),
         ({"embedded_order": 1, "b_embedded": [1.0]}, r"b_embedded must have shape \(2,\), got \(1,\)"),
+        ({"embedded_order": 0, "b_embedded": [1.0, 0.0]}, "embedded_order must be a positive whole number, got 0"),
+        ({"second_embedded_order": 1}, "a pair needs both second_embedded_order and b_second_embedded"),
+        ({"second_embedded_order": 1, "b_second_embedded": [1.0, 0.0]}, "a second embedded solution needs a first one"),
     ],
 )
 def test_a_wrong_tableau_says_what_is_wrong(change: dict, message: str) -> None:
@@ -55,3 +58,17 @@ def test_a_pair_and_methods_are_values() -> None:
     assert tx.RKMK(RK4) == tx.RKMK(RK4)
     assert hash(tx.RKMK(RK4)) == hash(tx.RKMK(RK4))
     assert tx.RKMK(RK4) != tx.RKMK(HEUN)
+
+
+def test_the_power_of_the_estimated_error() -> None:
+    """That of the embedded order plus one; DOP853 weighs two estimates against each other."""
+    powers = {tableau.name: tableau.error_order for tableau in ALL if tableau.is_pair}
+    assert powers == {
+        "Bogacki-Shampine 3(2)": 3,
+        "Dormand-Prince 5(4)": 5,
+        "Tsitouras 5(4)": 5,
+        "DOP853": 8,
+        "Dormand-Prince 8(7)": 8,
+    }
+    with pytest.raises(tx.ModelError, match="'RK4': the method has no embedded solution"):
+        _ = RK4.error_order

@@ -337,7 +337,6 @@ def test_the_earth_refuses_what_has_no_meaning() -> None:
         (lambda: earth.WGS84.position(0.0, 0.0, [1.0]), r"position expects altitude with shape \(\), got \(1,\)"),
         (lambda: earth.north_east_down(0.0, [0.1]), r"north_east_down expects longitude with shape \(\), got \(1,\)"),
         (lambda: earth.WGS84.to_inertial([0.0]), r"to_inertial expects t with shape \(\), got \(1,\)"),
-        (lambda: earth.turned_about_z([0.0]), r"turned_about_z expects angle with shape \(\), got \(1,\)"),
     ):
         with pytest.raises(ShapeError, match=words):
             build()

@@ -319,6 +319,15 @@ def test_the_example_says_what_is_missing(
     file.write_text("time,eiPosition_m_X\n0.0,1.0\n")
     with pytest.raises(SystemExit, match="expected 301 rows from 0 to 30 s"):
         example.read(tmp_path, CASES[1])
+    for text, words in (
+        ("", "expected 301 rows"),
+        ("time,x\n0.0,1.0\n0.1\n", "as many numbers in each row"),
+        ("time,x\n0.0,none\n", "numbers in each row.*none"),
+        ("x\n" + "0.0\n" * 301, "no column time"),
+    ):
+        file.write_text(text)
+        with pytest.raises(SystemExit, match=words):
+            example.read(tmp_path, CASES[1])
     file.write_text("time,eulerAngle_grad_Roll\n" + "".join(f"{t},0.0\n" for t in TIMES))
     with pytest.raises(SystemExit, match="no column eulerAngle_<unit>_Roll with a unit among m, ft"):
         example.read(tmp_path, CASES[1])

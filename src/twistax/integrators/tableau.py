@@ -65,8 +65,7 @@ class ButcherTableau:
             row = int(np.argmax(off))
             raise self._error(f"row {row} of a sums to {self.a[row].sum():.16g}, but c[{row}] is {self.c[row]:.16g}")
         self._check_weights("b", self.b)
-        if not isinstance(self.order, int) or self.order < 1:
-            raise self._error(f"order must be a positive whole number, got {self.order!r}")
+        self._check_order("order")
         self._check_embedded("embedded_order", "b_embedded")
         self._check_embedded("second_embedded_order", "b_second_embedded")
         if self.b_second_embedded is not None and self.b_embedded is None:
@@ -105,11 +104,17 @@ class ButcherTableau:
             raise self._error(f"a pair needs both {order} and {weights}")
         if getattr(self, weights) is None:
             return
+        self._check_order(order)
         array = self._array(weights)
         object.__setattr__(self, weights, array)
         if array.shape != self.b.shape:
             raise self._error(f"{weights} must have shape {self.b.shape}, got {array.shape}")
         self._check_weights(weights, array)
+
+    def _check_order(self, field: str) -> None:
+        order = getattr(self, field)
+        if not isinstance(order, int) or order < 1:
+            raise self._error(f"{field} must be a positive whole number, got {order!r}")
 
     def _array(self, field: str) -> np.ndarray:
         given: Sequence[Any] = getattr(self, field)

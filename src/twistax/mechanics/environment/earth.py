@@ -23,11 +23,12 @@ from jax import Array
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Example, Expr, Norm, Sin, Sqrt, State
 from ...expr.fields import ExprLike, Operand
+from ...expr.lie import AxisRotation
 from ...expr.node import Shape
 from ...expr.shapes import expect
 from ..arguments import of_shape, positive
 
-__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "north_east_down", "turned_about_z"]
+__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "north_east_down"]
 
 
 class Geodetic(NamedTuple):
@@ -92,7 +93,7 @@ class Ellipsoid:
 
     def to_inertial(self, t: ExprLike) -> Expr:
         """The rotation (3, 3) from Earth-fixed to inertial axes, which coincide at t = 0 s. Raises ShapeError."""
-        return turned_about_z(self.rate * of_shape("to_inertial", "t", t, ()))
+        return AxisRotation(self.rate * of_shape("to_inertial", "t", t, ()), (0.0, 0.0, 1.0))
 
     def air_velocity(self, position: ExprLike, velocity: ExprLike) -> Expr:
         """Velocity (3,) relative to air at rest on the turning Earth, v - W x p, from inertial position and velocity.
@@ -107,13 +108,6 @@ class Ellipsoid:
 #: The World Geodetic System 1984: a and f of its ellipsoid, nominal rate of rotation.
 #: Source: NIMA TR8350.2, Department of Defense World Geodetic System 1984, third edition.
 WGS84 = Ellipsoid(radius=6378137.0, flattening=1.0 / 298.257223563, rate=7.292115e-5)
-
-
-def turned_about_z(angle: ExprLike) -> Expr:
-    """The rotation (3, 3) about z by an angle (), rad. Raises ShapeError."""
-    angle = _angle("turned_about_z", "angle", angle)
-    c, s = Cos(angle), Sin(angle)
-    return Block([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
