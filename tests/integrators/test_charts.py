@@ -10,7 +10,7 @@ from test_order import END, STARTS, fitted_order
 
 import twistax as tx
 from twistax.charts import Ambient, Chart, Exponential, SplitExponential
-from twistax.groups import SpecialEuclidean
+from twistax.groups import Group, SpecialEuclidean
 from twistax.tableaus import ALL, DOP853, RK4, ButcherTableau
 
 CLOSED: list[Chart] = [Exponential(), SplitExponential()]
@@ -18,7 +18,7 @@ CHARTS: list[Chart] = [*CLOSED, Ambient()]
 GROUPS = [tx.SO3, tx.SE3, SpecialEuclidean(tx.ANGULAR_FIRST)]
 
 
-def hat(group: tx.Group, omega: np.ndarray) -> np.ndarray:
+def hat(group: Group, omega: np.ndarray) -> np.ndarray:
     """The matrix of the algebra, written out."""
     if group is tx.SO3:
         x, y, z = omega
@@ -27,13 +27,13 @@ def hat(group: tx.Group, omega: np.ndarray) -> np.ndarray:
     return np.block([[hat(tx.SO3, w), v[:, None]], [np.zeros((1, 4))]])
 
 
-def element(group: tx.Group, seed: int) -> np.ndarray:
+def element(group: Group, seed: int) -> np.ndarray:
     return expm(hat(group, np.random.default_rng(seed).normal(size=group.dimension)))
 
 
 @pytest.mark.parametrize("group", GROUPS, ids=lambda group: group.name)
 @pytest.mark.parametrize("chart", CHARTS, ids=repr)
-def test_coordinates_follow_the_rate(chart: Chart, group: tx.Group) -> None:
+def test_coordinates_follow_the_rate(chart: Chart, group: Group) -> None:
     """d/ds of the state at z + s slope is g omega^, at z = 0 and, where the chart stays in the group, elsewhere."""
     local = chart.coordinates(group)
     rng = np.random.default_rng(3)
@@ -54,7 +54,7 @@ def test_coordinates_follow_the_rate(chart: Chart, group: tx.Group) -> None:
 
 @pytest.mark.parametrize("group", GROUPS[:2], ids=lambda group: group.name)
 @pytest.mark.parametrize("commutators", [1, 2, 3, 4, 6])
-def test_commutators_cut_off_at_their_power(group: tx.Group, commutators: int) -> None:
+def test_commutators_cut_off_at_their_power(group: Group, commutators: int) -> None:
     """What is left out is the next even power: ad^2 after 1, ad^4 after 2 and 3, and so on."""
     exact, cut = Exponential().coordinates(group), Exponential(commutators).coordinates(group)
     rng = np.random.default_rng(5)
@@ -101,10 +101,14 @@ def test_more_than_half_a_turn_in_a_step_is_a_failure() -> None:
     np.testing.assert_allclose(closed.xs["R"][0], expm(hat(tx.SO3, np.array([0.0, 0.0, 4.0]))), atol=1e-14)
 
 
-def test_charts_are_values_and_bad_ones_are_named() -> None:
+def test_charts_are_values() -> None:
     assert tx.RKMK(RK4) == tx.RKMK(RK4, Exponential(commutators=2))
     assert tx.RKMK(RK4, Ambient()) != tx.RKMK(RK4)
     assert Exponential(2) != SplitExponential(2)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_commutators_are_counted_in_whole_numbers() -> None:
     for commutators in (0, -1, 1.5):
         with pytest.raises(tx.ModelError, match="commutators must be a whole number from 1 on"):
             Exponential(commutators)  # type: ignore[arg-type]
@@ -112,7 +116,7 @@ def test_charts_are_values_and_bad_ones_are_named() -> None:
 
 @pytest.mark.usefixtures("unchecked")
 def test_methods_need_a_tableau_and_a_chart() -> None:
-    with pytest.raises(tx.ModelError, match="RKMK expects a tableau like tx.tableaus.RK4, got 'RK4'"):
+    with pytest.raises(tx.ModelError, match=r"RKMK expects a tableau like tx\.tableaus\.RK4, got 'RK4'"):
         tx.RKMK("RK4")  # type: ignore[arg-type]
-    with pytest.raises(tx.ModelError, match=r"RKMK expects a chart like tx.charts.Exponential\(\), got 'ambient'"):
+    with pytest.raises(tx.ModelError, match=r"RKMK expects a chart like tx\.charts\.Exponential\(\), got 'ambient'"):
         tx.RKMK(RK4, "ambient")  # type: ignore[arg-type]

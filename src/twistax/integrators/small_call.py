@@ -29,12 +29,13 @@ Result = TypeVar("Result")
 _KNOWN = frozenset(
     " ".join(
         [
-            "abs acos acosh add and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate cond",
-            "convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call custom_vjp_call",
-            "div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1 floor ge gt integer_pow",
-            "iota is_finite jit le log log1p logistic lt max min mul ne neg not or pad pjit pow reduce_and reduce_max",
-            "reduce_min reduce_or reduce_prod reduce_sum rem reshape rev round rsqrt scan scatter scatter-add select_n",
-            "sign sin sinh slice split sqrt square squeeze stop_gradient sub tan tanh transpose while xor",
+            "abs acos acosh add and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate",
+            "cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call",
+            "custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1",
+            "floor gather ge gt integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg not or",
+            "pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem reshape rev round",
+            "rsqrt scan scatter scatter-add select_n sign sin sinh slice split sqrt square squeeze stack",
+            "stop_gradient sub tan tanh tile transpose unstack while xor",
         ]
     ).split(" ")
 )
@@ -62,9 +63,14 @@ def small_call(function: Callable[..., Result], *arguments: Any) -> Result:
     jaxpr = jax.make_jaxpr(flat)(*leaves)
     if set_xla_metadata is None or jax.default_backend() != "cpu" or not _all_known(jaxpr.jaxpr):
         return function(*arguments)
-    inner = jax.jit(jaxpr_as_fun(jaxpr), inline=False)
+
+    def body(*leaves: jax.Array) -> Any:
+        # The attribute belongs to this call alone: calls within it are inlined as ever.
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
+            return jaxpr_as_fun(jaxpr)(*leaves)
+
     with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-        results = inner(*leaves)
+        results = jax.jit(body, inline=False)(*leaves)
     return jax.tree.unflatten(shapes[0], results[:-1])
 
 

@@ -23,7 +23,7 @@ class Slopes:
 
     def combine(self, weights: Any, h: jax.Array) -> Any:
         """h sum_i weights[i] k_i."""
-        return self.read(h * (jnp.asarray(weights, self.rows.dtype) @ self.rows))
+        return self.read(h * _weighted(jnp.asarray(weights, self.rows.dtype), self.rows))
 
 
 def stage_slopes(
@@ -41,9 +41,14 @@ def stage_slopes(
 
     def stage(rows: jax.Array, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         number, weights, node = entry
-        found = slope(t + node * h, read(h * (weights @ rows)))
+        found = slope(t + node * h, read(h * _weighted(weights, rows)))
         return rows.at[number].set(ravel_pytree(found)[0]), None
 
     if tableau.stages > 1:
         rows, _ = jax.lax.scan(stage, rows, (jnp.arange(1, tableau.stages), a, c))
     return Slopes(rows, read)
+
+
+def _weighted(weights: jax.Array, rows: jax.Array) -> jax.Array:
+    """weights @ rows as a sum: a product of matrices may call a library, or lose digits on an accelerator."""
+    return jnp.sum(weights[:, None] * rows, axis=0)
