@@ -101,6 +101,21 @@ def test_more_than_half_a_turn_in_a_step_is_a_failure() -> None:
     np.testing.assert_allclose(closed.xs["R"][0], expm(hat(tx.SO3, np.array([0.0, 0.0, 4.0]))), atol=1e-14)
 
 
+def test_the_increment_is_the_step() -> None:
+    """x (+) increment is where the step ends, in exponential coordinates; other charts say what to use."""
+    dynamics = forced()
+    inputs = dynamics.prepare(0.3, start())
+    arguments = (dynamics, inputs.t, dict(inputs.x), lambda t: {}, dict(inputs.params), jnp.asarray(0.1))
+    for method in (tx.RKMK(RK4), tx.RKMK(DOP853, Exponential())):
+        eta, end = jax.jit(lambda m=method: (m.increment(*arguments), m.step(*arguments)))()
+        there = dynamics.group.retract(inputs.x, jnp.concatenate([eta[name] for name in dynamics.group.factors]))
+        for name in end:
+            np.testing.assert_allclose(there[name], end[name], atol=1e-14)
+    for chart in (SplitExponential(), Ambient()):
+        with pytest.raises(tx.ModelError, match="derivatives of steps need exponential coordinates"):
+            tx.RKMK(RK4, chart).increment(*arguments)
+
+
 def test_charts_are_values() -> None:
     assert tx.RKMK(RK4) == tx.RKMK(RK4, Exponential(commutators=2))
     assert tx.RKMK(RK4, Ambient()) != tx.RKMK(RK4)

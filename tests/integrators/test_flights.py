@@ -12,7 +12,6 @@ from scipy.linalg import expm
 
 import twistax as tx
 from twistax.groups import so3
-from twistax.integrators import increment
 from twistax.tableaus import RK4
 
 
@@ -119,7 +118,7 @@ def test_a_euclidean_step_is_a_plain_runge_kutta_step() -> None:
     x0 = {"x": jnp.array([1.0, 2.0]), "y": jnp.array(0.5)}
 
     def eta(x0: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        return increment(dynamics, RK4, jnp.zeros(()), x0, lambda t: {}, {}, jnp.asarray(0.1))
+        return tx.RKMK(RK4).increment(dynamics, jnp.zeros(()), x0, lambda t: {}, {}, jnp.asarray(0.1))
 
     written = str(jax.make_jaxpr(eta)(x0))
     assert not [name for name in ("sin", "cos", "sqrt", "div") if re.search(rf"= {name}\b", written)]

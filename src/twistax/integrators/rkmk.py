@@ -15,50 +15,10 @@ from .charts.whole import Blocks, StateCoordinates, coordinates_of
 from .stages import stage_slopes
 from .tableau import ButcherTableau
 
-__all__ = ["RKMK", "ControlsAt", "increment"]
+__all__ = ["RKMK", "ControlsAt"]
 
 #: The prepared controls at a stage time.
 ControlsAt = Callable[[jax.Array], Arrays]
-
-
-def increment(
-    dynamics: Dynamics,
-    tableau: ButcherTableau,
-    t: jax.Array,
-    x: Arrays,
-    u_at: ControlsAt,
-    params: Arrays,
-    h: jax.Array,
-) -> Arrays:
-    """The tangent eta of one step, so that the step ends at x (+) eta = x Exp(eta).
-
-    With Omega(t, x) the body velocities of all states, stage i stands at x Exp(eta_i) and
-
-        eta_i = h sum_j a_ij k_j,   k_i = J_r(eta_i)^-1 Omega(t + c_i h, x Exp(eta_i)),   eta = h sum_i b_i k_i,
-
-    because eta' = J_r(eta)^-1 Omega for g = g_0 Exp(eta) and g' = g Omega^, with J_r the right Jacobian. For states
-    without a group both are the identity, and this is the Runge-Kutta method itself.
-
-    Arguments are prepared (`Dynamics.prepare`). Pure and traceable: jit, vmap and derivatives apply.
-
-    Args:
-        u_at: the prepared controls at a stage time.
-        h: the length of the step in s.
-    Returns:
-        name -> tangent (dimension of the state,), of states without a group read row by row.
-
-    Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999); Iserles, Munthe-Kaas, Norsett, Zanna,
-    Lie-group methods (2000), both for right-trivialised equations, where the Jacobian is the left one.
-    """
-    factors = dynamics.group.factors
-
-    def slope(time: jax.Array, eta: Arrays) -> Arrays:
-        point = {name: group.retract(x[name], eta[name]) for name, group in factors.items()}
-        rates = _flat(dynamics.vector_field(time, point, u_at(time), params))
-        return {name: group.right_jacobian_inv_apply(eta[name], rates[name]) for name, group in factors.items()}
-
-    first = _flat(dynamics.vector_field(t, x, u_at(t), params))
-    return stage_slopes(tableau, slope, first, t, h).combine(tableau.b, h)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,6 +35,9 @@ class RKMK:
 
     Raises:
         ModelError: no tableau, or no chart.
+
+    Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999); Iserles, Munthe-Kaas, Norsett, Zanna,
+    Lie-group methods (2000), both for right-trivialised equations, where the Jacobian is the left one.
     """
 
     tableau: ButcherTableau
@@ -117,6 +80,39 @@ class RKMK:
         slopes = stage_slopes(self.tableau, slope, local.first_slope(y, omega(t, y)), t, h)
         z = slopes.combine(self.tableau.b, h)
         return local.settle(z, local.move(y, z))
+
+    def increment(
+        self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> Arrays:
+        """The tangent eta of one step, so that the step ends at x (+) eta = x Exp(eta).
+
+        With Omega(t, x) the body velocities of all states, stage i stands at x Exp(eta_i) and
+
+            eta_i = h sum_j a_ij k_j,   k_i = J_r(eta_i)^-1 Omega(t + c_i h, x Exp(eta_i)),   eta = h sum_i b_i k_i,
+
+        because eta' = J_r(eta)^-1 Omega for g = g_0 Exp(eta) and g' = g Omega^, with J_r the right Jacobian, cut after
+        the chart's commutators. It is the step of `advance` on the values themselves, for derivatives.
+
+        Args:
+            u_at: the prepared controls at a stage time.
+            h: the length of the step in s.
+        Returns:
+            name -> tangent (dimension of the state,), of states without a group read row by row.
+        Raises:
+            ModelError: a chart whose coordinates are no tangents.
+        """
+        local, factors = self.coordinates(dynamics), dynamics.group.factors
+
+        def omega(time: jax.Array, point: Arrays) -> Blocks:
+            return local.rate(_flat(dynamics.vector_field(time, point, u_at(time), params)))
+
+        def slope(time: jax.Array, z: Blocks) -> Blocks:
+            eta = local.tangent(z)
+            point = {name: group.retract(x[name], eta[name]) for name, group in factors.items()}
+            return local.slope(z, z, omega(time, point))
+
+        # At the start of a step exponential coordinates change as the body velocity does.
+        return local.tangent(stage_slopes(self.tableau, slope, omega(t, x), t, h).combine(self.tableau.b, h))
 
     def step(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array

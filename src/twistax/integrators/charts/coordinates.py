@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 import jax
 
+from ...errors import ModelError
 from ...groups import Euclidean
 from ...groups.components import unpack, vector
 
@@ -54,6 +55,17 @@ class Coordinates(ABC):
     def first_slope(self, y: Block, omega: Block) -> Block:
         """z' at z = 0."""
 
+    def tangent(self, z: Block) -> jax.Array:
+        """The tangent d of the move, value(move(y, z)) = value(y) Exp(d), where z holds its entries.
+
+        Raises:
+            ModelError: coordinates of another kind.
+        """
+        raise ModelError(
+            "derivatives of steps need exponential coordinates of the whole state.\n"
+            "  fix: use tx.RKMK(tableau), or a chart tx.charts.Exponential(...)"
+        )
+
     def settle(self, z: Block, moved: Block) -> Block:
         """The end of a step: `moved`, put back into the group to round-off where rounding takes it out."""
         return moved
@@ -85,3 +97,6 @@ class FlatCoordinates(Coordinates):
 
     def first_slope(self, y: Block, omega: Block) -> Block:
         return omega
+
+    def tangent(self, z: Block) -> jax.Array:
+        return vector(z) if self.scalars else z[0]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...groups import SpecialEuclidean, quaternions, se3, so3
-from ...groups.components import Components, add, dot, scale
+from ...groups.components import Components, add, dot, scale, vector
 from ...groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
 from .chart import Chart
 from .coordinates import Coordinates
@@ -98,6 +98,9 @@ class _Rotation(StoredRotation):
     def first_slope(self, y: Components, omega: Components) -> Components:
         return omega
 
+    def tangent(self, z: Components) -> jax.Array:
+        return vector(z)
+
     def settle(self, z: Components, moved: Components) -> Components:
         return tightened(moved)
 
@@ -121,6 +124,9 @@ class _Pose(StoredPose):
 
     def first_slope(self, y: Components, omega: Components) -> Components:
         return omega
+
+    def tangent(self, z: Components) -> jax.Array:
+        return self.order.from_linear_first(vector(z))
 
     def settle(self, z: Components, moved: Components) -> Components:
         return (*tightened(moved[:4]), *moved[4:])

@@ -47,6 +47,10 @@ class StateCoordinates:
         """z' at z = 0."""
         return {name: part.first_slope(y[name], omega[name]) for name, part in self.parts.items()}
 
+    def tangent(self, z: Blocks) -> Arrays:
+        """The tangents of the move, by name. Raises ModelError where coordinates are of another kind."""
+        return {name: part.tangent(z[name]) for name, part in self.parts.items()}
+
     def settle(self, z: Blocks, moved: Blocks) -> Blocks:
         """The end of a step, put back into the group to round-off."""
         return {name: part.settle(z[name], moved[name]) for name, part in self.parts.items()}
