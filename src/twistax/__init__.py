@@ -18,7 +18,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from . import expr, lie, linalg, spatial, tableaus
+from . import charts, expr, lie, linalg, spatial, tableaus
 from .errors import (
     ImmutableError,
     InputError,
@@ -66,6 +66,7 @@ __all__ = [
     "System",
     "TrajectoryError",
     "TwistaxError",
+    "charts",
     "compile",
     "diffrax",
     "integrate",

@@ -8,7 +8,7 @@ from jax import Array
 from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
 from twistax.groups.inputs import multiply
 
-__all__ = ["from_rotation", "hamilton", "product", "rotation_rows", "to_rotation", "unscaled"]
+__all__ = ["from_rotation", "hamilton", "product", "rotate", "rotation_rows", "to_rotation", "unscaled"]
 
 
 def _squares(R: Array) -> list[list[Array]]:
@@ -60,8 +60,8 @@ def to_rotation(q: Array) -> Array:
     return matrix(rotation_rows(q_, 2.0 / (q_[0] * q_[0] + dot(q_[1:], q_[1:]))))
 
 
-def rotation_rows(q: Components, double: Array) -> list[list[Array]]:
-    """The rows of the rotation matrix of a quaternion, given double = 2 / |q|^2."""
+def rotation_rows(q: Components, double: Array | float = 2.0) -> list[list[Array]]:
+    """The rows of the rotation matrix of a unit quaternion; of another one with double = 2 / |q|^2."""
     w, x, y, z = q
     ax, ay, az = double * x, double * y, double * z
     wx, wy, wz, xx, xy, xz = w * ax, w * ay, w * az, x * ax, x * ay, x * az
@@ -71,6 +71,12 @@ def rotation_rows(q: Components, double: Array) -> list[list[Array]]:
         [xy + wz, 1.0 - (xx + zz), yz - wx],
         [xz - wy, yz + wx, 1.0 - (xx + yy)],
     ]
+
+
+def rotate(q: Components, v: Components) -> Components:
+    """R(q) v for a unit quaternion, by two cross products."""
+    twice = scale(2.0, cross(q[1:], v))
+    return add(v, scale(q[0], twice), cross(q[1:], twice))
 
 
 def hamilton(p: Array, q: Array) -> Array:

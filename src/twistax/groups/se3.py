@@ -35,6 +35,7 @@ __all__ = [
     "left_jacobian",
     "left_jacobian_inv",
     "log",
+    "pulled_back",
     "right_jacobian",
     "right_jacobian_inv",
     "right_jacobian_inv_apply",
@@ -91,9 +92,7 @@ def exp(xi: Input) -> Float[Array, "4 4"]:
     (xi,) = of_shape("se3.exp", {"xi": (6,)}, xi)
     v, w = _halves(xi)
     first, second, third = exp_coefficients(dot(w, w))
-    once = cross(w, v)
-    p = add(v, scale(second, once), scale(third, cross(w, once)))
-    return transform(so3.rigid_polynomial(w, first, second), vector(p))
+    return transform(so3.rigid_polynomial(w, first, second), vector(so3.swept(w, v, second, third)))
 
 
 def log(T: Input) -> Float[Array, "6"]:
@@ -246,10 +245,23 @@ def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:
     the linear part is its derivative in the direction of the linear parts.
     Shapes: (6,), (6,) -> (6,). Raises ShapeError.
     """
-    (v, w), (y, u) = map(_halves, of_shape("se3.right_jacobian_inv_apply", {"eta": (6,), "omega": (6,)}, eta, omega))
-    d, slope = inverse_coefficients(dot(w, w))
-    turn = cross(w, u)
-    shift = add(cross(w, y), cross(v, u))
-    turn_arm = add(scale(0.5, u), scale(d, turn))
-    shift_arm = add(scale(0.5, y), scale(d, shift), scale(2.0 * slope * dot(w, v), turn))
-    return vector(add(y, cross(w, shift_arm), cross(v, turn_arm)) + add(u, cross(w, turn_arm)))
+    eta, omega = of_shape("se3.right_jacobian_inv_apply", {"eta": (6,), "omega": (6,)}, eta, omega)
+    z = unpack(eta)
+    return vector(pulled_back(z, unpack(omega), *inverse_coefficients(dot(z[3:], z[3:]))))
+
+
+def pulled_back(eta: Components, omega: Components, d: Array | float, rise: Array | float) -> Components:
+    """J_r(eta)^-1 Omega with J_r^-1 = I + W/2 + d W^2 for rotations, `rise` being the derivative of d by |w|^2.
+
+    Terms with a d or a rise of exactly 0.0 are left out.
+    """
+    v, w, y, u = eta[:3], eta[3:], omega[:3], omega[3:]
+    turn, shift = cross(w, u), add(cross(w, y), cross(v, u))
+    turn_arm, shift_arm = [scale(0.5, u)], [scale(0.5, y)]
+    if not (isinstance(d, float) and d == 0.0):
+        turn_arm.append(scale(d, turn))
+        shift_arm.append(scale(d, shift))
+    if not (isinstance(rise, float) and rise == 0.0):
+        shift_arm.append(scale(2.0 * rise * dot(w, v), turn))
+    arm = add(*turn_arm)
+    return (*add(y, cross(w, add(*shift_arm)), cross(v, arm)), *add(u, cross(w, arm)))

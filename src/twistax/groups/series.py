@@ -26,8 +26,10 @@ __all__ = [
     "exp_coefficients",
     "inverse_coefficients",
     "inverse_derivative",
+    "inverse_polynomial",
     "jacobian_coefficients",
     "stumpff",
+    "stumpff_polynomial",
 ]
 
 
@@ -143,6 +145,16 @@ def jacobian_coefficients(x: Array) -> tuple[Array, Array, Array, Array]:
     return second, third, second_slope, third_slope
 
 
+@cache
+def _stumpff_terms_up_to(k: int, limit: float, eps: float) -> tuple[float, ...]:
+    return _enough(lambda j: Fraction((-1) ** j, factorial(2 * j + k)), limit, eps)
+
+
+def stumpff_polynomial(k: int, x: Array, limit: float) -> Array:
+    """c_k(x) by its power series alone, as many terms as [0, limit] needs for round-off; wrong far beyond it."""
+    return _horner(x, _stumpff_terms_up_to(k, limit, _epsilon(x)))
+
+
 # --- the inverse Jacobians -------------------------------------------------------------------------------------------
 
 
@@ -166,6 +178,19 @@ def _inverse_terms(n: int, eps: float) -> tuple[float, ...]:
         return abs(_bernoulli(2 * power + 2)) / factorial(2 * power + 2) * Fraction(factorial(power), factorial(j))
 
     return _enough(coefficient, _inverse_switch(n), eps)
+
+
+def inverse_polynomial(n: int, x: Array, terms: int) -> Array | float:
+    """The n-th derivative of the first `terms` terms of d(x) = 1/12 + x/720 + ..., the series of `inverse_derivative`.
+
+    In J^-1 = I -+ W/2 + d(x) W^2 the j-th term is that of 2j commutators, because W^3 = -x W.
+    """
+    factors = [Fraction(factorial(j), factorial(j - n)) for j in range(n, terms)]
+    powers = [abs(_bernoulli(2 * j + 2)) / factorial(2 * j + 2) for j in range(n, terms)]
+    coefficients = [float(factor * power) for factor, power in zip(factors, powers, strict=True)]
+    if len(coefficients) < 2:
+        return coefficients[0] if coefficients else 0.0
+    return _horner(x, tuple(coefficients))
 
 
 def _inverse_series(n: int, x: Array) -> Array:

@@ -31,10 +31,12 @@ __all__ = [
     "left_jacobian",
     "left_jacobian_inv",
     "log",
+    "pulled_back",
     "rigid_polynomial",
     "right_jacobian",
     "right_jacobian_inv",
     "right_jacobian_inv_apply",
+    "swept",
     "tightened",
     "vee",
 ]
@@ -214,6 +216,18 @@ def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
     For R' = R hat(u) and R = R_0 Exp(w) this is w'. Shapes: (3,), (3,) -> (3,). Raises ShapeError.
     """
     w, u = of_shape("so3.right_jacobian_inv_apply", {"w": (3,), "u": (3,)}, w, u)
-    a, b = unpack(w), unpack(u)
-    once = cross(a, b)
-    return vector(add(b, scale(0.5, once), scale(inverse_derivative(0, dot(a, a)), cross(a, once))))
+    a = unpack(w)
+    return vector(pulled_back(a, unpack(u), inverse_derivative(0, dot(a, a))))
+
+
+def pulled_back(w: Components, u: Components, d: Array | float) -> Components:
+    """J_r(w)^-1 u = u + w x u / 2 + d w x (w x u), d = (1 - (t/2) cot(t/2)) / t^2; a d of exactly 0.0 is left out."""
+    if isinstance(d, float) and d == 0.0:
+        return add(u, scale(0.5, cross(w, u)))
+    return add(u, cross(w, add(scale(0.5, u), scale(d, cross(w, u)))))
+
+
+def swept(w: Components, v: Components, second: Array, third: Array) -> Components:
+    """J_l(w) v = v + c_2 w x v + c_3 w x (w x v), c_2 = (1 - cos t) / t^2, c_3 = (t - sin t) / t^3: Exp's position."""
+    once = cross(w, v)
+    return add(v, scale(second, once), scale(third, cross(w, once)))

@@ -1,8 +1,8 @@
-"""Integration on groups: tableaus, the stage loop, controls over time, fixed-step flights."""
+"""Integration on groups: tableaus, charts, the stage loop, controls over time, fixed-step flights."""
 
 from .controls import Held, Linear, Table
 from .integrate import integrate
-from .rkmk import RKMK, increment
+from .rkmk import RKMK
 from .solution import Result, Solution, Stats
 from .tableau import ButcherTableau
 
@@ -15,6 +15,5 @@ __all__ = [
     "Solution",
     "Stats",
     "Table",
-    "increment",
     "integrate",
 ]

@@ -13,11 +13,13 @@ from ..errors import InputError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import precision
+from .charts.whole import Blocks
 from .checks import check_start, failure
 from .concrete import is_traced
 from .controls import controls_of
 from .grid import Grid, Saves, make_grid, place_saves
 from .rkmk import RKMK
+from .small_call import small_call
 from .solution import Result, Solution, Stats
 from .stepper import Stepper
 from .tableaus import RK4
@@ -89,7 +91,7 @@ class _Recorded(NamedTuple):
     """At the stops of the loop: steps taken, states, and whether all went well."""
 
     steps: jax.Array
-    xs: Arrays
+    xs: Any  # stored inside of the loop, states outside
     good: jax.Array
 
 
@@ -121,18 +123,24 @@ def _known_flight(stepper: Stepper, x: Arrays, grid: Grid, saves: Saves | None, 
 @jax.jit
 def _loop(stepper: Stepper, x: Arrays, stops: jax.Array) -> _Recorded:
     """Step on to each stop in turn and record the state there; after a step that fails stay where it started."""
+    return small_call(_stepped, stepper, x, stops)
+
+
+def _stepped(stepper: Stepper, x: Arrays, stops: jax.Array) -> _Recorded:
+    local = stepper.coordinates
 
     def advance(now: _Recorded) -> _Recorded:
         moved = stepper.step(now.steps, now.xs)
         good = _finite(moved)
-        kept = {name: jnp.where(good, moved[name], old) for name, old in now.xs.items()}
+        kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), moved, now.xs)
         return _Recorded(now.steps + good.astype(now.steps.dtype), kept, good)
 
     def to_stop(now: _Recorded, stop: jax.Array) -> tuple[_Recorded, _Recorded]:
         now = jax.lax.while_loop(lambda n: (n.steps < stop) & n.good, advance, now)
-        return now, now
+        return now, now._replace(xs=local.value(now.xs))
 
-    return jax.lax.scan(to_stop, _Recorded(jnp.zeros((), stops.dtype), x, jnp.asarray(True)), stops)[1]
+    start = _Recorded(jnp.zeros((), stops.dtype), local.enter(x), jnp.asarray(True))
+    return jax.lax.scan(to_stop, start, stops)[1]
 
 
 def _traced_flight(stepper: Stepper, x: Arrays, grid: Grid, saves: Saves | None) -> Solution:
@@ -151,22 +159,26 @@ def _traced_flight(stepper: Stepper, x: Arrays, grid: Grid, saves: Saves | None)
 @functools.partial(jax.jit, static_argnums=(2, 3))
 def _scan(stepper: Stepper, x: Arrays, steps: int, record: bool) -> Arrays:
     """The states at all grid points, or with `record` false at the end alone, on a leading axis."""
+    local = stepper.coordinates
 
-    def advance(x: Arrays, i: jax.Array) -> tuple[Arrays, Arrays | None]:
-        return stepper.step(i, x), x if record else None
+    def advance(y: Blocks, i: jax.Array) -> tuple[Blocks, Blocks | None]:
+        return stepper.step(i, y), y if record else None
 
-    end, before = jax.lax.scan(advance, x, jnp.arange(steps))
-    last = jax.tree.map(lambda a: a[None], end)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), before, last) if record else last
+    end, before = jax.lax.scan(advance, local.enter(x), jnp.arange(steps))
+    ys = jax.tree.map(lambda a: a[None], end)
+    if record:
+        ys = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), before, ys)
+    return jax.vmap(local.value)(ys)
 
 
 @jax.jit
 def _off_grid(stepper: Stepper, xs: Arrays, saves: Saves) -> tuple[Arrays, jax.Array]:
     """The states at the saved times from those at the grid points before, and which of them are finite."""
+    local = stepper.coordinates
 
     def part(x: Arrays, index: jax.Array, share: jax.Array) -> tuple[Arrays, jax.Array]:
-        moved = stepper.step(index, x, share)
-        return moved, _finite(moved)
+        moved = stepper.step(index, local.enter(x), share)
+        return local.value(moved), _finite(moved)
 
     return jax.vmap(part)(xs, saves.index, saves.share)
 
@@ -176,6 +188,6 @@ def _stats(method: RKMK, steps: int, saves: Saves | None) -> Stats:
     return Stats(steps, steps, 0, method.evaluations * (steps + parts))
 
 
-def _finite(x: Arrays) -> jax.Array:
-    """Whether every entry is finite."""
-    return functools.reduce(jnp.logical_and, [jnp.isfinite(value).all() for value in x.values()])
+def _finite(x: Any) -> jax.Array:
+    """Whether every entry of a pytree is finite."""
+    return functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(x)])

@@ -10,6 +10,7 @@ import jax
 
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from .charts.whole import Blocks, StateCoordinates
 from .controls import Signals
 from .rkmk import RKMK
 
@@ -42,10 +43,15 @@ class Stepper:
         """The controls as a function of the times within the step from t to t + h."""
         return self.signals.during(self.dynamics, t, h)
 
-    def step(self, i: jax.Array, x: Arrays, share: jax.Array | float = 1.0) -> Arrays:
-        """The state after step i, or after a share of it, from the state at its start."""
+    @property
+    def coordinates(self) -> StateCoordinates:
+        """How states are stored between steps."""
+        return self.method.coordinates(self.dynamics)
+
+    def step(self, i: jax.Array, y: Blocks, share: jax.Array | float = 1.0) -> Blocks:
+        """The stored state after step i, or after a share of it, from the one at its start."""
         t, h = self.time(i), share * self.h
-        return self.method.step(self.dynamics, t, x, self.controls(t, h), self.params, h)
+        return self.method.advance(self.dynamics, t, y, self.controls(t, h), self.params, h)
 
 
 jax.tree_util.register_pytree_node(

@@ -1,0 +1,40 @@
+"""What every chart offers: coordinates for each part of a state."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from ...errors import ModelError
+from ...groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
+from .coordinates import Coordinates, FlatCoordinates
+
+__all__ = ["Chart"]
+
+
+class Chart(ABC):
+    """Which coordinates a step uses around its start. A value: equal charts mean the same.
+
+    A new chart subclasses this and gives coordinates for rotations and poses; states without a group are added to.
+    """
+
+    def coordinates(self, group: Group) -> Coordinates:
+        """The coordinates for one part of the state.
+
+        Raises:
+            ModelError: a group this chart knows nothing of.
+        """
+        if isinstance(group, Euclidean):
+            return FlatCoordinates(group)
+        if isinstance(group, SpecialOrthogonal):
+            return self.for_rotation()
+        if isinstance(group, SpecialEuclidean):
+            return self.for_pose(group)
+        raise ModelError(f"{type(self).__name__} has no coordinates for the group {group.name}")
+
+    @abstractmethod
+    def for_rotation(self) -> Coordinates:
+        """Coordinates around a rotation."""
+
+    @abstractmethod
+    def for_pose(self, group: SpecialEuclidean) -> Coordinates:
+        """Coordinates around a pose whose twists have the order of `group`."""

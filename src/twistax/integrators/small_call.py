@@ -1,0 +1,97 @@
+"""A function compiled as one small function, so that loops inside it run fast under default settings.
+
+XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless the loop is compiled as one function.
+The attribute that asks for it is not documented, so it is set only on the CPU, for functions made of operations known
+to compile that way, and with every argument in use. Elsewhere the function runs as it is, with the same result.
+`tests/integrators/test_small_call.py` notices if the attribute loses its effect.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import jaxpr_as_fun
+
+__all__ = ["small_call"]
+
+try:
+    from jax.experimental.xla_metadata import set_xla_metadata
+except ImportError:  # a later JAX may have moved it
+    set_xla_metadata = None  # type: ignore[assignment]
+
+Result = TypeVar("Result")
+
+#: Operations that are compiled inside one function. Anything that calls a library (solvers, FFI, callbacks) is not.
+_KNOWN = frozenset(
+    " ".join(
+        [
+            "abs acos acosh add and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate",
+            "cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call",
+            "custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1",
+            "floor gather ge gt integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg not or",
+            "pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem reshape rev round",
+            "rsqrt scan scatter scatter-add select_n sign sin sinh slice split sqrt square squeeze stack",
+            "stop_gradient sub tan tanh tile transpose unstack while xor",
+        ]
+    ).split(" ")
+)
+
+#: Products of matrices beyond this many entries call a library.
+_LARGEST_PRODUCT = 64
+
+
+def small_call(function: Callable[..., Result], *arguments: Any) -> Result:
+    """function(*arguments), compiled as one small function where that is known to work.
+
+    Pure and traceable. Arguments and result are pytrees of arrays.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    leaves = [jnp.asarray(leaf) for leaf in leaves]
+    shapes: list[Any] = []
+
+    def flat(*leaves: jax.Array) -> list[jax.Array]:
+        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        shapes.append(shape)
+        # XLA aborts on an argument that is never read: one more result reads them all.
+        read = functools.reduce(jnp.add, [leaf.reshape(-1)[0].astype(jnp.float32) for leaf in leaves if leaf.size])
+        return [*results, read]
+
+    jaxpr = jax.make_jaxpr(flat)(*leaves)
+    if set_xla_metadata is None or jax.default_backend() != "cpu" or not _all_known(jaxpr.jaxpr):
+        return function(*arguments)
+
+    def body(*leaves: jax.Array) -> Any:
+        # The attribute belongs to this call alone: calls within it are inlined as ever.
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
+            return jaxpr_as_fun(jaxpr)(*leaves)
+
+    with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+        results = jax.jit(body, inline=False)(*leaves)
+    return jax.tree.unflatten(shapes[0], results[:-1])
+
+
+def _all_known(jaxpr: Any) -> bool:
+    """Whether every operation, also inside of loops and branches, is one that compiles inside a function."""
+    for equation in jaxpr.eqns:
+        name = equation.primitive.name
+        if name not in _KNOWN:
+            return False
+        if name == "dot_general" and max(v.aval.size for v in (*equation.invars, *equation.outvars)) > _LARGEST_PRODUCT:
+            return False
+        if not all(_all_known(inner) for inner in _inner(equation.params)):
+            return False
+    return True
+
+
+def _inner(params: dict[str, Any]) -> Iterator[Any]:
+    """The jaxprs among the parameters of an equation."""
+    for value in params.values():
+        for entry in value if isinstance(value, (tuple, list)) else (value,):
+            if hasattr(entry, "jaxpr"):
+                yield entry.jaxpr
+            elif hasattr(entry, "eqns"):
+                yield entry

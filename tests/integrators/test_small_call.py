@@ -1,0 +1,90 @@
+"""Small calls change the speed, never the result; and this notices when the undocumented attribute stops working."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from integrator_bodies import forced, start
+
+import twistax as tx
+from twistax.integrators import small_call as module
+from twistax.integrators.small_call import small_call
+from twistax.tableaus import DOP853, RK4
+
+#: How our calls differ from those XLA makes of small loops on its own.
+MARK = 'inlineable="false"'
+
+
+def looped(x: jax.Array, y: jax.Array) -> dict[str, jax.Array]:
+    """A loop with a branch, a product and a table in it; the second argument is never read."""
+
+    def body(i: jax.Array, x: jax.Array) -> jax.Array:
+        turned = jnp.where(x > 0.5, jnp.sin(x), x * x)
+        return jnp.eye(3) @ turned + 0.01 * jnp.asarray([1.0, 2.0, 3.0])[i % 3]
+
+    return {"x": jax.lax.fori_loop(0, 20, body, x), "same": x}
+
+
+def compiled(function: Callable[..., object], *arguments: object) -> str:
+    return jax.jit(function).lower(*arguments).compile().as_text()
+
+
+def test_the_result_is_the_same() -> None:
+    x, y = jnp.array([0.1, 0.7, 0.4]), jnp.ones(4)
+    inside = jax.jit(lambda x, y: small_call(looped, x, y))(x, y)
+    for name, wanted in looped(x, y).items():
+        np.testing.assert_allclose(inside[name], wanted, rtol=1e-14)
+
+
+def test_the_attribute_reaches_the_compiled_program() -> None:
+    """The canary: if this fails after an upgrade, look at `small_call` before trusting any measured time."""
+    text = compiled(lambda x, y: small_call(looped, x, y)["x"], jnp.ones(3), jnp.ones(4))
+    (call,) = [line for line in text.splitlines() if "ROOT" in line and " call(" in line and "jit(body)" in line]
+    assert MARK in call
+    assert 'xla_cpu_small_call="true"' in call
+
+
+def test_libraries_are_left_outside() -> None:
+    """A solver from LAPACK, a callback, a large product: none of them compiles inside of one function."""
+
+    def solves(a: jax.Array) -> jax.Array:
+        return jnp.linalg.solve(a + 9.0 * jnp.eye(8), jnp.ones(8))
+
+    def calls_back(a: jax.Array) -> jax.Array:
+        return jax.pure_callback(lambda b: b, jax.ShapeDtypeStruct(a.shape, a.dtype), a)
+
+    def multiplies(a: jax.Array) -> jax.Array:
+        return jnp.tile(a, (2, 2)) @ jnp.tile(a, (2, 2))
+
+    a = jnp.arange(64.0).reshape(8, 8) / 64.0
+    for function in (solves, calls_back, multiplies):
+        assert MARK not in compiled(lambda a, f=function: small_call(f, a), a)
+        np.testing.assert_array_equal(small_call(function, a), function(a))
+
+
+def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A JAX that has lost it flies the same, only slower."""
+    for tableau in (RK4, DOP853):
+        method = tx.RKMK(tableau)
+        fast = tx.integrate(forced(), start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "set_xla_metadata", None)
+            jax.clear_caches()
+            plain = tx.integrate(forced(), start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])
+        for name in fast.xs:
+            np.testing.assert_allclose(fast.xs[name], plain.xs[name], rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 40])
+def test_systems_of_any_size_compile(size: int) -> None:
+    """Rates that are the state itself, constants, unread states: what has made XLA abort."""
+    x, y = tx.State("x", shape=(size,)), tx.State("y")
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    dynamics = tx.compile(tx.System(rates={x: x, y: 1.0, g: V, V: np.zeros(6)}))
+    start = {"x": np.ones(size), "y": 0.0, "g": np.eye(4), "V": np.arange(6.0) / 10.0}
+    sol = tx.integrate(dynamics, start, t1=1.0, dt=0.01)
+    np.testing.assert_allclose(sol.xs["x"][0], np.full(size, np.e), rtol=1e-8)
+    np.testing.assert_allclose(sol.xs["y"][0], 1.0, rtol=1e-12)
+    np.testing.assert_allclose(sol.xs["g"][0], tx.lie.se3.exp(np.arange(6.0) / 10.0), atol=1e-12)
