@@ -135,3 +135,26 @@ def test_methods_need_a_tableau_and_a_chart() -> None:
         tx.RKMK("RK4")  # type: ignore[arg-type]
     with pytest.raises(tx.ModelError, match=r"RKMK expects a chart like tx\.charts\.Exponential\(\), got 'ambient'"):
         tx.RKMK(RK4, "ambient")  # type: ignore[arg-type]
+
+
+def by_another_name() -> Group:
+    """SO(3) as a group that no chart knows: every member is handed on."""
+
+    def handed_on(name: str) -> object:
+        member = getattr(tx.SO3, name)
+        return staticmethod(member) if callable(member) else property(lambda self: member)
+
+    members = {name: handed_on(name) for name in Group.__abstractmethods__ if name != "name"}
+    return type("Turns", (Group,), members | {"name": property(lambda self: "Turns"), "tighten": tx.SO3.tighten})()
+
+
+@pytest.mark.parametrize("chart", CHARTS, ids=repr)
+def test_a_group_of_your_own_flies_in_every_chart(chart: Chart) -> None:
+    def fly(group: Group, method: tx.RKMK) -> np.ndarray:
+        R, w = tx.State("R", group=group), tx.State("w", shape=(3,))
+        J = np.array([1.0, 2.0, 3.0])
+        spin = tx.compile(tx.System(rates={R: w, w: tx.linalg.Cross(J * w, w) / J + R.T @ np.array([0.0, 0.1, 0.3])}))
+        return tx.integrate(spin, {"R": np.eye(3), "w": J}, t1=1.0, dt=0.02, method=method).xs["R"][0]
+
+    known = fly(tx.SO3, tx.RKMK(RK4, Exponential()))
+    np.testing.assert_allclose(fly(by_another_name(), tx.RKMK(RK4, chart)), known, atol=1e-13)

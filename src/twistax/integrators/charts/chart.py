@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from ...errors import ModelError
 from ...groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
 from .coordinates import Coordinates, FlatCoordinates
+from .generic import GroupCoordinates
 
 __all__ = ["Chart"]
 
@@ -14,22 +14,19 @@ __all__ = ["Chart"]
 class Chart(ABC):
     """Which coordinates a step uses around its start. A value: equal charts mean the same.
 
-    A new chart subclasses this and gives coordinates for rotations and poses; states without a group are added to.
+    A new chart subclasses this and gives coordinates for rotations and poses; states without a group are added to, and
+    states of other groups move in exponential coordinates.
     """
 
     def coordinates(self, group: Group) -> Coordinates:
-        """The coordinates for one part of the state.
-
-        Raises:
-            ModelError: a group this chart knows nothing of.
-        """
+        """The coordinates for one part of the state; exponential ones for groups that are neither SO(3) nor SE(3)."""
         if isinstance(group, Euclidean):
             return FlatCoordinates(group)
         if isinstance(group, SpecialOrthogonal):
             return self.for_rotation()
         if isinstance(group, SpecialEuclidean):
             return self.for_pose(group)
-        raise ModelError(f"{type(self).__name__} has no coordinates for the group {group.name}")
+        return GroupCoordinates(group)
 
     @abstractmethod
     def for_rotation(self) -> Coordinates:
