@@ -101,6 +101,23 @@ def test_more_than_half_a_turn_in_a_step_is_a_failure() -> None:
     np.testing.assert_allclose(closed.xs["R"][0], expm(hat(tx.SO3, np.array([0.0, 0.0, 4.0]))), atol=1e-14)
 
 
+@pytest.mark.parametrize("chart", [None, *CLOSED], ids=repr)
+def test_a_turn_too_far_is_said_to_be_one(chart: Chart | None) -> None:
+    """A pose that spins up: the step before is fine, and in closed form it takes more than a full turn."""
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    spin = tx.compile(tx.System(rates={g: V, V: tx.Time() * np.array([0.0, 0.0, 0.0, 0.0, 0.0, 20.0])}))
+    start, t = {"g": np.eye(4), "V": np.zeros(6)}, "0.8" if chart is None else "1.2"
+    with pytest.raises(tx.IntegrationError, match=rf"'g' became .* t = {t} s.\n  likely cause: 'g' turns by some"):
+        tx.integrate(spin, start, t1=2.0, dt=0.4, method=tx.RKMK(RK4, chart))
+
+
+def test_a_quaternion_that_overflows_is_no_rotation() -> None:
+    R = tx.State("R", group=tx.SO3)
+    spin = tx.compile(tx.System(rates={R: np.array([0.0, 0.0, 1e60])}))
+    with pytest.raises(tx.IntegrationError, match="'R' became infinite or not a number"):
+        tx.integrate(spin, {"R": np.eye(3)}, t1=1.0, steps=1, method=tx.RKMK(RK4, Ambient()))
+
+
 def test_the_increment_is_the_step() -> None:
     """x (+) increment is where the step ends, in exponential coordinates; other charts say what to use."""
     dynamics = forced()

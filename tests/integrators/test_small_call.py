@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from integrator_bodies import forced, start
+from integrator_bodies import forced_body, spatial_inertia, start
 
 import twistax as tx
 from twistax.integrators import small_call as module
@@ -65,16 +65,39 @@ def test_libraries_are_left_outside() -> None:
 
 
 def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A JAX that has lost it flies the same, only slower."""
+    """A JAX that has lost it flies the same, only slower. Its inertia is baked: as an input it calls LAPACK."""
+    body = tx.compile(forced_body(), bake={"M": spatial_inertia()})
+    known, seen = module._all_known, []
+    monkeypatch.setattr(module, "_all_known", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
     for tableau in (RK4, DOP853):
         method = tx.RKMK(tableau)
-        fast = tx.integrate(forced(), start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])
+        fast = tx.integrate(body, start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])
+        assert seen
+        assert all(seen)
         with monkeypatch.context() as patch:
             patch.setattr(module, "set_xla_metadata", None)
             jax.clear_caches()
-            plain = tx.integrate(forced(), start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])
+            plain = tx.integrate(body, start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])
         for name in fast.xs:
             np.testing.assert_allclose(fast.xs[name], plain.xs[name], rtol=1e-12, atol=1e-13)
+
+
+def test_flights_by_tables_are_small_calls() -> None:
+    """Tables are looked up by comparisons of their own kind; they must not cost the fast loop."""
+    x, F = tx.State("x"), tx.Control("F")
+    dynamics = tx.compile(tx.System(rates={x: F * tx.Linterp(x, [0.0, 0.5, 1.0], [1.0, 0.5, 2.0])}))
+    ts, values = jnp.array([0.0, 0.5, 0.8]), jnp.array([1.0, -0.5, 0.3])
+
+    def fly(x: jax.Array, values: jax.Array) -> jax.Array:
+        def advance(i: jax.Array, x: jax.Array) -> jax.Array:
+            t, h = 0.1 * i, jnp.asarray(0.1)
+            F = tx.Held(ts, values).during(t, h)(t)
+            return x + h * dynamics.vector_field(t, {"x": x}, {"F": F}, {})["x"]
+
+        return jax.lax.fori_loop(0, 10, advance, x)
+
+    assert MARK in compiled(lambda x, v: small_call(fly, x, v), jnp.asarray(0.2), values)
+    np.testing.assert_allclose(small_call(fly, jnp.asarray(0.2), values), fly(jnp.asarray(0.2), values), rtol=1e-13)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 40])

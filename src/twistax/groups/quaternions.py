@@ -8,7 +8,7 @@ from jax import Array
 from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
 from twistax.groups.inputs import multiply
 
-__all__ = ["from_rotation", "hamilton", "product", "rotate", "rotation_rows", "to_rotation", "unscaled"]
+__all__ = ["from_rotation", "hamilton", "product", "rate", "rotate", "rotation_rows", "to_rotation", "unscaled"]
 
 
 def _squares(R: Array) -> list[list[Array]]:
@@ -88,3 +88,9 @@ def product(a: Components, b: Components) -> Components:
     """The product a b of two quaternions."""
     u, v = a[1:], b[1:]
     return (a[0] * b[0] - dot(u, v), *add(scale(a[0], v), scale(b[0], u), cross(u, v)))
+
+
+def rate(q: Components, w: Components) -> Components:
+    """q' = q (0, w) / 2 with the body angular velocity w."""
+    u = q[1:]
+    return scale(0.5, (-dot(u, w), *add(scale(q[0], w), cross(u, w))))

@@ -68,14 +68,19 @@ def _stumpff_switch(k: int) -> float:
 
 
 @cache
-def _stumpff_terms(k: int, eps: float) -> tuple[float, ...]:
-    return _enough(lambda j: Fraction((-1) ** j, factorial(2 * j + k)), _stumpff_switch(k), eps)
+def _stumpff_terms(k: int, limit: float, eps: float) -> tuple[float, ...]:
+    return _enough(lambda j: Fraction((-1) ** j, factorial(2 * j + k)), limit, eps)
+
+
+def stumpff_polynomial(k: int, x: Array, limit: float) -> Array:
+    """c_k(x) by its power series alone, as many terms as [0, limit] needs for round-off; wrong far beyond it."""
+    return _horner(x, _stumpff_terms(k, limit, _epsilon(x)))
 
 
 def _stumpff_above(k: int, x: Array, below: Array) -> Array:
     """c_k from c_{k-2} = below: series for small x, (1/(k-2)! - c_{k-2}) / x beyond."""
     switch = _stumpff_switch(k)
-    series = _horner(jnp.minimum(x, switch), _stumpff_terms(k, _epsilon(x)))
+    series = stumpff_polynomial(k, jnp.minimum(x, switch), switch)
     closed = (1.0 / factorial(k - 2) - below) / jnp.maximum(x, switch)
     return jnp.where(x < switch, series, closed)
 
@@ -145,16 +150,6 @@ def jacobian_coefficients(x: Array) -> tuple[Array, Array, Array, Array]:
     return second, third, second_slope, third_slope
 
 
-@cache
-def _stumpff_terms_up_to(k: int, limit: float, eps: float) -> tuple[float, ...]:
-    return _enough(lambda j: Fraction((-1) ** j, factorial(2 * j + k)), limit, eps)
-
-
-def stumpff_polynomial(k: int, x: Array, limit: float) -> Array:
-    """c_k(x) by its power series alone, as many terms as [0, limit] needs for round-off; wrong far beyond it."""
-    return _horner(x, _stumpff_terms_up_to(k, limit, _epsilon(x)))
-
-
 # --- the inverse Jacobians -------------------------------------------------------------------------------------------
 
 
@@ -169,15 +164,15 @@ def _inverse_switch(n: int) -> float:
     return 1.0 if n <= 1 else 4.0
 
 
+def _inverse_coefficient(n: int, j: int) -> Fraction:
+    """That of x^j in the n-th derivative of sum_j |B_{2j+2}| / (2j+2)! x^j, which converges below 4 pi^2."""
+    power = j + n
+    return abs(_bernoulli(2 * power + 2)) / factorial(2 * power + 2) * Fraction(factorial(power), factorial(j))
+
+
 @cache
 def _inverse_terms(n: int, eps: float) -> tuple[float, ...]:
-    """Coefficients of the n-th derivative of sum_j |B_{2j+2}| / (2j+2)! x^j, which converges below 4 pi^2."""
-
-    def coefficient(j: int) -> Fraction:
-        power = j + n
-        return abs(_bernoulli(2 * power + 2)) / factorial(2 * power + 2) * Fraction(factorial(power), factorial(j))
-
-    return _enough(coefficient, _inverse_switch(n), eps)
+    return _enough(partial(_inverse_coefficient, n), _inverse_switch(n), eps)
 
 
 def inverse_polynomial(n: int, x: Array, terms: int) -> Array | float:
@@ -185,9 +180,7 @@ def inverse_polynomial(n: int, x: Array, terms: int) -> Array | float:
 
     In J^-1 = I -+ W/2 + d(x) W^2 the j-th term is that of 2j commutators, because W^3 = -x W.
     """
-    factors = [Fraction(factorial(j), factorial(j - n)) for j in range(n, terms)]
-    powers = [abs(_bernoulli(2 * j + 2)) / factorial(2 * j + 2) for j in range(n, terms)]
-    coefficients = [float(factor * power) for factor, power in zip(factors, powers, strict=True)]
+    coefficients = [float(_inverse_coefficient(n, j)) for j in range(terms - n)]
     if len(coefficients) < 2:
         return coefficients[0] if coefficients else 0.0
     return _horner(x, tuple(coefficients))

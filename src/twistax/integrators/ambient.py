@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from ..errors import ModelError
 from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
+from ..groups.components import unpack, vector
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .controls import controls_of
@@ -104,7 +105,7 @@ class _PoseMatrix(_Plain):
 
 
 class _RotationQuaternion(_Coordinates):
-    """q' = q (0, w) / 2, with the body angular velocity w."""
+    """A rotation as a quaternion."""
 
     def write(self, g: jax.Array) -> jax.Array:
         return quaternions.from_rotation(g)
@@ -113,7 +114,7 @@ class _RotationQuaternion(_Coordinates):
         return quaternions.to_rotation(y)
 
     def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        return 0.5 * quaternions.hamilton(y, jnp.concatenate([jnp.zeros(1, y.dtype), velocity]))
+        return vector(quaternions.rate(unpack(y), unpack(velocity)))
 
 
 class _PoseQuaternion(_Coordinates):

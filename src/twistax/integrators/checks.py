@@ -12,13 +12,16 @@ import numpy as np
 
 from ..errors import InputError, IntegrationError
 from ..expr import Inputs
-from ..groups import Euclidean, Group
+from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .concrete import is_finite, is_traced
 from .stepper import Stepper
 
 __all__ = ["check_start", "failure"]
+
+#: From this turn in a step on, in rad, it is the likely cause of a failure: stages may turn further than the start.
+_FAR = 2.0
 
 
 def check_start(dynamics: Dynamics, inputs: Inputs) -> None:
@@ -58,6 +61,9 @@ def failure(stepper: Stepper, t: jax.Array, x: Arrays) -> IntegrationError:
     controls_at = stepper.controls(t, h)
     rates = stepper.dynamics.vector_field(t, x, controls_at(t), stepper.params)
     moved = stepper.method.step(stepper.dynamics, t, x, controls_at, stepper.params, h)
+    bad = _not_finite(moved)
+    turns = {name: angle for name, angle in _turns(stepper.dynamics, rates, h).items() if name in bad}
+    far = max(turns, key=turns.__getitem__, default=None)
     bad_controls = _not_finite(controls_at(t)) or _not_finite(controls_at(t + h))
     if bad_controls:
         cause = f"control {bad_controls[0]!r} is not finite there"
@@ -65,11 +71,17 @@ def failure(stepper: Stepper, t: jax.Array, x: Arrays) -> IntegrationError:
     elif _not_finite(rates) and not _is_huge(x):
         cause = f"the rate of {_not_finite(rates)[0]!r} is not finite there, e.g. a division by zero"
         fix = "guard the expression, or stop before that state"
+    elif far is not None and turns[far] > _FAR:
+        cause = (
+            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {float(h):.6g} s, too far for one step: "
+            "exponential coordinates hold half a turn as polynomials, a full one in closed form"
+        )
+        fix = "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
     else:
         cause = f"the step {float(h):.6g} s is too long for rates this fast, or the solution itself grows without bound"
         fix = "try a smaller dt"
-    names = ", ".join(map(repr, _not_finite(moved)))
-    sizes = ", ".join(f"|{name}| = {float(np.abs(np.asarray(value)).max()):.3g}" for name, value in x.items())
+    names = ", ".join(map(repr, bad))
+    sizes = ", ".join(f"|{name}| = {_largest(value):.3g}" for name, value in x.items())
     return IntegrationError(
         f"state {names} became infinite or not a number in the step from t = {float(t):.6g} s.\n"
         f"  likely cause: {cause}\n  last finite state: {sizes} (largest entries)\n"
@@ -83,4 +95,19 @@ def _not_finite(values: Mapping[str, Any]) -> list[str]:
 
 def _is_huge(x: Mapping[str, Any]) -> bool:
     """Whether a state is so large that squares and cubes of it overflow."""
-    return any(np.abs(np.asarray(v)).max() > float(jnp.finfo(v.dtype).max) ** 0.25 for v in x.values())
+    return any(_largest(v) > float(jnp.finfo(v.dtype).max) ** 0.25 for v in x.values())
+
+
+def _largest(value: Any) -> float:
+    return float(np.abs(np.asarray(value)).max())
+
+
+def _turns(dynamics: Dynamics, rates: Arrays, h: jax.Array) -> dict[str, float]:
+    """By how many rad each rotation and pose turns in a step, if its rate stays as it is."""
+    angular = {}
+    for name, group in dynamics.group.factors.items():
+        if isinstance(group, SpecialOrthogonal):
+            angular[name] = rates[name]
+        elif isinstance(group, SpecialEuclidean):
+            angular[name] = group.order.split(rates[name])[1]
+    return {name: float(h) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}

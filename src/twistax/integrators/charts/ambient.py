@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from ...groups import SpecialEuclidean, quaternions
-from ...groups.components import Components, add, cross, dot, scale
+from ...groups.components import Components, add
 from .chart import Chart
 from .coordinates import Coordinates
 from .stored import StoredPose, StoredRotation, unit
@@ -13,21 +13,15 @@ from .stored import StoredPose, StoredRotation, unit
 __all__ = ["Ambient"]
 
 
-def _quaternion_rate(q: Components, w: Components) -> Components:
-    """q' = q (0, w) / 2."""
-    u = q[1:]
-    return scale(0.5, (-dot(u, w), *add(scale(q[0], w), cross(u, w))))
-
-
 class _Rotation(StoredRotation):
     def move(self, y: Components, z: Components) -> Components:
         return add(y, z)
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
-        return _quaternion_rate(moved, omega)
+        return quaternions.rate(moved, omega)
 
     def first_slope(self, y: Components, omega: Components) -> Components:
-        return _quaternion_rate(y, omega)
+        return quaternions.rate(y, omega)
 
     def settle(self, z: Components, moved: Components) -> Components:
         return unit(moved)
@@ -38,7 +32,7 @@ class _Pose(StoredPose):
         return add(y, z)
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
-        return (*_quaternion_rate(moved[:4], omega[3:]), *quaternions.rotate(moved[:4], omega[:3]))
+        return (*quaternions.rate(moved[:4], omega[3:]), *quaternions.rotate(moved[:4], omega[:3]))
 
     def first_slope(self, y: Components, omega: Components) -> Components:
         return self.slope((), y, omega)
@@ -52,7 +46,8 @@ class Ambient(Chart):
     """Quaternion and position as plain numbers, q' = q (0, w) / 2 and p' = R(q) v; q is put to length one once a step.
 
     The cheapest chart, and as accurate as the others where nothing is stiff. Between the start of a step and its end
-    the quaternion leaves the sphere by the error of the stages.
+    the quaternion leaves the sphere by the error of the stages. No turn is too far for it to notice: a step that is too
+    long is as wrong as the tableau makes it.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section IV.4 (projection methods).
     """

@@ -38,10 +38,10 @@ class _Maps(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class _Closed(_Maps):
-    """Closed forms, guarded near zero; good for any rotation below a full turn in a step."""
+    """Closed forms, guarded near zero. Beyond a full turn, where J_r is singular, the result is not a number."""
 
     def half_turn(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return stumpff(0, 0.25 * x), 0.5 * stumpff(1, 0.25 * x)
+        return jnp.where(x < 4.0 * pi**2, stumpff(0, 0.25 * x), jnp.nan), 0.5 * stumpff(1, 0.25 * x)
 
     def third(self, x: jax.Array) -> jax.Array:
         return stumpff(3, x)
@@ -160,7 +160,8 @@ class Exponential(Chart):
 
     Attributes:
         commutators: the powers of ad kept in J_r(eta)^-1 = I + ad/2 + ad^2/12 - ad^4/720 + ...; then everything is a
-            polynomial, and a step that turns by more than half a turn fails. None: closed forms, up to a full turn.
+            polynomial, and a step that turns by more than half a turn fails. None: closed forms, and a step fails that
+            turns by more than a full turn.
     A method of order p needs p - 2 commutators; `RKMK` asks for that many unless it is given a chart.
 
     Raises:

@@ -22,8 +22,9 @@ def tightened(q: Components) -> Components:
 
 
 def unit(q: Components) -> Components:
-    """A quaternion of any length but zero, put to length one."""
-    return scale(jax.lax.rsqrt(dot_four(q)), q)
+    """A quaternion of any length but zero, put to length one; not a number where its square overflows."""
+    square = dot_four(q)
+    return scale(jnp.where(jnp.isfinite(square), jax.lax.rsqrt(square), jnp.nan), q)
 
 
 def dot_four(q: Components) -> jax.Array:
