@@ -93,7 +93,7 @@ def measure(method: RKMK, dynamics: Dynamics, steps: int) -> Row:
             begin = time.perf_counter()
             jax.block_until_ready(run(x, count))
             times[small].append((time.perf_counter() - begin) / steps * 1e6)
-    apart = max(float(jnp.abs(ends[True][name] - ends[False][name]).max()) for name in x)
+    apart = float(jnp.stack([jnp.abs(ends[True][name] - ends[False][name]).max() for name in x]).max())
     return Row(method, seconds, median(times[True]), median(times[False]), apart)
 
 
