@@ -84,6 +84,7 @@ def test_a_traced_flight_is_the_known_one(body: tx.Dynamics) -> None:
     assert traced.stats.rhs_evaluations == known.stats.rhs_evaluations
     for name in known.xs:
         np.testing.assert_allclose(traced.xs[name], known.xs[name], atol=1e-14)
+        np.testing.assert_array_equal(traced.xs[name][0], start()[name])
     np.testing.assert_array_equal(traced.ts, known.ts)
 
 

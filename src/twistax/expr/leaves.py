@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
-from ..errors import InputError, ModelError, ShapeError
-from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
+from ..errors import InputError, ModelError
+from ..groups import SE3, SO3, Euclidean, Group, Order
+from .leaf_values import (
+    ROUND_OFF,
+    boundary_of,
+    bounds_of,
+    constant_of,
+    defect_of,
+    group_of,
+    guess_of,
+    scale_of,
+    shape_of,
+    value_of,
+)
 from .node import Example, Expr, Shape
 from .printing import matrix_latex, number_latex
 
@@ -66,7 +77,7 @@ class Constant(Leaf):
     value: np.ndarray
 
     def __init__(self, value: Any) -> None:
-        shape, array = _constant(value)
+        shape, array = constant_of(value)
         self._declare("constant", shape, value=array)
 
     def static_key(self) -> tuple[Any, ...]:
@@ -80,7 +91,7 @@ class Constant(Leaf):
 
     def makes_group_element(self, *operands: bool) -> bool:
         group = {SO3.shape: SO3, SE3.shape: SE3}.get(self.shape)
-        return group is not None and not self.boolean and _defect(self.value, group) < _ROUND_OFF
+        return group is not None and not self.boolean and defect_of(self.value, group) < ROUND_OFF
 
     @property
     def folded_from(self) -> Expr | None:
@@ -120,27 +131,6 @@ class Constant(Leaf):
     @classmethod
     def example(cls) -> list[Example]:
         return [Example(Constant([1.0, -2.0]), {})]
-
-
-def _constant(value: Any) -> tuple[Shape, np.ndarray]:
-    try:
-        array = np.array(value)
-    except jax.errors.TracerArrayConversionError:
-        raise ModelError(
-            "a traced JAX value cannot become a Constant of an expression.\n"
-            "  fix: declare a tx.Parameter and pass the value through params"
-        ) from None
-    except ValueError as error:
-        raise ModelError(f"cannot make a Constant of {value!r}: {error}") from None
-    if array.dtype != bool:
-        if array.dtype.kind not in "iuf":
-            raise ModelError(
-                f"a Constant must be a real number or array, got {type(value).__name__} of dtype {array.dtype}.\n"
-                "  fix: collect expressions with tx.Stack or tx.Concat"
-            )
-        array = array.astype(np.float64)
-    array.setflags(write=False)
-    return array.shape, array
 
 
 class Time(Leaf):
@@ -209,7 +199,7 @@ class State(Variable):
         guess: Any = None,
         scale: Any = None,
     ) -> None:
-        group = _group_of(name, shape, group, order)
+        group = group_of(name, shape, group, order)
         if not isinstance(group, Euclidean) and (min is not None or max is not None):
             raise ModelError(
                 f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
@@ -219,11 +209,11 @@ class State(Variable):
             name,
             group.shape,
             group=group,
-            **_bounds(name, group.shape, min, max),
-            initial=_boundary(name, "initial", initial, group),
-            final=_boundary(name, "final", final, group),
-            guess=_guess(name, guess, group.shape),
-            scale=_scale(name, scale, group),
+            **bounds_of(name, group.shape, min, max),
+            initial=boundary_of(name, "initial", initial, group),
+            final=boundary_of(name, "final", final, group),
+            guess=guess_of(name, guess, group.shape),
+            scale=scale_of(name, scale, group),
         )
 
     def replace(self, **changes: Any) -> State:
@@ -272,13 +262,13 @@ class Control(Variable):
         guess: Any = None,
         scale: Any = None,
     ) -> None:
-        shape = _shape(name, shape)
+        shape = shape_of(name, shape)
         self._declare(
             name,
             shape,
-            **_bounds(name, shape, min, max),
-            guess=_guess(name, guess, shape),
-            scale=_scale(name, scale, Euclidean(shape)),
+            **bounds_of(name, shape, min, max),
+            guess=guess_of(name, guess, shape),
+            scale=scale_of(name, scale, Euclidean(shape)),
         )
 
     def replace(self, **changes: Any) -> Control:
@@ -309,8 +299,8 @@ class Parameter(Leaf):
     def __init__(self, name: str, shape: Shape | int | None = None, *, value: Any = None) -> None:
         if shape is None:
             shape = () if value is None else np.shape(value)
-        shape = _shape(name, shape)
-        self._declare(name, shape, value=_value(name, "value", value, shape))
+        shape = shape_of(name, shape)
+        self._declare(name, shape, value=value_of(name, "value", value, shape))
 
     def replace(self, **changes: Any) -> Parameter:
         return Parameter(**({"name": self.name, "shape": self.shape, "value": self.value} | changes))
@@ -328,126 +318,6 @@ class Parameter(Leaf):
     @classmethod
     def example(cls) -> list[Example]:
         return [Example(Parameter("p", value=[1.0, 2.0]), {"p": np.array([0.5, 4.0])})]
-
-
-# ---- checks ---------------------------------------------------------------------------------------------------
-
-
-def _shape(name: str, shape: Shape | int) -> Shape:
-    shape = (shape,) if isinstance(shape, (int, np.integer)) else tuple(shape)
-    if not all(isinstance(n, (int, np.integer)) and n >= 1 for n in shape):
-        raise ModelError(f"{name!r}: a shape is a tuple of positive whole numbers, got {shape}")
-    return tuple(int(n) for n in shape)
-
-
-def _group_of(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
-    if group is None:
-        if order is not None:
-            raise ModelError(f"State {name!r}: order= is for pose states (group=tx.SE3); the Lie nodes carry their own")
-        return Euclidean(_shape(name, () if shape is None else shape))
-    if not isinstance(group, Group):
-        raise ModelError(f"State {name!r}: group must be tx.SO3 or tx.SE3, got {group!r}")
-    if shape is not None and _shape(name, shape) != group.shape:
-        raise ShapeError(
-            f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
-            hint="leave shape out: the group brings its own",
-        )
-    if order is None:
-        return group
-    if not isinstance(group, SpecialEuclidean):
-        raise ModelError(f"State {name!r}: order= concerns poses (tx.SE3), not {group.name}")
-    return group.with_order(order)
-
-
-def _value(name: str, what: str, value: Any, shape: Shape) -> np.ndarray | None:
-    """A float64 copy broadcast to the shape, read-only; None entries become nan (free)."""
-    if value is None:
-        return None
-    array = np.asarray(value)
-    if array.dtype == object:
-        array = np.array([np.nan if v is None else v for v in array.ravel()], float).reshape(array.shape)
-    try:
-        array = np.broadcast_to(array.astype(np.float64), shape).copy()
-    except (ValueError, TypeError):
-        raise ShapeError(f"{name!r}: {what} expects shape {shape}, got {np.shape(value)}") from None
-    array.setflags(write=False)
-    return array
-
-
-_FREE_ENDS = {"min": -np.inf, "max": np.inf}
-
-
-def _bounds(name: str, shape: Shape, low: Any, high: Any) -> dict[str, np.ndarray | None]:
-    found = {}
-    for what, value in (("min", low), ("max", high)):
-        array = _value(name, what, value, shape)
-        if array is not None and np.isnan(array).any():
-            array = np.where(np.isnan(array), _FREE_ENDS[what], array)
-            array.setflags(write=False)
-        found[what] = array
-    low, high = found["min"], found["max"]
-    if low is not None and high is not None and (low > high).any():
-        raise ModelError(f"{name!r}: min {low} is above max {high}")
-    return found
-
-
-#: How far a given rotation may be from orthonormal before it is refused.
-_ROTATION_TOLERANCE = 1e-6
-
-
-#: How far a constant may be from orthonormal to count as a rotation in rewrites.
-_ROUND_OFF = 1e-12
-
-
-@functools.cache
-def _compiled_defect(group: Group) -> Callable[..., jax.Array]:
-    # Compiled as one, once: a dozen eager operations would each be compiled alone.
-    return jax.jit(group.defect)
-
-
-def _defect(value: np.ndarray, group: Group) -> float:
-    with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        return float(_compiled_defect(group)(jax.numpy.asarray(value)))
-
-
-def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    if isinstance(group, Euclidean):
-        return _value(name, what, value, group.shape)
-    return _element(name, what, value, group)
-
-
-def _element(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    if value is None:
-        return None
-    if np.shape(value) != group.shape:
-        raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
-    array = np.array(value, dtype=np.float64)
-    defect = _defect(array, group)
-    if not defect <= _ROTATION_TOLERANCE:
-        raise ModelError(
-            f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"
-            "  fix: build it with tx.pose(position=..., euler=... or quaternion=...)"
-        )
-    array.setflags(write=False)
-    return array
-
-
-def _guess(name: str, value: Any, shape: Shape) -> np.ndarray | None:
-    if value is None:
-        return None
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape and array.shape[1:] != shape:
-        raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {array.shape}")
-    array.setflags(write=False)
-    return array
-
-
-def _scale(name: str, value: Any, group: Group) -> np.ndarray | None:
-    shape = group.shape if isinstance(group, Euclidean) else (group.dimension,)
-    array = _value(name, "scale", value, shape)
-    if array is not None and not (array > 0).all():
-        raise ModelError(f"{name!r}: scale must be positive, got {array}")
-    return array
 
 
 __all__ = ["Constant", "Control", "Inputs", "Leaf", "Parameter", "State", "Time", "Variable"]

@@ -122,7 +122,10 @@ def _known_flight(stepper: Stepper, x: Arrays, grid: Grid, saves: Saves | None, 
 
 @jax.jit
 def _loop(stepper: Stepper, x: Arrays, stops: jax.Array) -> _Recorded:
-    """Step on to each stop in turn and record the state there; after a step that fails stay where it started."""
+    """Step on to each stop in turn and record the state there; after a step that fails stay where it started.
+
+    Before the first step it is the start as given, to the last bit.
+    """
     return small_call(_stepped, stepper, x, stops)
 
 
@@ -137,7 +140,8 @@ def _stepped(stepper: Stepper, x: Arrays, stops: jax.Array) -> _Recorded:
 
     def to_stop(now: _Recorded, stop: jax.Array) -> tuple[_Recorded, _Recorded]:
         now = jax.lax.while_loop(lambda n: (n.steps < stop) & n.good, advance, now)
-        return now, now._replace(xs=local.value(now.xs))
+        found = jax.tree.map(lambda at_start, later: jnp.where(now.steps == 0, at_start, later), x, local.value(now.xs))
+        return now, now._replace(xs=found)
 
     start = _Recorded(jnp.zeros((), stops.dtype), local.enter(x), jnp.asarray(True))
     return jax.lax.scan(to_stop, start, stops)[1]
@@ -168,7 +172,8 @@ def _scan(stepper: Stepper, x: Arrays, steps: int, record: bool) -> Arrays:
     ys = jax.tree.map(lambda a: a[None], end)
     if record:
         ys = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), before, ys)
-    return jax.vmap(local.value)(ys)
+    xs = jax.vmap(local.value)(ys)
+    return {name: value.at[0].set(x[name]) for name, value in xs.items()} if record or not steps else xs
 
 
 @jax.jit
@@ -178,7 +183,8 @@ def _off_grid(stepper: Stepper, xs: Arrays, saves: Saves) -> tuple[Arrays, jax.A
 
     def part(x: Arrays, index: jax.Array, share: jax.Array) -> tuple[Arrays, jax.Array]:
         moved = stepper.step(index, local.enter(x), share)
-        return local.value(moved), _finite(moved)
+        found = jax.tree.map(lambda on_grid, beyond: jnp.where(share == 0, on_grid, beyond), x, local.value(moved))
+        return found, _finite(moved)
 
     return jax.vmap(part)(xs, saves.index, saves.share)
 

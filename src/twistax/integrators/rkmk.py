@@ -54,7 +54,7 @@ class RKMK:
     @property
     def evaluations(self) -> int:
         """Evaluations of the right-hand side a step."""
-        return self.tableau.stages
+        return self.tableau.counted_stages
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
         """The coordinates of this method's chart for the states of a system."""

@@ -61,16 +61,12 @@ def small_call(function: Callable[..., Result], *arguments: Any) -> Result:
         return [*results, read]
 
     jaxpr = jax.make_jaxpr(flat)(*leaves)
-    if set_xla_metadata is None or jax.default_backend() != "cpu" or not _all_known(jaxpr.jaxpr):
-        return function(*arguments)
-
-    def body(*leaves: jax.Array) -> Any:
-        # The attribute belongs to this call alone: calls within it are inlined as ever.
-        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
-            return jaxpr_as_fun(jaxpr)(*leaves)
-
-    with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-        results = jax.jit(body, inline=False)(*leaves)
+    run = jaxpr_as_fun(jaxpr)
+    if set_xla_metadata is not None and jax.default_backend() == "cpu" and _all_known(jaxpr.jaxpr):
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            results = jax.jit(run, inline=False)(*leaves)
+    else:
+        results = run(*leaves)
     return jax.tree.unflatten(shapes[0], results[:-1])
 
 

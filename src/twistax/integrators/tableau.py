@@ -73,8 +73,13 @@ class ButcherTableau:
 
     @property
     def stages(self) -> int:
-        """The number of evaluations of the right-hand side a step."""
+        """s, the number of rows of the tableau."""
         return int(self.b.size)
+
+    @property
+    def counted_stages(self) -> int:
+        """The stages up to the last one that b counts; later ones serve the embedded solutions or the next step."""
+        return int(np.flatnonzero(self.b)[-1]) + 1
 
     @property
     def is_pair(self) -> bool:

@@ -130,7 +130,36 @@ US1976 = LayeredAtmosphere(
 )
 
 
-class Temperature(Entrywise):
+class _OfAltitude(Entrywise):
+    """What temperature and pressure share."""
+
+    altitude: Operand
+    air: LayeredAtmosphere = US1976
+    keeps_order = False
+    abstract = True
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        # An air of kilometres and bars: the finite differences of the suite need values and steps of like size.
+        air = LayeredAtmosphere(
+            bases=(0.0, 1.0, 2.0),
+            lapses=(-0.5, 0.0, 0.3),
+            temperature_at_base=3.0,
+            pressure_at_base=1.0,
+            gravity=9.8,
+            radius=60.0,
+            molar_mass=0.3,
+            gas_constant=1.0,
+            heat_ratio=1.4,
+        )
+        z = State("z", shape=(4,))
+        return [
+            Example(cls(z, air), {"z": np.array([-0.4, 0.5, 1.5, 3.0])}),
+            Example(cls(z), {"z": np.array([0.0, 11e3, 90e3, -1e3])}, smooth=False),
+        ]
+
+
+class Temperature(_OfAltitude):
     """Temperature of a layered atmosphere in K, entry by entry; the shape is that of altitude.
 
     At the edge of a layer the derivative is that of the layer above.
@@ -140,19 +169,11 @@ class Temperature(Entrywise):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
-    altitude: Operand
-    air: LayeredAtmosphere = US1976
-    keeps_order = False
-
     def evaluate(self, *values: Array) -> Array:
         return profile(self.air, values[0])[0]
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return _examples(cls)
 
-
-class Pressure(Entrywise):
+class Pressure(_OfAltitude):
     """Pressure of a layered atmosphere in Pa, entry by entry; the shape is that of altitude.
 
     Its first derivative is continuous; at the edge of a layer the second one is that of the layer above.
@@ -162,16 +183,8 @@ class Pressure(Entrywise):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
-    altitude: Operand
-    air: LayeredAtmosphere = US1976
-    keeps_order = False
-
     def evaluate(self, *values: Array) -> Array:
         return self.air.pressure_at_base * jnp.exp(profile(self.air, values[0])[1])
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return _examples(cls)
 
 
 def profile(air: LayeredAtmosphere, altitude: Array) -> tuple[Array, Array]:
@@ -186,23 +199,3 @@ def profile(air: LayeredAtmosphere, altitude: Array) -> tuple[Array, Array]:
     even = lapse == 0.0
     inverse = jnp.where(even, climb / base, jnp.log1p(lapse * climb / base) / jnp.where(even, 1.0, lapse))
     return T, log_pressures[layer] - air.decay * inverse
-
-
-def _examples(node: type[Temperature] | type[Pressure]) -> list[Example]:
-    # An air of kilometres and bars: the finite differences of the suite need values and steps of like size.
-    air = LayeredAtmosphere(
-        bases=(0.0, 1.0, 2.0),
-        lapses=(-0.5, 0.0, 0.3),
-        temperature_at_base=3.0,
-        pressure_at_base=1.0,
-        gravity=9.8,
-        radius=60.0,
-        molar_mass=0.3,
-        gas_constant=1.0,
-        heat_ratio=1.4,
-    )
-    z = State("z", shape=(4,))
-    return [
-        Example(node(z, air), {"z": np.array([-0.4, 0.5, 1.5, 3.0])}),
-        Example(node(z), {"z": np.array([0.0, 11e3, 90e3, -1e3])}, smooth=False),
-    ]
