@@ -48,7 +48,7 @@ def test_coordinates_follow_the_rate(chart: Chart, group: Group) -> None:
         slope = local.slope(z, moved, rate)
         value, change = jax.jvp(lambda z: local.value(local.move(y, z)), (z,), (slope,))
         np.testing.assert_allclose(change, np.asarray(value) @ hat(group, omega), atol=2e-14)
-        np.testing.assert_allclose(local.value(local.settle(z, moved)), value, atol=1e-15)
+        np.testing.assert_allclose(local.value(local.settle(moved)), value, atol=1e-15)
     np.testing.assert_allclose(jnp.stack(local.slope(zero, local.move(y, zero), rate)), jnp.stack(first), atol=1e-15)
 
 

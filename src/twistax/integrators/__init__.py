@@ -2,6 +2,7 @@
 
 from .controls import Held, Linear, Table
 from .integrate import integrate
+from .method import Method
 from .rkmk import RKMK
 from .solution import Result, Solution, Stats
 from .tableau import ButcherTableau
@@ -11,6 +12,7 @@ __all__ = [
     "ButcherTableau",
     "Held",
     "Linear",
+    "Method",
     "Result",
     "Solution",
     "Stats",

@@ -18,6 +18,7 @@ from .checks import check_start, failure
 from .concrete import is_traced
 from .controls import controls_of
 from .grid import Grid, Saves, make_grid, place_saves
+from .method import Method
 from .rkmk import RKMK
 from .small_call import small_call
 from .solution import Result, Solution, Stats
@@ -35,7 +36,7 @@ def integrate(
     t1: Any,
     dt: Any = None,
     steps: int | None = None,
-    method: RKMK | None = None,
+    method: Method | None = None,
     u: Any = None,
     params: Mapping[str, Any] | None = None,
     save_at: Any = None,
@@ -72,8 +73,9 @@ def integrate(
         IntegrationError: a state became infinite or not a number. Names the time, the state and the likely cause.
     """
     method = RKMK(RK4) if method is None else method
-    if not isinstance(method, RKMK):
+    if not isinstance(method, Method):
         raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
+    method.check(dynamics)
     controls = controls_of(u)
     inputs = dynamics.prepare(t0, x0, controls.sample(jnp.asarray(t0, precision(x0, params))), params)
     check_start(dynamics, inputs)
@@ -189,7 +191,7 @@ def _off_grid(stepper: Stepper, xs: Arrays, saves: Saves) -> tuple[Arrays, jax.A
     return jax.vmap(part)(xs, saves.index, saves.share)
 
 
-def _stats(method: RKMK, steps: int, saves: Saves | None) -> Stats:
+def _stats(method: Method, steps: int, saves: Saves | None) -> Stats:
     parts = saves.index.shape[0] if saves is not None and saves.off_grid else 0
     return Stats(steps, steps, 0, method.evaluations * (steps + parts))
 

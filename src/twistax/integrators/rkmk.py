@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import jax
 
@@ -12,17 +11,15 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Chart, Exponential
 from .charts.whole import Blocks, StateCoordinates, coordinates_of
+from .method import ControlsAt, Method
 from .stages import stage_slopes
 from .tableau import ButcherTableau
 
-__all__ = ["RKMK", "ControlsAt"]
-
-#: The prepared controls at a stage time.
-ControlsAt = Callable[[jax.Array], Arrays]
+__all__ = ["RKMK"]
 
 
 @dataclasses.dataclass(frozen=True)
-class RKMK:
+class RKMK(Method):
     """The explicit Runge-Kutta-Munthe-Kaas method of a tableau in a chart.
 
     On states without a group it is the Runge-Kutta method. Methods are values: they are equal where tableaus and charts
@@ -52,12 +49,18 @@ class RKMK:
             raise ModelError(f"RKMK expects a chart like tx.charts.Exponential(), got {self.chart!r}")
 
     @property
+    def name(self) -> str:
+        return f"{self.tableau.name}, {self.chart!r}"
+
+    @property
+    def order(self) -> int:
+        return self.tableau.order
+
+    @property
     def evaluations(self) -> int:
-        """Evaluations of the right-hand side a step."""
         return self.tableau.counted_stages
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        """The coordinates of this method's chart for the states of a system."""
         return coordinates_of(self.chart, dynamics.group)
 
     def advance(
@@ -79,7 +82,7 @@ class RKMK:
 
         slopes = stage_slopes(self.tableau, slope, local.first_slope(y, omega(t, y)), t, h)
         z = slopes.combine(self.tableau.b, h)
-        return local.settle(z, local.move(y, z))
+        return local.settle(local.move(y, z))
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
@@ -113,13 +116,6 @@ class RKMK:
 
         # At the start of a step exponential coordinates change as the body velocity does.
         return local.tangent(stage_slopes(self.tableau, slope, omega(t, x), t, h).combine(self.tableau.b, h))
-
-    def step(
-        self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Arrays:
-        """The state after one step of length h, from prepared arguments. Pure and traceable."""
-        local = self.coordinates(dynamics)
-        return local.value(self.advance(dynamics, t, local.enter(x), u_at, params, h))
 
 
 def _flat(rates: Arrays) -> Arrays:

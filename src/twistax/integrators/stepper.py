@@ -12,7 +12,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates
 from .controls import Signals
-from .rkmk import RKMK
+from .method import Method
 
 __all__ = ["Stepper"]
 
@@ -29,7 +29,7 @@ class Stepper:
     """
 
     dynamics: Dynamics
-    method: RKMK
+    method: Method
     signals: Signals
     params: Arrays
     t0: Any

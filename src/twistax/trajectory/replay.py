@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, IntegrationError, TrajectoryError
 from ..expr import Inputs, evaluate_all
 from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
-from ..integrators import RKMK, Held, integrate
+from ..integrators import RKMK, Held, Method, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
 from .arrays import Array
@@ -70,14 +70,14 @@ def replay(
         raise TrajectoryError(f"steps must be a positive whole number, got {steps!r}")
     method = RKMK(RK4) if method is None else method
     with jax.enable_x64(True):
-        if isinstance(method, RKMK):
+        if isinstance(method, Method):
             xs = _fly_on_group(result, method, steps)
         else:
             xs = _fly_ambient(result, method, steps, rtol, atol)
         return _judged(result, xs, steps)
 
 
-def _fly_on_group(result: TrajectoryResult, method: RKMK, steps: int) -> dict[str, Array]:
+def _fly_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[str, Array]:
     problem = result.problem
     intervals = problem.nodes - 1
     tables = {name: Held(result.ts[:-1], values) for name, values in result.us.items()}
@@ -99,7 +99,7 @@ def _fly_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: float,
     import diffrax
 
     if not isinstance(solver, diffrax.AbstractSolver):
-        raise InputError(f"method must be an RKMK method or a diffrax solver, got {solver!r}")
+        raise InputError(f"method must be a method like tx.RKMK(tx.tableaus.RK4) or a diffrax solver, got {solver!r}")
     problem = result.problem
     ambient = Ambient(problem.dynamics)
     params = {name: jnp.asarray(value) for name, value in problem.params.items()}

@@ -23,7 +23,7 @@ class _Rotation(StoredRotation):
     def first_slope(self, y: Components, omega: Components) -> Components:
         return quaternions.rate(y, omega)
 
-    def settle(self, z: Components, moved: Components) -> Components:
+    def settle(self, moved: Components) -> Components:
         return unit(moved)
 
 
@@ -37,7 +37,7 @@ class _Pose(StoredPose):
     def first_slope(self, y: Components, omega: Components) -> Components:
         return self.slope((), y, omega)
 
-    def settle(self, z: Components, moved: Components) -> Components:
+    def settle(self, moved: Components) -> Components:
         return (*unit(moved[:4]), *moved[4:])
 
 

@@ -66,7 +66,7 @@ class Coordinates(ABC):
             "  fix: use tx.RKMK(tableau), or a chart tx.charts.Exponential(...)"
         )
 
-    def settle(self, z: Block, moved: Block) -> Block:
+    def settle(self, moved: Block) -> Block:
         """The end of a step: `moved`, put back into the group to round-off where rounding takes it out."""
         return moved
 

@@ -101,7 +101,7 @@ class _Rotation(StoredRotation):
     def tangent(self, z: Components) -> jax.Array:
         return vector(z)
 
-    def settle(self, z: Components, moved: Components) -> Components:
+    def settle(self, moved: Components) -> Components:
         return tightened(moved)
 
 
@@ -128,7 +128,7 @@ class _Pose(StoredPose):
     def tangent(self, z: Components) -> jax.Array:
         return self.order.from_linear_first(vector(z))
 
-    def settle(self, z: Components, moved: Components) -> Components:
+    def settle(self, moved: Components) -> Components:
         return (*tightened(moved[:4]), *moved[4:])
 
 
@@ -150,7 +150,7 @@ class _SplitPose(StoredPose):
     def first_slope(self, y: Components, omega: Components) -> Components:
         return (*quaternions.rotate(y[:4], omega[:3]), *omega[3:])
 
-    def settle(self, z: Components, moved: Components) -> Components:
+    def settle(self, moved: Components) -> Components:
         return (*tightened(moved[:4]), *moved[4:])
 
 

@@ -37,5 +37,5 @@ class GroupCoordinates(Coordinates):
     def tangent(self, z: Block) -> jax.Array:
         return z[0]
 
-    def settle(self, z: Block, moved: Block) -> Block:
+    def settle(self, moved: Block) -> Block:
         return (self.group.tighten(moved[0]),)

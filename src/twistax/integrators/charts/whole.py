@@ -51,9 +51,9 @@ class StateCoordinates:
         """The tangents of the move, by name. Raises ModelError where coordinates are of another kind."""
         return {name: part.tangent(z[name]) for name, part in self.parts.items()}
 
-    def settle(self, z: Blocks, moved: Blocks) -> Blocks:
+    def settle(self, moved: Blocks) -> Blocks:
         """The end of a step, put back into the group to round-off."""
-        return {name: part.settle(z[name], moved[name]) for name, part in self.parts.items()}
+        return {name: part.settle(moved[name]) for name, part in self.parts.items()}
 
 
 @functools.lru_cache(maxsize=256)

@@ -1,0 +1,161 @@
+"""One physical case with a known answer, and how far a flight of it is from that answer."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import twistax as tx
+
+__all__ = ["Scene", "State", "rotation_angle"]
+
+Array = NDArray[Any]
+State = Mapping[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scene:
+    """A system, a start, and the true state at the end. Units are SI and rad.
+
+    Nothing is built before it is needed: `system`, `dynamics` and `end` are found once, when first read.
+
+    Attributes:
+        name: a word for the command line, such as "euler-top".
+        title: a few words.
+        summary: one sentence: the body, its units, and what is hard about it.
+        source: where the equations or the answer come from.
+        build: makes the system.
+        start: the state at t = 0, by name.
+        duration: length of the flight, s.
+        reference: the state at the end from an independently converged computation; None where `exact` is given.
+        exact: the true state at a time in s; None where there is no closed form.
+        invariants: outputs of the system that stay constant.
+        params: values of the system's parameters.
+        u: the controls, as `tx.integrate` takes them.
+
+    Raises:
+        InputError: the duration is not positive, or both an exact solution and a reference are given.
+    """
+
+    name: str
+    title: str
+    summary: str
+    source: str
+    build: Callable[[], tx.System]
+    start: State
+    duration: float
+    reference: State | None = None
+    exact: Callable[[float], dict[str, Any]] | None = None
+    invariants: tuple[str, ...] = ()
+    params: State = dataclasses.field(default_factory=dict)
+    u: Any = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.duration) and self.duration > 0.0):
+            raise tx.InputError(f"scene {self.name!r}: duration must be a positive number of s, got {self.duration!r}")
+        if self.exact is not None and self.reference is not None:
+            raise tx.InputError(
+                f"scene {self.name!r} has an exact solution and a reference.\n"
+                "  fix: leave out reference; the end is exact(duration)"
+            )
+
+    @functools.cached_property
+    def system(self) -> tx.System:
+        """The system."""
+        return self.build()
+
+    @functools.cached_property
+    def dynamics(self) -> tx.Dynamics:
+        """The compiled system."""
+        return tx.compile(self.system)
+
+    @functools.cached_property
+    def end(self) -> dict[str, Any]:
+        """The true state at `duration`. Raises InputError for a scene without a known answer."""
+        return self.truth(self.duration)
+
+    def truth(self, t: float) -> dict[str, Any]:
+        """The true state at t in s: at any time where there is an exact solution, else at the start and the end.
+
+        Raises:
+            InputError: the truth is not known there.
+        """
+        if self.exact is not None:
+            return self.exact(t)
+        if self.reference is not None and t == self.duration:
+            return dict(self.reference)
+        if t == 0.0:
+            return dict(self.start)
+        known = (
+            f"the truth is known at 0 and {self.duration:g} s" if self.reference is not None else "no truth is known"
+        )
+        raise tx.InputError(f"scene {self.name!r} at t = {t!r} s: there is no exact solution, {known}")
+
+    def fly(self, **options: Any) -> tx.Solution:
+        """`tx.integrate` from the start to the end; options are its others: dt, method, save_at and so on."""
+        settings = {"t1": self.duration, "u": self.u, "params": self.params, **options}
+        return tx.integrate(self.dynamics, self.start, **settings)
+
+    def error(self, x: State, t: float | None = None) -> float:
+        """How far a state is from the truth, as one number: the largest of its parts.
+
+        A rotation counts with the angle to the true one in rad, or, where it has left the group, with its distance
+        from it if that is more. Any other part counts with its Euclidean distance over max(1, size of the truth):
+        a position, the linear and the angular half of a body twist, any other state as a whole.
+        Not a number gives not a number.
+
+        Args:
+            x: a state by name, without a leading axis.
+            t: when, s; the end if left out.
+        Raises:
+            InputError: a state is missing or of another shape than the truth, or the truth is not known at t.
+        """
+        truth = self.end if t is None else self.truth(t)
+        twists = {rate.name for rate in self.system.rates.values() if isinstance(rate, tx.State)}
+        parts: list[float] = []
+        for state in self.system.states:
+            wanted, found = np.asarray(truth[state.name], float), self._value(x, state.name)
+            if found.shape != wanted.shape:
+                raise tx.InputError(
+                    f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {found.shape}.\n"
+                    "  fix: one state at a time; of a flight's end, {name: value[-1] for name, value in sol.xs.items()}"
+                )
+            if state.group == tx.SO3:
+                parts.append(rotation_angle(wanted, found))
+            elif state.group == tx.SE3:
+                parts.append(rotation_angle(wanted[:3, :3], found[:3, :3]))
+                parts.append(_distance(wanted[:3, 3], found[:3, 3]))
+            elif state.name in twists and wanted.shape == (6,):
+                parts += [_distance(wanted[:3], found[:3]), _distance(wanted[3:], found[3:])]
+            else:
+                parts.append(_distance(wanted, found))
+        return float(np.max(parts))
+
+    def _value(self, x: State, name: str) -> Array:
+        if name not in x:
+            raise tx.InputError(f"scene {self.name!r}: state {name!r} is missing; given: {', '.join(x) or 'none'}")
+        return np.asarray(x[name], float)
+
+
+def rotation_angle(truth: Array, found: Array) -> float:
+    """The angle between two rotations (3, 3), rad, or |found - truth|_F / sqrt(2) if that is more.
+
+    The angle is atan2 of its sine, the length of the vee of the skew part of truth' found, and its cosine, from the
+    trace: good to round-off for any angle. Of two rotations the other distance, 2 sin(angle / 2), is never more;
+    it is where `found` is no rotation.
+    """
+    between = truth.T @ found
+    skew = 0.5 * (between - between.T)
+    sine = np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]])
+    cosine = 0.5 * (np.trace(between) - 1.0)
+    return float(np.maximum(np.arctan2(sine, cosine), np.linalg.norm(found - truth) / np.sqrt(2.0)))
+
+
+def _distance(truth: Array, found: Array) -> float:
+    """|found - truth| / max(1, |truth|)."""
+    return float(np.linalg.norm(found - truth) / max(1.0, float(np.linalg.norm(truth))))
