@@ -116,7 +116,8 @@ class Scene:
             InputError: a state is missing or of another shape than the truth, or the truth is not known at t.
         """
         truth = self.end if t is None else self.truth(t)
-        twists = {rate.name for rate in self.system.rates.values() if isinstance(rate, tx.State)}
+        poses = [state.name for state in self.system.states if state.group == tx.SE3]
+        twists = {rate.name for rate in map(self.system.rates.get, poses) if isinstance(rate, tx.State)}
         parts: list[float] = []
         for state in self.system.states:
             wanted, found = np.asarray(truth[state.name], float), self._value(x, state.name)
@@ -125,15 +126,16 @@ class Scene:
                     f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {found.shape}.\n"
                     "  fix: one state at a time; of a flight's end, {name: value[-1] for name, value in sol.xs.items()}"
                 )
-            if state.group == tx.SO3:
-                parts.append(rotation_angle(wanted, found))
-            elif state.group == tx.SE3:
-                parts.append(rotation_angle(wanted[:3, :3], found[:3, :3]))
-                parts.append(_distance(wanted[:3, 3], found[:3, 3]))
-            elif state.name in twists and wanted.shape == (6,):
-                parts += [_distance(wanted[:3], found[:3]), _distance(wanted[3:], found[3:])]
-            else:
-                parts.append(_distance(wanted, found))
+            with np.errstate(invalid="ignore", over="ignore"):
+                if state.group == tx.SO3:
+                    parts.append(rotation_angle(wanted, found))
+                elif state.group == tx.SE3:
+                    parts.append(rotation_angle(wanted[:3, :3], found[:3, :3]))
+                    parts.append(_distance(wanted[:3, 3], found[:3, 3]))
+                elif state.name in twists:
+                    parts += [_distance(wanted[:3], found[:3]), _distance(wanted[3:], found[3:])]
+                else:
+                    parts.append(_distance(wanted, found))
         return float(np.max(parts))
 
     def _value(self, x: State, name: str) -> Array:
