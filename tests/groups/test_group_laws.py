@@ -34,6 +34,7 @@ def laws(group):
             "retract": group.retract(g, b),
             "difference": group.difference(g, h),
             "back": group.retract(g, group.difference(g, h)),
+            "bracket": group.bracket(a, b),
             "apply": group.right_jacobian_inv_apply(a, b),
             "defect": group.defect(g),
             "normalize": group.normalize(g),
@@ -106,6 +107,12 @@ def test_ad_is_the_commutator(case):
     group, values = case
     for a, _, value in values:
         close(value["ad"], oracle.ad(group, a))
+
+
+def test_the_bracket_is_the_commutator(case):
+    group, values = case
+    for a, b, value in values:
+        close(value["bracket"], oracle.ad(group, a) @ b)
 
 
 def test_Ad_of_exp_is_expm_of_ad(case):

@@ -8,7 +8,7 @@ from typing import Any
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from twistax.groups.inputs import Input
+from twistax.groups.inputs import Input, multiply, of_shape
 
 __all__ = ["Group"]
 
@@ -63,6 +63,12 @@ class Group(ABC):
     @abstractmethod
     def ad(self, xi: Input) -> Float[Array, "n n"]:
         """The matrix of eta -> [xi, eta]."""
+
+    def bracket(self, xi: Input, eta: Input) -> Float[Array, "n"]:
+        """[xi, eta] = ad_xi eta. Raises ShapeError."""
+        n = (self.dimension,)
+        xi, eta = of_shape(f"{self.name}.bracket", {"xi": n, "eta": n}, xi, eta)
+        return multiply(self.ad(xi), eta)
 
     @abstractmethod
     def left_jacobian(self, xi: Input) -> Float[Array, "n n"]:

@@ -66,6 +66,9 @@ class SpecialOrthogonal(Group):
     def ad(self, xi: Input) -> Float[Array, "3 3"]:
         return so3.ad(xi)
 
+    def bracket(self, xi: Input, eta: Input) -> Float[Array, "3"]:
+        return so3.bracket(xi, eta)
+
     def left_jacobian(self, xi: Input) -> Float[Array, "3 3"]:
         return so3.left_jacobian(xi)
 
@@ -142,6 +145,10 @@ class SpecialEuclidean(Group):
 
     def ad(self, xi: Input) -> Float[Array, "6 6"]:
         return self.order.from_linear_first(se3.ad(self.order.to_linear_first(xi)))
+
+    def bracket(self, xi: Input, eta: Input) -> Float[Array, "6"]:
+        linear_first = self.order.to_linear_first
+        return self.order.from_linear_first(se3.bracket(linear_first(xi), linear_first(eta)))
 
     def left_jacobian(self, xi: Input) -> Float[Array, "6 6"]:
         return self.order.from_linear_first(se3.left_jacobian(self.order.to_linear_first(xi)))

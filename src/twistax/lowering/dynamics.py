@@ -152,6 +152,10 @@ class Dynamics:
         """The rates from prepared arguments; what an integrator puts into its loop."""
         return self.evaluate("rates", t, x, u, params)
 
+    def rate_reads(self, name: str) -> set[str]:
+        """The names of the states, controls and parameters that the rate of a state reads."""
+        return _names([self._rates[name]])
+
     @functools.cached_property
     def constraint_names(self) -> dict[str, list[str]]:
         """The name of every entry of `constraints`, for messages."""
