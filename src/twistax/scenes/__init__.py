@@ -4,8 +4,14 @@ Importing builds nothing: a scene's system is made and compiled when it is first
 """
 
 from .euler_top import EULER_TOP
+from .heavy_top import HEAVY_TOP
+from .low_orbit import LOW_ORBIT
+from .offset_tumble import OFFSET_TUMBLE
+from .rocket import ROCKET
 from .scene import Scene
+from .spring_bodies import SPRING_BODIES
 from .symmetric_body import FAST_SPIN, SYMMETRIC_BODY
+from .tumbling_brick import TUMBLING_BRICK
 
 __all__ = ["SCENES", "Scene"]
 
@@ -15,6 +21,12 @@ SCENES: dict[str, Scene] = {
     for scene in (
         EULER_TOP,
         SYMMETRIC_BODY,
+        HEAVY_TOP,
+        OFFSET_TUMBLE,
         FAST_SPIN,
+        ROCKET,
+        LOW_ORBIT,
+        SPRING_BODIES,
+        TUMBLING_BRICK,
     )
 }

@@ -20,6 +20,8 @@ import numpy as np
 import twistax as tx
 from twistax.mechanics.environment import atmosphere, earth, gravity
 
+from .arrays import placed
+
 __all__ = ["CASES", "DURATION", "Air", "CheckCase", "Published", "RateDamping", "system"]
 
 Vector = tuple[float, float, float]
@@ -98,7 +100,7 @@ class CheckCase:
         north_east_down = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
         velocity = np.cross([0.0, 0.0, earth.WGS84.rate], position)
         return {
-            "g": tx.pose(position=position, rotation=north_east_down),
+            "g": placed(north_east_down, position),
             "V": np.concatenate([north_east_down.T @ velocity, self.rate]),
         }
 

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from . import spinning_body
-from .free_rotation import TriaxialBody, about_x
+from .arrays import about
+from .free_rotation import TriaxialBody
 from .scene import Scene
 
 __all__ = ["EULER_TOP"]
 
-_BODY = TriaxialBody(np.array([1.0, 2.0, 3.0]), about_x(0.6), np.array([2.0, 0.0, 1.5]))
+_BODY = TriaxialBody(np.array([1.0, 2.0, 3.0]), about((1.0, 0.0, 0.0), 0.6), np.array([2.0, 0.0, 1.5]))
 
 
 def _exact(t: float) -> dict[str, Any]:

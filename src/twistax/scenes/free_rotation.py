@@ -4,31 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["SymmetricBody", "TriaxialBody", "about_x", "cross_matrix", "spin"]
+from .arrays import Array, about
 
-Array = NDArray[Any]
-
-
-def cross_matrix(a: Array) -> Array:
-    """The matrix (3, 3) of the cross product with a (3,)."""
-    x, y, z = a
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=np.asarray(a).dtype)
-
-
-def spin(axis: Array, angle: Any) -> Array:
-    """The rotation (3, 3) about a unit axis by an angle in rad, by Rodrigues' formula, in the precision of both."""
-    hat = cross_matrix(axis)
-    return np.eye(3, dtype=hat.dtype) + np.sin(angle) * hat + (1 - np.cos(angle)) * (hat @ hat)
-
-
-def about_x(angle: float) -> Array:
-    """The rotation (3, 3) about the x axis by an angle in rad."""
-    return spin(np.array([1.0, 0.0, 0.0]), angle)
+__all__ = ["SymmetricBody", "TriaxialBody"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,8 +39,8 @@ class SymmetricBody:
         L = J * w0
         size = np.sqrt(L @ L)
         axis = np.array([0.0, 0.0, 1.0], np.longdouble)
-        own = spin(axis, (1 - J[2] / J[0]) * w0[2] * time)
-        R = self.rotation.astype(np.longdouble) @ spin(L / size, size / J[0] * time) @ own
+        own = about(axis, (1 - J[2] / J[0]) * w0[2] * time)
+        R = self.rotation.astype(np.longdouble) @ about(L / size, size / J[0] * time) @ own
         return R.astype(float), (own.T @ w0).astype(float)
 
 
@@ -111,7 +92,7 @@ class TriaxialBody:
         axes, motion = self._axes, self._motion
         w0, turned0 = motion.at(0.0)
         w, turned = motion.at(t)
-        between = motion.from_momentum(w0).T @ spin(np.array([0.0, 0.0, 1.0]), turned - turned0)
+        between = motion.from_momentum(w0).T @ about(np.array([0.0, 0.0, 1.0]), turned - turned0)
         return self.rotation @ axes.T @ between @ motion.from_momentum(w) @ axes, axes.T @ w
 
 

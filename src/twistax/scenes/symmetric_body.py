@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from . import spinning_body
-from .free_rotation import SymmetricBody, about_x
+from .arrays import about
+from .free_rotation import SymmetricBody
 from .scene import Scene
 
 __all__ = ["FAST_SPIN", "SYMMETRIC_BODY"]
@@ -29,7 +30,7 @@ def _scene(body: SymmetricBody, **said: Any) -> Scene:
 
 
 SYMMETRIC_BODY = _scene(
-    SymmetricBody(1.0, 1.5, about_x(0.6), np.array([0.6, -0.4, 3.0])),
+    SymmetricBody(1.0, 1.5, about((1.0, 0.0, 0.0), 0.6), np.array([0.6, -0.4, 3.0])),
     name="symmetric-body",
     title="free symmetric body",
     summary=(
@@ -41,7 +42,7 @@ SYMMETRIC_BODY = _scene(
 
 #: A relative error of 1e-16 in the angular velocity is an angle of 1e-12 rad at the end.
 FAST_SPIN = _scene(
-    SymmetricBody(1.0, 1.5, about_x(0.6), np.array([10.0, 0.0, 1000.0])),
+    SymmetricBody(1.0, 1.5, about((1.0, 0.0, 0.0), 0.6), np.array([10.0, 0.0, 1000.0])),
     name="fast-spin",
     title="fast spin",
     summary=(

@@ -1,0 +1,82 @@
+"""A rocket that burns its mass away: thrust that falls and swings, drag and damping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import twistax as tx
+
+from .arrays import about, placed
+from .scene import Scene
+
+__all__ = ["MASS_FLOW", "RADII_SQUARED", "ROCKET", "system"]
+
+#: Change of mass, kg/s.
+MASS_FLOW = -0.1
+#: Moments of inertia per mass, m2: the tank empties evenly.
+RADII_SQUARED = (0.1, 0.8, 0.8)
+
+
+def system() -> tx.System:
+    """States g (pose, body to world, z up, at the centre of mass, x towards the nose), V (body twist), m (mass, kg).
+
+        (m v)' without the exhaust's share: m v' = m v x w + f,   J w' = (J w) x w + tau - J' w,   J = m diag(k)
+
+    f: thrust F = 30 (1 - 0.02 t) N along x, turned by the gimbal G = 0.02 sin(1.3 t) rad about z and G cos(t) / 2 about
+    y (small angles), drag 0.01 |v| v N, and weight. tau: the thrust acts 0.5 m behind the centre of mass; 0.05 N m of
+    roll; damping (0.05, 0.3, 0.3) w; the fins give 0.02 N m per m/s of side wind. The exhaust takes no angular momentum
+    along, so that J' w stays with the body.
+    """
+    g, V, m = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.State("m")
+    t, v, w = tx.Time(), tx.lie.linear(V), tx.lie.angular(V)
+    k = np.array(RADII_SQUARED)
+
+    F, gimbal = 30.0 * (1.0 - 0.02 * t), 0.02 * tx.Sin(1.3 * t)
+    thrust = F * tx.Concat(1.0, gimbal, 0.5 * gimbal * tx.Cos(t))
+    # The smallest of speeds keeps the root's derivative finite at rest.
+    drag = -0.01 * tx.Sqrt(tx.Dot(v, v) + 1e-12) * v
+    weight = m * (g[:3, :3].T @ np.array([0.0, 0.0, -9.81]))
+    fins = tx.Concat(0.05, 0.02 * v[2], -0.02 * v[1])
+    torque = tx.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + fins - np.array([0.05, 0.3, 0.3]) * w - MASS_FLOW * k * w
+
+    M = m * tx.Concat(1.0, 1.0, 1.0, k)
+    wrench = tx.lie.wrench(force=thrust + drag + weight, torque=torque)
+    return tx.System(
+        rates={g: V, V: (wrench - tx.lie.AdjointDual(V, M * V)) / M, m: tx.Constant(MASS_FLOW)},
+        outputs={"speed": tx.linalg.Norm(v), "height": g[2, 3]},
+    )
+
+
+#: As `python -m twistax.scenes.references rocket` finds it.
+_END = {
+    "g": np.array(
+        [
+            [0.7847919257682708, -0.594184874945534, 0.17619865957177164, 65.21137652402875],
+            [-0.3906596372388744, -0.694981814744625, -0.6036433756835726, -99.21636015878971],
+            [0.4811306278770038, 0.4049007428496865, -0.7775401644664102, 64.9098487331667],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    ),
+    "V": np.array(
+        [-2.6234383048672862, -20.16774604190423, 21.465777001965602, 1.171875, 0.5314290079364514, 1.3636627421491658]
+    ),
+    "m": 1.0,
+}
+
+ROCKET = Scene(
+    name="rocket",
+    title="rocket with mass flow",
+    summary=(
+        "A rocket of 2 kg with 30 N of swinging thrust climbs for 10 s and burns half its mass: everything depends on "
+        "time, mass and attitude at once."
+    ),
+    source="written for this scene; Newton-Euler with a mass that changes",
+    build=system,
+    start={
+        "g": placed(about((0.0, 1.0, 0.0), -1.4), [0.0, 0.0, 0.0]),
+        "V": np.array([5.0, 0.0, 0.0, 0.0, 0.1, 0.0]),
+        "m": 2.0,
+    },
+    duration=10.0,
+    reference=_END,
+)
