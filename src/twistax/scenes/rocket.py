@@ -40,9 +40,11 @@ def system() -> tx.System:
     torque = tx.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + fins - np.array([0.05, 0.3, 0.3]) * w - MASS_FLOW * k * w
 
     M = m * tx.Concat(1.0, 1.0, 1.0, k)
+    # As ad*_V(M V), without the round-off of v x m v, which is zero.
+    spin = tx.lie.twist(linear=np.zeros(3), angular=w)
     wrench = tx.lie.wrench(force=thrust + drag + weight, torque=torque)
     return tx.System(
-        rates={g: V, V: (wrench - tx.lie.AdjointDual(V, M * V)) / M, m: tx.Constant(MASS_FLOW)},
+        rates={g: V, V: (wrench - tx.lie.AdjointDual(spin, M * V)) / M, m: tx.Constant(MASS_FLOW)},
         outputs={"speed": tx.linalg.Norm(v), "height": g[2, 3]},
     )
 

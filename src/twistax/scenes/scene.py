@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import types
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -30,7 +31,7 @@ class Scene:
         summary: one sentence: the body, its units, and what is hard about it.
         source: where the equations or the answer come from.
         build: makes the system.
-        start: the state at t = 0, by name.
+        start: the state at t = 0, by name, in double precision.
         duration: length of the flight, s.
         reference: the state at the end from an independently converged computation; None where `exact` is given.
         exact: the true state at a time in s; None where there is no closed form.
@@ -56,6 +57,8 @@ class Scene:
     u: Any = None
 
     def __post_init__(self) -> None:
+        for field in ("start", "reference", "params"):
+            object.__setattr__(self, field, _frozen(getattr(self, field)))
         if not (np.isfinite(self.duration) and self.duration > 0.0):
             raise tx.InputError(f"scene {self.name!r}: duration must be a positive number of s, got {self.duration!r}")
         if self.exact is not None and self.reference is not None:
@@ -142,6 +145,16 @@ class Scene:
         if name not in x:
             raise tx.InputError(f"scene {self.name!r}: state {name!r} is missing; given: {', '.join(x) or 'none'}")
         return np.asarray(x[name], float)
+
+
+def _frozen(values: State | None) -> State | None:
+    """The same values, read-only: a scene is shared by everyone who looks it up."""
+    if values is None:
+        return None
+    arrays = {name: np.array(value, float) for name, value in values.items()}
+    for array in arrays.values():
+        array.setflags(write=False)
+    return types.MappingProxyType(arrays)
 
 
 def rotation_angle(truth: Array, found: Array) -> float:
