@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import jaxpr_as_fun
 
-__all__ = ["small_call"]
+__all__ = ["fits", "small_call"]
 
 try:
     from jax.experimental.xla_metadata import set_xla_metadata
@@ -44,10 +44,18 @@ _KNOWN = frozenset(
 _LARGEST_PRODUCT = 64
 
 
-def small_call(function: Callable[..., Result], *arguments: Any) -> Result:
+def fits(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Whether function(*arguments) is made of operations known to compile as one small function."""
+    return _all_known(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
     """function(*arguments), compiled as one small function where that is known to work.
 
     Pure and traceable. Arguments and result are pytrees of arrays.
+
+    Args:
+        trusted: take the caller's word that it works. XLA ends the process where it does not.
     """
     leaves, structure = jax.tree.flatten(arguments)
     leaves = [jnp.asarray(leaf) for leaf in leaves]
@@ -62,7 +70,7 @@ def small_call(function: Callable[..., Result], *arguments: Any) -> Result:
 
     jaxpr = jax.make_jaxpr(flat)(*leaves)
     run = jaxpr_as_fun(jaxpr)
-    if set_xla_metadata is not None and jax.default_backend() == "cpu" and _all_known(jaxpr.jaxpr):
+    if set_xla_metadata is not None and jax.default_backend() == "cpu" and (trusted or _all_known(jaxpr.jaxpr)):
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             results = jax.jit(run, inline=False)(*leaves)
     else:
