@@ -1,7 +1,11 @@
-"""Butcher tableaus: `tx.tableaus.RK4` and the others, `tx.tableaus.ALL`; make your own with `ButcherTableau`."""
+"""Butcher tableaus: `tx.tableaus.RK4` and the others, `tx.tableaus.ALL`; make your own with `ButcherTableau`.
 
+`CF4` is the commutator-free one, for `tx.CommutatorFree`; make your own with `CommutatorFreeTableau`.
+"""
+
+from .integrators.commutator_free import CF4, CommutatorFreeTableau
 from .integrators.tableau import ButcherTableau
 from .integrators.tableaus import *  # noqa: F403
 from .integrators.tableaus import __all__ as _tableaus
 
-__all__ = [*_tableaus, "ButcherTableau"]
+__all__ = [*_tableaus, "CF4", "ButcherTableau", "CommutatorFreeTableau"]

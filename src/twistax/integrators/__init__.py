@@ -1,21 +1,29 @@
 """Integration on groups: tableaus, charts, the stage loop, controls over time, fixed-step flights."""
 
+from .commutator_free import CF4, CommutatorFree, CommutatorFreeTableau
 from .controls import Held, Linear, Table
 from .integrate import integrate
+from .magnus import Magnus
 from .method import Method
 from .rkmk import RKMK
 from .solution import Result, Solution, Stats
+from .step_control import StepControl
 from .tableau import ButcherTableau
 
 __all__ = [
+    "CF4",
     "RKMK",
     "ButcherTableau",
+    "CommutatorFree",
+    "CommutatorFreeTableau",
     "Held",
     "Linear",
+    "Magnus",
     "Method",
     "Result",
     "Solution",
     "Stats",
+    "StepControl",
     "Table",
     "integrate",
 ]

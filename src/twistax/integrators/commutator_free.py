@@ -1,0 +1,181 @@
+"""Commutator-free methods: every stage is reached by a few exponentials in a row, and nothing is pulled back."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from numpy.typing import NDArray
+
+from ..errors import ModelError
+from ..groups.inputs import multiply
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from .charts import Exponential
+from .charts.whole import Blocks, StateCoordinates, coordinates_of
+from .method import ControlsAt, Method
+from .tableau import ButcherTableau
+
+__all__ = ["CF4", "CommutatorFree", "CommutatorFreeTableau"]
+
+#: Exponentials in the order in which they act, each the weights of the slopes in its exponent.
+Exponentials: TypeAlias = tuple[tuple[float, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class CommutatorFreeTableau:
+    """The coefficients of an explicit commutator-free method with s stages, for body velocities, g' = g Omega^.
+
+        g_i = g_0 Exp(h sum_j a_i1j k_j) Exp(h sum_j a_i2j k_j) ...,   k_i = Omega(t + c_i h, g_i),
+        g(t + h) = g_0 Exp(h sum_j b_1j k_j) Exp(h sum_j b_2j k_j) ...
+
+    What acts first stands on the left; for right-trivialised equations, as in most papers, the order is the reverse.
+
+    Attributes:
+        name: how tables call it.
+        order: the order of convergence.
+        a: for every stage its exponentials, none for the first; each a row of weights of the stages before it, where
+            zeros at the end may be left out.
+        b: the exponentials of the step, likewise.
+        c: (s,) the nodes, which are the sums of a.
+        underlying: the Runge-Kutta method that it is on states without a group.
+
+    Raises:
+        ModelError: an exponential without weights, a weight of a stage that is still to come, one that is no number,
+            or weights of the step that do not sum to 1.
+
+    Source: Celledoni, Marthinsen, Owren, Commutator-free Lie group methods, Future Generation Computer Systems 19
+    (2003). Crouch-Grossman methods are of this form too, with one slope in every exponential.
+    """
+
+    name: str
+    order: int
+    a: Any
+    b: Any
+
+    def __post_init__(self) -> None:
+        count = len(self.a)
+        object.__setattr__(self, "a", tuple(self._exponentials(f"a[{i}]", row, i) for i, row in enumerate(self.a)))
+        object.__setattr__(self, "b", self._exponentials("b", self.b, count))
+        stages, step = self.weights(self.a).sum(axis=1), self.weights([self.b])[0].sum(axis=0)
+        underlying = ButcherTableau(self.name, self.order, stages, step, stages.sum(axis=1))
+        object.__setattr__(self, "underlying", underlying)
+
+    @property
+    def c(self) -> Any:
+        """The nodes."""
+        return self.underlying.c
+
+    def weights(self, rows: Sequence[Exponentials]) -> NDArray[Any]:
+        """Several stages as one array (stages, exponentials, s), with zeros where there is no exponential."""
+        table = np.zeros((len(rows), max(map(len, rows)), len(self.a)))
+        for stage, exponentials in zip(table, rows, strict=True):
+            for exponent, given in zip(stage, exponentials, strict=False):
+                exponent[: len(given)] = given
+        return table
+
+    def __repr__(self) -> str:
+        return f"CommutatorFreeTableau({self.name}, order {self.order}, {len(self.a)} stages)"
+
+    underlying: ButcherTableau = dataclasses.field(init=False)
+
+    def _exponentials(self, field: str, rows: Any, known: int) -> Exponentials:
+        try:
+            read = tuple(tuple(float(weight) for weight in row) for row in rows)
+        except (TypeError, ValueError) as error:
+            raise self._error(f"{field} is no list of rows of numbers: {error}") from None
+        for row in read:
+            if not any(row):
+                raise self._error(f"{field} has an exponential whose weights are all zero")
+            if len(row) > known:
+                raise self._error(f"{field} weighs {len(row)} slopes where {known} are known: it would be implicit")
+        return read
+
+    def _error(self, sentence: str) -> ModelError:
+        return ModelError(f"tableau {self.name!r}: {sentence}")
+
+
+#: The method of order 4 with two exponentials in the step; without a group it is the classical Runge-Kutta method.
+#: Source: Celledoni, Marthinsen, Owren (2003), with the order of the exponentials reversed for body velocities.
+CF4 = CommutatorFreeTableau(
+    "CF4",
+    4,
+    a=[[], [[1 / 2]], [[0, 1 / 2]], [[1 / 2], [-1 / 2, 0, 1]]],
+    b=[[1 / 4, 1 / 6, 1 / 6, -1 / 12], [-1 / 12, 1 / 6, 1 / 6, 1 / 4]],
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class CommutatorFree(Method):
+    """A commutator-free method: for every system, with more exponentials than `RKMK` and no Jacobian.
+
+    States without a group go by the underlying Runge-Kutta method. An exponential that turns by more than half a turn
+    is a failure, as in `RKMK`.
+
+    Attributes:
+        tableau: the coefficients, CF4 if left out.
+
+    Raises:
+        ModelError: no tableau of this kind.
+
+    Source: Celledoni, Marthinsen, Owren, Commutator-free Lie group methods (2003).
+    """
+
+    tableau: CommutatorFreeTableau = CF4
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tableau, CommutatorFreeTableau):
+            raise ModelError(f"CommutatorFree expects a tableau like tx.tableaus.CF4, got {self.tableau!r}")
+
+    @property
+    def name(self) -> str:
+        return self.tableau.name
+
+    @property
+    def order(self) -> int:
+        return self.tableau.order
+
+    @property
+    def evaluations(self) -> int:
+        return len(self.tableau.a)
+
+    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
+        # Only moves are used: commutators are those of a pull-back that does not happen.
+        return coordinates_of(Exponential(commutators=1), dynamics.group)
+
+    def advance(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> Blocks:
+        """The stored state after one step of length h. Pure and traceable.
+
+        A loop over the stages as in `stage_slopes`; every stage has as many exponentials as the longest, some of zero.
+        """
+        local, tableau = self.coordinates(dynamics), self.tableau
+
+        def rate(time: jax.Array, point: Blocks) -> Blocks:
+            return local.rate(dynamics.vector_field(time, local.value(point), u_at(time), params))
+
+        start, read = ravel_pytree(rate(t, y))
+        count = len(tableau.a)
+        rows = jnp.zeros((count, start.size), start.dtype).at[0].set(start)
+
+        def reached(weights: jax.Array, rows: jax.Array) -> Blocks:
+            point = y
+            for exponent in h * multiply(weights, rows):
+                point = local.move(point, read(exponent))
+            return point
+
+        def stage(rows: jax.Array, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+            number, weights, node = entry
+            found = rate(t + node * h, reached(weights, rows))
+            return rows.at[number].set(ravel_pytree(found)[0]), None
+
+        a, c = jnp.asarray(tableau.weights(tableau.a[1:]), start.dtype), jnp.asarray(tableau.c[1:], start.dtype)
+        if count > 1:
+            rows, _ = jax.lax.scan(stage, rows, (jnp.arange(1, count), a, c))
+        return local.settle(reached(jnp.asarray(tableau.weights([tableau.b])[0], start.dtype), rows))
