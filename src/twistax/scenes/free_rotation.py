@@ -126,9 +126,12 @@ class _Motion:
     def at(self, t: float) -> tuple[Array, float]:
         """w (3,) and psi at t, up to a constant.
 
-        With psi' as above, psi = L t / c + L (c - a) |n| / (3 a c p) Q(tau) with 1 - n sn^2 = 1 - (J_a w_a / L)^2 up to
-        a factor; Q(tau) = sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) on a quarter period each side of 0, and twice its value
-        at K more for every half period.
+        L^2 - J_a^2 w_a^2 is (J_c C)^2 (1 - n sn^2) with n = -(J_a A / J_c C)^2, so that
+
+            psi = L t / J_c - L (J_c - J_a) n / (3 J_a J_c p) Q(tau),   Q' = 3 sn^2 / (1 - n sn^2),
+
+        two terms of one sign. Q = sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) for |tau| up to the quarter period K, and twice
+        its value at K more for every half period.
         """
         from scipy import special
 
