@@ -48,7 +48,7 @@ def spinning(J: Any) -> Rates:
 
 
 def tumbling(center: Array, inertia: Array) -> Rates:
-    """A free body about a point that is not its centre of mass: Newton for the centre, Euler about it, solved at once."""
+    """A free body about a point that is not its centre of mass: Newton for the centre, Euler about it."""
 
     def rates(t: float, y: Mapping[str, Array]) -> dict[str, Array]:
         R, v, w = y["g"][:3, :3], y["V"][:3], y["V"][3:]

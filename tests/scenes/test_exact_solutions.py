@@ -6,8 +6,8 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
-
 from scene_oracles import scipy_flight, spinning, tumbling
+
 from twistax.scenes import SCENES, offset_tumble
 from twistax.scenes.arrays import about
 from twistax.scenes.free_rotation import SymmetricBody, TriaxialBody

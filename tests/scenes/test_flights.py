@@ -12,8 +12,8 @@ from twistax.scenes.references import RATES
 
 METHOD = tx.RKMK(tx.tableaus.DOP853)
 
-#: Step in s, largest error, and largest change of an invariant in its unit. The error is some times round-off: 1.5e4 rad
-#: are turned in the fast spin, and the bodies on springs amplify what is lost.
+#: Step in s, largest error, and largest change of an invariant in its unit, all some ten times what round-off leaves:
+#: 1.5e4 rad are turned in the fast spin, and the bodies on springs amplify what is lost.
 BARS = {
     "euler-top": (0.02, 2e-13, 1e-13),
     "symmetric-body": (0.02, 2e-13, 1e-13),

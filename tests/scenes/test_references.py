@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import special
 from scene_oracles import scipy_flight
+from scipy import special
 
 from twistax.scenes import SCENES, check_cases, heavy_top, references, spring_bodies
 from twistax.scenes.arrays import about
@@ -85,8 +85,8 @@ def test_the_heavy_top_by_elliptic_functions() -> None:
     upright, nodal = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
     R = about(upright, turned) @ about(nodal, lean) @ about(upright, spun)
     assert rotation_angle(scene.end["R"], R) < 1e-12
-    sine, cn, dn = (f(rate * scene.duration + phase) for f in (lambda x: special.ellipj(x, m)[i] for i in range(3)))
-    leaning = -2.0 * (b - a) * rate * sine * cn * dn / np.sin(lean)
+    sn, cn, dn, _ = special.ellipj(rate * scene.duration + phase, m)
+    leaning = -2.0 * (b - a) * rate * sn * cn * dn / np.sin(lean)
     swinging = (vertical - spin * np.cos(lean)) / (J1 * np.sin(lean))
     w = about(upright, spun).T @ np.array([leaning, swinging, 0.0]) + [0.0, 0.0, w0[2]]
     np.testing.assert_allclose(scene.end["w"], w, atol=1e-12)

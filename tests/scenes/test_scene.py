@@ -152,7 +152,7 @@ def test_the_list() -> None:
     assert len(SCENES) == 9
     for name, scene in SCENES.items():
         assert scene.name == name == name.lower()
-        assert scene.summary.endswith(".") and scene.title and scene.source
+        assert all((scene.summary.endswith("."), scene.title, scene.source))
         assert set(scene.invariants) <= set(scene.system.outputs)
         assert {state.name for state in scene.system.states} == set(scene.start) == set(scene.end)
         assert set(scene.params) == {parameter.name for parameter in scene.system.parameters}
