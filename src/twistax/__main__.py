@@ -1,11 +1,14 @@
-"""The command line: `python -m twistax demo`."""
+"""The command line: `python -m twistax demo` and `python -m twistax report`."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 
-from .demo.arguments import OneLineParser, add_options
+from .demo import arguments as demo_arguments
+from .demo.arguments import OneLineParser
+from .report.work_precision import arguments as report_arguments
 
 __all__ = ["main"]
 
@@ -19,19 +22,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="land a rocket: compile, check, solve, fly again, draw",
         description="A 6-DoF powered descent, found by the embedded optimiser, flown again by two integrators.",
     )
-    add_options(demo)
+    demo_arguments.add_options(demo)
+    demo.set_defaults(run=_demo, rerun="")
+    report = commands.add_parser(
+        "report",
+        help="error against run time: which method to use when",
+        description="Scenes with known answers, flown by our methods and by diffrax: page, figures and tables.",
+    )
+    report_arguments.add_options(report)
+    report.set_defaults(run=_report, rerun="; the same command goes on after the last scene that was finished")
     given = parser.parse_args(arguments)
 
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    try:
+        return int(given.run(given))
+    except KeyboardInterrupt:
+        print(f"\ntwistax {given.command}: interrupted{given.rerun}", file=sys.stderr)
+        return 130
+
+
+# Loaded when they are run: both import diffrax.
+def _demo(given: argparse.Namespace) -> int:
     from .demo.command import run
 
-    try:
-        return run(given)
-    except KeyboardInterrupt:
-        print("\ntwistax demo: interrupted", file=sys.stderr)
-        return 130
+    return run(given)
+
+
+def _report(given: argparse.Namespace) -> int:
+    from .report.work_precision.command import run
+
+    return run(given)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,52 @@
+"""The options of `python -m twistax report`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from ...scenes import SCENES
+from .contenders import CONTENDERS
+
+__all__ = ["add_options"]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of `twistax report`."""
+    parser.add_argument(
+        "--scene",
+        type=_one_of("scene", SCENES),
+        action="append",
+        metavar="NAME",
+        help=f"only this scene; may be given again. There are {', '.join(SCENES)}",
+    )
+    parser.add_argument(
+        "--method",
+        type=_one_of("method", CONTENDERS),
+        action="append",
+        metavar="NAME",
+        help=f"only this method; may be given again. There are {', '.join(CONTENDERS)}",
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few methods, coarse settings, few repeats: under two minutes"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        default=Path("out/report"),
+        help="folder for page, figures and tables (./out/report); what was measured there before is kept",
+    )
+    parser.add_argument("--no-progress", action="store_true", help="no progress bar")
+
+
+def _one_of(what: str, names: Iterable[str]) -> Callable[[str], str]:
+    known = list(names)
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
+        return text
+
+    return read

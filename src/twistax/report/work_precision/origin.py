@@ -1,0 +1,59 @@
+"""What rows depend on besides scene, method and setting: versions, code, machine and how they were measured."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import twistax
+
+from ..machine import machine
+from .effort import Effort
+
+__all__ = ["Origin", "origin_of"]
+
+_VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """Where rows come from. Rows of different origins do not belong together.
+
+    Attributes:
+        versions: of the packages in use.
+        code: digest of this package's own code, what only prints or draws left out.
+        machine: processor, cores, Python, JAX and its flags.
+        effort: how flights were repeated.
+    """
+
+    versions: dict[str, str]
+    code: str
+    machine: str
+    effort: dict[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """A short word that differs where anything does."""
+        return _digest(json.dumps(dataclasses.asdict(self), sort_keys=True).encode())
+
+
+def origin_of(effort: Effort) -> Origin:
+    """Of rows measured now."""
+    versions = {name: metadata.version(name) for name in _VERSIONED}
+    return Origin(versions, _code(), machine(), dataclasses.asdict(effort))
+
+
+def _code() -> str:
+    """Of all that may change an error or a time: not the reports and the demo, but how this report flies."""
+    root = Path(twistax.__file__).parent
+    files = [path for path in root.rglob("*.py") if path.relative_to(root).parts[0] not in ("report", "demo")]
+    files += [Path(__file__).with_name(f"{name}.py") for name in ("own", "rivals", "contenders", "flights")]
+    return _digest(b"".join(path.read_bytes() for path in sorted(files)))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]

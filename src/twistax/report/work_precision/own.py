@@ -1,0 +1,77 @@
+"""Our methods as contenders: `tx.integrate` inside one jitted function of the start."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import twistax as tx
+
+from ...integrators import Method
+from ...scenes import Scene
+from .contender import Contender, Counts, Line, Program
+from .effort import Effort
+from .ladder import Ladder
+
+__all__ = ["Adaptive", "FixedSteps"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Adaptive(Contender):
+    """A method that chooses its steps; the setting is rtol = atol."""
+
+    name: str
+    line: Line
+    method: Method
+
+    def ladder(self, effort: Effort) -> Ladder:
+        return effort.tolerances
+
+    def build(self, scene: Scene) -> Program:
+        def fly(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
+            return _flown(scene, start, self.method, rtol=tolerance, atol=tolerance)
+
+        return _program(scene, self.method, fly, one_for_all=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class FixedSteps(Contender):
+    """A method with equal steps; the setting is their number."""
+
+    name: str
+    line: Line
+    method: Method
+
+    def ladder(self, effort: Effort) -> Ladder:
+        return effort.steps
+
+    def build(self, scene: Scene) -> Program:
+        def fly(start: Any, steps: float) -> tuple[Any, Counts]:
+            return _flown(scene, start, self.method, steps=int(steps))
+
+        return _program(scene, self.method, fly, one_for_all=False)
+
+
+def _program(scene: Scene, method: Method, fly: Any, one_for_all: bool) -> Program:
+    method.check(scene.dynamics)
+    start = {name: jnp.asarray(value) for name, value in scene.start.items()}
+    return Program(start, fly, dict, one_for_all)
+
+
+def _flown(scene: Scene, start: Any, method: Method, **steps: Any) -> tuple[Any, Counts]:
+    sol = tx.integrate(
+        scene.dynamics,
+        start,
+        t1=scene.duration,
+        method=method,
+        u=scene.u,
+        params=scene.params,
+        throw=False,
+        **steps,
+    )
+    end = {name: value[0] for name, value in sol.xs.items()}
+    stats, good = sol.stats, sol.result == tx.Result.DONE
+    return end, Counts(*map(jnp.asarray, (stats.accepted, stats.rejected, stats.rhs_evaluations, good)))

@@ -1,0 +1,77 @@
+"""Rows on disk, so that an interrupted run goes on where it stopped."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from .origin import Origin
+from .row import COLUMNS, Row
+
+__all__ = ["Store", "save_csv", "save_json"]
+
+
+class Store:
+    """Rows of one origin in a file of JSON lines, each written as soon as it is measured.
+
+    Rows of another origin (other versions, machine or effort) and lines that were cut off are dropped when the file
+    is opened; `dropped` counts them.
+    """
+
+    def __init__(self, path: Path, origin: Origin) -> None:
+        self._path, self._digest = path, origin.digest
+        self._rows: dict[tuple[str, str, float], Row] = {}
+        lines = path.read_text().splitlines() if path.exists() else []
+        kept = [line for line in lines if self._read(line)]
+        self.dropped = len(lines) - len(kept)
+        if self.dropped:
+            path.write_text("".join(f"{line}\n" for line in kept))
+
+    def _read(self, line: str) -> bool:
+        try:
+            record = json.loads(line)
+            row = Row.of(record)
+        except (ValueError, KeyError, TypeError):
+            return False
+        if record.get("origin") != self._digest:
+            return False
+        self._rows[row.key] = row
+        return True
+
+    def get(self, scene: str, method: str, setting: float) -> Row | None:
+        """The row that is there, or None."""
+        return self._rows.get((scene, method, setting))
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Keep rows, on disk too."""
+        with self._path.open("a") as file:
+            for row in rows:
+                self._rows[row.key] = row
+                file.write(json.dumps({**row.record(), "origin": self._digest}) + "\n")
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self._rows.values())
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
+def save_csv(path: Path, rows: Iterable[Row]) -> None:
+    """One row a line under the names of the columns."""
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        for row in rows:
+            table.writerow({name: _short(value) for name, value in row.record().items()})
+
+
+def save_json(path: Path, document: dict[str, Any]) -> None:
+    """Strict JSON, for programs."""
+    path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def _short(value: Any) -> Any:
+    return f"{value:.6g}" if isinstance(value, float) else value

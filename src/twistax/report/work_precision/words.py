@@ -1,0 +1,177 @@
+"""What the findings mean for somebody who must choose, in sentences. All of them are found in the data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from statistics import median
+
+from .contender import Line
+from .contenders import CONTENDERS, ONE_CALL, OURS, SHIPPED
+from .findings import TARGETS, Findings
+
+__all__ = ["advice", "digits", "duration", "on_diffrax", "on_quaternions", "on_tolerance", "power", "winners"]
+
+#: Times closer than this count as the same.
+_SAME = 1.05
+
+
+def duration(seconds: float) -> str:
+    """Three digits with a unit."""
+    if not math.isfinite(seconds):
+        return "-"
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} us"
+
+
+def power(error: float) -> str:
+    """1e-6 rather than 1e-06."""
+    return f"{error:.0e}".replace("e-0", "e-")
+
+
+def advice(findings: Findings, names: Mapping[str, str]) -> str:
+    """The method whose worst case, over scenes and errors, is the best, of those that can be had by calling a library.
+
+    Args:
+        names: titles of the scenes.
+    """
+    worst = _worst_ratios(findings)
+    if not worst:
+        return "No method was run on all scenes to the errors compared here; there is no single advice."
+    line = min(worst, key=lambda line: worst[line][0])
+    ratio, scene, error = worst[line]
+    if ratio <= _SAME:
+        close = "nothing else that can be had by calling a library is faster on any scene"
+    else:
+        close = f"at worst it takes {ratio:.1f} times as long as the fastest ({names[scene]}, error {power(error)})"
+    return f"**If in doubt, take {line.title}**, `{line.code}`: {close}."
+
+
+def _worst_ratios(findings: Findings) -> dict[Line, tuple[float, str, float]]:
+    """By line that reaches every error on every scene: its largest ratio to the fastest, and where."""
+    found = {}
+    lines = [line for line in findings.lines if line.side.ready]
+    for line in lines:
+        ratios = [
+            (findings.time(scene, line, error) / ranking[0].seconds, scene, error)
+            for scene in findings.scenes
+            for error in TARGETS
+            if (ranking := findings.ranking(scene, error, lines))
+        ]
+        if ratios and all(math.isfinite(ratio) for ratio, _, _ in ratios):
+            found[line] = max(ratios)
+    return found
+
+
+def winners(findings: Findings, names: Mapping[str, str]) -> list[str]:
+    """For each error, which method was the fastest where."""
+    sentences = []
+    for error in TARGETS:
+        firsts: dict[Line, list[str]] = {}
+        for scene in findings.scenes:
+            ranking = findings.ranking(scene, error)
+            if ranking:
+                firsts.setdefault(ranking[0].line, []).append(names[scene])
+        if firsts:
+            most = sorted(firsts.items(), key=lambda item: -len(item[1]))
+            parts = "; ".join(f"{line.title} on {_listed(scenes)}" for line, scenes in most)
+            sentences.append(f"**Error {power(error)}** ({-math.log10(error):.0f} digits). Fastest: {parts}.")
+    return sentences
+
+
+def digits(findings: Findings) -> str:
+    """What one more digit costs."""
+    costs = {}
+    for line in findings.lines:
+        ratios = [findings.time(s, line, TARGETS[1]) / findings.time(s, line, TARGETS[0]) for s in findings.scenes]
+        known = [ratio for ratio in ratios if math.isfinite(ratio)]
+        if line.side == OURS and known:
+            costs[line] = median(known) ** (1.0 / math.log10(TARGETS[0] / TARGETS[1]))
+    if not costs:
+        return "What a digit costs cannot be said: no method reached both errors."
+    parts = ", ".join(f"{cost:.2f} with {line.title}" for line, cost in sorted(costs.items(), key=lambda c: -c[1]))
+    return f"**One more digit** multiplies the time by {parts} (median over the scenes, between errors of {power(TARGETS[0])} and {power(TARGETS[1])})."
+
+
+def on_tolerance(findings: Findings) -> str:
+    """That the tolerance is not the error."""
+    name, setting = "dop853", 1e-9
+    errors = [row.error for row in findings.rows if row.method == name and row.setting == setting and row.done]
+    if not errors:
+        return "A tolerance bounds the error of one step. The error at the end is another matter: try two of them."
+    return (
+        "**A tolerance is not the error at the end**; it bounds what one step may add. With rtol = atol = "
+        f"{power(setting)} {CONTENDERS[name].line.title} ended with errors from {power(min(errors))} to {power(max(errors))} on "
+        "these scenes. Fly once with a tolerance ten times smaller to see what yours gives."
+    )
+
+
+def on_quaternions(findings: Findings, names: Mapping[str, str]) -> str:
+    """Where plain quaternions beat exponential coordinates, and the other way round, with the same tableau."""
+    plain, curved = CONTENDERS["dop853-quaternion"].line, CONTENDERS["dop853"].line
+    ratios = _ratios(findings, plain, curved)
+    if not ratios:
+        return "Plain quaternions and exponential coordinates were not compared in this run."
+    better = [names[scene] for scene, ratio in ratios.items() if ratio * _SAME < 1.0]
+    worse = [names[scene] for scene, ratio in ratios.items() if ratio > _SAME]
+    same = [names[scene] for scene in ratios if names[scene] not in (*better, *worse)]
+    parts = [
+        f"{word} on {_listed(scenes)}"
+        for word, scenes in (("faster", better), ("slower", worse), ("as fast", same))
+        if scenes
+    ]
+    return (
+        f"**Plain quaternions or exponential coordinates?** With the same tableau, {plain.title} is "
+        f"{'; '.join(parts)} (its time is {min(ratios.values()):.2f} to {max(ratios.values()):.2f} times that of "
+        f"{curved.title}; the mean over both errors counts). Linearisation and trajectory problems need "
+        f"exponential coordinates in any case."
+    )
+
+
+def on_diffrax(findings: Findings, names: Mapping[str, str]) -> list[str]:
+    """Where diffrax is the better choice."""
+    sentences = []
+    for side, how in ((ONE_CALL, "compiled as one small call"), (SHIPPED, "as shipped")):
+        wins, ratios = [], []
+        for scene in findings.scenes:
+            for error in TARGETS:
+                ours, theirs = findings.best(scene, error, OURS), findings.best(scene, error, side)
+                if theirs is None:
+                    continue
+                ratio = ours.seconds / theirs.seconds if ours else math.inf
+                ratios.append(ratio)
+                if ratio > 1.0:
+                    share = f"{1.0 / ratio:.2f} of our time" if ours else "none of ours got there"
+                    wins.append(f"{names[scene]} at {power(error)} ({theirs.line.title}, {share})")
+        if not ratios:
+            continue
+        if wins:
+            sentences.append(f"**diffrax {how} is faster** on {_listed(wins)}.")
+        else:
+            sentences.append(
+                f"**diffrax {how} is not faster on any scene**: our fastest method takes {min(ratios):.2f} to "
+                f"{max(ratios):.2f} of the time of its fastest."
+            )
+    sentences.append(
+        "All methods here are explicit. A stiff system, one that would move slowly but for a very fast part that has "
+        "died out, needs an implicit one, such as diffrax's `Kvaerno5`; `tx.diffrax.ambient_term` hands a system to it."
+    )
+    return sentences
+
+
+def _ratios(findings: Findings, line: Line, other: Line) -> dict[str, float]:
+    """By scene the geometric mean of the ratios of time at the errors that both reach."""
+    found = {}
+    for scene in findings.scenes:
+        ratios = [findings.time(scene, line, error) / findings.time(scene, other, error) for error in TARGETS]
+        known = [math.log(ratio) for ratio in ratios if math.isfinite(ratio)]
+        if known:
+            found[scene] = math.exp(sum(known) / len(known))
+    return found
+
+
+def _listed(words: Iterable[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
