@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import types
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -148,13 +147,13 @@ class Scene:
 
 
 def _frozen(values: State | None) -> State | None:
-    """The same values, read-only: a scene is shared by everyone who looks it up."""
+    """The same values as read-only arrays: a scene is shared by everyone who looks it up. A dict, which is a pytree."""
     if values is None:
         return None
     arrays = {name: np.array(value, float) for name, value in values.items()}
     for array in arrays.values():
         array.setflags(write=False)
-    return types.MappingProxyType(arrays)
+    return arrays
 
 
 def rotation_angle(truth: Array, found: Array) -> float:
