@@ -67,7 +67,7 @@ LOW_ORBIT = Scene(
     title="low orbit with J2",
     summary=(
         "A satellite 622 km above the equator flies once around an oblate Earth in 5828 s and turns under the gravity "
-        "gradient: numbers from 1e-6 to 1e7 in one state."
+        "gradient: numbers from 1e-3 to 1e7 in one state."
     ),
     source="Montenbruck and Gill, Satellite Orbits, section on the geopotential; Hughes, Spacecraft Attitude Dynamics",
     build=system,
