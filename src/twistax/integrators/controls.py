@@ -67,6 +67,11 @@ class Table(ABC):
         """The same table in another precision."""
         return self._of(None, (self.ts.astype(dtype), self.values.astype(dtype)))
 
+    @property
+    @abstractmethod
+    def jumps(self) -> jax.Array:
+        """The times at which the value, or how it changes, jumps."""
+
     @abstractmethod
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
         """The value as a function of the times within the step from t to t + h."""
@@ -85,6 +90,10 @@ class Held(Table):
 
     rows = 1
 
+    @property
+    def jumps(self) -> jax.Array:
+        return self.ts[1:]
+
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
         # Stage times move a hair towards the middle of the step: far less than a step, far more than round-off.
         middle, hair = t + 0.5 * h, float(np.sqrt(jnp.finfo(t.dtype).eps))
@@ -100,6 +109,10 @@ class Linear(Table):
     """Linear interpolation between rows, held beyond the ends."""
 
     rows = 2
+
+    @property
+    def jumps(self) -> jax.Array:
+        return self.ts
 
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
         def value(time: jax.Array) -> jax.Array:
@@ -120,6 +133,11 @@ class ByName:
     def sample(self, t: Any) -> Mapping[str, Any]:
         """A value of every control, to check names and shapes with."""
         return {name: v.values[0] if isinstance(v, Table) else v for name, v in self.values.items()}
+
+    @property
+    def jumps(self) -> list[jax.Array]:
+        """The times at which tables jump."""
+        return [value.jumps for value in self.values.values() if isinstance(value, Table)]
 
     def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> ByName:
         """The same controls in the precision of the state; `held` has the arrays already cast."""
@@ -145,6 +163,16 @@ class OfTime:
             raise InputError(f"the function u must return a dict by control name, got {type(values).__name__}")
         return values
 
+    @property
+    def jumps(self) -> list[jax.Array]:
+        """None that are known: whoever writes the function says where it jumps."""
+        return []
+
+    def opened(self, t: jax.Array) -> OfTime:
+        """The same function, the traced values it closes over made inputs, so that derivatives find them."""
+        function, inputs = jax.closure_convert(self.function, t)
+        return OfTime(_Opened(function, inputs)) if inputs else self
+
     def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> OfTime:
         """Nothing to cast before the function is called."""
         return self
@@ -152,6 +180,17 @@ class OfTime:
     def during(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The function, its values checked and cast."""
         return lambda time: read_values("u(t)", dynamics.controls, self.sample(time), time.dtype)
+
+
+class _Opened:
+    """A function of time and of inputs that it used to close over. A pytree of these."""
+
+    def __init__(self, function: Callable[..., Mapping[str, Any]], inputs: Sequence[Any]) -> None:
+        self.function = function
+        self.inputs = list(inputs)
+
+    def __call__(self, t: jax.Array) -> Mapping[str, Any]:
+        return self.function(t, *self.inputs)
 
 
 Signals: TypeAlias = ByName | OfTime
@@ -163,6 +202,9 @@ def _flatten_function(signal: OfTime) -> tuple[tuple[Any, ...], Any]:
     return (signal.function,), None
 
 
+jax.tree_util.register_pytree_node(
+    _Opened, lambda o: (o.inputs, o.function), lambda function, inputs: _Opened(function, inputs)
+)
 jax.tree_util.register_pytree_node(ByName, lambda s: ((s.values,), None), lambda _, children: ByName(children[0]))
 jax.tree_util.register_pytree_node(
     OfTime, _flatten_function, lambda function, children: OfTime(children[0] if children else function)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 
@@ -13,16 +13,32 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates
 
-__all__ = ["ControlsAt", "Method"]
+__all__ = ["Attempt", "ControlsAt", "Method"]
 
 #: The prepared controls at a stage time.
 ControlsAt: TypeAlias = Callable[[jax.Array], Arrays]
 
 
+class Attempt(NamedTuple):
+    """A step that may be taken back.
+
+    Attributes:
+        y: the stored state at its end.
+        rate: the rate of the state there, where the next step begins.
+        errors: estimates of the error of the step, in the coordinates around its start; the first one of lowest order
+            but one, the second, where a method has two, of lowest order.
+    """
+
+    y: Blocks
+    rate: Blocks
+    errors: tuple[Blocks, ...]
+
+
 class Method(ABC):
     """A one-step method. A value: methods are equal where they mean the same, and hash accordingly.
 
-    A new method subclasses this; `tx.integrate` takes any. Methods that estimate their own error are `EmbeddedMethod`s.
+    A new method subclasses this; `tx.integrate` takes any with fixed steps. One that estimates its own error also gives
+    `error_order`, `begin` and `attempt`, and chooses its own steps.
     """
 
     @property
@@ -53,6 +69,40 @@ class Method(ABC):
         self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Blocks:
         """The stored state after one step of length h. Pure and traceable."""
+
+    @property
+    def error_order(self) -> int:
+        """The power of the step with which the estimated error of one step falls.
+
+        Raises:
+            ModelError: the method does not estimate its error.
+        """
+        raise ModelError(
+            f"{self.name} does not estimate its error, so it cannot choose its own steps.\n"
+            "  fix: give dt or steps in place of rtol, or take a pair: tx.RKMK(tx.tableaus.TSIT5)"
+        )
+
+    @property
+    def attempt_evaluations(self) -> int:
+        """Evaluations of the right-hand side in `attempt`."""
+        raise NotImplementedError
+
+    def begin(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
+        """The rate of the state at the start of a step."""
+        raise NotImplementedError
+
+    def attempt(
+        self,
+        dynamics: Dynamics,
+        t: jax.Array,
+        y: Blocks,
+        rate: Blocks,
+        u_at: ControlsAt,
+        params: Arrays,
+        h: jax.Array,
+    ) -> Attempt:
+        """One step of length h with its error, from the rate at its start. Pure and traceable."""
+        raise NotImplementedError
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array

@@ -11,7 +11,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Chart, Exponential
 from .charts.whole import Blocks, StateCoordinates, coordinates_of
-from .method import ControlsAt, Method
+from .method import Attempt, ControlsAt, Method
 from .stages import stage_slopes
 from .tableau import ButcherTableau
 
@@ -63,6 +63,14 @@ class RKMK(Method):
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
         return coordinates_of(self.chart, dynamics.group)
 
+    @property
+    def error_order(self) -> int:
+        return self.tableau.error_order
+
+    @property
+    def attempt_evaluations(self) -> int:
+        return len(self.tableau.to_the_end.c) - 1
+
     def advance(
         self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Blocks:
@@ -73,16 +81,41 @@ class RKMK(Method):
         """
         local = self.coordinates(dynamics)
 
-        def omega(time: jax.Array, moved: Blocks) -> Blocks:
-            return local.rate(_flat(dynamics.vector_field(time, local.value(moved), u_at(time), params)))
-
-        def slope(time: jax.Array, z: Blocks) -> Blocks:
+        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             moved = local.move(y, z)
-            return local.slope(z, moved, omega(time, moved))
+            return local.slope(z, moved, self.begin(dynamics, time, moved, u_at, params)), None
 
-        slopes = stage_slopes(self.tableau, slope, local.first_slope(y, omega(t, y)), t, h)
-        z = slopes.combine(self.tableau.b, h)
-        return local.settle(local.move(y, z))
+        first = local.first_slope(y, self.begin(dynamics, t, y, u_at, params))
+        slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
+        return local.settle(local.move(y, slopes.combine(self.tableau.b, h)))
+
+    def begin(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
+        local = self.coordinates(dynamics)
+        return local.rate(_flat(dynamics.vector_field(t, local.value(y), u_at(t), params)))
+
+    def attempt(
+        self,
+        dynamics: Dynamics,
+        t: jax.Array,
+        y: Blocks,
+        rate: Blocks,
+        u_at: ControlsAt,
+        params: Arrays,
+        h: jax.Array,
+    ) -> Attempt:
+        """A step whose last stage is its end, so that the rate there serves the next step too."""
+        local = self.coordinates(dynamics)
+
+        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[Blocks, Blocks]]:
+            moved = local.move(y, z)
+            rate = self.begin(dynamics, time, moved, u_at, params)
+            return local.slope(z, moved, rate), (moved, rate)
+
+        tableau = self.tableau
+        slopes, (moved, rate) = stage_slopes(tableau.to_the_end, slope, local.first_slope(y, rate), (y, rate), t, h)
+        embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
+        errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
+        return Attempt(local.settle(moved), rate, errors)
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
@@ -109,13 +142,14 @@ class RKMK(Method):
         def omega(time: jax.Array, point: Arrays) -> Blocks:
             return local.rate(_flat(dynamics.vector_field(time, point, u_at(time), params)))
 
-        def slope(time: jax.Array, z: Blocks) -> Blocks:
+        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             eta = local.tangent(z)
             point = {name: group.retract(x[name], eta[name]) for name, group in factors.items()}
-            return local.slope(z, z, omega(time, point))
+            return local.slope(z, z, omega(time, point)), None
 
         # At the start of a step exponential coordinates change as the body velocity does.
-        return local.tangent(stage_slopes(self.tableau, slope, omega(t, x), t, h).combine(self.tableau.b, h))
+        slopes, _ = stage_slopes(self.tableau.counted, slope, omega(t, x), None, t, h)
+        return local.tangent(slopes.combine(self.tableau.b, h))
 
 
 def _flat(rates: Arrays) -> Arrays:

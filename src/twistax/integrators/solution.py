@@ -20,6 +20,8 @@ class Result(enum.IntEnum):
 
     DONE = 0
     NON_FINITE = 1
+    MAX_STEPS = 2
+    STEP_TOO_SMALL = 3
 
     @property
     def sentence(self) -> str:
@@ -33,6 +35,8 @@ class Result(enum.IntEnum):
 _SENTENCES = {
     Result.DONE: "the end time was reached",
     Result.NON_FINITE: "a state became infinite or not a number",
+    Result.MAX_STEPS: "the steps ran out before the end time",
+    Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
 }
 
 
@@ -44,7 +48,7 @@ class Stats:
     Attributes:
         steps: steps tried, accepted and rejected together.
         accepted, rejected: how many were kept and how many repeated with a smaller step.
-        rhs_evaluations: evaluations of the right-hand side, those for saved times off the grid included.
+        rhs_evaluations: evaluations of the right-hand side, those for saved times between steps included.
     """
 
     steps: Any

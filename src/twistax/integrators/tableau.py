@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
 
-__all__ = ["ButcherTableau", "lower_triangle"]
+__all__ = ["ButcherTableau", "Rows", "lower_triangle"]
 
 #: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
 _TOLERANCE = 1e-13
+
+
+class Rows(NamedTuple):
+    """Stages to run: a (n, n), strictly lower triangular, and c (n,)."""
+
+    a: Any
+    c: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -80,6 +87,20 @@ class ButcherTableau:
     def counted_stages(self) -> int:
         """The stages up to the last one that b counts; later ones serve the embedded solutions or the next step."""
         return int(np.flatnonzero(self.b)[-1]) + 1
+
+    @property
+    def counted(self) -> Rows:
+        """The stages that b counts."""
+        n = self.counted_stages
+        return Rows(self.a[:n, :n], self.c[:n])
+
+    @property
+    def to_the_end(self) -> Rows:
+        """All stages, and as the last one the end of the step: the tableau's own where it has one, else one more."""
+        if self.b[-1] == 0.0 and np.array_equal(self.a[-1], self.b):
+            return Rows(self.a, self.c)
+        wider = np.pad(np.vstack([self.a, self.b]), ((0, 0), (0, 1)))
+        return Rows(wider, np.append(self.c, 1.0))
 
     @property
     def is_pair(self) -> bool:

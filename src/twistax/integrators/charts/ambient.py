@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from ...groups import SpecialEuclidean, quaternions
-from ...groups.components import Components, add
+from ...groups.components import Components, add, scale
 from .chart import Chart
 from .coordinates import Coordinates
 from .stored import StoredPose, StoredRotation, unit
@@ -23,6 +23,9 @@ class _Rotation(StoredRotation):
     def first_slope(self, y: Components, omega: Components) -> Components:
         return quaternions.rate(y, omega)
 
+    def deviation(self, e: Components, after: Components) -> Components:
+        return _turn(e, after)
+
     def settle(self, moved: Components) -> Components:
         return unit(moved)
 
@@ -37,8 +40,17 @@ class _Pose(StoredPose):
     def first_slope(self, y: Components, omega: Components) -> Components:
         return self.slope((), y, omega)
 
+    def deviation(self, e: Components, after: Components) -> Components:
+        return (*e[4:], *_turn(e[:4], after[:4]))
+
     def settle(self, moved: Components) -> Components:
         return (*unit(moved[:4]), *moved[4:])
+
+
+def _turn(e: Components, q: Components) -> Components:
+    """The rotation vector of a small difference e of quaternions near q: 2 Im(q^-1 e)."""
+    conjugate = (q[0], *scale(-1.0, q[1:]))
+    return scale(2.0, quaternions.product(conjugate, e)[1:])
 
 
 @dataclasses.dataclass(frozen=True)

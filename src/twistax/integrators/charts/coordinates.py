@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from typing import TypeAlias
 
 import jax
+import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...groups import Euclidean
@@ -66,6 +67,18 @@ class Coordinates(ABC):
             "  fix: use tx.RKMK(tableau), or a chart tx.charts.Exponential(...)"
         )
 
+    def deviation(self, e: Block, after: Block) -> Block:
+        """The tangent, up to higher order, of a small difference e of coordinates near the end of a step.
+
+        Rotations in rad, positions in their unit; poses as [v; w] whatever their order. Lengths are what counts: the
+        axes may be those of the start.
+        """
+        return e
+
+    @abstractmethod
+    def sizes(self, before: Block, after: Block) -> Block:
+        """What the entries of a deviation are compared with: 1 rad for a rotation, else the size of the state."""
+
     def settle(self, moved: Block) -> Block:
         """The end of a step: `moved`, put back into the group to round-off where rounding takes it out."""
         return moved
@@ -97,6 +110,9 @@ class FlatCoordinates(Coordinates):
 
     def first_slope(self, y: Block, omega: Block) -> Block:
         return omega
+
+    def sizes(self, before: Block, after: Block) -> Block:
+        return tuple(jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(before, after, strict=True))
 
     def tangent(self, z: Block) -> jax.Array:
         return vector(z) if self.scalars else z[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 
 from ...groups import Group
 from .coordinates import Block, Coordinates
@@ -33,6 +34,9 @@ class GroupCoordinates(Coordinates):
 
     def first_slope(self, y: Block, omega: Block) -> Block:
         return omega
+
+    def sizes(self, before: Block, after: Block) -> Block:
+        return (jnp.ones(self.group.dimension, before[0].dtype),)
 
     def tangent(self, z: Block) -> jax.Array:
         return z[0]

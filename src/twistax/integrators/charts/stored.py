@@ -44,6 +44,9 @@ class StoredRotation(Coordinates):
     def rate(self, omega: jax.Array) -> Components:
         return unpack(omega)
 
+    def sizes(self, before: Components, after: Components) -> Components:
+        return _radians(after)
+
 
 class StoredPose(Coordinates):
     """(q, p): a pose as a quaternion and a position; rates as [v; w] whatever their order."""
@@ -61,3 +64,12 @@ class StoredPose(Coordinates):
 
     def rate(self, omega: jax.Array) -> Components:
         return unpack(self.order.to_linear_first(omega))
+
+    def sizes(self, before: Components, after: Components) -> Components:
+        length = jnp.sqrt(jnp.maximum(dot(before[4:], before[4:]), dot(after[4:], after[4:])))
+        return (length, length, length, *_radians(after))
+
+
+def _radians(y: Components) -> Components:
+    one = jnp.ones_like(y[0])
+    return (one, one, one)

@@ -51,6 +51,14 @@ class StateCoordinates:
         """The tangents of the move, by name. Raises ModelError where coordinates are of another kind."""
         return {name: part.tangent(z[name]) for name, part in self.parts.items()}
 
+    def deviation(self, e: Blocks, after: Blocks) -> Blocks:
+        """The tangents of a small difference of coordinates near the end of a step."""
+        return {name: part.deviation(e[name], after[name]) for name, part in self.parts.items()}
+
+    def sizes(self, before: Blocks, after: Blocks) -> Blocks:
+        """What the entries of a deviation are compared with."""
+        return {name: part.sizes(before[name], after[name]) for name, part in self.parts.items()}
+
     def settle(self, moved: Blocks) -> Blocks:
         """The end of a step, put back into the group to round-off."""
         return {name: part.settle(moved[name]) for name, part in self.parts.items()}

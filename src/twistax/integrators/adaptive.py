@@ -1,0 +1,265 @@
+"""A flight whose steps are as long as the tolerances allow."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from ..lowering.dynamics import Arrays
+from .charts.whole import Blocks
+from .course import Course, Flown, Outcome, Partial
+from .finite import all_finite
+from .first_step import first_step
+from .solution import Result
+from .step_control import Errors, StepControl
+from .stepper import Stepper
+from .tolerances import Tolerances
+
+__all__ = ["AdaptiveCourse", "Stops"]
+
+#: A step that leaves less than this share of itself to the next stop goes there at once.
+_STRETCH = 0.01
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Stops:
+    """Where the loop over steps halts: at saved times, which it may pass, and at limits, where a step must end.
+
+    Attributes:
+        limits: (m,) times in order, the last one the end of the flight. Rates may jump there.
+        ts: (k,) limits and saved times in order.
+        leg: (k,) the limit that bounds the steps on the way to each.
+        place: (n,) where the saved times stand in ts; None where there are none.
+    """
+
+    limits: Any
+    ts: Any
+    leg: Any
+    place: Any
+
+    @classmethod
+    def of(cls, limits: jax.Array, saves: jax.Array | None) -> Stops:
+        """The stops of sorted limits and saved times."""
+        if saves is None:
+            return cls(limits, limits, jnp.arange(limits.size), None)
+        joined = jnp.concatenate([saves, limits])
+        order = jnp.argsort(jax.lax.stop_gradient(joined), stable=True)
+        ts = joined[order]
+        leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1)
+        return cls(limits, ts, leg, jnp.argsort(order)[: saves.size])
+
+
+class _Path(NamedTuple):
+    """The accepted steps: on which leg each lies, and where on it, as shares of the leg."""
+
+    leg: jax.Array
+    begin: jax.Array
+    end: jax.Array
+
+
+class _Packing(NamedTuple):
+    """How to read a packed state and a packed rate."""
+
+    state: Callable[[jax.Array], Blocks]
+    rate: Callable[[jax.Array], Blocks]
+
+
+class _Now(NamedTuple):
+    """What the loop carries: the state with its rate, the next step to try, and the start of the last one taken.
+
+    States and rates are packed into vectors: XLA would work out the test of a step again for every scalar it guards.
+    """
+
+    t: jax.Array
+    h: jax.Array
+    y: jax.Array
+    rate: jax.Array
+    errors: Errors
+    rejected: jax.Array
+    tried: jax.Array
+    accepted: jax.Array
+    code: jax.Array
+    last: tuple[jax.Array, jax.Array] | None
+    path: _Path | None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class AdaptiveCourse(Course):
+    """Steps from t0 through all stops.
+
+    Attributes:
+        t0: the start.
+        first: the first step to try, in s; zero or less: chosen.
+        stops: where the loop halts.
+        tolerances: the error allowed in a step.
+        control: how the next step follows from the errors, and how many there may be.
+    """
+
+    t0: Any
+    first: Any
+    stops: Stops
+    tolerances: Tolerances
+    control: StepControl = dataclasses.field(metadata={"static": True})
+
+    @property
+    def bound(self) -> int:
+        return self.control.max_steps
+
+    @property
+    def saves(self) -> int | None:
+        return None if self.stops.place is None else self.stops.place.size
+
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
+        stops = self.stops
+        room = stops.limits[-1] - self.t0
+        guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
+        rate = stepper.begin(self.t0, y, guess)
+        chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess)
+        packed, read = ravel_pytree(y)
+        packed_rate, read_rate = ravel_pytree(rate)
+        packing = _Packing(read, read_rate)
+        zero = jnp.zeros((), int)
+        now = _Now(
+            t=self.t0,
+            h=jnp.where(self.first > 0.0, self.first, chosen),
+            y=packed,
+            rate=packed_rate,
+            errors=Errors.none(self.t0.dtype),
+            rejected=jnp.asarray(False),
+            tried=zero,
+            accepted=zero,
+            code=zero,
+            last=None if self.saves is None else (self.t0, packed),
+            path=self._empty_path() if record else None,
+        )
+
+        def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
+            t, leg = stop
+            # Rates may have jumped at the stop before.
+            now = now._replace(rate=ravel_pytree(stepper.begin(now.t, read(now.y), now.h))[0])
+            now = jax.lax.while_loop(
+                lambda n: (n.t < t) & (n.code == 0) & (n.tried < self.bound),
+                lambda n: self._try(stepper, packing, n, leg),
+                now,
+            )
+            if now.last is None:
+                return now, None
+            # A saved time that is the end of a step needs no other one.
+            there = now.t <= t
+            start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (now.t, now.y), now.last)
+            return now, (start, now.accepted - (~there).astype(int), now.t >= t)
+
+        now, found = jax.lax.scan(to_stop, now, (stops.ts, stops.leg))
+        short = (now.code == 0) & (now.t < stops.limits[-1])
+        code = jnp.where(short, Result.MAX_STEPS.value, now.code)
+        evaluations = 2 + stops.ts.size + now.tried * stepper.method.attempt_evaluations
+        outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
+        if stops.place is None:
+            return Flown(read(now.y), outcome, None, None, None, None, now.path)
+        (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
+        return Flown(read(now.y), outcome, index, jax.vmap(read)(starts), times, reached, now.path)
+
+    def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
+        """One step, taken or taken back."""
+        control, order = self.control, stepper.method.error_order
+        limit = self.stops.limits[leg]
+        room = limit - now.t
+        eps = float(jnp.finfo(now.t.dtype).eps)
+        least = jnp.maximum(8.0 * eps * jnp.abs(now.t), control.dtmin or 0.0)
+        h = jnp.maximum(now.h, least)
+        if control.dtmax is not None:
+            h = jnp.minimum(h, control.dtmax)
+        # No crumbs before a limit: the last two steps share what is left.
+        step = jnp.where((1.0 + _STRETCH) * h >= room, room, jnp.where(2.0 * h > room, 0.5 * room, h))
+        before = packing.state(now.y)
+        found = stepper.attempt(now.t, before, packing.rate(now.rate), step)
+        y, rate = ravel_pytree(found.y)[0], ravel_pytree(found.rate)[0]
+        finite = all_finite((y, rate))
+        square = self._error(stepper, before, found.y, found.errors)
+        square = jnp.where(finite & jnp.isfinite(square), square, jnp.inf)
+        good = square <= 1.0
+        growth, errors = control.grown(square, now.errors, now.rejected, order)
+        # A step cut short at a limit says little against the longer one that was planned.
+        longer = jnp.maximum(step * growth, jnp.where(step < h, jnp.where(now.rejected, 0.0, h), 0.0))
+        shorter = step * control.shrunk(square, order)
+        failed = ~good & ((shorter < least) | (step <= least))
+        trouble = jnp.where(finite, Result.STEP_TOO_SMALL.value, Result.NON_FINITE.value)
+        t = jnp.where(step == room, limit, now.t + step)
+
+        def pick(new: Any, old: Any) -> Any:
+            return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
+
+        return _Now(
+            t=pick(t, now.t),
+            h=jnp.where(good, longer, shorter),
+            y=pick(y, now.y),
+            rate=pick(rate, now.rate),
+            errors=pick(errors, now.errors),
+            rejected=~good,
+            tried=now.tried + 1,
+            accepted=now.accepted + good.astype(int),
+            code=jnp.where(failed, trouble, now.code),
+            last=None if now.last is None else pick((now.t, now.y), now.last),
+            path=None if now.path is None else self._noted(now.path, now.accepted, leg, now.t, t),
+        )
+
+    def _error(self, stepper: Stepper, before: Blocks, after: Blocks, errors: tuple[Blocks, ...]) -> jax.Array:
+        """The square of the error in units of what is allowed; two estimates are weighed as in the program DOP853."""
+        local, tolerances = stepper.coordinates, self.tolerances
+        squares = [tolerances.mean_square(local, e, before, after) for e in errors]
+        if len(squares) == 1:
+            return squares[0]
+        first, second = squares
+        weight = first + 0.01 * second
+        return jnp.where(weight > 0.0, first * first / jnp.where(weight > 0.0, weight, 1.0), 0.0)
+
+    def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
+        y = stepper.coordinates.enter(x)
+        found = stepper.attempt(outcome.t, y, stepper.begin(outcome.t, y, outcome.h), outcome.h)
+        parts = self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
+        return max(parts, key=lambda name: float(parts[name]))
+
+    # ---- the path, to take the same steps again ------------------------------------------------------------------
+
+    def _empty_path(self) -> _Path:
+        shares = jnp.zeros(self.bound, self.t0.dtype)
+        return _Path(jnp.zeros(self.bound, int), shares, shares)
+
+    def _leg(self, leg: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Start and length of a leg."""
+        limits = self.stops.limits
+        start = jnp.where(leg == 0, self.t0, limits[jnp.maximum(leg - 1, 0)])
+        return start, limits[leg] - start
+
+    def _noted(self, path: _Path, k: jax.Array, leg: jax.Array, begin: jax.Array, end: jax.Array) -> _Path:
+        """The path with step k, which a later try may write again."""
+        start, length = self._leg(leg)
+        length = jnp.where(length > 0.0, length, 1.0)
+        return _Path(
+            path.leg.at[k].set(leg),
+            path.begin.at[k].set((begin - start) / length),
+            path.end.at[k].set((end - start) / length),
+        )
+
+    def step(self, path: _Path, k: jax.Array) -> Partial:
+        start, length = self._leg(path.leg[k])
+        return Partial(start + path.begin[k] * length, (path.end[k] - path.begin[k]) * length)
+
+    def partials(self, path: _Path | None, flown: Flown) -> Partial:
+        ts = self.stops.ts[self.stops.place]
+        if path is None:
+            return Partial(flown.times, ts - flown.times)
+
+        def end_of(k: jax.Array) -> jax.Array:
+            start, length = self._leg(path.leg[k])
+            return start + path.end[k] * length
+
+        before = jnp.where(flown.index == 0, self.t0, jax.vmap(end_of)(jnp.maximum(flown.index - 1, 0)))
+        return Partial(before, ts - before)

@@ -1,0 +1,96 @@
+"""How a flight goes from its start to its end: the steps it takes, and where saved times fall between them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import jax
+
+from ..lowering.dynamics import Arrays
+from .charts.whole import Blocks
+from .stepper import Stepper
+
+__all__ = ["Course", "Flown", "Outcome", "Partial"]
+
+
+class Outcome(NamedTuple):
+    """How the steps went: arrays of no dimension.
+
+    Attributes:
+        code: the number of the `Result`.
+        tried, accepted: steps.
+        evaluations: of the right-hand side, without those of saved times.
+        t: the time that was reached.
+        h: the length of the last step tried.
+    """
+
+    code: jax.Array
+    tried: jax.Array
+    accepted: jax.Array
+    evaluations: jax.Array
+    t: jax.Array
+    h: jax.Array
+
+
+class Flown(NamedTuple):
+    """What a loop over steps leaves behind.
+
+    Attributes:
+        end: the stored state it reached.
+        outcome: how the steps went.
+        index: (n,) accepted steps before each saved time; None without saved times, as the next three.
+        starts: the stored states after that many steps.
+        times: (n,) the times then.
+        reached: (n,) whether the flight came so far.
+        path: what a course needs to take the same steps again, where it was asked for.
+    """
+
+    end: Blocks
+    outcome: Outcome
+    index: jax.Array | None
+    starts: Blocks | None
+    times: jax.Array | None
+    reached: jax.Array | None
+    path: Any
+
+
+class Partial(NamedTuple):
+    """The shorter step from the start of a step to a saved time: when it begins, and its length, zero where none is."""
+
+    t: jax.Array
+    h: jax.Array
+
+
+class Course(ABC):
+    """A pytree: times and tolerances are inputs, rules and bounds are structure."""
+
+    @property
+    @abstractmethod
+    def bound(self) -> int | None:
+        """How many accepted steps there are at most, a plain number; None where derivatives are not asked for."""
+
+    @property
+    @abstractmethod
+    def saves(self) -> int | None:
+        """The number of saved times; None where the end alone is asked for."""
+
+    @abstractmethod
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
+        """Take all steps. Traceable, not differentiable in reverse.
+
+        Args:
+            record: keep the path; `bound` must be known.
+        """
+
+    @abstractmethod
+    def step(self, path: Any, k: jax.Array) -> Partial:
+        """When step k begins and how long it is; differentiable with respect to the times of the course."""
+
+    @abstractmethod
+    def partials(self, path: Any, flown: Flown) -> Partial:
+        """The shorter steps to all saved times, (n,); likewise. Without a path as the loop left them."""
+
+    def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
+        """The state with the largest error in a step from where the flight ended; None where errors are not known."""
+        return None

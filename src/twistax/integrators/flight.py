@@ -1,0 +1,142 @@
+"""A whole flight as one function of its inputs: fast forward, differentiable both ways."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..lowering.dynamics import Arrays
+from .charts.whole import Blocks
+from .checkpointed import take_steps
+from .course import Course, Flown, Outcome, Partial
+from .finite import all_finite
+from .small_call import small_call
+from .solution import Result
+from .stepper import Stepper
+
+__all__ = ["Flight", "fly"]
+
+
+class Flight(NamedTuple):
+    """Where a flight came to.
+
+    Attributes:
+        xs: the states at the saved times, leading axis n, not a number where the flight did not come so far; without
+            saved times empty.
+        end: the state it reached.
+        reached: (n,) whether the flight came so far.
+        outcome: how the steps went, those of saved times included in the evaluations.
+    """
+
+    xs: Arrays
+    end: Arrays
+    reached: jax.Array
+    outcome: Outcome
+
+
+@jax.jit
+def fly(course: Course, stepper: Stepper, x: Arrays) -> Flight:
+    """Fly a course from the state x.
+
+    The loop over steps is compiled as one small function where that is known to work. Its derivatives, of any order and
+    both ways, are those of the same steps taken again with bounded memory: the lengths that an adaptive course chose
+    are kept, as shares of the way between its limits, so that derivatives with respect to all times are right.
+    """
+    return _flight(course, stepper, x)
+
+
+@jax.custom_jvp
+def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
+    def run(course: Course, stepper: Stepper, x: Arrays) -> Flight:
+        flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
+        if course.saves is None:
+            return _ended(stepper, flown, x)
+        partials = course.partials(None, flown)
+
+        def save(_: None, entry: tuple[Blocks, Partial]) -> tuple[None, Blocks]:
+            y, part = entry
+            return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
+
+        _, ys = jax.lax.scan(save, None, (flown.starts, partials))
+        return _saved(course, stepper, flown, ys, partials, x)
+
+    return small_call(run, course, stepper, x)
+
+
+def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Flight, Flight]:
+    course, stepper, x = jax.lax.stop_gradient(primals)
+    flown = small_call(
+        lambda course, stepper, x: course.run(stepper, stepper.coordinates.enter(x), record=True), course, stepper, x
+    )
+    leaves, structure = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
+    moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
+
+    def again(values: list[Any]) -> Flight:
+        course, stepper, x = jax.tree.unflatten(structure, _with(leaves, moving, values))
+        return _again(course, stepper, x, flown)
+
+    return jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+
+
+_flight.defjvp(_differentiated, symbolic_zeros=True)
+
+
+def _is_symbolic(slope: Any) -> bool:
+    return isinstance(slope, jax.custom_derivatives.SymbolicZero)
+
+
+def _with(leaves: list[Any], places: list[int], values: list[Any]) -> list[Any]:
+    found = list(leaves)
+    for place, value in zip(places, values, strict=True):
+        found[place] = value
+    return found
+
+
+def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
+    """A flight by taking its steps again."""
+
+    def step(k: jax.Array, y: Blocks) -> Blocks:
+        part = course.step(flown.path, k)
+        return stepper.advance(part.t, y, part.h)
+
+    start = stepper.coordinates.enter(x)
+    end, every = take_steps(step, start, flown.outcome.accepted, course.bound, record=course.saves is not None)
+    if every is None:
+        return _ended(stepper, flown._replace(end=end), x)
+    partials = course.partials(flown.path, flown)
+    starts = jax.tree.map(lambda a: a[flown.index], every)
+    ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(partials, starts)
+    return _saved(course, stepper, flown._replace(end=end), ys, partials, x)
+
+
+def _ended(stepper: Stepper, flown: Flown, x: Arrays) -> Flight:
+    end = _or_start(stepper.coordinates.value(flown.end), flown.outcome.accepted == 0, x)
+    return Flight({}, end, jnp.zeros(0, bool), flown.outcome)
+
+
+def _saved(course: Course, stepper: Stepper, flown: Flown, ys: Blocks, partials: Partial, x: Arrays) -> Flight:
+    local = stepper.coordinates
+    at_start = (flown.index == 0) & (jax.lax.stop_gradient(partials.h) <= 0.0)
+    reached = flown.reached & jax.vmap(all_finite)(ys)
+    xs = _or_start(jax.vmap(local.value)(ys), at_start, x)
+    xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
+    outcome = flown.outcome
+    counts = (partials.h > 0.0).sum() * stepper.method.evaluations
+    lost = (outcome.code == Result.DONE.value) & ~reached.all()
+    outcome = outcome._replace(
+        evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)
+    )
+    end = _or_start(local.value(flown.end), outcome.accepted == 0, x)
+    return Flight(xs, end, reached, outcome)
+
+
+def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
+    """The values, but the start as it was given, to the last bit, where no step was taken."""
+    return {name: jnp.where(_wide(still, value), x[name], value) for name, value in values.items()}
+
+
+def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:
+    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))

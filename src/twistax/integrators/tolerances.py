@@ -1,0 +1,145 @@
+"""How large an error of a step may be, entry by entry of the tangent."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..errors import InputError
+from ..expr import State
+from ..groups import Euclidean, SpecialEuclidean
+from ..lowering import Dynamics
+from .charts.whole import Blocks, StateCoordinates
+from .concrete import is_traced
+
+__all__ = ["Tolerances", "tolerances_of"]
+
+#: No tolerance is finer than this many times the precision of the numbers.
+_FINEST = 10.0
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Tolerances:
+    """Allowed is atol + rtol * size, size the state's own or the scale it declares, but never less than round-off.
+
+    Attributes:
+        rtol: ().
+        atol: name -> () or (n,), in the order in which the state's deviations are held.
+        scale: name -> (n,), the sizes that states declare.
+    """
+
+    rtol: Any
+    atol: Any
+    scale: Any
+
+    def scaled(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
+        """The entries of a difference of coordinates, each in units of what is allowed: (dimension,)."""
+        return _flat(local.deviation(e, after)) / self._allowed(local.sizes(before, after))
+
+    def mean_square(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
+        """The mean square of `scaled`: up to one where a difference is allowed."""
+        return jnp.mean(jnp.square(self.scaled(local, e, before, after)))
+
+    def by_state(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> dict[str, jax.Array]:
+        """The largest entry of each state's difference, in the same units."""
+        deviations, sizes = local.deviation(e, after), local.sizes(before, after)
+        return {
+            name: jnp.max(jnp.abs(_flat(deviations[name]) / self._allowed_part(name, _flat(sizes[name]))))
+            for name in deviations
+        }
+
+    def reach(self, local: StateCoordinates, y: Blocks) -> jax.Array:
+        """The size of a state in the same units."""
+        sizes = local.sizes(y, y)
+        return jnp.sqrt(jnp.mean(jnp.square(_flat(sizes) / self._allowed(sizes))))
+
+    def _allowed(self, sizes: Blocks) -> jax.Array:
+        return _flat({name: self._allowed_part(name, _flat(block)) for name, block in sizes.items()})
+
+    def _allowed_part(self, name: str, size: jax.Array) -> jax.Array:
+        info = jnp.finfo(size.dtype)
+        typical = self.scale.get(name, size)
+        finest = jnp.maximum(info.eps * _FINEST * size, info.tiny)
+        return jnp.maximum(self.atol[name] + self.rtol * typical, finest)
+
+
+def _flat(tree: Any) -> jax.Array:
+    return ravel_pytree(tree)[0]
+
+
+def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
+    """The tolerances a user gave, checked as far as they are known.
+
+    Raises:
+        InputError: rtol below 10 eps; an atol that is negative, of a wrong shape, or of no state.
+    """
+    if rtol is None:
+        raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
+    if np.shape(rtol) != ():
+        raise InputError(f"rtol must be one number, got shape {np.shape(rtol)}; atol may be a dict by state")
+    finest = _FINEST * float(jnp.finfo(dtype).eps)
+    # Not >=, so that a tolerance that is not a number is refused too.
+    if not is_traced(rtol) and not float(rtol) >= finest:
+        precise = (
+            'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double precision, '
+            "or give a larger rtol"
+            if np.dtype(dtype) == np.float32
+            else "give a larger rtol"
+        )
+        raise InputError(
+            f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
+            f"  fix: {precise}"
+        )
+    atol = rtol if atol is None else atol
+    given = dict(atol) if isinstance(atol, Mapping) else {state.name: atol for state in dynamics.states}
+    names = [state.name for state in dynamics.states]
+    for name in given:
+        if name not in names:
+            raise InputError(f"atol names {name!r}, which is no state; the states are: {', '.join(names)}")
+    for name in names:
+        if name not in given:
+            raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
+    return Tolerances(
+        jnp.asarray(rtol, dtype),
+        {state.name: _absolute(state, given[state.name], dtype) for state in dynamics.states},
+        {state.name: _held(state, state.scale, dtype) for state in dynamics.states if state.scale is not None},
+    )
+
+
+def _absolute(state: State, value: Any, dtype: Any) -> jax.Array:
+    """The allowed error of one state; a pair for a pose is (rotation, position)."""
+    is_pose = isinstance(state.group, SpecialEuclidean)
+    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2:
+        rotation, position = (jnp.asarray(part, dtype) for part in value)
+        if np.shape(rotation) == () and np.shape(position) == ():
+            found = jnp.stack([position] * 3 + [rotation] * 3)
+            return _positive(state, found)
+    array = jnp.asarray(value, dtype)
+    shape = state.group.shape if isinstance(state.group, Euclidean) else (state.group.dimension,)
+    if array.shape not in ((), shape):
+        pair = ", or the pair (rotation, position)" if is_pose else ""
+        raise InputError(
+            f"atol of state {state.name!r} expects a number or shape {shape}{pair}, got shape {array.shape}"
+        )
+    return _positive(state, _held(state, array, dtype) if array.shape else array)
+
+
+def _held(state: State, values: Any, dtype: Any) -> jax.Array:
+    """Values by tangent entry, in the order in which the state's deviations are held."""
+    array = jnp.asarray(values, dtype)
+    if isinstance(state.group, SpecialEuclidean):
+        return state.group.order.to_linear_first(array)
+    return array.reshape(-1)
+
+
+def _positive(state: State, array: jax.Array) -> jax.Array:
+    if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
+        raise InputError(f"atol of state {state.name!r} must not be negative, got {array}")
+    return array
