@@ -85,7 +85,7 @@ def _save(
     figures: dict[str, bytes] = {}
     said = [str(folder / name) for name in ("report.csv", "report.json", "report.md", "report.html")]
     try:
-        for scene in findings.scenes:
+        for scene in filter(findings.drawn, findings.scenes):
             figures[scene] = draw(findings, scene, SCENES[scene].title)
             (folder / "figures" / f"{scene}.svg").write_bytes(figures[scene])
         said.append(str(folder / "figures"))

@@ -24,10 +24,8 @@ def draw(findings: Findings, scene: str, title: str) -> bytes:
 
     figure = Figure(figsize=(7.0, 5.6), layout="constrained")
     axes = figure.add_subplot()
-    for line in findings.lines:
+    for line in findings.drawn(scene):
         rows = [row for row in findings.curve(scene, line).rows if row.error > 0.0]
-        if not line.drawn or not rows:
-            continue
         colour, dash, marker = line.style
         best = ([row.error for row in rows], [1e3 * row.seconds for row in rows])
         axes.loglog(*best, color=colour, ls=dash, marker=marker, ms=4.5, lw=1.5, label=line.title)

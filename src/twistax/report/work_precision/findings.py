@@ -77,6 +77,11 @@ class Findings:
         """The fastest line of a side."""
         return next(iter(self.ranking(scene, error, [line for line in self.lines if line.side == side])), None)
 
+    def drawn(self, scene: str) -> list[Line]:
+        """The lines of the scene's figure: those meant to be drawn, or all there are if none of them was run."""
+        there = [line for line in self.lines if self.curve(scene, line).rows]
+        return [line for line in there if line.drawn] or there
+
     def sittings(self, scene: str) -> int:
         """How many sittings the rows of a scene come from."""
         return len({row.sitting for row in self.rows if row.scene == scene})

@@ -11,12 +11,16 @@ import jax.numpy as jnp
 import twistax as tx
 
 from ...integrators import Method
+from ...integrators.step_control import StepControl
 from ...scenes import Scene
 from .contender import Contender, Counts, Line, Program
 from .effort import Effort
 from .ladder import Ladder
 
 __all__ = ["Adaptive", "FixedSteps"]
+
+#: The default in all but the most steps there may be.
+_CONTROL = StepControl(max_steps=10**7)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Adaptive(Contender):
 
     def build(self, scene: Scene) -> Program:
         def fly(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
-            return _flown(scene, start, self.method, rtol=tolerance, atol=tolerance)
+            return _flown(scene, start, self.method, rtol=tolerance, atol=tolerance, control=_CONTROL)
 
         return _program(scene, self.method, fly, one_for_all=True)
 

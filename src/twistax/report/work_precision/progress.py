@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TextIO
+from typing import Any
 
 __all__ = ["Progress"]
 
@@ -16,7 +16,7 @@ class Progress:
     `tell(what, share)` shows how much of the present part is done; parts are of equal weight.
     """
 
-    def __init__(self, stream: TextIO, parts: int, shown: bool) -> None:
+    def __init__(self, stream: Any, parts: int, shown: bool) -> None:
         self._stream, self._parts, self._done = stream, parts, 0
         self._shown = shown and stream.isatty()
         self._begin, self._part = time.perf_counter(), ""

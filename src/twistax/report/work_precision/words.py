@@ -92,7 +92,8 @@ def digits(findings: Findings) -> str:
     if not costs:
         return "What a digit costs cannot be said: no method reached both errors."
     parts = ", ".join(f"{cost:.2f} with {line.title}" for line, cost in sorted(costs.items(), key=lambda c: -c[1]))
-    return f"**One more digit** multiplies the time by {parts} (median over the scenes, between errors of {power(TARGETS[0])} and {power(TARGETS[1])})."
+    between = f"between errors of {power(TARGETS[0])} and {power(TARGETS[1])}"
+    return f"**One more digit** multiplies the time by {parts} (median over the scenes, {between})."
 
 
 def on_tolerance(findings: Findings) -> str:
@@ -101,10 +102,11 @@ def on_tolerance(findings: Findings) -> str:
     errors = [row.error for row in findings.rows if row.method == name and row.setting == setting and row.done]
     if not errors:
         return "A tolerance bounds the error of one step. The error at the end is another matter: try two of them."
+    low, high = power(min(errors)), power(max(errors))
     return (
         "**A tolerance is not the error at the end**; it bounds what one step may add. With rtol = atol = "
-        f"{power(setting)} {CONTENDERS[name].line.title} ended with errors from {power(min(errors))} to {power(max(errors))} on "
-        "these scenes. Fly once with a tolerance ten times smaller to see what yours gives."
+        f"{power(setting)} {CONTENDERS[name].line.title} ended with errors from {low} to {high} on these scenes. "
+        "Fly once with a tolerance ten times smaller to see what yours gives."
     )
 
 

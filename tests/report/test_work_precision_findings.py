@@ -1,0 +1,177 @@
+"""What the report concludes from rows made up for the purpose."""
+
+import dataclasses
+import math
+
+import pytest
+
+from twistax.report.work_precision.agreement import doubts
+from twistax.report.work_precision.bars import outcomes
+from twistax.report.work_precision.blocks import Bullets, Details, Figure, Heading, Table, as_html, as_markdown
+from twistax.report.work_precision.contenders import CONTENDERS, OURS
+from twistax.report.work_precision.curve import Curve
+from twistax.report.work_precision.effort import QUICK
+from twistax.report.work_precision.findings import Findings
+from twistax.report.work_precision.ladder import Steps, Tolerances
+from twistax.report.work_precision.origin import Origin
+from twistax.report.work_precision.page import page
+from twistax.report.work_precision.row import Row
+from twistax.report.work_precision.words import advice, digits, on_diffrax, on_quaternions, power
+from twistax.scenes import SCENES
+
+NAMES = {"euler-top": "Euler top", "rocket": "rocket", "fast-spin": "fast spin"}
+
+
+def row(error: float, seconds: float, scene: str = "euler-top", method: str = "dop853", setting: float = 1e-8) -> Row:
+    return Row(scene, method, "tolerance", setting, error, seconds, seconds, 9, 0.5, 100, 10, 1, "done", "then")
+
+
+def flights(scene: str, method: str, scale: float, order: int) -> list[Row]:
+    """Time scale * error^(-1 / order), so that time at 1e-6 is scale * 10^(6 / order)."""
+    settings = [10.0**-k for k in range(4, 12)]
+    return [row(error, scale * error ** (-1.0 / order), scene, method, error) for error in settings]
+
+
+def found(**scales: float) -> Findings:
+    """Eighth-order curves on one scene; names with underscores for dashes."""
+    rows = [r for name, scale in scales.items() for r in flights("euler-top", name.replace("_", "-"), scale, 8)]
+    return Findings(rows, CONTENDERS)
+
+
+@pytest.mark.parametrize("error", [1e-6, 3e-8, 1e-9])
+def test_time_at_an_error_lies_on_the_power_law(error: float) -> None:
+    curve = Curve.of(flights("euler-top", "dop853", 1e-4, 5)[::3] + [row(1e-11, 1e-4 * 1e11 ** (1 / 5))])
+    assert curve.time_at(error) == pytest.approx(1e-4 * error ** (-1 / 5))
+
+
+def test_flights_that_are_slower_and_worse_do_not_count() -> None:
+    good = [row(1e-4, 1e-4), row(1e-8, 1e-3)]
+    poor = [row(1e-5, 2e-2), row(1e-7, 5e-3), row(math.nan, 1e-9), dataclasses.replace(row(1e-12, 1e-9), result="no")]
+    assert Curve.of(good + poor) == Curve.of(good)
+
+
+def test_nothing_is_extrapolated() -> None:
+    curve = Curve.of([row(1e-7, 1e-4), row(1e-8, 2e-4)])
+    assert curve.time_at(1e-6) == 1e-4
+    assert math.isnan(curve.time_at(1e-9))
+    assert curve.row_at(1e-9) is None
+
+
+def test_a_method_that_stays_away_from_the_truth_disagrees() -> None:
+    stuck = [row(error, 1e-3, method="tsit5", setting=s) for s, error in ((1e-5, 3e-4), (1e-7, 1e-4), (1e-9, 1e-4))]
+    coming = [row(error, 1e-3, method="rk4", setting=s) for s, error in ((1e-5, 1e-2), (1e-7, 1e-3), (1e-9, 1e-4))]
+    fine = flights("euler-top", "dop853", 1e-4, 8)
+    by_name = {doubt.method: doubt for doubt in doubts([*stuck, *coming, *fine])}
+    assert set(by_name) == {"tsit5", "rk4"}
+    assert not by_name["tsit5"].falling
+    assert by_name["rk4"].falling
+    assert not Findings([*stuck, *fine], CONTENDERS).agreed
+    assert Findings([*coming, *fine], CONTENDERS).agreed
+
+
+def test_more_steps_are_finer_and_smaller_tolerances_are() -> None:
+    steps = [dataclasses.replace(row(e, 1e-3, setting=n), unit="steps") for n, e in ((64.0, 1e-2), (128.0, 1e-3))]
+    assert doubts(steps)[0].falling
+    assert not doubts([dataclasses.replace(r, unit="tolerance") for r in steps])[0].falling
+
+
+def test_what_disagrees_is_not_compared() -> None:
+    wrong = [row(1e-4, 1e-9, method="tsit5", setting=s) for s in (1e-5, 1e-7)]
+    findings = Findings([*wrong, *flights("euler-top", "dop853", 1e-4, 8)], CONTENDERS)
+    assert findings.curve("euler-top", CONTENDERS["tsit5"].line).rows == ()
+
+
+def test_bars_take_the_better_rival_and_the_better_controller() -> None:
+    findings = found(dop853_quaternion=1.0, diffrax_tsit5_call=4.0, diffrax_dopri8_call=2.5, diffrax_dopri8_call_pi=2.0)
+    ratios = {(each.bar.against.name, each.error): each for each in outcomes(findings)}
+    assert ratios["diffrax in one call", 1e-6].ratio == pytest.approx(0.5)
+    assert ratios["diffrax in one call", 1e-6].verdict == "holds"
+    assert ratios["diffrax as shipped", 1e-9].verdict == "not measured"
+    slower = outcomes(found(dop853_quaternion=1.0, diffrax_tsit5_call=1.2))
+    assert {each.verdict for each in slower if not math.isnan(each.ratio)} == {"MISSED"}
+
+
+def test_the_page_names_whoever_is_fastest() -> None:
+    for fast, slow in (("dop853", "tsit5"), ("tsit5", "dop853")):
+        findings = found(**{fast: 1.0, slow: 3.0})
+        origin = Origin({"jax": "1"}, "abc", "a machine", dataclasses.asdict(QUICK))
+        blocks = page(findings, SCENES, [], [], origin, 1e-5, {}, "python -m twistax report")
+        for text in (as_markdown(blocks), as_html("title", blocks)):
+            assert f"Fastest: {CONTENDERS[fast].line.title} on Euler top." in text
+            assert "a machine" in text
+            assert "pip install 'twistax[plot]'" in text or "pip install &#x27;twistax[plot]&#x27;" in text
+
+
+def test_advice_is_the_smallest_worst_case() -> None:
+    rows = [
+        *flights("euler-top", "tsit5", 1.0, 8),
+        *flights("euler-top", "dop853", 1.5, 8),
+        *flights("rocket", "tsit5", 9.0, 8),
+        *flights("rocket", "dop853", 1.0, 8),
+        # Fastest everywhere, but not to be had by calling a library.
+        *flights("euler-top", "diffrax-tsit5-call", 0.1, 8),
+        *flights("rocket", "diffrax-tsit5-call", 0.1, 8),
+    ]
+    said = advice(Findings(rows, CONTENDERS), NAMES)
+    assert "take DOP853" in said
+    assert "1.5 times" in said
+    assert "Euler top" in said
+
+
+def test_a_digit_costs_the_root_of_ten() -> None:
+    assert f"{10 ** (1 / 8):.2f} with DOP853" in digits(found(dop853=1.0))
+
+
+def test_diffrax_is_named_where_it_is_faster() -> None:
+    theirs = " ".join(on_diffrax(found(dop853=2.0, diffrax_tsit5=1.0), NAMES))
+    assert "diffrax as shipped is faster** on Euler top at 1e-6 (diffrax Tsit5 as shipped, 0.50 of our time)" in theirs
+    ours = " ".join(on_diffrax(found(dop853=1.0, diffrax_tsit5=4.0), NAMES))
+    assert "not faster on any scene**: our fastest method takes 0.25 to 0.25" in ours
+    alone = " ".join(on_diffrax(found(diffrax_tsit5=4.0), NAMES))
+    assert "none of ours got there" in alone
+
+
+def test_quaternions_and_exponential_coordinates_are_compared() -> None:
+    assert "faster on Euler top" in on_quaternions(found(dop853=1.0, dop853_quaternion=0.8), NAMES)
+    assert "slower on Euler top" in on_quaternions(found(dop853=1.0, dop853_quaternion=1.2), NAMES)
+    assert "as fast on Euler top" in on_quaternions(found(dop853=1.0, dop853_quaternion=1.01), NAMES)
+
+
+def test_tolerances_are_even_in_decades() -> None:
+    ladder, setting, seen = Tolerances(-4, -6, 2), 1e-4, []
+    while setting is not None:
+        seen.append(setting)
+        setting = ladder.after(setting, 1.0)
+    assert seen == [1e-4, 3.16e-5, 1e-5, 3.16e-6, 1e-6]
+
+
+def test_steps_grow_until_the_error_is_small() -> None:
+    ladder = Steps(8, 4, enough=1e-6, most=100)
+    assert ladder.after(8.0, math.nan) == 32.0
+    assert ladder.after(8.0, 1e-7) is None
+    assert ladder.after(32.0, 1.0) is None
+
+
+def test_a_page_is_safe_html_and_plain_markdown() -> None:
+    blocks = [
+        Heading(1, "a < b"),
+        Bullets(["**bold** `x < 1`"]),
+        Table(["name", "value"], [["a", "1"]]),
+        Figure("figures/a.svg", b"<svg/>", "a figure"),
+        Details("more", [Heading(2, "inside")]),
+    ]
+    html, markdown = as_html("t", blocks), as_markdown(blocks)
+    assert "<strong>bold</strong> <code>x &lt; 1</code>" in html
+    assert 'src="data:image/svg+xml;base64,' in html
+    assert "http" not in html
+    assert "| a | 1 |" in markdown
+    assert "![a figure](figures/a.svg)" in markdown
+
+
+def test_every_line_has_a_name_of_its_own() -> None:
+    lines = {contender.line for contender in CONTENDERS.values()}
+    assert len({line.title for line in lines}) == len(lines)
+    assert all(name == contender.name for name, contender in CONTENDERS.items())
+    assert sum(line.side == OURS for line in lines) >= 10
+    assert power(1e-6) == "1e-6"
+    assert power(1e-12) == "1e-12"
