@@ -258,6 +258,8 @@ def test_evaluations_are_counted() -> None:
     fed = tx.compile(tx.System(rates={R: w, w: -w}))
     counts = [[tx.Magnus(order).evaluations_of(dynamics) for dynamics in (alone, beside, fed)] for order in (4, 6)]
     assert counts == [[2, 6, 12], [3, 15, 48]]
+    sol = tx.integrate(fed, {"R": np.eye(3), "w": np.ones(3)}, t1=1.0, steps=5, method=tx.Magnus())
+    assert sol.stats.rhs_evaluations == 60
 
 
 def test_methods_are_values() -> None:

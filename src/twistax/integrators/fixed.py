@@ -75,7 +75,14 @@ class FixedCourse(Course):
         now, found = jax.lax.scan(to_stop, now, stops)
         code = jnp.where(now.good, Result.DONE.value, Result.NON_FINITE.value)
         tried = now.steps + (~now.good).astype(now.steps.dtype)
-        outcome = Outcome(code, tried, now.steps, tried * stepper.method.evaluations, self._time(now.steps), self.h)
+        outcome = Outcome(
+            code,
+            tried,
+            now.steps,
+            tried * stepper.method.evaluations_of(stepper.dynamics),
+            self._time(now.steps),
+            self.h,
+        )
         if self.at is None:
             return Flown(now.y, outcome, None, None, None, None, None)
         starts, reached = jax.tree.map(lambda a: a[:-1], found)

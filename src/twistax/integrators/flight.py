@@ -124,7 +124,7 @@ def _saved(course: Course, stepper: Stepper, flown: Flown, ys: Blocks, partials:
     xs = _or_start(jax.vmap(local.value)(ys), at_start, x)
     xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
     outcome = flown.outcome
-    counts = (partials.h > 0.0).sum() * stepper.method.evaluations
+    counts = (partials.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
     lost = (outcome.code == Result.DONE.value) & ~reached.all()
     outcome = outcome._replace(
         evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)

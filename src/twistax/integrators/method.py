@@ -56,6 +56,10 @@ class Method(ABC):
     def evaluations(self) -> int:
         """Evaluations of the right-hand side in a step of `advance`."""
 
+    def evaluations_of(self, dynamics: Dynamics) -> int:
+        """The same for one system, where a method takes more for some."""
+        return self.evaluations
+
     def check(self, dynamics: Dynamics) -> None:
         """Refuse a system that the method cannot fly. Raises ModelError with the reason; most methods fly all."""
         return
