@@ -61,12 +61,12 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     assert main(words) == 0
     said = capsys.readouterr()
     assert said.err == ""  # no bar where there is no terminal
-    assert "16 flights" in said.out
+    assert "18 flights" in said.out
     assert "bar       euler-top    dop853-quaternion" in said.out
 
     with (tmp_path / "report.csv").open() as file:
         table = list(csv.DictReader(file))
-    assert len(table) == 16
+    assert len(table) == 18
     for method in ("dop853-quaternion", "diffrax-tsit5-call"):
         errors = [float(row["error"]) for row in table if row["method"] == method]
         assert min(errors) < 1e-9 < 1e-5 < max(errors)
@@ -75,7 +75,7 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     assert all(int(row["evaluations"]) > 5 * int(row["steps"]) for row in table)
 
     document = json.loads((tmp_path / "report.json").read_text())
-    assert len(document["rows"]) == 16
+    assert len(document["rows"]) == 18
     fastest = min((t for t in document["times"] if t["error"] == 1e-6), key=lambda t: t["seconds"])
     for page in ("report.md", "report.html"):
         text = (tmp_path / page).read_text()
@@ -94,7 +94,7 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     said = capsys.readouterr()
     assert "1 of other versions" in said.out
     assert " 1 flights" in said.out
-    assert (tmp_path / "report.csv").read_text().count("\n") == 17
+    assert (tmp_path / "report.csv").read_text().count("\n") == 19
 
 
 def test_a_wrong_answer_ends_in_status_1(

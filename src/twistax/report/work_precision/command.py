@@ -18,6 +18,7 @@ from .flights import Refused, empty_call_seconds, measure_scene
 from .origin import Origin, origin_of
 from .page import TITLE, page
 from .progress import Progress
+from .row import COLUMNS
 from .store import Store, save_csv, save_json
 
 __all__ = ["run"]
@@ -57,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress.end()
         print(f"{scene.name:<18} {len(store) - before:4d} flights in {time.perf_counter() - lap:5.1f} s", flush=True)
 
-    findings = Findings((row for row in store if row.scene in scenes), contenders)
+    findings = Findings((row for name in scenes for row in store if row.scene == name), contenders)
     bars = outcomes(findings)
     _print_bars(bars)
     for doubt in findings.doubts:
@@ -124,7 +125,8 @@ def _document(findings: Findings, bars: list[Outcome], origin: Origin) -> dict[s
         "effort": origin.effort,
         "times": times,
         "bars": ratios,
-        "rows": [row.record() for row in findings.rows],
+        "columns": list(COLUMNS),
+        "rows": [list(row.record().values()) for row in findings.rows],
     }
 
 

@@ -13,39 +13,47 @@ __all__ = ["CONTENDERS", "IN_QUICK", "ONE_CALL", "OURS", "SHIPPED"]
 OURS = Side("twistax", "`tx.integrate` with its defaults")
 ONE_CALL = Side(
     "diffrax in one call",
-    "diffrax on quaternions, compiled as one small function, which twistax does with its own flights",
+    "the same compiled as one small function, as twistax compiles its flights; diffrax itself does not offer that",
     ready=False,
 )
-SHIPPED = Side("diffrax as shipped", "diffrax on quaternions with its defaults, inside `jax.jit`")
+SHIPPED = Side("diffrax as shipped", "`diffeqsolve` on the quaternions with its defaults, inside `jax.jit`")
 
 
 def _ours(title: str, code: str, style: str, drawn: bool = True) -> Line:
     colour, dash, marker = style.split(" ")
-    return Line(title, f"tx.RKMK({code})", OURS, (f"tab:{colour}", dash, marker), drawn)
+    return Line(title, code, OURS, (f"tab:{colour}", dash, marker), drawn)
+
+
+def _rkmk(title: str, tableau: str, style: str, chart: str = "", drawn: bool = True) -> Line:
+    return _ours(title, f"tx.RKMK(tx.tableaus.{tableau}{chart and f', tx.charts.{chart}'})", style, drawn)
 
 
 def _own() -> list[Contender]:
-    T, charts = tx.tableaus, tx.charts
-    rk4 = _ours("RK4, equal steps", "tx.tableaus.RK4", "gray - s")
-    bs3 = _ours("Bogacki-Shampine 3", "tx.tableaus.BOGACKI_SHAMPINE3", "olive - v", drawn=False)
-    dopri5 = _ours("Dormand-Prince 5", "tx.tableaus.DORMAND_PRINCE5", "pink - <", drawn=False)
-    tsit5 = _ours("Tsit5", "tx.tableaus.TSIT5", "cyan - o")
-    tsit5_quaternion = _ours("Tsit5, quaternion", "tx.tableaus.TSIT5, tx.charts.Ambient()", "cyan -- o")
-    dop853 = _ours("DOP853", "tx.tableaus.DOP853", "blue - D")
-    closed = _ours("DOP853, closed form", "tx.tableaus.DOP853, tx.charts.Exponential()", "purple - P", drawn=False)
-    split = _ours("DOP853, split", "tx.tableaus.DOP853, tx.charts.SplitExponential(6)", "green - ^")
-    quaternion = _ours("DOP853, quaternion", "tx.tableaus.DOP853, tx.charts.Ambient()", "blue -- D")
-    dopri8 = _ours("Dormand-Prince 8", "tx.tableaus.DORMAND_PRINCE8", "brown - >", drawn=False)
+    T, C = tx.tableaus, tx.charts
+    rk4 = _rkmk("RK4, equal steps", "RK4", "gray - s")
+    cf4 = _ours("CF4, equal steps", "tx.CommutatorFree()", "gray -- s", drawn=False)
+    magnus = _ours("Magnus 6, equal steps", "tx.Magnus(6)", "gray : s", drawn=False)
+    bs3 = _rkmk("Bogacki-Shampine 3", "BOGACKI_SHAMPINE3", "olive - v", drawn=False)
+    dopri5 = _rkmk("Dormand-Prince 5", "DORMAND_PRINCE5", "pink - <", drawn=False)
+    tsit5 = _rkmk("Tsit5", "TSIT5", "cyan - o")
+    tsit5_quaternion = _rkmk("Tsit5, quaternion", "TSIT5", "cyan -- o", "Ambient()")
+    dop853 = _rkmk("DOP853", "DOP853", "blue - D")
+    closed = _rkmk("DOP853, closed form", "DOP853", "purple - P", "Exponential()", drawn=False)
+    split = _rkmk("DOP853, split", "DOP853", "green - ^", "SplitExponential(6)")
+    quaternion = _rkmk("DOP853, quaternion", "DOP853", "blue -- D", "Ambient()")
+    dopri8 = _rkmk("Dormand-Prince 8", "DORMAND_PRINCE8", "brown - >", drawn=False)
     return [
         FixedSteps("rk4", rk4, tx.RKMK(T.RK4)),
+        FixedSteps("cf4", cf4, tx.CommutatorFree()),
+        FixedSteps("magnus6", magnus, tx.Magnus(6)),
         Adaptive("bs3", bs3, tx.RKMK(T.BOGACKI_SHAMPINE3)),
         Adaptive("dopri5", dopri5, tx.RKMK(T.DORMAND_PRINCE5)),
         Adaptive("tsit5", tsit5, tx.RKMK(T.TSIT5)),
-        Adaptive("tsit5-quaternion", tsit5_quaternion, tx.RKMK(T.TSIT5, charts.Ambient())),
+        Adaptive("tsit5-quaternion", tsit5_quaternion, tx.RKMK(T.TSIT5, C.Ambient())),
         Adaptive("dop853", dop853, tx.RKMK(T.DOP853)),
-        Adaptive("dop853-closed", closed, tx.RKMK(T.DOP853, charts.Exponential())),
-        Adaptive("dop853-split", split, tx.RKMK(T.DOP853, charts.SplitExponential(6))),
-        Adaptive("dop853-quaternion", quaternion, tx.RKMK(T.DOP853, charts.Ambient())),
+        Adaptive("dop853-closed", closed, tx.RKMK(T.DOP853, C.Exponential())),
+        Adaptive("dop853-split", split, tx.RKMK(T.DOP853, C.SplitExponential(6))),
+        Adaptive("dop853-quaternion", quaternion, tx.RKMK(T.DOP853, C.Ambient())),
         Adaptive("dopri8", dopri8, tx.RKMK(T.DORMAND_PRINCE8)),
     ]
 

@@ -32,5 +32,5 @@ class Effort:
     share: float
 
 
-FULL = Effort("full", Tolerances(-4, -13, 2), Steps(32, 2), longest=0.6, rounds=41, least=5, share=0.4)
-QUICK = Effort("quick", Tolerances(-5, -12, 1), Steps(32, 4), longest=0.15, rounds=11, least=3, share=0.05)
+FULL = Effort("full", Tolerances(-3, -13, 2), Steps(32, 4), longest=0.6, rounds=31, least=5, share=0.4)
+QUICK = Effort("quick", Tolerances(-4, -12, 1), Steps(32, 4), longest=0.1, rounds=9, least=3, share=0.05)

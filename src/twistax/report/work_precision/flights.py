@@ -160,7 +160,8 @@ def _time_in_turn(flights: list[_Flight], effort: Effort, tell: Tell) -> None:
 
 
 def _visits(rough: float, effort: Effort) -> int:
-    return min(effort.rounds, max(effort.least, int(effort.share / max(rough, 1e-9))))
+    visit = rough * (1 + _CALLS if rough < _SHORT else 1)
+    return min(effort.rounds, max(effort.least, int(effort.share / max(visit, 1e-9))))
 
 
 def _seconds(call: Callable[[], Any]) -> float:

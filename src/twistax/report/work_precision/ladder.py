@@ -38,9 +38,9 @@ class Tolerances(Ladder):
         per_decade: settings in a decade.
     """
 
-    coarsest: int = -4
-    finest: int = -13
-    per_decade: int = 2
+    coarsest: int
+    finest: int
+    per_decade: int
     unit = "tolerance"
 
     @property
@@ -67,8 +67,8 @@ class Steps(Ladder):
         most: the largest number.
     """
 
-    start: int = 32
-    factor: int = 2
+    start: int
+    factor: int
     enough: float = 1e-10
     most: int = 2**21
     unit = "steps"

@@ -9,6 +9,7 @@ from ...scenes import Scene
 from . import words
 from .bars import Outcome
 from .blocks import Block, Bullets, Details, Figure, Heading, Paragraph, Table
+from .contender import Side
 from .contenders import ONE_CALL, OURS, SHIPPED
 from .findings import TARGETS, Findings
 from .flights import Refused
@@ -52,6 +53,7 @@ def page(
         Bullets([words.advice(findings, names), *words.winners(findings, names), words.digits(findings)]),
         Bullets([words.on_tolerance(findings)]),
         Heading(3, "Where plain quaternions or diffrax are the better choice"),
+        Paragraph(f"Compared are {'; '.join(f'**{side.name}**, {side.what}' for side in _sides(findings))}."),
         Bullets([words.on_quaternions(findings, names), *words.on_diffrax(findings, names)]),
         Heading(2, "The fastest at each error"),
         _fastest(findings, names),
@@ -62,6 +64,11 @@ def page(
         Heading(2, "How it was measured"),
         *_how(findings, refused, origin, empty_call, command),
     ]
+
+
+def _sides(findings: Findings) -> list[Side]:
+    known = (OURS, SHIPPED, ONE_CALL)
+    return [side for side in known if any(line.side == side for line in findings.lines)]
 
 
 def _fastest(findings: Findings, names: Mapping[str, str]) -> Table:
@@ -155,7 +162,7 @@ def _how(
         "diffrax solves the same system in quaternions (`tx.diffrax.ambient_term`), one flat vector, the first step "
         "its own, with its default I controller and with PI control (pcoeff 0.4, icoeff 0.3): the better of the two "
         "counts. Quaternions are normalised when read. In one call: without its error check, ForwardMode.",
-        *(f"{each.method} does not fly {each.scene}: {each.reason}." for each in refused),
+        *_refusals(refused),
         *(f"Rows of {scene} come from several sittings; ratios between them are less sure." for scene in apart),
     ]
     agreed = "Every method was first seen to find the same end of every scene."
@@ -165,6 +172,17 @@ def _how(
     methods = [[line.title, line.side.what, f"`{line.code}`"] for line in findings.lines]
     table = Table(["method", "how", "written"], methods, words=3)
     return [Bullets([agreed, *lines]), Details("Methods", [table])]
+
+
+def _refusals(refused: Sequence[Refused]) -> list[str]:
+    """A sentence for each method and reason."""
+    scenes: dict[tuple[str, str], list[str]] = {}
+    for each in refused:
+        scenes.setdefault((each.method, each.reason), []).append(each.scene)
+    return [
+        f"{method} does not fly {', '.join(names)}: {reason.removesuffix('.')}."
+        for (method, reason), names in scenes.items()
+    ]
 
 
 def _number(value: float) -> str:

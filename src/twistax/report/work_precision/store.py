@@ -69,8 +69,15 @@ def save_csv(path: Path, rows: Iterable[Row]) -> None:
 
 
 def save_json(path: Path, document: dict[str, Any]) -> None:
-    """Strict JSON, for programs."""
-    path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    """Strict JSON, for programs: an entry of a list on each line."""
+    parts = [f"{json.dumps(name)}: {_json(value)}" for name, value in document.items()]
+    path.write_text("{\n" + ",\n".join(parts) + "\n}\n")
+
+
+def _json(value: Any) -> str:
+    if isinstance(value, list):
+        return "[\n" + ",\n".join(json.dumps(entry, allow_nan=False) for entry in value) + "\n]"
+    return json.dumps(value, allow_nan=False)
 
 
 def _short(value: Any) -> Any:

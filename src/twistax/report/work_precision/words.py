@@ -135,26 +135,23 @@ def on_quaternions(findings: Findings, names: Mapping[str, str]) -> str:
 def on_diffrax(findings: Findings, names: Mapping[str, str]) -> list[str]:
     """Where diffrax is the better choice."""
     sentences = []
-    for side, how in ((ONE_CALL, "compiled as one small call"), (SHIPPED, "as shipped")):
+    for side in (ONE_CALL, SHIPPED):
         wins, ratios = [], []
-        for scene in findings.scenes:
-            for error in TARGETS:
+        for error in TARGETS:
+            faster = []
+            for scene in findings.scenes:
                 ours, theirs = findings.best(scene, error, OURS), findings.best(scene, error, side)
-                if theirs is None:
-                    continue
-                ratio = ours.seconds / theirs.seconds if ours else math.inf
-                ratios.append(ratio)
-                if ratio > 1.0:
-                    share = f"{1.0 / ratio:.2f} of our time" if ours else "none of ours got there"
-                    wins.append(f"{names[scene]} at {power(error)} ({theirs.line.title}, {share})")
-        if not ratios:
-            continue
+                if theirs is not None:
+                    ratios.append(ours.seconds / theirs.seconds if ours else math.inf)
+                    share = f"{1.0 / ratios[-1]:.2f} of our time" if ours else "none of ours got there"
+                    faster += [f"{names[scene]} ({share})"] if ratios[-1] > 1.0 else []
+            wins += [f"at {power(error)} on {_listed(faster)}"] if faster else []
         if wins:
-            sentences.append(f"**diffrax {how} is faster** on {_listed(wins)}.")
-        else:
+            sentences.append(f"**{side.name} is faster** {'; '.join(wins)}.")
+        elif ratios:
             sentences.append(
-                f"**diffrax {how} is not faster on any scene**: our fastest method takes {min(ratios):.2f} to "
-                f"{max(ratios):.2f} of the time of its fastest."
+                f"**{side.name} is not faster on any scene**: our fastest method takes "
+                f"{min(ratios):.2f} to {max(ratios):.2f} of the time of its fastest."
             )
     sentences.append(
         "All methods here are explicit. A stiff system, one that would move slowly but for a very fast part that has "
