@@ -113,3 +113,18 @@ def test_systems_of_any_size_compile(size: int) -> None:
     np.testing.assert_allclose(sol.xs["x"][0], np.full(size, np.e), rtol=1e-8)
     np.testing.assert_allclose(sol.xs["y"][0], 1.0, rtol=1e-12)
     np.testing.assert_allclose(sol.xs["g"][0], tx.lie.se3.exp(np.arange(6.0) / 10.0), atol=1e-12)
+
+
+def test_forward_derivatives_from_a_constant_start_compile() -> None:
+    """XLA moves constant arguments into the function, and has aborted on what is left of them."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    spin = tx.compile(tx.System(rates={R: w, w: -w}))
+
+    def end(v: jax.Array) -> jax.Array:
+        return tx.integrate(spin, {"R": np.eye(3), "w": v}, t1=0.5, steps=5).xs["R"][0]
+
+    one, other = jnp.ones(3), jnp.arange(3.0)
+    change = jax.jit(lambda v, d: jax.jvp(end, (v,), (d,))[1])(one, other)
+    step = 1e-6
+    numeric = (end(one + step * other) - end(one - step * other)) / (2.0 * step)
+    np.testing.assert_allclose(change, numeric, atol=1e-8)

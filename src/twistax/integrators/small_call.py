@@ -71,6 +71,8 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     jaxpr = jax.make_jaxpr(flat)(*leaves)
     run = jaxpr_as_fun(jaxpr)
     if set_xla_metadata is not None and jax.default_backend() == "cpu" and (trusted or _all_known(jaxpr.jaxpr)):
+        # Constants must not be moved inside either: an argument that is one then counts as never read.
+        leaves = jax.lax.optimization_barrier(leaves)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             results = jax.jit(run, inline=False)(*leaves)
     else:
