@@ -74,15 +74,9 @@ class FixedCourse(Course):
         now = _Now(jnp.zeros((), stops.dtype), y, jnp.asarray(True))
         now, found = jax.lax.scan(to_stop, now, stops)
         code = jnp.where(now.good, Result.DONE.value, Result.NON_FINITE.value)
-        tried = now.steps + (~now.good).astype(now.steps.dtype)
-        outcome = Outcome(
-            code,
-            tried,
-            now.steps,
-            tried * stepper.method.evaluations_of(stepper.dynamics),
-            self._time(now.steps),
-            self.h,
-        )
+        tries = now.steps + (~now.good).astype(now.steps.dtype)
+        evaluations = tries * stepper.method.evaluations_of(stepper.dynamics)
+        outcome = Outcome(code, tries, now.steps, evaluations, self._time(now.steps), self.h)
         if self.at is None:
             return Flown(now.y, outcome, None, None, None, None, None)
         starts, reached = jax.tree.map(lambda a: a[:-1], found)

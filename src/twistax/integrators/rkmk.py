@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import jax
+from jax.flatten_util import ravel_pytree
 
 from ..errors import ModelError
 from ..lowering import Dynamics
@@ -106,16 +107,20 @@ class RKMK(Method):
         """A step whose last stage is its end, so that the rate there serves the next step too."""
         local = self.coordinates(dynamics)
 
-        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[Blocks, Blocks]]:
+        packed, read = ravel_pytree(rate)
+
+        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, jax.Array]:
             moved = local.move(y, z)
             rate = self.begin(dynamics, time, moved, u_at, params)
-            return local.slope(z, moved, rate), (moved, rate)
+            # Packed: the loop would carry every scalar by itself.
+            return local.slope(z, moved, rate), ravel_pytree(rate)[0]
 
         tableau = self.tableau
-        slopes, (moved, rate) = stage_slopes(tableau.to_the_end, slope, local.first_slope(y, rate), (y, rate), t, h)
+        slopes, last = stage_slopes(tableau.to_the_end, slope, local.first_slope(y, rate), packed, t, h)
         embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
         errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
-        return Attempt(local.settle(moved), rate, errors)
+        end = local.settle(local.move(y, slopes.combine(tableau.b, h)))
+        return Attempt(end, read(last), errors)
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
