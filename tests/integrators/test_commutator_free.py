@@ -82,8 +82,8 @@ def test_flights_are_one_small_function(monkeypatch: pytest.MonkeyPatch) -> None
     sol = tx.integrate(body, start(), t1=1.0, dt=0.05, method=CF, save_at=[0.0, 0.32, 1.0])
     assert seen
     assert all(seen)
-    half = tx.integrate(body, start(), t1=0.32, dt=0.001, method=CF)
-    np.testing.assert_allclose(sol.xs["g"][1], half.xs["g"][0], atol=1e-5)
+    fine = tx.integrate(body, start(), t1=1.0, dt=0.003, method=CF, save_at=[0.0, 0.32, 1.0])
+    np.testing.assert_allclose(sol.xs["g"], fine.xs["g"], atol=1e-4)
     assert float(jnp.max(jax.vmap(tx.SE3.defect)(sol.xs["g"][1:]))) < 1e-14
 
 
@@ -96,13 +96,13 @@ def test_precision_follows_the_start() -> None:
 
 
 def test_derivatives_agree() -> None:
-    """Forward, reverse and finite differences, by start and control, over two of each at once."""
-    R, w, T = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("T", shape=(3,))
-    spin = tx.compile(tx.System(rates={R: w, w: R.T @ T}))
+    """Forward, reverse and finite differences, by two controls, over two of each at once."""
+    R, w, T = tx.State("R", group=tx.SO3), tx.Control("w", shape=(3,)), tx.Control("T", shape=(3,))
+    spin = tx.compile(tx.System(rates={R: w + R.T @ T}))
 
     def cost(z: jax.Array) -> jax.Array:
-        sol = tx.integrate(spin, {"R": np.eye(3), "w": z[:3]}, t1=0.5, steps=5, method=CF, u={"T": z[3:]})
-        return jnp.sum(sol.xs["R"][0] * jnp.cos(jnp.arange(9.0)).reshape(3, 3)) + jnp.sum(sol.xs["w"] ** 2)
+        sol = tx.integrate(spin, {"R": np.eye(3)}, t1=0.5, steps=5, method=CF, u={"w": z[:3], "T": z[3:]})
+        return jnp.sum(sol.xs["R"][0] * jnp.cos(jnp.arange(9.0)).reshape(3, 3))
 
     z = jnp.asarray(np.random.default_rng(2).normal(size=(2, 6)))
     direction, step = jnp.asarray(np.random.default_rng(3).normal(size=6)), 1e-5
