@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
-from .course import Course, Flown, Outcome, Partial
+from .course import Course, Flown, Outcome, Part
 from .finite import all_finite
 from .first_step import first_step
 from .solution import Result
@@ -248,18 +248,16 @@ class AdaptiveCourse(Course):
             path.end.at[k].set((end - start) / length),
         )
 
-    def step(self, path: _Path, k: jax.Array) -> Partial:
-        start, length = self._leg(path.leg[k])
-        return Partial(start + path.begin[k] * length, (path.end[k] - path.begin[k]) * length)
+    def steps_of(self, path: _Path) -> Part:
+        start, length = self._leg(path.leg)
+        return Part(start + path.begin * length, (path.end - path.begin) * length)
 
-    def partials(self, path: _Path | None, flown: Flown) -> Partial:
+    def parts(self, path: _Path | None, flown: Flown) -> Part:
         ts = self.stops.ts[self.stops.place]
         if path is None:
-            return Partial(flown.times, ts - flown.times)
+            return Part(flown.times, ts - flown.times)
 
-        def end_of(k: jax.Array) -> jax.Array:
-            start, length = self._leg(path.leg[k])
-            return start + path.end[k] * length
-
-        before = jnp.where(flown.index == 0, self.t0, jax.vmap(end_of)(jnp.maximum(flown.index - 1, 0)))
-        return Partial(before, ts - before)
+        k = jnp.maximum(flown.index - 1, 0)
+        start, length = self._leg(path.leg[k])
+        before = jnp.where(flown.index == 0, self.t0, start + path.end[k] * length)
+        return Part(before, ts - before)

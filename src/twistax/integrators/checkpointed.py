@@ -18,44 +18,54 @@ _NEST = 64
 
 
 def take_steps(
-    step: Callable[[jax.Array, Any], Any], y: Any, count: jax.Array, bound: int, record: bool
+    step: Callable[[Any, Any], Any], y: Any, each: Any, count: jax.Array, bound: int, record: bool
 ) -> tuple[Any, Any]:
-    """y after the steps step(0, .), step(1, .), ..., step(count - 1, .), where count <= bound.
+    """y after the first `count` of the steps y -> step(y, each[k]), k = 0, 1, ..., bound - 1.
 
     Traceable, and differentiable forward and in reverse to any order. On the way back only the states at the starts of
     blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. Blocks beyond
     the count are passed over, also for a whole batch at once under vmap.
 
     Args:
+        each: what each step needs, a pytree with a leading axis of `bound`. What a step closes over is copied for every
+            block on the way back, so it should be small.
         record: also return the values before each step, and after the last one, on a leading axis of bound + 1; entries
             beyond the count repeat the end.
     """
     from equinox.internal import unvmap_any
 
-    def one(y: Any, k: jax.Array) -> tuple[Any, Any]:
-        taken = _where_any(unvmap_any, k < count, lambda y: step(k, y), y)
-        return taken, y if record else None
+    def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+        k, own = entry
 
-    def several(level: Callable[[Any, jax.Array], tuple[Any, Any]], size: int, span: int) -> Any:
-        """`size` runs of a level that takes `span` steps itself."""
+        def taken(y: Any) -> Any:
+            return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, own), y)
+
+        return jax.lax.cond(unvmap_any(k < count), taken, lambda y: y, y), y if record else None
+
+    def block_of(level: Any) -> Any:
+        """Runs of a level, computed again on the way back, and passed over where the count is reached."""
 
         @jax.checkpoint
-        def block(y: Any, start: jax.Array) -> tuple[Any, Any]:
-            return jax.lax.scan(level, y, start + span * jnp.arange(size))
+        def run(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+            return jax.lax.scan(level, y, entries)
 
-        def block_or_nothing(y: Any, start: jax.Array) -> tuple[Any, Any]:
-            shapes = jax.eval_shape(block, y, start)[1]
+        def block(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+            shapes = jax.eval_shape(run, y, entries)[1]
+            first = entries[0].reshape(-1)[0]
             return jax.lax.cond(
-                unvmap_any(start < count), lambda y: block(y, start), lambda y: (y, _repeated(y, shapes)), y
+                unvmap_any(first < count), lambda y: run(y, entries), lambda y: (y, _repeated(y, shapes)), y
             )
 
-        return block_or_nothing
+        return block
 
     sizes = _sizes(bound)
-    level, span = one, 1
-    for size in sizes:
-        level, span = several(level, size, span), span * size
-    end, before = level(y, jnp.zeros((), int))
+    span = math.prod(sizes)
+    entries = (jnp.arange(span), jax.tree.map(lambda a: _padded(a, span), each))
+    entries = jax.tree.map(lambda a: a.reshape(*sizes, *a.shape[1:]), entries)
+    level: Any = one
+    for _ in sizes[1:]:
+        level = block_of(level)
+    end, before = jax.lax.scan(level, y, entries)
     if not record:
         return end, None
     steps = jax.tree.map(lambda a: a.reshape(span, *a.shape[len(sizes) :])[:bound], before)
@@ -63,27 +73,21 @@ def take_steps(
 
 
 def _sizes(bound: int) -> list[int]:
-    """Sizes of the nested blocks, innermost first, whose product is at least the bound."""
+    """Sizes of the nested blocks, outermost first, whose product is at least the bound."""
     if bound <= _BLOCK:
         return [max(bound, 1)]
     rest = math.ceil(bound / _BLOCK)
     if rest <= _NEST:
-        return [_BLOCK, rest]
-    inner = math.ceil(math.sqrt(rest))
-    return [_BLOCK, inner, math.ceil(rest / inner)]
+        return [rest, _BLOCK]
+    outer = math.ceil(math.sqrt(rest))
+    return [outer, math.ceil(rest / outer), _BLOCK]
 
 
-def _where_any(any_of: Callable[[Any], Any], active: jax.Array, function: Callable[[Any], Any], y: Any) -> Any:
-    """function(y) where active; not computed at all where nothing in a batch is."""
-
-    def chosen(y: Any) -> Any:
-        return jax.tree.map(lambda new, old: jnp.where(active, new, old), function(y), y)
-
-    return jax.lax.cond(any_of(active), chosen, lambda y: y, y)
+def _padded(a: jax.Array, length: int) -> jax.Array:
+    """The rows of a, the last one repeated up to a length."""
+    return jnp.concatenate([a, jnp.broadcast_to(a[-1], (length - len(a), *a.shape[1:]))])
 
 
 def _repeated(y: Any, shapes: Any) -> Any:
     """y along the leading axes of the shapes; None where nothing is recorded."""
-    if shapes is None:
-        return None
-    return jax.tree.map(lambda a, like: jnp.broadcast_to(a, like.shape), y, shapes)
+    return None if shapes is None else jax.tree.map(lambda a, like: jnp.broadcast_to(a, like.shape), y, shapes)

@@ -11,7 +11,7 @@ from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .stepper import Stepper
 
-__all__ = ["Course", "Flown", "Outcome", "Partial"]
+__all__ = ["Course", "Flown", "Outcome", "Part"]
 
 
 class Outcome(NamedTuple):
@@ -55,8 +55,8 @@ class Flown(NamedTuple):
     path: Any
 
 
-class Partial(NamedTuple):
-    """The shorter step from the start of a step to a saved time: when it begins, and its length, zero where none is."""
+class Part(NamedTuple):
+    """A step, or a part of one: when it begins, and its length."""
 
     t: jax.Array
     h: jax.Array
@@ -84,12 +84,15 @@ class Course(ABC):
         """
 
     @abstractmethod
-    def step(self, path: Any, k: jax.Array) -> Partial:
-        """When step k begins and how long it is; differentiable with respect to the times of the course."""
+    def steps_of(self, path: Any) -> Part:
+        """All steps, (bound,), those beyond the end without meaning; differentiable with respect to the times."""
 
     @abstractmethod
-    def partials(self, path: Any, flown: Flown) -> Partial:
-        """The shorter steps to all saved times, (n,); likewise. Without a path as the loop left them."""
+    def parts(self, path: Any, flown: Flown) -> Part:
+        """The parts of steps to all saved times, (n,), of length zero where a step ends; likewise.
+
+        Without a path they are as the loop left them.
+        """
 
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         """The state with the largest error in a step from where the flight ended; None where errors are not known."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .charts.whole import Blocks
-from .course import Course, Flown, Outcome, Partial
+from .course import Course, Flown, Outcome, Part
 from .finite import all_finite
 from .grid import Grid, Saves
 from .solution import Result
@@ -82,11 +82,12 @@ class FixedCourse(Course):
         starts, reached = jax.tree.map(lambda a: a[:-1], found)
         return Flown(now.y, outcome, self.at.index, starts, self._time(self.at.index), reached, None)
 
-    def step(self, path: None, k: jax.Array) -> Partial:
-        return Partial(self._time(k), self.h)
+    def steps_of(self, path: None) -> Part:
+        k = jnp.arange(self.bound)
+        return Part(self._time(k), jnp.broadcast_to(self.h, k.shape))
 
-    def partials(self, path: None, flown: Flown) -> Partial:
-        return Partial(self._time(self.at.index), self.at.share * self.h)
+    def parts(self, path: None, flown: Flown) -> Part:
+        return Part(self._time(self.at.index), self.at.share * self.h)
 
     def _time(self, k: jax.Array) -> jax.Array:
         """The start of step k, computed afresh so that it does not drift."""

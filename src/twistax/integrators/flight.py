@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .checkpointed import take_steps
-from .course import Course, Flown, Outcome, Partial
+from .course import Course, Flown, Outcome, Part
 from .finite import all_finite
 from .small_call import small_call
 from .solution import Result
@@ -53,14 +53,14 @@ def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
         flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
         if course.saves is None:
             return _ended(stepper, flown, x)
-        partials = course.partials(None, flown)
+        parts = course.parts(None, flown)
 
-        def save(_: None, entry: tuple[Blocks, Partial]) -> tuple[None, Blocks]:
+        def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
             y, part = entry
             return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
 
-        _, ys = jax.lax.scan(save, None, (flown.starts, partials))
-        return _saved(course, stepper, flown, ys, partials, x)
+        _, ys = jax.lax.scan(save, None, (flown.starts, parts))
+        return _saved(course, stepper, flown, ys, parts, x)
 
     return small_call(run, course, stepper, x)
 
@@ -98,18 +98,18 @@ def _with(leaves: list[Any], places: list[int], values: list[Any]) -> list[Any]:
 def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
     """A flight by taking its steps again."""
 
-    def step(k: jax.Array, y: Blocks) -> Blocks:
-        part = course.step(flown.path, k)
+    def step(y: Blocks, part: Part) -> Blocks:
         return stepper.advance(part.t, y, part.h)
 
     start = stepper.coordinates.enter(x)
-    end, every = take_steps(step, start, flown.outcome.accepted, course.bound, record=course.saves is not None)
+    recorded = course.saves is not None
+    end, every = take_steps(step, start, course.steps_of(flown.path), flown.outcome.accepted, course.bound, recorded)
     if every is None:
         return _ended(stepper, flown._replace(end=end), x)
-    partials = course.partials(flown.path, flown)
+    parts = course.parts(flown.path, flown)
     starts = jax.tree.map(lambda a: a[flown.index], every)
-    ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(partials, starts)
-    return _saved(course, stepper, flown._replace(end=end), ys, partials, x)
+    ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(parts, starts)
+    return _saved(course, stepper, flown._replace(end=end), ys, parts, x)
 
 
 def _ended(stepper: Stepper, flown: Flown, x: Arrays) -> Flight:
@@ -117,14 +117,14 @@ def _ended(stepper: Stepper, flown: Flown, x: Arrays) -> Flight:
     return Flight({}, end, jnp.zeros(0, bool), flown.outcome)
 
 
-def _saved(course: Course, stepper: Stepper, flown: Flown, ys: Blocks, partials: Partial, x: Arrays) -> Flight:
+def _saved(course: Course, stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -> Flight:
     local = stepper.coordinates
-    at_start = (flown.index == 0) & (jax.lax.stop_gradient(partials.h) <= 0.0)
+    at_start = (flown.index == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
     reached = flown.reached & jax.vmap(all_finite)(ys)
     xs = _or_start(jax.vmap(local.value)(ys), at_start, x)
     xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
     outcome = flown.outcome
-    counts = (partials.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
+    counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
     lost = (outcome.code == Result.DONE.value) & ~reached.all()
     outcome = outcome._replace(
         evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)

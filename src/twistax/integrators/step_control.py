@@ -64,7 +64,7 @@ class StepControl:
     factormax: float = 10.0
     dtmin: float | None = None
     dtmax: float | None = None
-    max_steps: int = 65536
+    max_steps: int = 16384
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
