@@ -48,7 +48,7 @@ class _Expansion(ABC):
 
 
 class _Fourth(_Expansion):
-    """Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods, Acta Numerica 9 (2000), section 5."""
+    """Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods, Acta Numerica 9 (2000), on Magnus methods."""
 
     count, inner = 2, RK4
 
@@ -58,7 +58,7 @@ class _Fourth(_Expansion):
 
 class _Sixth(_Expansion):
     """Source: Blanes, Casas, Oteo, Ros, The Magnus expansion and some of its applications, Physics Reports 470 (2009),
-    section 5, the method of order 6 with Gauss nodes and three commutators.
+    on numerical integrators: the method of order 6 with Gauss nodes and three commutators.
     """
 
     count, inner = 3, DOP853
