@@ -7,6 +7,8 @@ import sys
 import time
 from pathlib import Path
 
+import jax
+
 from ...scenes import SCENES
 from .bars import Outcome, outcomes
 from .blocks import as_html, as_markdown
@@ -39,6 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"twistax report: cannot write to --out {folder}: {error.strerror}", file=sys.stderr)
         return 2
+    # A program that XLA takes for cheap runs in the caller's thread, any other is handed to another one, which may take
+    # as long as a flight. The same for all, before the first array is made.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     effort = QUICK if arguments.quick else FULL
     chosen = arguments.method or (IN_QUICK if arguments.quick else list(CONTENDERS))
     contenders = {name: CONTENDERS[name] for name in CONTENDERS if name in chosen}

@@ -45,9 +45,9 @@ def page(
     return [
         Heading(1, TITLE),
         Paragraph(
-            f"{len(findings.scenes)} scenes with known answers, flown by {len(findings.lines)} methods. Error is how "
-            "far the flight ends from the truth: rad for attitudes, the rest relative to its size (absolute below 1). "
-            f"Time is one call of the compiled function. This is a {origin.effort['name']} run."
+            f"{_count(findings.scenes, 'scene')} with a known answer, {_count(findings.lines, 'method')}. Error "
+            "is how far a flight ends from the truth: rad for attitudes, the rest relative to its size (absolute "
+            f"below 1). Time is one call of the compiled function. This is a {origin.effort['name']} run."
         ),
         Heading(2, "What to use when"),
         Bullets([words.advice(findings, names), *words.winners(findings, names), words.digits(findings)]),
@@ -64,6 +64,10 @@ def page(
         Heading(2, "How it was measured"),
         *_how(findings, refused, origin, empty_call, command),
     ]
+
+
+def _count(things: Sequence[object], word: str) -> str:
+    return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
 
 
 def _sides(findings: Findings) -> list[Side]:
@@ -103,8 +107,8 @@ def _bars(outcomes: Sequence[Outcome], names: Mapping[str, str], findings: Findi
     return [
         Heading(2, "Bars"),
         Paragraph(
-            "Set before measuring: the time of a named method over that of the better of diffrax's Tsit5 and Dopri8. "
-            + said
+            "Set before measuring: the time of a named method over that of the better of diffrax's Tsit5 and Dopri8, "
+            f"as far as they were run. {said}"
         ),
         Details("The bars", [Table(["scene", "method", "against", "error", "ratio", "at most", ""], rows, words=4)]),
     ]
@@ -156,6 +160,9 @@ def _how(
         f"{effort['least']}); the median counts. "
         f"Calling a compiled function that does nothing takes {words.duration(empty_call)}, part of every time here. "
         "Compiling is apart: once for all tolerances.",
+        "Every call runs in the caller's thread (`jax_cpu_enable_async_dispatch` off). With JAX's default that holds "
+        "for programs that XLA counts below 1000 operations, which is so for some methods and scenes and not for "
+        "others; a call from Python of any other waits for another thread as well, tens of us.",
         "Adaptive methods are run with rtol = atol from coarse to fine, equal steps with more and more of them. The "
         "best of a line's flights are connected; the time at an error is read there, on logarithmic scales. Nothing "
         "is extrapolated.",

@@ -87,7 +87,7 @@ def digits(findings: Findings) -> str:
     for line in findings.lines:
         ratios = [findings.time(s, line, TARGETS[1]) / findings.time(s, line, TARGETS[0]) for s in findings.scenes]
         known = [ratio for ratio in ratios if math.isfinite(ratio)]
-        if line.side == OURS and known:
+        if line.side == OURS and line.drawn and known:
             costs[line] = median(known) ** (1.0 / math.log10(TARGETS[0] / TARGETS[1]))
     if not costs:
         return "What a digit costs cannot be said: no method reached both errors."
@@ -103,9 +103,10 @@ def on_tolerance(findings: Findings) -> str:
     if not errors:
         return "A tolerance bounds the error of one step. The error at the end is another matter: try two of them."
     low, high = power(min(errors)), power(max(errors))
+    ended = f"an error of {low} on this scene" if len(errors) == 1 else f"errors from {low} to {high} on these scenes"
     return (
         "**A tolerance is not the error at the end**; it bounds what one step may add. With rtol = atol = "
-        f"{power(setting)} {CONTENDERS[name].line.title} ended with errors from {low} to {high} on these scenes. "
+        f"{power(setting)} {CONTENDERS[name].line.title} ended with {ended}. "
         "Fly once with a tolerance ten times smaller to see what yours gives."
     )
 
