@@ -51,7 +51,7 @@ def _code() -> str:
     """Of all that may change an error or a time: not the reports and the demo, but how this report flies."""
     root = Path(twistax.__file__).parent
     files = [path for path in root.rglob("*.py") if path.relative_to(root).parts[0] not in ("report", "demo")]
-    files += [Path(__file__).with_name(f"{name}.py") for name in ("own", "rivals", "contenders", "flights")]
+    files += [Path(__file__).with_name(f"{name}.py") for name in ("own", "rivals", "contenders", "flights", "command")]
     return _digest(b"".join(path.read_bytes() for path in sorted(files)))
 
 
