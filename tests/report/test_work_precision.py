@@ -15,7 +15,7 @@ import pytest
 
 import twistax as tx
 from twistax.__main__ import main
-from twistax.report.work_precision import flights
+from twistax.report.work_precision import command, flights
 from twistax.report.work_precision.contender import Contender, Counts, Program
 from twistax.report.work_precision.contenders import CONTENDERS
 from twistax.report.work_precision.effort import QUICK, Effort
@@ -96,12 +96,19 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     assert " 1 flights" in said.out
     assert (tmp_path / "report.csv").read_text().count("\n") == 19
 
+    # Without matplotlib everything but the figures is there.
+    def absent(*_: Any) -> bytes:
+        raise ImportError("matplotlib")
+
+    monkeypatch.setattr(command, "draw", absent)
+    assert main(words) == 0
+    assert "get it with pip install 'twistax[plot]'" in capsys.readouterr().out
+    assert "No figures: they need matplotlib" in (tmp_path / "report.md").read_text()
+
 
 def test_a_wrong_answer_ends_in_status_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from twistax.report.work_precision import command
-
     end = {name: np.array(value) for name, value in TOP.end.items()}
     end["w"][0] += 1e-3
     wrong = dataclasses.replace(TOP, exact=None, reference=end)
@@ -203,8 +210,6 @@ def test_the_bar_is_for_terminals(terminal: bool, shown: bool) -> None:
 def test_an_interrupted_run_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from twistax.report.work_precision import command
-
     def interrupt(*_: Any) -> Callable[[], None]:
         raise KeyboardInterrupt
 

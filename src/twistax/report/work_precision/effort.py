@@ -32,5 +32,5 @@ class Effort:
     share: float
 
 
-FULL = Effort("full", Tolerances(-3, -13, 2), Steps(32, 4), longest=0.6, rounds=31, least=5, share=0.4)
+FULL = Effort("full", Tolerances(-3, -13, 2), Steps(32, 4), longest=0.5, rounds=31, least=5, share=0.2)
 QUICK = Effort("quick", Tolerances(-4, -12, 1), Steps(32, 4), longest=0.1, rounds=9, least=3, share=0.05)

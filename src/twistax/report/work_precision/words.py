@@ -127,8 +127,8 @@ def on_quaternions(findings: Findings, names: Mapping[str, str]) -> str:
     ]
     return (
         f"**Plain quaternions or exponential coordinates?** With the same tableau, {plain.title} is "
-        f"{'; '.join(parts)} (its time is {min(ratios.values()):.2f} to {max(ratios.values()):.2f} times that of "
-        f"{curved.title}; the mean over both errors counts). Linearisation and trajectory problems need "
+        f"{'; '.join(parts)} (its time is {_span(ratios.values())} times that of {curved.title}; "
+        f"the mean over both errors counts). Linearisation and trajectory problems need "
         f"exponential coordinates in any case."
     )
 
@@ -151,8 +151,8 @@ def on_diffrax(findings: Findings, names: Mapping[str, str]) -> list[str]:
             sentences.append(f"**{side.name} is faster** {'; '.join(wins)}.")
         elif ratios:
             sentences.append(
-                f"**{side.name} is not faster on any scene**: our fastest method takes "
-                f"{min(ratios):.2f} to {max(ratios):.2f} of the time of its fastest."
+                f"**{side.name} is not faster on any scene**: our fastest method takes {_span(ratios)} of the "
+                "time of its fastest."
             )
     sentences.append(
         "All methods here are explicit. A stiff system, one that would move slowly but for a very fast part that has "
@@ -170,6 +170,12 @@ def _ratios(findings: Findings, line: Line, other: Line) -> dict[str, float]:
         if known:
             found[scene] = math.exp(sum(known) / len(known))
     return found
+
+
+def _span(values: Iterable[float]) -> str:
+    ends = sorted(values)
+    low, high = f"{ends[0]:.2f}", f"{ends[-1]:.2f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _listed(words: Iterable[str]) -> str:
