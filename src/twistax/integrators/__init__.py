@@ -5,8 +5,9 @@ from .controls import Held, Linear, Table
 from .integrate import integrate
 from .magnus import Magnus
 from .method import Method
+from .result import Result
 from .rkmk import RKMK
-from .solution import Result, Solution, Stats
+from .solution import Solution, Stats
 from .step_control import StepControl
 from .tableau import ButcherTableau
 

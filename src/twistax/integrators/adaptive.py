@@ -12,10 +12,11 @@ from jax.flatten_util import ravel_pytree
 
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
-from .course import Course, Flown, Outcome, Part
+from .course import Course, Flown, Outcome, Part, Saved
 from .finite import all_finite
 from .first_step import first_step
-from .solution import Result
+from .result import Result
+from .rows import put, rows
 from .step_control import Errors, StepControl
 from .stepper import Stepper
 from .tolerances import Tolerances
@@ -87,6 +88,7 @@ class _Now(NamedTuple):
     code: jax.Array
     last: tuple[jax.Array, jax.Array] | None
     path: _Path | None
+    every: jax.Array | None
 
 
 @jax.tree_util.register_dataclass
@@ -100,6 +102,7 @@ class AdaptiveCourse(Course):
         stops: where the loop halts.
         tolerances: the error allowed in a step.
         control: how the next step follows from the errors, and how many there may be.
+        dense: whether the starts of all steps are kept.
     """
 
     t0: Any
@@ -107,14 +110,11 @@ class AdaptiveCourse(Course):
     stops: Stops
     tolerances: Tolerances
     control: StepControl = dataclasses.field(metadata={"static": True})
+    dense: bool = dataclasses.field(metadata={"static": True})
 
     @property
     def bound(self) -> int:
         return self.control.max_steps
-
-    @property
-    def saves(self) -> int | None:
-        return None if self.stops.place is None else self.stops.place.size
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
         stops = self.stops
@@ -136,8 +136,9 @@ class AdaptiveCourse(Course):
             tried=zero,
             accepted=zero,
             code=zero,
-            last=None if self.saves is None else (self.t0, packed),
-            path=self._empty_path() if record else None,
+            last=None if stops.place is None else (self.t0, packed),
+            path=self._empty_path() if record or self.dense else None,
+            every=put(rows(packed, self.bound + 1), 0, packed) if self.dense else None,
         )
 
         def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
@@ -161,10 +162,12 @@ class AdaptiveCourse(Course):
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         evaluations = 2 + stops.ts.size + now.tried * stepper.method.attempt_evaluations
         outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
-        if stops.place is None:
-            return Flown(read(now.y), outcome, None, None, None, None, now.path)
-        (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
-        return Flown(read(now.y), outcome, index, jax.vmap(read)(starts), times, reached, now.path)
+        trail = None if now.every is None else self.trail(now.path, now.accepted, jax.vmap(read)(now.every))
+        saved = None
+        if stops.place is not None:
+            (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
+            saved = Saved(index, times, jax.vmap(read)(starts), reached)
+        return Flown(read(now.y), outcome, saved, now.path, trail)
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
         """One step, taken or taken back."""
@@ -208,6 +211,8 @@ class AdaptiveCourse(Course):
             code=jnp.where(failed, trouble, now.code),
             last=None if now.last is None else pick((now.t, now.y), now.last),
             path=None if now.path is None else self._noted(now.path, now.accepted, leg, now.t, t),
+            # A step that is taken back leaves a row that a later one writes again.
+            every=None if now.every is None else put(now.every, now.accepted + 1, y),
         )
 
     def _error(self, stepper: Stepper, before: Blocks, after: Blocks, errors: tuple[Blocks, ...]) -> jax.Array:
@@ -229,8 +234,8 @@ class AdaptiveCourse(Course):
     # ---- the path, to take the same steps again ------------------------------------------------------------------
 
     def _empty_path(self) -> _Path:
-        shares = jnp.zeros(self.bound, self.t0.dtype)
-        return _Path(jnp.zeros(self.bound, int), shares, shares)
+        number = jnp.zeros((), self.t0.dtype)
+        return rows(_Path(jnp.zeros((), int), number, number), self.bound)
 
     def _leg(self, leg: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Start and length of a leg."""
@@ -242,22 +247,17 @@ class AdaptiveCourse(Course):
         """The path with step k, which a later try may write again."""
         start, length = self._leg(leg)
         length = jnp.where(length > 0.0, length, 1.0)
-        return _Path(
-            path.leg.at[k].set(leg),
-            path.begin.at[k].set((begin - start) / length),
-            path.end.at[k].set((end - start) / length),
-        )
+        return put(path, k, _Path(leg, (begin - start) / length, (end - start) / length))
 
     def steps_of(self, path: _Path) -> Part:
         start, length = self._leg(path.leg)
         return Part(start + path.begin * length, (path.end - path.begin) * length)
 
-    def parts(self, path: _Path | None, flown: Flown) -> Part:
+    def parts(self, path: _Path | None, saved: Saved) -> Part:
         ts = self.stops.ts[self.stops.place]
         if path is None:
-            return Part(flown.times, ts - flown.times)
-
-        k = jnp.maximum(flown.index - 1, 0)
+            return Part(saved.t, ts - saved.t)
+        k = jnp.maximum(saved.steps - 1, 0)
         start, length = self._leg(path.leg[k])
-        before = jnp.where(flown.index == 0, self.t0, start + path.end[k] * length)
+        before = jnp.where(saved.steps == 0, self.t0, start + path.end[k] * length)
         return Part(before, ts - before)

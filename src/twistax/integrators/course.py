@@ -6,12 +6,13 @@ from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .stepper import Stepper
 
-__all__ = ["Course", "Flown", "Outcome", "Part"]
+__all__ = ["Course", "Flown", "Outcome", "Part", "Saved", "Trail"]
 
 
 class Outcome(NamedTuple):
@@ -33,26 +34,51 @@ class Outcome(NamedTuple):
     h: jax.Array
 
 
+class Trail(NamedTuple):
+    """The starts of all steps, and the end.
+
+    Attributes:
+        t: (bound + 1,) their times; infinite beyond the end.
+        y: the stored states there.
+        steps: the number of steps.
+    """
+
+    t: jax.Array
+    y: Blocks
+    steps: jax.Array
+
+
+class Saved(NamedTuple):
+    """What a loop over steps leaves behind for the saved times, all with a leading axis n.
+
+    Attributes:
+        steps: the accepted steps before each.
+        t, y: time and stored state after that many steps.
+        reached: whether the flight came so far.
+    """
+
+    steps: jax.Array
+    t: jax.Array
+    y: Blocks
+    reached: jax.Array
+
+
 class Flown(NamedTuple):
     """What a loop over steps leaves behind.
 
     Attributes:
         end: the stored state it reached.
         outcome: how the steps went.
-        index: (n,) accepted steps before each saved time; None without saved times, as the next three.
-        starts: the stored states after that many steps.
-        times: (n,) the times then.
-        reached: (n,) whether the flight came so far.
+        saved: for the saved times; None where the end alone is asked for.
         path: what a course needs to take the same steps again, where it was asked for.
+        trail: the starts of all steps, where a course keeps them.
     """
 
     end: Blocks
     outcome: Outcome
-    index: jax.Array | None
-    starts: Blocks | None
-    times: jax.Array | None
-    reached: jax.Array | None
+    saved: Saved | None
     path: Any
+    trail: Trail | None
 
 
 class Part(NamedTuple):
@@ -63,24 +89,25 @@ class Part(NamedTuple):
 
 
 class Course(ABC):
-    """A pytree: times and tolerances are inputs, rules and bounds are structure."""
+    """A pytree: times and tolerances are inputs, rules and bounds are structure.
+
+    Attributes:
+        dense: whether the starts of all steps are kept.
+    """
+
+    dense: bool
 
     @property
     @abstractmethod
-    def bound(self) -> int | None:
-        """How many accepted steps there are at most, a plain number; None where derivatives are not asked for."""
-
-    @property
-    @abstractmethod
-    def saves(self) -> int | None:
-        """The number of saved times; None where the end alone is asked for."""
+    def bound(self) -> int:
+        """How many accepted steps there are at most, a plain number, for derivatives and dense output."""
 
     @abstractmethod
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
         """Take all steps. Traceable, not differentiable in reverse.
 
         Args:
-            record: keep the path; `bound` must be known.
+            record: keep the path; the bound must be known.
         """
 
     @abstractmethod
@@ -88,7 +115,7 @@ class Course(ABC):
         """All steps, (bound,), those beyond the end without meaning; differentiable with respect to the times."""
 
     @abstractmethod
-    def parts(self, path: Any, flown: Flown) -> Part:
+    def parts(self, path: Any, saved: Saved) -> Part:
         """The parts of steps to all saved times, (n,), of length zero where a step ends; likewise.
 
         Without a path they are as the loop left them.
@@ -97,3 +124,9 @@ class Course(ABC):
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         """The state with the largest error in a step from where the flight ended; None where errors are not known."""
         return None
+
+    def trail(self, path: Any, steps: jax.Array, every: Blocks) -> Trail:
+        """The starts of all steps, from the stored states before each and after the last."""
+        known = self.steps_of(path)
+        ends = jnp.concatenate([known.t[:1], known.t + known.h])
+        return Trail(jnp.where(jnp.arange(ends.size) <= steps, ends, jnp.inf), every, steps)

@@ -15,7 +15,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .concrete import is_finite
 from .course import Course, Outcome
-from .solution import Result
+from .result import Result
 from .stepper import Stepper
 
 __all__ = ["failure"]

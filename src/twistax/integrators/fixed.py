@@ -8,22 +8,25 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..errors import InputError
 from .charts.whole import Blocks
-from .course import Course, Flown, Outcome, Part
+from .course import Course, Flown, Outcome, Part, Saved
 from .finite import all_finite
 from .grid import Grid, Saves
-from .solution import Result
+from .result import Result
+from .rows import put, rows
 from .stepper import Stepper
 
 __all__ = ["FixedCourse"]
 
 
 class _Now(NamedTuple):
-    """What the loop carries: steps taken, the stored state, and whether all went well."""
+    """What the loop carries: steps taken, the stored state, whether all went well, and the states so far if kept."""
 
     steps: jax.Array
     y: Blocks
     good: jax.Array
+    every: Blocks | None
 
 
 @jax.tree_util.register_dataclass
@@ -35,7 +38,8 @@ class FixedCourse(Course):
         t0, h: start and length of a step.
         steps: their number.
         at: where the saved times fall; None where there are none.
-        most: their number as structure, which derivatives need; else None.
+        most: their number as structure, which derivatives and dense output need; else None.
+        dense: whether the starts of all steps are kept.
     """
 
     t0: Any
@@ -43,26 +47,29 @@ class FixedCourse(Course):
     steps: Any
     at: Saves | None
     most: int | None = dataclasses.field(metadata={"static": True})
+    dense: bool = dataclasses.field(metadata={"static": True})
 
     @property
-    def bound(self) -> int | None:
+    def bound(self) -> int:
+        if self.most is None:
+            raise InputError(
+                "a derivative is asked for of a flight whose inputs look like plain numbers: does u close over a "
+                "traced value that it does not use at t0?\n  fix: pass that value through params or a table"
+            )
         return self.most
 
     @classmethod
-    def of(cls, grid: Grid, at: Saves | None, bounded: bool) -> FixedCourse:
+    def of(cls, grid: Grid, at: Saves | None, bounded: bool, dense: bool) -> FixedCourse:
         """The course over a grid; `bounded` where the number of steps is to be structure too."""
-        return cls(grid.t0, grid.h, jnp.asarray(grid.steps), at, grid.steps if bounded else None)
-
-    @property
-    def saves(self) -> int | None:
-        return None if self.at is None else self.at.index.size
+        return cls(grid.t0, grid.h, jnp.asarray(grid.steps), at, grid.steps if bounded else None, dense)
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
         def advance(now: _Now) -> _Now:
             moved = stepper.advance(self._time(now.steps), now.y, self.h)
             good = all_finite(moved)
             kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), moved, now.y)
-            return _Now(now.steps + good.astype(now.steps.dtype), kept, good)
+            steps = now.steps + good.astype(now.steps.dtype)
+            return _Now(steps, kept, good, None if now.every is None else put(now.every, steps, kept))
 
         def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
             now = jax.lax.while_loop(lambda n: (n.steps < stop) & n.good, advance, now)
@@ -71,23 +78,27 @@ class FixedCourse(Course):
         stops = self.steps[None]
         if self.at is not None:
             stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
-        now = _Now(jnp.zeros((), stops.dtype), y, jnp.asarray(True))
+        every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
+        now = _Now(jnp.zeros((), stops.dtype), y, jnp.asarray(True), every)
         now, found = jax.lax.scan(to_stop, now, stops)
         code = jnp.where(now.good, Result.DONE.value, Result.NON_FINITE.value)
         tries = now.steps + (~now.good).astype(now.steps.dtype)
         evaluations = tries * stepper.method.evaluations_of(stepper.dynamics)
-        outcome = Outcome(code, tries, now.steps, evaluations, self._time(now.steps), self.h)
-        if self.at is None:
-            return Flown(now.y, outcome, None, None, None, None, None)
-        starts, reached = jax.tree.map(lambda a: a[:-1], found)
-        return Flown(now.y, outcome, self.at.index, starts, self._time(self.at.index), reached, None)
+        outcome = Outcome(code, now.steps, now.steps, evaluations, self._time(now.steps), self.h)
+        trail = None if now.every is None else self.trail(None, now.steps, now.every)
+        saved = None
+        if self.at is not None:
+            starts, reached = jax.tree.map(lambda a: a[:-1], found)
+            saved = Saved(self.at.index, self._time(self.at.index), starts, reached)
+        return Flown(now.y, outcome, saved, None, trail)
 
     def steps_of(self, path: None) -> Part:
         k = jnp.arange(self.bound)
         return Part(self._time(k), jnp.broadcast_to(self.h, k.shape))
 
-    def parts(self, path: None, flown: Flown) -> Part:
-        return Part(self._time(self.at.index), self.at.share * self.h)
+    def parts(self, path: None, saved: Saved) -> Part:
+        assert self.at is not None  # else there would be nothing saved
+        return Part(self._time(saved.steps), self.at.share * self.h)
 
     def _time(self, k: jax.Array) -> jax.Array:
         """The start of step k, computed afresh so that it does not drift."""

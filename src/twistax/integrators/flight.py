@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .checkpointed import take_steps
-from .course import Course, Flown, Outcome, Part
+from .course import Course, Flown, Outcome, Part, Trail
 from .finite import all_finite
+from .result import Result
 from .small_call import small_call
-from .solution import Result
 from .stepper import Stepper
 
 __all__ = ["Flight", "fly"]
@@ -28,12 +28,14 @@ class Flight(NamedTuple):
         end: the state it reached.
         reached: (n,) whether the flight came so far.
         outcome: how the steps went, those of saved times included in the evaluations.
+        trail: the starts of all steps, where the course keeps them.
     """
 
     xs: Arrays
     end: Arrays
     reached: jax.Array
     outcome: Outcome
+    trail: Trail | None
 
 
 @jax.jit
@@ -51,16 +53,16 @@ def fly(course: Course, stepper: Stepper, x: Arrays) -> Flight:
 def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
     def run(course: Course, stepper: Stepper, x: Arrays) -> Flight:
         flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
-        if course.saves is None:
+        if flown.saved is None:
             return _ended(stepper, flown, x)
-        parts = course.parts(None, flown)
+        parts = course.parts(None, flown.saved)
 
         def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
             y, part = entry
             return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
 
-        _, ys = jax.lax.scan(save, None, (flown.starts, parts))
-        return _saved(course, stepper, flown, ys, parts, x)
+        _, ys = jax.lax.scan(save, None, (flown.saved.y, parts))
+        return _saved(stepper, flown, ys, parts, x)
 
     return small_call(run, course, stepper, x)
 
@@ -102,25 +104,29 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
         return stepper.advance(part.t, y, part.h)
 
     start = stepper.coordinates.enter(x)
-    recorded = course.saves is not None
-    end, every = take_steps(step, start, course.steps_of(flown.path), flown.outcome.accepted, course.bound, recorded)
-    if every is None:
-        return _ended(stepper, flown._replace(end=end), x)
-    parts = course.parts(flown.path, flown)
-    starts = jax.tree.map(lambda a: a[flown.index], every)
+    recorded = course.dense or flown.saved is not None
+    steps = flown.outcome.accepted
+    end, every = take_steps(step, start, course.steps_of(flown.path), steps, course.bound, recorded)
+    flown = flown._replace(end=end, trail=course.trail(flown.path, steps, every) if course.dense else None)
+    if flown.saved is None:
+        return _ended(stepper, flown, x)
+    saved = flown.saved
+    parts = course.parts(flown.path, saved)
+    starts = jax.tree.map(lambda a: a[saved.steps], every)
     ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(parts, starts)
-    return _saved(course, stepper, flown._replace(end=end), ys, parts, x)
+    return _saved(stepper, flown, ys, parts, x)
 
 
 def _ended(stepper: Stepper, flown: Flown, x: Arrays) -> Flight:
     end = _or_start(stepper.coordinates.value(flown.end), flown.outcome.accepted == 0, x)
-    return Flight({}, end, jnp.zeros(0, bool), flown.outcome)
+    return Flight({}, end, jnp.zeros(0, bool), flown.outcome, flown.trail)
 
 
-def _saved(course: Course, stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -> Flight:
-    local = stepper.coordinates
-    at_start = (flown.index == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
-    reached = flown.reached & jax.vmap(all_finite)(ys)
+def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -> Flight:
+    local, saved = stepper.coordinates, flown.saved
+    assert saved is not None  # flights without saved times end elsewhere
+    at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
+    reached = saved.reached & jax.vmap(all_finite)(ys)
     xs = _or_start(jax.vmap(local.value)(ys), at_start, x)
     xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
     outcome = flown.outcome
@@ -130,7 +136,7 @@ def _saved(course: Course, stepper: Stepper, flown: Flown, ys: Blocks, parts: Pa
         evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)
     )
     end = _or_start(local.value(flown.end), outcome.accepted == 0, x)
-    return Flight(xs, end, reached, outcome)
+    return Flight(xs, end, reached, outcome, flown.trail)
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:

@@ -105,7 +105,7 @@ def place_saves(save_at: Any, grid: Grid, dtype: Any) -> Saves | None:
     """
     if save_at is None:
         return None
-    if not check_saves(save_at, grid.span):
+    if not check_saves(save_at, grid.span) or grid.span is None:
         ts = jnp.asarray(save_at, dtype)
         place = (ts - grid.t0) / grid.h
         before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(grid.steps - 1, 0))
@@ -134,7 +134,8 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
         raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {np.shape(save_at)}")
     if span is None or is_traced(save_at):
         return False
-    times, (start, end) = np.asarray(save_at, float), span
+    times = np.asarray(save_at, float)
+    start, end = span
     if not np.isfinite(times).all():
         raise InputError("save_at has times that are not finite")
     if (np.diff(times) < 0).any():

@@ -17,13 +17,15 @@ from .checks import check_start
 from .concrete import is_finite, is_traced
 from .controls import OfTime, Signals, controls_of
 from .course import Course
+from .dense import Dense
 from .failures import failure
 from .fixed import FixedCourse
 from .flight import Flight, fly
 from .grid import check_saves, make_grid, place_saves, span_of
 from .method import Method
+from .result import Result
 from .rkmk import RKMK
-from .solution import Result, Solution, Stats
+from .solution import Solution, Stats
 from .step_control import StepControl
 from .stepper import Stepper
 from .tableaus import RK4, TSIT5
@@ -48,6 +50,7 @@ def integrate(
     u: Any = None,
     params: Mapping[str, Any] | None = None,
     save_at: Any = None,
+    dense: bool = False,
     throw: bool = True,
 ) -> Solution:
     """Fly a system from x0 at t0 to t1, with fixed steps or with as long ones as tolerances allow.
@@ -79,6 +82,8 @@ def integrate(
         params: parameter values; missing ones take the Parameter's own.
         save_at: sorted times inside [t0, t1]. Between steps the state is one shorter step of the same method from the
             step's start, as accurate as the method. Left out: the end alone.
+        dense: keep the start of every step, so that `Solution.evaluate` gives the state at any time. With fixed steps
+            their number is then part of the compiled program.
         throw: raise when the flight ends early. Otherwise the part before the failure is returned, with `result`.
 
     Returns:
@@ -117,6 +122,7 @@ def integrate(
             stops=_stops(signals, jumps, inputs.t, jnp.asarray(t1, dtype), save_at, span),
             tolerances=tolerances_of(dynamics, rtol, atol, dtype),
             control=control or StepControl(),
+            dense=dense,
         )
         ts = jnp.asarray([t1] if save_at is None else save_at, dtype)
     else:
@@ -127,7 +133,7 @@ def integrate(
                 )
         grid = make_grid(t0, t1, dt, steps, dtype)
         saves = place_saves(save_at, grid, dtype)
-        course = FixedCourse.of(grid, saves, bounded=traced)
+        course = FixedCourse.of(grid, saves, bounded=traced or dense, dense=dense)
         ts = grid.t1[None] if saves is None else saves.ts
     flight = fly(course, stepper, x)
     return _solution(stepper, course, flight, ts, save_at is None, throw)
@@ -151,17 +157,18 @@ def _stops(
 def _solution(stepper: Stepper, course: Course, flight: Flight, ts: jax.Array, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
     outcome = flight.outcome
+    dense = None if flight.trail is None else Dense(stepper, flight.trail)
     stats = Stats(outcome.tried, outcome.accepted, outcome.tried - outcome.accepted, outcome.evaluations)
     xs = {name: value[None] for name, value in flight.end.items()} if end_only else flight.xs
     if is_traced(outcome):
-        return Solution(ts, xs, stats, outcome.code)
+        return Solution(ts, xs, stats, outcome.code, dense)
     stats = Stats(*(int(count) for count in (stats.steps, stats.accepted, stats.rejected, stats.rhs_evaluations)))
     result = Result(int(outcome.code))
     if result is Result.DONE:
-        return Solution(ts, xs, stats, result)
+        return Solution(ts, xs, stats, result, dense)
     if throw:
         raise failure(stepper, course, outcome, flight.end)
     if end_only:
-        return Solution(outcome.t[None], xs, stats, result)
+        return Solution(outcome.t[None], xs, stats, result, dense)
     kept = int(np.cumprod(flight.reached).sum())
-    return Solution(ts[:kept], {name: value[:kept] for name, value in xs.items()}, stats, result)
+    return Solution(ts[:kept], {name: value[:kept] for name, value in xs.items()}, stats, result, dense)

@@ -3,41 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import enum
 from typing import Any
 
 import jax
 import numpy as np
 
+from ..errors import InputError
 from ..lowering.dynamics import Arrays
 from .concrete import is_traced
+from .dense import Dense
+from .result import Result
 
-__all__ = ["Result", "Solution", "Stats"]
-
-
-class Result(enum.IntEnum):
-    """How an integration ended; `sentence` says it in words."""
-
-    DONE = 0
-    NON_FINITE = 1
-    MAX_STEPS = 2
-    STEP_TOO_SMALL = 3
-
-    @property
-    def sentence(self) -> str:
-        """What happened, in plain words."""
-        return _SENTENCES[self]
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.sentence}"
-
-
-_SENTENCES = {
-    Result.DONE: "the end time was reached",
-    Result.NON_FINITE: "a state became infinite or not a number",
-    Result.MAX_STEPS: "the steps ran out before the end time",
-    Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
-}
+__all__ = ["Solution", "Stats"]
 
 
 @jax.tree_util.register_dataclass
@@ -72,12 +49,27 @@ class Solution:
         xs: states by name, leading axis n.
         stats: counts.
         code: the number of the Result.
+        dense: what `evaluate` reads, with dense=True; else None.
     """
 
     ts: jax.Array
     xs: Arrays
     stats: Stats
     code: Any
+    dense: Dense | None = None
+
+    def evaluate(self, t: Any) -> Arrays:
+        """The states by name at a time () or at times (n,), then on a leading axis. Needs a flight with dense=True.
+
+        Each is one shorter step of the same method from the start of the step it lies in: in its group, and as accurate
+        as the flight. Differentiable with respect to t too.
+
+        Raises:
+            InputError: no dense output was kept; times outside of what was flown.
+        """
+        if self.dense is None:
+            raise InputError("this flight kept no dense output.\n  fix: tx.integrate(..., dense=True)")
+        return self.dense.evaluate(t)
 
     @property
     def result(self) -> Any:

@@ -1,0 +1,63 @@
+"""The state at any time of a flight."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError
+from ..lowering.dynamics import Arrays
+from .charts.whole import Blocks
+from .concrete import is_traced
+from .course import Trail
+from .stepper import Stepper
+
+__all__ = ["Dense"]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Dense:
+    """A flight with the start of every step kept. A pytree.
+
+    Between two of them the state is one shorter step of the same method, so it stays in its group and is as accurate as
+    the flight; an interpolating polynomial would cost order and leave the group.
+
+    Attributes:
+        stepper: what takes the steps.
+        trail: the starts of all steps.
+    """
+
+    stepper: Stepper
+    trail: Trail
+
+    def evaluate(self, t: Any) -> Arrays:
+        """The states at a time () or at times (n,), on a leading axis then; see `Solution.evaluate`."""
+        ts = jnp.asarray(t, self.trail.t.dtype)
+        if ts.ndim > 1:
+            raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
+        if not is_traced((ts, self.trail)):
+            start, end = float(self.trail.t[0]), float(self.trail.t[int(self.trail.steps)])
+            room = 1e-6 * (end - start)
+            outside = np.asarray(~((ts >= start - room) & (ts <= end + room))).reshape(-1)
+            if outside.any():
+                wrong = float(np.asarray(ts).reshape(-1)[int(np.argmax(outside))])
+                raise InputError(f"evaluate expects times in [{start:g}, {end:g}], which was flown, got {wrong:g}")
+        found = _states(self, ts.reshape(-1))
+        return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
+
+
+@jax.jit
+def _states(dense: Dense, ts: jax.Array) -> Arrays:
+    trail, local = dense.trail, dense.stepper.coordinates
+    last = jnp.maximum(trail.steps - 1, 0)
+    k = jnp.clip(jnp.searchsorted(trail.t, ts, side="right") - 1, 0, last)
+
+    def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
+        return local.value(dense.stepper.advance(start, y, t - start))
+
+    return jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
