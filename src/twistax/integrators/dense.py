@@ -55,7 +55,8 @@ class Dense:
 def _states(dense: Dense, ts: jax.Array) -> Arrays:
     trail, local = dense.trail, dense.stepper.coordinates
     last = jnp.maximum(trail.steps - 1, 0)
-    k = jnp.clip(jnp.searchsorted(trail.t, ts, side="right") - 1, 0, last)
+    before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
+    k = jnp.clip(before, 0, last)
 
     def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
         return local.value(dense.stepper.advance(start, y, t - start))
