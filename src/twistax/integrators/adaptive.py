@@ -52,7 +52,7 @@ class Stops:
         joined = jnp.concatenate([saves, limits])
         order = jnp.argsort(jax.lax.stop_gradient(joined), stable=True)
         ts = joined[order]
-        leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1)
+        leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
         return cls(limits, ts, leg, jnp.argsort(order)[: saves.size])
 
 

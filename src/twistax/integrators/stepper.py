@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 
@@ -29,7 +30,7 @@ class Stepper:
     dynamics: Dynamics
     method: Method
     signals: Signals
-    params: Arrays
+    params: dict[str, Any]  # not `Arrays`: JAX rebuilds pytrees with stand-ins for arrays
 
     @property
     def coordinates(self) -> StateCoordinates:
