@@ -31,7 +31,7 @@ from .errors import (
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
-from .integrators import RKMK, CommutatorFree, Held, Linear, Magnus, Result, Solution, integrate
+from .integrators import RKMK, CommutatorFree, Held, Linear, Magnus, Result, Solution, StepControl, integrate
 from .lowering import Dynamics, compile, lower
 from .system import System
 
@@ -65,6 +65,7 @@ __all__ = [
     "Result",
     "ShapeError",
     "Solution",
+    "StepControl",
     "System",
     "TrajectoryError",
     "TwistaxError",
