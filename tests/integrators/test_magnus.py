@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from derivative_oracles import check_derivatives
 from integrator_bodies import free_body, spatial_inertia, start
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -104,8 +105,7 @@ def test_the_fit_sees_the_sign_of_the_brackets(
     assert fitted_order(moving(group), tx.Magnus(order), references[group.dimension]) < 2.2
 
 
-@pytest.mark.parametrize("order", [4, 6])
-@pytest.mark.parametrize("twists", [tx.LINEAR_FIRST, tx.ANGULAR_FIRST], ids=repr)
+@pytest.mark.parametrize(("order", "twists"), [(4, tx.ANGULAR_FIRST), (6, tx.LINEAR_FIRST)])
 def test_the_order_on_a_free_body(order: int, twists: tx.Order) -> None:
     """The velocity is a state without a group, brought to the nodes by an explicit method."""
     M = spatial_inertia()
@@ -195,7 +195,8 @@ def test_a_group_of_your_own_flies() -> None:
 
 @pytest.mark.parametrize("order", [4, 6])
 def test_the_increment_is_the_step(order: int) -> None:
-    dynamics = tx.compile(free_body(), bake={"M": spatial_inertia()})
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    dynamics = tx.compile(tx.System(rates={g: V, V: tx.Time() - np.arange(6.0) * V}))
     inputs = dynamics.prepare(0.3, start())
     arguments = (dynamics, inputs.t, dict(inputs.x), lambda t: {}, dict(inputs.params), jnp.asarray(0.1))
     method = tx.Magnus(order)
@@ -209,10 +210,9 @@ def test_flights_are_one_small_function(monkeypatch: pytest.MonkeyPatch) -> None
     body = tx.compile(free_body(), bake={"M": spatial_inertia()})
     known, seen = module._all_known, []
     monkeypatch.setattr(module, "_all_known", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
-    for dynamics, x in ((body, start()), (moving(ANGULAR), {"g": np.eye(4)})):
-        for order in (4, 6):
-            sol = tx.integrate(dynamics, x, t1=1.0, dt=0.05, method=tx.Magnus(order))
-            assert float(tx.SE3.defect(sol.xs["g"][0])) < 1e-14
+    for dynamics, x, order in ((body, start(), 6), (moving(ANGULAR), {"g": np.eye(4)}, 4)):
+        sol = tx.integrate(dynamics, x, t1=1.0, dt=0.05, method=tx.Magnus(order))
+        assert float(tx.SE3.defect(sol.xs["g"][0])) < 1e-14
     assert seen
     assert all(seen)
 
@@ -229,25 +229,16 @@ def test_precision_follows_the_start(order: int) -> None:
 
 
 def test_derivatives_agree() -> None:
-    """Forward, reverse and finite differences, by start and parameter, over two of each at once."""
+    """Of one step by start and parameter. Loops over steps are the same for every method."""
     R, w, J = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Parameter("J", shape=(3,))
     spin = tx.compile(tx.System(rates={R: w, w: tx.linalg.Cross(J * w, w) / J}))
 
     def cost(z: jax.Array) -> jax.Array:
-        begin = {"R": np.eye(3), "w": z[:3]}
-        sol = tx.integrate(spin, begin, t1=0.5, steps=5, method=tx.Magnus(), params={"J": 2.0 + jnp.sin(z[3:])})
-        return jnp.sum(sol.xs["R"][0] * jnp.cos(jnp.arange(9.0)).reshape(3, 3)) + jnp.sum(sol.xs["w"] ** 2)
+        x, params = {"R": jnp.eye(3), "w": z[:3]}, {"J": 2.0 + jnp.sin(z[3:])}
+        end = tx.Magnus().step(spin, jnp.asarray(0.0), x, lambda t: {}, params, jnp.asarray(0.3))
+        return jnp.sum(end["R"] * jnp.cos(jnp.arange(9.0)).reshape(3, 3)) + jnp.sum(end["w"] ** 2)
 
-    z = jnp.asarray(np.random.default_rng(2).normal(size=(2, 6)))
-    direction, step = jnp.asarray(np.random.default_rng(3).normal(size=6)), 1e-5
-
-    def along(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return jax.grad(cost)(z) @ direction, jax.jvp(cost, (z,), (direction,))[1]
-
-    reverse, forward = jax.jit(jax.vmap(along))(z)
-    numeric = [(cost(a + step * direction) - cost(a - step * direction)) / (2.0 * step) for a in z]
-    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
-    np.testing.assert_allclose(reverse, numeric, rtol=1e-7)
+    check_derivatives(cost, 6)
 
 
 def test_evaluations_are_counted() -> None:

@@ -57,6 +57,7 @@ class CommutatorFreeTableau:
     order: int
     a: Any
     b: Any
+    underlying: ButcherTableau = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         count = len(self.a)
@@ -81,8 +82,6 @@ class CommutatorFreeTableau:
 
     def __repr__(self) -> str:
         return f"CommutatorFreeTableau({self.name}, order {self.order}, {len(self.a)} stages)"
-
-    underlying: ButcherTableau = dataclasses.field(init=False)
 
     def _exponentials(self, field: str, rows: Any, known: int) -> Exponentials:
         try:
