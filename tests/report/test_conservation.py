@@ -10,14 +10,3 @@ def test_drifts_shrink_with_the_order_and_the_group_is_kept() -> None:
         assert 0.6 * factor < coarse.linear / fine.linear < 1.6 * factor
         assert coarse.defect < 1e-14
     assert rows["RK4", 0.01].linear < 1e-6
-
-
-def test_growth_is_measured_at_every_count() -> None:
-    rows = conservation.growth((10, 1000))
-    assert [(row.motion, row.steps) for row in rows] == [
-        ("tumbling", 10),
-        ("tumbling", 1000),
-        ("constant twist", 10),
-        ("constant twist", 1000),
-    ]
-    assert max(row.defect for row in rows) < conservation.DEFECT_BAR
