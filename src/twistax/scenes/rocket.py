@@ -20,12 +20,13 @@ RADII_SQUARED = (0.1, 0.8, 0.8)
 def system() -> tx.System:
     """States g (pose, body to world, z up, at the centre of mass, x towards the nose), V (body twist), m (mass, kg).
 
-        (m v)' without the exhaust's share: m v' = m v x w + f,   J w' = (J w) x w + tau - J' w,   J = m diag(k)
+        m v' = m v x w + f,   J w' = (J w) x w + tau - J' w,   J = m diag(k)
 
-    f: thrust F = 30 (1 - 0.02 t) N along x, turned by the gimbal G = 0.02 sin(1.3 t) rad about z and G cos(t) / 2 about
-    y (small angles), drag 0.01 |v| v N, and weight. tau: the thrust acts 0.5 m behind the centre of mass; 0.05 N m of
-    roll; damping (0.05, 0.3, 0.3) w; the fins give 0.02 N m per m/s of side wind. The exhaust takes no angular momentum
-    along, so that J' w stays with the body.
+    f: thrust F = 30 (1 - 0.02 t) N along x, turned towards y by the gimbal G = 0.02 sin(1.3 t) rad and towards z by
+    G cos(t) / 2 (small angles), drag -0.01 |v| v N, and weight. tau: the thrust acts 0.5 m behind the centre of mass;
+    0.05 N m of roll; damping -(0.05, 0.3, 0.3) w N m; there are no fins, so that 1 m/s of sideways flight turns the
+    nose further away from the velocity with 0.02 N m. The exhaust takes no angular momentum along, so that J' w stays
+    with the body.
     """
     g, V, m = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.State("m")
     t, v, w = tx.Time(), tx.lie.linear(V), tx.lie.angular(V)
@@ -36,8 +37,8 @@ def system() -> tx.System:
     # The smallest of speeds keeps the root's derivative finite at rest.
     drag = -0.01 * tx.Sqrt(tx.Dot(v, v) + 1e-12) * v
     weight = m * (g[:3, :3].T @ np.array([0.0, 0.0, -9.81]))
-    fins = tx.Concat(0.05, 0.02 * v[2], -0.02 * v[1])
-    torque = tx.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + fins - np.array([0.05, 0.3, 0.3]) * w - MASS_FLOW * k * w
+    air = tx.Concat(0.05, 0.02 * v[2], -0.02 * v[1]) - np.array([0.05, 0.3, 0.3]) * w
+    torque = tx.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + air - MASS_FLOW * k * w
 
     M = m * tx.Concat(1.0, 1.0, 1.0, k)
     # As ad*_V(M V), without the round-off of v x m v, which is zero.
