@@ -32,7 +32,8 @@ def check_start(dynamics: Dynamics, inputs: Inputs) -> None:
         value = inputs.x[name]
         if isinstance(group, Euclidean) or is_traced(value):
             continue
-        defect = float(_defect(group, value))
+        with jax.ensure_compile_time_eval():  # inside jit other states may be traced while this one is known
+            defect = float(_defect(group, value))
         if defect > tolerance:
             raise InputError(
                 f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed "
