@@ -51,27 +51,27 @@ def fly(course: Course, stepper: Stepper, x: Arrays) -> Flight:
 
 @jax.custom_jvp
 def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
-    def run(course: Course, stepper: Stepper, x: Arrays) -> Flight:
-        flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
-        if flown.saved is None:
-            return _ended(stepper, flown, x)
-        parts = course.parts(None, flown.saved)
+    flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
+    if flown.saved is None:
+        return _ended(stepper, flown, x)
+    parts = course.parts(None, flown.saved)
+    ys = small_call(_save, stepper, flown.saved.y, parts)
+    return _saved(stepper, flown, ys, parts, x)
 
-        def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
-            y, part = entry
-            return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
 
-        _, ys = jax.lax.scan(save, None, (flown.saved.y, parts))
-        return _saved(stepper, flown, ys, parts, x)
+def _save(stepper: Stepper, ys: Blocks, parts: Part) -> Blocks:
+    """The states at the ends of parts of steps, one after the other."""
 
-    return small_call(run, course, stepper, x)
+    def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
+        y, part = entry
+        return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
+
+    return jax.lax.scan(save, None, (ys, parts))[1]
 
 
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Flight, Flight]:
     course, stepper, x = jax.lax.stop_gradient(primals)
-    flown = small_call(
-        lambda course, stepper, x: course.run(stepper, stepper.coordinates.enter(x), record=True), course, stepper, x
-    )
+    flown = course.run(stepper, stepper.coordinates.enter(x), record=True)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
@@ -112,6 +112,8 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
         return _ended(stepper, flown, x)
     saved = flown.saved
     parts = course.parts(flown.path, saved)
+    # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
+    parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
     starts = jax.tree.map(lambda a: a[saved.steps], every)
     ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(parts, starts)
     return _saved(stepper, flown, ys, parts, x)
