@@ -124,9 +124,7 @@ def test_both_twist_orders_take_the_same_steps() -> None:
         linear = tx.integrate(lit_body(), start(), atol=allowed, **settings)
         x0 = start() | {"V": start()["V"][swap]}
         pose = allowed["g"] if isinstance(allowed["g"], tuple) else allowed["g"][swap]
-        angular = tx.integrate(
-            lit_body(tx.ANGULAR_FIRST), x0, atol={"g": pose, "V": allowed["V"][swap]}, **settings
-        )
+        angular = tx.integrate(lit_body(tx.ANGULAR_FIRST), x0, atol={"g": pose, "V": allowed["V"][swap]}, **settings)
         assert linear.stats == angular.stats
         np.testing.assert_allclose(linear.xs["g"], angular.xs["g"], atol=1e-11)
         np.testing.assert_allclose(linear.xs["V"], angular.xs["V"][:, swap], atol=1e-11)

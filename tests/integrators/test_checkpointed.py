@@ -67,7 +67,9 @@ def test_values_and_derivatives_are_those_of_a_plain_loop(bound: int, record: bo
     @jax.jit
     def looked_at(count: jax.Array) -> tuple[Any, Any]:
         def reverse_of(loop: Callable[..., Any]) -> Any:
-            return loop(start(), h, count), jax.grad(lambda y, h: weighed(loop(y, h, count)), argnums=(0, 1))(start(), h)
+            return loop(start(), h, count), jax.grad(lambda y, h: weighed(loop(y, h, count)), argnums=(0, 1))(
+                start(), h
+            )
 
         forward = jax.jvp(lambda y, h: weighed(ours(y, h, count)), (start(), h), direction)[1]
         return (*reverse_of(ours), forward), reverse_of(theirs)

@@ -39,7 +39,7 @@ def stiff() -> tx.Dynamics:
 
 
 def test_no_unit_of_time_is_preferred() -> None:
-    """The same motion a million times slower or faster takes about the same steps."""
+    """The same motion a million times slower or faster takes about as many steps."""
     accepted = []
     for power in (-20, -10, 0, 10, 20):
         k = 2.0**power
@@ -47,7 +47,7 @@ def test_no_unit_of_time_is_preferred() -> None:
         assert float(sol.xs["x"][0]) == pytest.approx(chase_exact(10.0), abs=1e-5)
         assert sol.stats.rejected <= 5
         accepted.append(sol.stats.accepted)
-    assert max(accepted) < 1.25 * min(accepted)
+    assert max(accepted) < 1.5 * min(accepted)
 
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-9])

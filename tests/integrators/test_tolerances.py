@@ -188,7 +188,9 @@ def test_single_precision_is_told_of_double(unchecked: None) -> None:
 
 def test_a_method_without_an_estimate_is_refused() -> None:
     with pytest.raises(tx.ModelError, match="tableau 'RK4': the method has no embedded solution, so it cannot choose"):
-        tx.integrate(plain(), {"x": np.ones((2, 3)), "g": np.eye(4)}, t1=1.0, rtol=1e-6, method=tx.RKMK(tx.tableaus.RK4))
+        tx.integrate(
+            plain(), {"x": np.ones((2, 3)), "g": np.eye(4)}, t1=1.0, rtol=1e-6, method=tx.RKMK(tx.tableaus.RK4)
+        )
 
 
 def test_traced_tolerances_are_not_checked_but_work() -> None:
