@@ -72,7 +72,12 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
         assert min(errors) < 1e-9 < 1e-5 < max(errors)
     assert all(float(row["seconds"]) >= float(row["fastest"]) > 0.0 for row in table)
     assert all(int(row["steps"]) == int(row["accepted"]) + int(row["rejected"]) > 10 for row in table)
-    assert all(int(row["evaluations"]) > 5 * int(row["steps"]) for row in table)
+    for row in table:
+        # Tsit5 takes six a step and one at the start; DOP853 twelve, one fewer for a step that is tried again.
+        low, high = (6, 6) if row["method"] == "diffrax-tsit5-call" else (11, 12)
+        steps = int(row["steps"])
+        assert low * steps < int(row["evaluations"]) <= high * steps + 3
+        assert 1e-2 < float(row["compile_seconds"]) < 60.0
 
     document = json.loads((tmp_path / "report.json").read_text())
     assert len(document["rows"]) == 18
@@ -154,6 +159,7 @@ def test_a_method_that_cannot_fly_a_scene_is_named(tmp_path: Path) -> None:
 
 
 def test_flights_take_turns() -> None:
+    """Long ones in some of the rounds; a short one in bursts, whose first call, with cold caches, does not count."""
     order: list[str] = []
 
     def flight(name: str, rough: float) -> Any:
@@ -161,8 +167,10 @@ def test_flights_take_turns() -> None:
         return flights._Flight(row, lambda: order.append(name), rough)
 
     effort = dataclasses.replace(QUICK, rounds=6, least=3, share=0.05)
-    flights._time_in_turn([flight("a", 1.0), flight("b", 1.0), flight("c", 6e-3)], effort, quiet)
-    assert "".join(order) == 3 * "cabc"
+    taking = [flight("a", 1.0), flight("b", 1.0), flight("c", 6e-3), flight("d", 1e-3)]
+    flights._time_in_turn(taking, effort, quiet)
+    assert "".join(order) == 3 * "cddddabcdddd"
+    assert [len(each.samples) for each in taking] == [3, 3, 6, 18]
 
 
 def test_diffrax_in_one_call_is_compiled_as_one_small_function() -> None:

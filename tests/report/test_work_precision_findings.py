@@ -12,11 +12,12 @@ from twistax.report.work_precision.contenders import CONTENDERS, OURS
 from twistax.report.work_precision.curve import Curve
 from twistax.report.work_precision.effort import QUICK
 from twistax.report.work_precision.findings import Findings
+from twistax.report.work_precision.flights import Refused
 from twistax.report.work_precision.ladder import Steps, Tolerances
 from twistax.report.work_precision.origin import Origin
 from twistax.report.work_precision.page import page
 from twistax.report.work_precision.row import Row
-from twistax.report.work_precision.words import advice, digits, on_diffrax, on_quaternions, power
+from twistax.report.work_precision.words import advice, digits, on_diffrax, on_quaternions, on_tolerance, power
 from twistax.scenes import SCENES
 
 NAMES = {"euler-top": "Euler top", "rocket": "rocket", "fast-spin": "fast spin"}
@@ -95,10 +96,12 @@ def test_the_page_names_whoever_is_fastest() -> None:
     for fast, slow in (("dop853", "tsit5"), ("tsit5", "dop853")):
         findings = found(**{fast: 1.0, slow: 3.0})
         origin = Origin({"jax": "1"}, "abc", "a machine", dataclasses.asdict(QUICK))
-        blocks = page(findings, SCENES, [], [], origin, 1e-5, {}, "python -m twistax report")
+        refused = [Refused(scene, "magnus6", "rates read a pose") for scene in ("rocket", "heavy-top")]
+        blocks = page(findings, SCENES, [], refused, origin, 1e-5, {}, "python -m twistax report")
         for text in (as_markdown(blocks), as_html("title", blocks)):
             assert f"Fastest: {CONTENDERS[fast].line.title} on Euler top." in text
             assert "a machine" in text
+            assert "magnus6 does not fly rocket, heavy-top: rates read a pose." in text
             assert "pip install 'twistax[plot]'" in text or "pip install &#x27;twistax[plot]&#x27;" in text
 
 
@@ -120,6 +123,13 @@ def test_advice_is_the_smallest_worst_case() -> None:
 
 def test_a_digit_costs_the_root_of_ten() -> None:
     assert f"{10 ** (1 / 8):.2f} with DOP853" in digits(found(dop853=1.0))
+
+
+def test_what_a_tolerance_gave_is_said() -> None:
+    assert "try two of them" in on_tolerance(found(tsit5=1.0))
+    rows = [row(3e-8, 1e-3, setting=1e-9), row(2e-7, 1e-3, "rocket", setting=1e-9), row(1e-3, 1e-3, setting=1e-5)]
+    assert "ended with errors from 3e-8 to 2e-7 on these scenes" in on_tolerance(Findings(rows, CONTENDERS))
+    assert "ended with an error of 3e-8 on this scene" in on_tolerance(Findings(rows[:1], CONTENDERS))
 
 
 def test_diffrax_is_named_where_it_is_faster() -> None:
