@@ -29,7 +29,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help=f"only this method; may be given again. There are {', '.join(CONTENDERS)}",
     )
     parser.add_argument(
-        "--quick", action="store_true", help="few methods, coarse settings, few repeats: under two minutes"
+        "--quick",
+        action="store_true",
+        help="under two minutes: few methods, coarse settings, few repeats, spring-bodies only if asked for",
     )
     parser.add_argument(
         "--out",

@@ -12,7 +12,7 @@ import jax
 from ...scenes import SCENES
 from .bars import Outcome, outcomes
 from .blocks import as_html, as_markdown
-from .contenders import CONTENDERS, IN_QUICK
+from .contenders import CONTENDERS, IN_QUICK, TOO_LONG_FOR_QUICK
 from .effort import FULL, QUICK
 from .figure import draw
 from .findings import TARGETS, Findings
@@ -47,7 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
     effort = QUICK if arguments.quick else FULL
     chosen = arguments.method or (IN_QUICK if arguments.quick else list(CONTENDERS))
     contenders = {name: CONTENDERS[name] for name in CONTENDERS if name in chosen}
-    scenes = {name: SCENES[name] for name in SCENES if name in (arguments.scene or SCENES)}
+    left_out = TOO_LONG_FOR_QUICK if arguments.quick else ()
+    asked = arguments.scene or [name for name in SCENES if name not in left_out]
+    scenes = {name: SCENES[name] for name in SCENES if name in asked}
     origin = origin_of(effort)
     store = Store(folder / "rows.jsonl", origin)
     print(f"machine   {origin.machine}", flush=True)

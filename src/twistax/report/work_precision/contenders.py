@@ -8,7 +8,7 @@ from .contender import Contender, Line, Side
 from .own import Adaptive, FixedSteps
 from .rivals import I_CONTROL, PI_CONTROL, AsShipped, Diffrax, OneSmallCall
 
-__all__ = ["CONTENDERS", "IN_QUICK", "ONE_CALL", "OURS", "SHIPPED"]
+__all__ = ["CONTENDERS", "IN_QUICK", "ONE_CALL", "OURS", "SHIPPED", "TOO_LONG_FOR_QUICK"]
 
 OURS = Side("twistax", "`tx.integrate` with its defaults")
 ONE_CALL = Side(
@@ -77,3 +77,6 @@ CONTENDERS: dict[str, Contender] = {contender.name: contender for contender in [
 
 #: Those of the quick run.
 IN_QUICK = ("tsit5", "dop853", "dop853-quaternion", "diffrax-tsit5-call", "diffrax-dopri8-call-pi", "diffrax-tsit5")
+
+#: Scenes of the full run only: compiling four bodies takes more than a third of the time of all scenes together.
+TOO_LONG_FOR_QUICK = ("spring-bodies",)

@@ -168,7 +168,8 @@ def _how(
         "is extrapolated.",
         "diffrax solves the same system in quaternions (`tx.diffrax.ambient_term`), one flat vector, the first step "
         "its own, with its default I controller and with PI control (pcoeff 0.4, icoeff 0.3): the better of the two "
-        "counts. Quaternions are normalised when read. In one call: without its error check, ForwardMode.",
+        "counts. Quaternions are normalised when read; `max_steps` is 1e7. In one call: without its error check, "
+        "ForwardMode.",
         *_refusals(refused),
         *(f"Rows of {scene} come from several sittings; ratios between them are less sure." for scene in apart),
     ]
