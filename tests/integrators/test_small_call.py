@@ -41,9 +41,7 @@ def test_the_result_is_the_same() -> None:
 def test_the_attribute_reaches_the_compiled_program() -> None:
     """The canary: if this fails after an upgrade, look at `small_call` before trusting any measured time."""
     text = compiled(lambda x, y: small_call(looped, x, y)["x"], jnp.ones(3), jnp.ones(4))
-    (call,) = [
-        line for line in text.splitlines() if "ROOT" in line and " call(" in line and "jit(jaxpr_as_fun)" in line
-    ]
+    (call,) = [line for line in text.splitlines() if " call(" in line and 'jit(jaxpr_as_fun)"' in line]
     assert MARK in call
     assert 'xla_cpu_small_call="true"' in call
 

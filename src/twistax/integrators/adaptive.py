@@ -17,6 +17,7 @@ from .finite import all_finite
 from .first_step import first_step
 from .result import Result
 from .rows import put, rows
+from .small_call import small_call
 from .step_control import Errors, StepControl
 from .stepper import Stepper
 from .tolerances import Tolerances
@@ -46,7 +47,13 @@ class Stops:
 
     @classmethod
     def of(cls, limits: jax.Array, saves: jax.Array | None) -> Stops:
-        """The stops of sorted limits and saved times."""
+        """The stops of sorted limits and saved times.
+
+        Limits that coincide move together: none of the legs between them would be flown, so that the derivatives of
+        the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+        """
+        first, last = (jnp.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+        limits = 0.5 * (limits[first] + limits[last - 1])
         if saves is None:
             return cls(limits, limits, jnp.arange(limits.size), None)
         joined = jnp.concatenate([saves, limits])
@@ -74,6 +81,7 @@ class _Packing(NamedTuple):
 class _Now(NamedTuple):
     """What the loop carries: the state with its rate, the next step to try, and the start of the last one taken.
 
+    After a failure h is the step that failed.
     States and rates are packed into vectors: XLA would work out the test of a step again for every scalar it guards.
     """
 
@@ -117,11 +125,26 @@ class AdaptiveCourse(Course):
         return self.control.max_steps
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
+        stops, read = self.stops, ravel_pytree(y)[1]
+        now, found = small_call(lambda course, stepper, y: course._all_steps(stepper, y, record), self, stepper, y)
+        short = (now.code == 0) & (now.t < stops.limits[-1])
+        code = jnp.where(short, Result.MAX_STEPS.value, now.code)
+        evaluations = 2 + stops.ts.size + now.tried * stepper.method.attempt_evaluations
+        outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
+        trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
+        saved = None
+        if stops.place is not None:
+            (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
+            saved = Saved(index, times, jax.vmap(read)(starts), reached)
+        return Flown(read(now.y), outcome, saved, now.path, trail)
+
+    def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
+        """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         stops = self.stops
         room = stops.limits[-1] - self.t0
         guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
         rate = stepper.begin(self.t0, y, guess)
-        chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess)
+        chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
         packed, read = ravel_pytree(y)
         packed_rate, read_rate = ravel_pytree(rate)
         packing = _Packing(read, read_rate)
@@ -157,17 +180,7 @@ class AdaptiveCourse(Course):
             start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (now.t, now.y), now.last)
             return now, (start, now.accepted - (~there).astype(int), now.t >= t)
 
-        now, found = jax.lax.scan(to_stop, now, (stops.ts, stops.leg))
-        short = (now.code == 0) & (now.t < stops.limits[-1])
-        code = jnp.where(short, Result.MAX_STEPS.value, now.code)
-        evaluations = 2 + stops.ts.size + now.tried * stepper.method.attempt_evaluations
-        outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
-        trail = None if now.every is None else self.trail(now.path, now.accepted, jax.vmap(read)(now.every))
-        saved = None
-        if stops.place is not None:
-            (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
-            saved = Saved(index, times, jax.vmap(read)(starts), reached)
-        return Flown(read(now.y), outcome, saved, now.path, trail)
+        return jax.lax.scan(to_stop, now, (stops.ts, stops.leg))
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
         """One step, taken or taken back."""
@@ -181,6 +194,10 @@ class AdaptiveCourse(Course):
             h = jnp.minimum(h, control.dtmax)
         # No crumbs before a limit: the last two steps share what is left.
         step = jnp.where((1.0 + _STRETCH) * h >= room, room, jnp.where(2.0 * h > room, 0.5 * room, h))
+        cut = step < h
+        # As far as the clock moves: rounding of large times would add up.
+        t = jnp.where(step == room, limit, now.t + step)
+        step = t - now.t
         before = packing.state(now.y)
         found = stepper.attempt(now.t, before, packing.rate(now.rate), step)
         y, rate = ravel_pytree(found.y)[0], ravel_pytree(found.rate)[0]
@@ -190,18 +207,17 @@ class AdaptiveCourse(Course):
         good = square <= 1.0
         growth, errors = control.grown(square, now.errors, now.rejected, order)
         # A step cut short at a limit says little against the longer one that was planned.
-        longer = jnp.maximum(step * growth, jnp.where(step < h, jnp.where(now.rejected, 0.0, h), 0.0))
+        longer = jnp.maximum(step * growth, jnp.where(cut, jnp.where(now.rejected, 0.0, h), 0.0))
         shorter = step * control.shrunk(square, order)
         failed = ~good & ((shorter < least) | (step <= least))
         trouble = jnp.where(finite, Result.STEP_TOO_SMALL.value, Result.NON_FINITE.value)
-        t = jnp.where(step == room, limit, now.t + step)
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
 
         return _Now(
             t=pick(t, now.t),
-            h=jnp.where(good, longer, shorter),
+            h=jnp.where(good, longer, jnp.where(failed, step, shorter)),
             y=pick(y, now.y),
             rate=pick(rate, now.rate),
             errors=pick(errors, now.errors),

@@ -23,7 +23,7 @@ class Outcome(NamedTuple):
         tried, accepted: steps.
         evaluations: of the right-hand side, without those of saved times.
         t: the time that was reached.
-        h: the length of the last step tried.
+        h: the length of a step there: after a failure of the one that failed, else of the next one to try.
     """
 
     code: jax.Array

@@ -13,7 +13,13 @@ __all__ = ["first_step"]
 
 
 def first_step(
-    stepper: Stepper, tolerances: Tolerances, t: jax.Array, y: Blocks, rate: Blocks, fallback: jax.Array
+    stepper: Stepper,
+    tolerances: Tolerances,
+    t: jax.Array,
+    y: Blocks,
+    rate: Blocks,
+    fallback: jax.Array,
+    room: jax.Array,
 ) -> jax.Array:
     """A step whose error should be near the tolerance, judged by the rate and how it changes over a short Euler step.
 
@@ -29,7 +35,8 @@ def first_step(
     slope = local.first_slope(y, rate)
     reach, speed = tolerances.reach(local, y), size(slope)
     short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
-    short = jnp.where(jnp.isfinite(short), short, fallback)
+    # Controls beyond the end may not be defined.
+    short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
     z = jax.tree.map(lambda k: short * k, slope)
     moved = local.move(y, z)
     later = local.slope(z, moved, stepper.begin(t + short, moved, short))

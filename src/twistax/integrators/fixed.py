@@ -15,6 +15,7 @@ from .finite import all_finite
 from .grid import Grid, Saves
 from .result import Result
 from .rows import put, rows
+from .small_call import small_call
 from .stepper import Stepper
 
 __all__ = ["FixedCourse"]
@@ -64,6 +65,24 @@ class FixedCourse(Course):
         return cls(grid.t0, grid.h, jnp.asarray(grid.steps), at, grid.steps if bounded else None, dense)
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
+        stops = self.steps[None]
+        if self.at is not None:
+            stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
+        now, found = small_call(FixedCourse._all_steps, self, stepper, y, stops)
+        code = jnp.where(now.good, Result.DONE.value, Result.NON_FINITE.value)
+        tries = now.steps + (~now.good).astype(now.steps.dtype)
+        evaluations = tries * stepper.method.evaluations_of(stepper.dynamics)
+        outcome = Outcome(code, now.steps, now.steps, evaluations, self._time(now.steps), self.h)
+        trail = None if now.every is None else self.trail(None, now.steps, now.every)
+        saved = None
+        if self.at is not None:
+            starts, reached = jax.tree.map(lambda a: a[:-1], found)
+            saved = Saved(self.at.index, self._time(self.at.index), starts, reached)
+        return Flown(now.y, outcome, saved, None, trail)
+
+    def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
+        """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
+
         def advance(now: _Now) -> _Now:
             moved = stepper.advance(self._time(now.steps), now.y, self.h)
             good = all_finite(moved)
@@ -75,22 +94,9 @@ class FixedCourse(Course):
             now = jax.lax.while_loop(lambda n: (n.steps < stop) & n.good, advance, now)
             return now, None if self.at is None else (now.y, now.good)
 
-        stops = self.steps[None]
-        if self.at is not None:
-            stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         now = _Now(jnp.zeros((), stops.dtype), y, jnp.asarray(True), every)
-        now, found = jax.lax.scan(to_stop, now, stops)
-        code = jnp.where(now.good, Result.DONE.value, Result.NON_FINITE.value)
-        tries = now.steps + (~now.good).astype(now.steps.dtype)
-        evaluations = tries * stepper.method.evaluations_of(stepper.dynamics)
-        outcome = Outcome(code, now.steps, now.steps, evaluations, self._time(now.steps), self.h)
-        trail = None if now.every is None else self.trail(None, now.steps, now.every)
-        saved = None
-        if self.at is not None:
-            starts, reached = jax.tree.map(lambda a: a[:-1], found)
-            saved = Saved(self.at.index, self._time(self.at.index), starts, reached)
-        return Flown(now.y, outcome, saved, None, trail)
+        return jax.lax.scan(to_stop, now, stops)
 
     def steps_of(self, path: None) -> Part:
         k = jnp.arange(self.bound)

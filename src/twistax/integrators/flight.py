@@ -106,7 +106,10 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
     start = stepper.coordinates.enter(x)
     recorded = course.dense or flown.saved is not None
     steps = flown.outcome.accepted
-    end, every = take_steps(step, start, course.steps_of(flown.path), steps, course.bound, recorded)
+    parts = course.steps_of(flown.path)
+    # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is not a number.
+    parts = parts._replace(h=jnp.where(jnp.arange(course.bound) < steps, parts.h, 0.0))
+    end, every = take_steps(step, start, parts, steps, course.bound, recorded)
     flown = flown._replace(end=end, trail=course.trail(flown.path, steps, every) if course.dense else None)
     if flown.saved is None:
         return _ended(stepper, flown, x)

@@ -31,8 +31,7 @@ _KNOWN = frozenset(
         [
             "abs acos acosh add and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate",
             "cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call",
-            "custom_vjp_call custom_vmap_call",
-            "div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1",
+            "custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1",
             "floor gather ge gt integer_pow iota is_finite jit le le_to log log1p logistic lt lt_to max min mul ne neg",
             "not or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem reshape rev",
             "round rsqrt scan scatter scatter-add select_n sign sin sinh slice split sqrt square squeeze stack",
@@ -40,6 +39,19 @@ _KNOWN = frozenset(
         ]
     ).split(" ")
 )
+
+#: Operations that move numbers, or hold others; arrays of any size are fine.
+_MOVING = frozenset(
+    " ".join(
+        [
+            "broadcast_in_dim cond custom_jvp_call custom_vjp_call dynamic_slice dynamic_update_slice gather jit pjit",
+            "reshape scan scatter slice squeeze while",
+        ]
+    ).split(" ")
+)
+
+#: Beyond this many entries XLA shares the work of an operation between threads, or compiles it in ways of its own.
+_LARGEST_ARRAY = 4096
 
 #: Products of matrices beyond this many entries call a library.
 _LARGEST_PRODUCT = 64
@@ -73,12 +85,27 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     run = jaxpr_as_fun(jaxpr)
     if set_xla_metadata is not None and jax.default_backend() == "cpu" and (trusted or _all_known(jaxpr.jaxpr)):
         # Constants must not be moved inside either: an argument that is one then counts as never read.
-        leaves = jax.lax.optimization_barrier(leaves)
-        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            results = jax.jit(run, inline=False)(*leaves)
+        results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
     else:
         results = run(*leaves)
     return jax.tree.unflatten(shapes[0], results[:-1])
+
+
+def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
+    """A function of arrays as one small function; under vmap as it is: XLA has no such functions for large arrays."""
+
+    @jax.custom_batching.custom_vmap
+    def outlined(*leaves: jax.Array) -> list[jax.Array]:
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            return jax.jit(run, inline=False)(*leaves)
+
+    @outlined.def_vmap
+    def batched(size: int, mapped: list[bool], *leaves: jax.Array) -> tuple[list[jax.Array], list[bool]]:
+        axes = [0 if own else None for own in mapped]
+        results = jax.vmap(run, in_axes=axes, axis_size=size)(*leaves)
+        return results, [True] * len(results)
+
+    return outlined
 
 
 def _all_known(jaxpr: Any) -> bool:
@@ -87,7 +114,8 @@ def _all_known(jaxpr: Any) -> bool:
         name = equation.primitive.name
         if name not in _KNOWN:
             return False
-        if name == "dot_general" and max(v.aval.size for v in (*equation.invars, *equation.outvars)) > _LARGEST_PRODUCT:
+        largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
+        if name not in _MOVING and largest > (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY):
             return False
         if not all(_all_known(inner) for inner in _inner(equation.params)):
             return False
