@@ -81,6 +81,15 @@ class Table(ABC):
         return jnp.searchsorted(self.ts, t, side="right", method="scan_unrolled") - 1
 
 
+def _within(t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
+    """Times of the step from t to t + h, a hair nearer to its middle: far less than a step, far more than round-off.
+
+    A table read there shows the side of a jump or a kink that the step lies on.
+    """
+    middle, hair = t + 0.5 * h, float(np.sqrt(jnp.finfo(t.dtype).eps))
+    return lambda time: time + hair * (middle - time)
+
+
 class Held(Table):
     """A zero-order hold: row i holds from ts[i] until ts[i + 1], the first also before, the last also after.
 
@@ -95,11 +104,10 @@ class Held(Table):
         return self.ts[1:]
 
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
-        # Stage times move a hair towards the middle of the step: far less than a step, far more than round-off.
-        middle, hair = t + 0.5 * h, float(np.sqrt(jnp.finfo(t.dtype).eps))
+        within = _within(t, h)
 
         def value(time: jax.Array) -> jax.Array:
-            row = self._row(time + hair * (middle - time))
+            row = self._row(within(time))
             return self.values[jnp.clip(row, 0, self.ts.shape[0] - 1)]
 
         return value
@@ -115,10 +123,16 @@ class Linear(Table):
         return self.ts
 
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
+        within = _within(t, h)
+
         def value(time: jax.Array) -> jax.Array:
-            row = jnp.clip(self._row(time), 0, self.ts.shape[0] - 2)
+            inner = within(time)
+            row = jnp.clip(self._row(inner), 0, self.ts.shape[0] - 2)
             start, end = self.ts[row], self.ts[row + 1]
-            share = jnp.clip((time - start) / (end - start), 0.0, 1.0)
+            # Not jnp.clip, whose derivative is halved where a step begins or ends with the table.
+            share = jnp.where(
+                inner < self.ts[0], 0.0, jnp.where(inner >= self.ts[-1], 1.0, (time - start) / (end - start))
+            )
             return self.values[row] + share * (self.values[row + 1] - self.values[row])
 
         return value

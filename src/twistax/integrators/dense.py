@@ -41,11 +41,13 @@ class Dense:
         if ts.ndim > 1:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, self.trail)):
-            start, end = float(self.trail.t[0]), float(self.trail.t[int(self.trail.steps)])
+            flown = np.asarray(self.trail.t)
+            start, end = float(flown[0]), float(flown[int(self.trail.steps)])
             room = 1e-6 * (end - start)
-            outside = np.asarray(~((ts >= start - room) & (ts <= end + room))).reshape(-1)
+            times = np.asarray(ts).reshape(-1)
+            outside = ~((times >= start - room) & (times <= end + room))
             if outside.any():
-                wrong = float(np.asarray(ts).reshape(-1)[int(np.argmax(outside))])
+                wrong = float(times[int(np.argmax(outside))])
                 raise InputError(f"evaluate expects times in [{start:g}, {end:g}], which was flown, got {wrong:g}")
         found = _states(self, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found

@@ -107,7 +107,7 @@ def place_saves(save_at: Any, grid: Grid, dtype: Any) -> Saves | None:
         return None
     if not check_saves(save_at, grid.span) or grid.span is None:
         ts = jnp.asarray(save_at, dtype)
-        place = (ts - grid.t0) / grid.h
+        place = (ts - grid.t0) / jnp.where(grid.h > 0.0, grid.h, 1.0)
         before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(grid.steps - 1, 0))
         return Saves(ts, before.astype(int), place - before, True)
     times = np.asarray(save_at, float)

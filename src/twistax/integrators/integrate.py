@@ -148,10 +148,13 @@ def _stops(
     if jumps is not None and (np.ndim(jumps) != 1 or not is_finite(jumps)):
         raise InputError(f"jumps expects finite times with shape (n,), got {jumps!r}")
     known = [*signals.jumps, *([] if jumps is None else [jnp.asarray(jumps)])]
-    inside = [jnp.clip(times.astype(t0.dtype), t0, t1) for times in known]
+    # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+    inside = [jnp.where(ts <= t0, t0, jnp.where(ts >= t1, t1, ts)) for ts in (ts.astype(t0.dtype) for ts in known)]
     limits = jnp.append(jnp.sort(jnp.concatenate(inside)), t1) if inside else t1[None]
-    saves = None if save_at is None else jnp.clip(jnp.asarray(save_at, t0.dtype), t0, t1)
-    return Stops.of(limits, saves)
+    if save_at is None:
+        return Stops.of(limits, None)
+    saves = jnp.asarray(save_at, t0.dtype)
+    return Stops.of(limits, jnp.where(saves < t0, t0, jnp.where(saves > t1, t1, saves)))
 
 
 def _solution(stepper: Stepper, course: Course, flight: Flight, ts: jax.Array, end_only: bool, throw: bool) -> Solution:
