@@ -50,7 +50,8 @@ def _not_a_number(stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> In
     controls_at = stepper.controls(t, h)
     rates = stepper.dynamics.vector_field(t, x, controls_at(t), stepper.params)
     moved = stepper.method.step(stepper.dynamics, t, x, controls_at, stepper.params, h)
-    bad = _not_finite(moved)
+    # The end may be finite and the rate there not.
+    bad = _not_finite(moved) or list(moved)
     turns = {name: angle for name, angle in _turns(stepper.dynamics, rates, h).items() if name in bad}
     far = max(turns, key=turns.__getitem__, default=None)
     bad_controls = _not_finite(controls_at(t)) or _not_finite(controls_at(t + h))

@@ -59,8 +59,9 @@ def integrate(
     times: another dt, t1, tolerance, start, u or params does not compile again. Where something is traced (inside jit,
     grad, jacfwd or vmap) checks that need numbers are left out: look at `Solution.result`. Derivatives of any order,
     forward and in reverse, with respect to x0, u, params, t0, t1, save_at and the times of tables are those of the
-    steps taken, in memory that grows with the square root of their number; with fixed steps a traced t0 or t1 needs
-    `steps` in place of `dt`.
+    steps taken, in memory that grows with the square root of their number, with save_at or dense in proportion to the
+    number of steps there may be; with fixed steps a traced t0 or t1 needs `steps` in place of `dt`. Where jumps of two
+    tables coincide, only derivatives that move both alike are right.
 
     Args:
         x0: the start, a dict by state name. Its precision is that of the whole flight.

@@ -14,7 +14,9 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+from .concrete import is_traced
 
 __all__ = ["fits", "small_call"]
 
@@ -82,13 +84,28 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         return [*results, read]
 
     jaxpr = jax.make_jaxpr(flat)(*leaves)
-    run = jaxpr_as_fun(jaxpr)
+    run, leaves = _opened(jaxpr, leaves)
     if set_xla_metadata is not None and jax.default_backend() == "cpu" and (trusted or _all_known(jaxpr.jaxpr)):
         # Constants must not be moved inside either: an argument that is one then counts as never read.
         results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
     else:
         results = run(*leaves)
     return jax.tree.unflatten(shapes[0], results[:-1])
+
+
+def _opened(jaxpr: Any, leaves: list[Any]) -> tuple[Callable[..., list[jax.Array]], list[Any]]:
+    """The jaxpr as a function, the traced values it closes over made arguments in front: vmap must see them."""
+    held = [i for i, value in enumerate(jaxpr.consts) if is_traced(value)]
+    if not held:
+        return jaxpr_as_fun(jaxpr), leaves
+
+    def run(*arguments: jax.Array) -> list[jax.Array]:
+        consts = list(jaxpr.consts)
+        for i, value in zip(held, arguments[: len(held)], strict=True):
+            consts[i] = value
+        return jaxpr_as_fun(ClosedJaxpr(jaxpr.jaxpr, consts))(*arguments[len(held) :])
+
+    return run, [*(jaxpr.consts[i] for i in held), *leaves]
 
 
 def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
