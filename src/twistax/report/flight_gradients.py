@@ -1,7 +1,7 @@
 """The gradient of a whole flight: reverse against forward mode and differences, its memory, what compiling costs.
 
-`python -m twistax.report.flight_gradients` prints a table: the rocket scene, 10 s, the gradient of a weighted sum of its
-end with respect to the start (in the tangent space) and the final time. Exit status 1 if a bar is missed.
+`python -m twistax.report.flight_gradients` prints a table: the rocket scene, 10 s, the gradient of a weighted sum of
+its end with respect to the start (in the tangent space) and the final time. Exit status 1 if a bar is missed.
 """
 
 from __future__ import annotations
@@ -91,8 +91,14 @@ def measure(name: str, options: dict[str, Any]) -> Row:
         1e3 * _time(flight, z),
         float(jnp.abs(reverse - forward).max()) / scale,
         float(jnp.abs(reverse - differences).max()) / scale,
-        gradient.memory_analysis().temp_size_in_bytes / 1e6,
+        _megabytes(gradient),
     )
+
+
+def _megabytes(compiled: Any) -> float:
+    """What the program needs beside its arguments and results."""
+    found = compiled.memory_analysis()
+    return float("nan") if found is None else found.temp_size_in_bytes / 1e6
 
 
 def _difference(function: Callable[[jax.Array], jax.Array], direction: jax.Array) -> jax.Array:
