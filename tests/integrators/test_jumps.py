@@ -107,11 +107,6 @@ def test_tables_with_different_times_are_all_met() -> None:
     assert sol.stats.rejected <= 8
 
 
-#: Stages at the very moment of a jump see the other side of it.
-_AT_THE_JUMP = pytest.mark.xfail(strict=True, reason="a step that ends at a jump of u or of the system sees past it")
-
-
-@_AT_THE_JUMP
 @pytest.mark.parametrize("tableau", [DORMAND_PRINCE5, DOP853], ids=lambda t: t.name)
 @pytest.mark.parametrize("side", ["before", "after"])
 def test_a_function_of_time_that_jumps_is_flown_cheaply_where_it_is_told(tableau: object, side: str) -> None:
@@ -131,7 +126,6 @@ def test_a_function_of_time_that_jumps_is_flown_cheaply_where_it_is_told(tableau
     assert told.stats.accepted < blind.stats.accepted
 
 
-@_AT_THE_JUMP
 @pytest.mark.parametrize("tableau", [TSIT5, DOP853], ids=lambda t: t.name)
 def test_a_system_that_jumps_is_flown_cheaply_where_it_is_told(tableau: object) -> None:
     x, t = tx.State("x"), tx.Time()

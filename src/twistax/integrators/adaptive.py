@@ -167,7 +167,8 @@ class AdaptiveCourse(Course):
         def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
             t, leg = stop
             # Rates may have jumped at the stop before.
-            now = now._replace(rate=ravel_pytree(stepper.begin(now.t, read(now.y), now.h))[0])
+            ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
+            now = now._replace(rate=ravel_pytree(stepper.begin(now.t, read(now.y), ahead))[0])
             now = jax.lax.while_loop(
                 lambda n: (n.t < t) & (n.code == 0) & (n.tried < self.bound),
                 lambda n: self._try(stepper, packing, n, leg),

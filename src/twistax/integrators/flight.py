@@ -51,6 +51,11 @@ def fly(course: Course, stepper: Stepper, x: Arrays) -> Flight:
 
 @jax.custom_jvp
 def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
+    # As a whole where it fits, else its loops: what stands outside costs as much as a short flight.
+    return small_call(_whole, course, stepper, x)
+
+
+def _whole(course: Course, stepper: Stepper, x: Arrays) -> Flight:
     flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
     if flown.saved is None:
         return _ended(stepper, flown, x)

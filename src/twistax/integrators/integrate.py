@@ -111,7 +111,7 @@ def integrate(
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at))
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(inputs.t)
-    stepper = Stepper(dynamics, method, signals, dict(inputs.params))
+    stepper = Stepper(dynamics, method, signals, dict(inputs.params), inward=jumps is not None)
     if adaptive:
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")

@@ -8,6 +8,7 @@ to compile that way, and with every argument in use. Elsewhere the function runs
 
 from __future__ import annotations
 
+import contextvars
 import functools
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
@@ -26,6 +27,9 @@ except ImportError:  # a later JAX may have moved it
     set_xla_metadata = None  # type: ignore[assignment]
 
 Result = TypeVar("Result")
+
+#: Whether a function is being traced to become a small one.
+_INSIDE = contextvars.ContextVar("inside a small call", default=False)
 
 #: Operations that are compiled inside one function. Anything that calls a library (solvers, FFI, callbacks) is not.
 _KNOWN = frozenset(
@@ -67,11 +71,14 @@ def fits(function: Callable[..., Any], *arguments: Any) -> bool:
 def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
     """function(*arguments), compiled as one small function where that is known to work.
 
-    Pure and traceable. Arguments and result are pytrees of arrays.
+    Where it is not, small calls that the function makes itself may still be; inside of one that works they are part of
+    it. Pure and traceable. Arguments and result are pytrees of arrays.
 
     Args:
         trusted: take the caller's word that it works. XLA ends the process where it does not.
     """
+    if _INSIDE.get():
+        return function(*arguments)
     leaves, structure = jax.tree.flatten(arguments)
     leaves = [jnp.asarray(leaf) for leaf in leaves]
     shapes: list[Any] = []
@@ -83,13 +90,18 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         read = functools.reduce(jnp.add, [leaf.reshape(-1)[0].astype(jnp.float32) for leaf in leaves if leaf.size])
         return [*results, read]
 
-    jaxpr = jax.make_jaxpr(flat)(*leaves)
+    if set_xla_metadata is None or jax.default_backend() != "cpu":
+        return function(*arguments)
+    outside = _INSIDE.set(True)
+    try:
+        jaxpr = jax.make_jaxpr(flat)(*leaves)
+    finally:
+        _INSIDE.reset(outside)
+    if not trusted and not _all_known(jaxpr.jaxpr):
+        return function(*arguments)
     run, leaves = _opened(jaxpr, leaves)
-    if set_xla_metadata is not None and jax.default_backend() == "cpu" and (trusted or _all_known(jaxpr.jaxpr)):
-        # Constants must not be moved inside either: an argument that is one then counts as never read.
-        results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
-    else:
-        results = run(*leaves)
+    # Constants must not be moved inside either: an argument that is one then counts as never read.
+    results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
     return jax.tree.unflatten(shapes[0], results[:-1])
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
@@ -17,6 +18,24 @@ from .method import Attempt, Method
 __all__ = ["Stepper"]
 
 
+class _Inward(Dynamics):
+    """A system whose clock stays inside of the step from t to t + h, by a few units of round-off."""
+
+    def __init__(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> None:
+        self.__dict__.update(dynamics.__dict__)
+        self._step = (t, h)
+
+    def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        return super().vector_field(_inward(t, *self._step), x, u, params)
+
+
+def _inward(time: jax.Array, t: jax.Array, h: jax.Array) -> jax.Array:
+    """The time, or just inside of the step where it is one of its ends."""
+    hair = 4.0 * jnp.finfo(time.dtype).eps * jax.lax.stop_gradient(jnp.maximum(jnp.abs(t), jnp.abs(t + h)))
+    first, last = t + hair, t + h - hair
+    return jnp.where(time < first, first, jnp.where(time > last, last, time))
+
+
 @dataclasses.dataclass(frozen=True)
 class Stepper:
     """A pytree: dynamics and method are structure, the rest are inputs.
@@ -25,12 +44,15 @@ class Stepper:
         dynamics, method: what is integrated and how.
         signals: the prepared controls.
         params: the prepared parameters.
+        inward: whether rates see times just inside of a step in place of its ends, because they may jump there: a step
+            that ends at a jump must not see the other side.
     """
 
     dynamics: Dynamics
     method: Method
     signals: Signals
     params: dict[str, Any]  # not `Arrays`: JAX rebuilds pytrees with stand-ins for arrays
+    inward: bool = False
 
     @property
     def coordinates(self) -> StateCoordinates:
@@ -39,23 +61,27 @@ class Stepper:
 
     def controls(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The controls as a function of the times within the step from t to t + h."""
-        return self.signals.during(self.dynamics, t, h)
+        during = self.signals.during(self.dynamics, t, h)
+        return (lambda time: during(_inward(time, t, h))) if self.inward else during
 
     def advance(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after a step of length h."""
-        return self.method.advance(self.dynamics, t, y, self.controls(t, h), self.params, h)
+        return self.method.advance(self._system(t, h), t, y, self.controls(t, h), self.params, h)
 
     def begin(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The rate at the start of a step of about length h."""
-        return self.method.begin(self.dynamics, t, y, self.controls(t, h), self.params)
+        return self.method.begin(self._system(t, h), t, y, self.controls(t, h), self.params)
 
     def attempt(self, t: jax.Array, y: Blocks, rate: Blocks, h: jax.Array) -> Attempt:
         """A step of length h that may be taken back, with its error."""
-        return self.method.attempt(self.dynamics, t, y, rate, self.controls(t, h), self.params, h)
+        return self.method.attempt(self._system(t, h), t, y, rate, self.controls(t, h), self.params, h)
+
+    def _system(self, t: jax.Array, h: jax.Array) -> Dynamics:
+        return _Inward(self.dynamics, t, h) if self.inward else self.dynamics
 
 
 jax.tree_util.register_pytree_node(
     Stepper,
-    lambda s: ((s.signals, s.params), (s.dynamics, s.method)),
-    lambda structure, inputs: Stepper(*structure, *inputs),
+    lambda s: ((s.signals, s.params), (s.dynamics, s.method, s.inward)),
+    lambda structure, inputs: Stepper(*structure[:2], *inputs, inward=structure[2]),
 )
