@@ -242,6 +242,10 @@ class AdaptiveCourse(Course):
         weight = first + 0.01 * second
         return jnp.where(weight > 0.0, first * first / jnp.where(weight > 0.0, weight, 1.0), 0.0)
 
+    def too_long(self, h: float) -> tuple[str, str]:
+        cause = "however short the step: the solution grows without bound, or a rate stops being finite just after"
+        return cause, "stop before that time, or guard the expression"
+
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         y = stepper.coordinates.enter(x)
         found = stepper.attempt(outcome.t, y, stepper.begin(outcome.t, y, outcome.h), outcome.h)

@@ -121,6 +121,10 @@ class Course(ABC):
         Without a path they are as the loop left them.
         """
 
+    @abstractmethod
+    def too_long(self, h: float) -> tuple[str, str]:
+        """Cause and fix of a step of length h whose end is not finite, where nothing else is known."""
+
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         """The state with the largest error in a step from where the flight ended; None where errors are not known."""
         return None

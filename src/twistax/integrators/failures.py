@@ -28,7 +28,7 @@ def failure(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> In
     """The error for a flight that ended early at the state x."""
     result = Result(int(outcome.code))
     if result is Result.NON_FINITE:
-        return _not_a_number(stepper, outcome.t, outcome.h, x)
+        return _not_a_number(stepper, course, outcome.t, outcome.h, x)
     state = course.worst(stepper, outcome, x)
     blame = f"; state {state!r} has the largest error" if state else ""
     if result is Result.MAX_STEPS:
@@ -45,7 +45,7 @@ def failure(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> In
     )
 
 
-def _not_a_number(stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> IntegrationError:
+def _not_a_number(stepper: Stepper, course: Course, t: jax.Array, h: jax.Array, x: Arrays) -> IntegrationError:
     """The error for the step of length h from (t, x) whose end is not finite."""
     controls_at = stepper.controls(t, h)
     rates = stepper.dynamics.vector_field(t, x, controls_at(t), stepper.params)
@@ -68,8 +68,7 @@ def _not_a_number(stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> In
         )
         fix = "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
     else:
-        cause = f"the step {float(h):.6g} s is too long for rates this fast, or the solution itself grows without bound"
-        fix = "try a smaller dt"
+        cause, fix = course.too_long(float(h))
     names = ", ".join(map(repr, bad))
     return IntegrationError(
         f"state {names} became infinite or not a number in the step from t = {float(t):.6g} s.\n"

@@ -109,3 +109,7 @@ class FixedCourse(Course):
     def _time(self, k: jax.Array) -> jax.Array:
         """The start of step k, computed afresh so that it does not drift."""
         return self.t0 + k.astype(self.t0.dtype) * self.h
+
+    def too_long(self, h: float) -> tuple[str, str]:
+        cause = f"the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound"
+        return cause, "try a smaller dt"
