@@ -264,3 +264,16 @@ def test_a_traced_failure_is_not_a_number_and_says_why() -> None:
     np.testing.assert_allclose(sol.xs["x"][1, :2], [1.0, np.sqrt(2.0)], rtol=1e-5)
     slopes = jax.jit(jax.vmap(jax.grad(lambda x, k: fly(x, k).xs["x"][1])))(starts[:2], ks[:2])
     np.testing.assert_allclose(slopes, (1.0 - 0.5 * starts[:2] ** 2) ** -1.5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("way", [{"steps": 4}, {"rtol": 1e-9}], ids=["equal", "chosen"])
+def test_a_saved_time_at_the_start_moves_with_the_rate(way: dict) -> None:
+    x, k = tx.State("x"), tx.Parameter("k", value=0.7)
+    decay = tx.compile(tx.System(rates={x: -k * x}))
+
+    def first(x0: jax.Array, t: jax.Array) -> jax.Array:
+        sol = tx.integrate(decay, {"x": x0}, t1=1.0, save_at=jnp.stack([t, jnp.asarray(0.5)]), method=METHOD, **way)
+        return sol.xs["x"][0]
+
+    slopes = jax.jit(jax.grad(first, argnums=(0, 1)))(jnp.asarray(3.0), jnp.asarray(0.0))
+    np.testing.assert_allclose(slopes, [1.0, -2.1], rtol=1e-12)

@@ -150,8 +150,13 @@ def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
-    """The values, but the start as it was given, to the last bit, where no step was taken."""
-    return {name: jnp.where(_wide(still, value), x[name], value) for name, value in values.items()}
+    """The values, but the start as it was given, to the last bit, where no step was taken; derivatives stay."""
+    found = {}
+    for name, value in values.items():
+        given = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
+        start = given + (value - jax.lax.stop_gradient(value))
+        found[name] = jnp.where(_wide(still, value), start, value)
+    return found
 
 
 def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:

@@ -162,7 +162,7 @@ def _how(
         "Compiling is apart: once for all tolerances.",
         "Every call runs in the caller's thread (`jax_cpu_enable_async_dispatch` off). With JAX's default that holds "
         "for programs that XLA counts below 1000 operations, which is so for some methods and scenes and not for "
-        "others; a call from Python of any other waits for another thread as well, tens of us.",
+        "others; a call from Python of any other waits for another thread as well.",
         "Adaptive methods are run with rtol = atol from coarse to fine, equal steps with more and more of them. The "
         "best of a line's flights are connected; the time at an error is read there, on logarithmic scales. Nothing "
         "is extrapolated.",
