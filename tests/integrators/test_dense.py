@@ -61,8 +61,8 @@ def test_its_derivative_with_respect_to_the_start_is_that_of_a_shorter_flight() 
         assert float(jax.grad(at)(3.0, t)) == pytest.approx(1.0 / (1.0 + 0.5 * 3.0 * t) ** 2, rel=1e-8)
 
 
-def test_just_before_a_jump_the_state_comes_from_before_it() -> None:
-    """x' = F jumps from 1 to -5 at 0.5: a step taken back from the other side of it would miss."""
+def test_a_state_comes_from_the_step_that_holds_it() -> None:
+    """x' = F jumps from 1 to -5 at 0.5: a step from before it to a time after it would miss."""
     x, F = tx.State("x"), tx.Control("F")
     push = tx.compile(tx.System(rates={x: F}))
     u = {"F": tx.Held(np.array([0.0, 0.5]), np.array([1.0, -5.0]))}
