@@ -12,13 +12,15 @@ from twistax.scenes.arrays import about
 from twistax.scenes.free_rotation import TriaxialBody
 from twistax.scenes.references import RATES, STEPS, extrapolated, flown, main
 from twistax.scenes.scene import rotation_angle
+from twistax.scenes.stiff_references import STIFF
 
 #: Extended precision is a double on some machines.
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 
 
 def test_every_scene_without_a_closed_form_is_here() -> None:
-    assert set(RATES) == set(STEPS) == {name for name, scene in SCENES.items() if scene.exact is None}
+    assert set(RATES) == set(STEPS)
+    assert {*RATES, *STIFF} == {name for name, scene in SCENES.items() if scene.exact is None}
 
 
 @pytest.mark.parametrize(

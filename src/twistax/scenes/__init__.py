@@ -10,6 +10,7 @@ from .offset_tumble import OFFSET_TUMBLE
 from .rocket import ROCKET
 from .scene import Scene
 from .spring_bodies import SPRING_BODIES
+from .stiff_attitude import STIFF_ATTITUDE
 from .symmetric_body import FAST_SPIN, SYMMETRIC_BODY
 from .tumbling_brick import TUMBLING_BRICK
 
@@ -28,5 +29,6 @@ SCENES: dict[str, Scene] = {
         LOW_ORBIT,
         SPRING_BODIES,
         TUMBLING_BRICK,
+        STIFF_ATTITUDE,
     )
 }

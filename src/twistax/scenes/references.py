@@ -22,7 +22,7 @@ from . import heavy_top, low_orbit, rocket, spring_bodies, tumbling_brick
 from .arrays import Array, cross_matrix
 from .scene import Scene
 
-__all__ = ["RATES", "STEPS", "extrapolated", "flown", "main"]
+__all__ = ["RATES", "STEPS", "Flat", "cross", "extrapolated", "flown", "main", "printed"]
 
 Values = Mapping[str, Array]
 Rates = Callable[[Any, Values], dict[str, Array]]
@@ -34,7 +34,8 @@ _PARTS = (2, 4, 6, 8, 10, 12, 14, 16)
 # ---- the equations: matrices and vectors as plain numbers -----------------------------------------------------------
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
+    """The cross product (3,) in the precision of its factors."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
@@ -49,7 +50,7 @@ def _heavy_top(t: Any, y: Values) -> dict[str, Array]:
     J, R, w = np.array(heavy_top.INERTIA), y["R"], y["w"]
     # The weight acts at a lever arm along the axis: MOMENT e_z x (-R' e_z).
     lever = np.array([0.0, 0.0, heavy_top.MOMENT])
-    return {"R": R @ cross_matrix(w), "w": (_cross(lever, -R[2]) - _cross(w, J * w)) / J}
+    return {"R": R @ cross_matrix(w), "w": (cross(lever, -R[2]) - cross(w, J * w)) / J}
 
 
 def _rocket(t: Any, y: Values) -> dict[str, Array]:
@@ -62,10 +63,10 @@ def _rocket(t: Any, y: Values) -> dict[str, Array]:
     roll = 0.05 - 0.05 * w[0]
     pitch = 0.5 * lift - 0.3 * w[1] + 0.02 * v[2]
     yaw = -0.5 * side - 0.3 * w[2] - 0.02 * v[1]
-    torque = np.array([roll, pitch, yaw]) - _cross(w, m * k * w) - rocket.MASS_FLOW * k * w
+    torque = np.array([roll, pitch, yaw]) - cross(w, m * k * w) - rocket.MASS_FLOW * k * w
     return {
         "g": _moved(y["g"], y["V"]),
-        "V": np.concatenate([force / m - _cross(w, v), torque / (m * k)]),
+        "V": np.concatenate([force / m - cross(w, v), torque / (m * k)]),
         "m": np.asarray(rocket.MASS_FLOW),
     }
 
@@ -82,10 +83,10 @@ def _low_orbit(t: Any, y: Values) -> dict[str, Array]:
     J, earth, w, p = np.array(low_orbit.INERTIA), low_orbit.EARTH, y["w"], y["p"]
     r = np.sqrt(p @ p)
     down = -(y["R"].T @ p) / r
-    torque = 3 * earth.gm / r**3 * _cross(down, J * down)
+    torque = 3 * earth.gm / r**3 * cross(down, J * down)
     return {
         "R": y["R"] @ cross_matrix(w),
-        "w": (torque - _cross(w, J * w)) / J,
+        "w": (torque - cross(w, J * w)) / J,
         "p": y["v"],
         "v": _gravity(p, earth.gm, earth.radius, earth.j2),
     }
@@ -103,14 +104,14 @@ def _spring_bodies(t: Any, y: Values) -> dict[str, Array]:
         force = spring_bodies.STIFFNESS * (d - spring_bodies.LENGTH) * line / d
         for pull, pose, arm, f in ((pulls[i], g, after, force), (pulls[i + 1], h, before, -force)):
             pull[:3] += f
-            pull[3:] += _cross(arm, pose[:3, :3].T @ f)
+            pull[3:] += cross(arm, pose[:3, :3].T @ f)
     for i, pull in enumerate(pulls):
         g, V = y[f"g{i + 1}"], y[f"V{i + 1}"]
         m, J = spring_bodies.MASSES[i % 3], np.array(spring_bodies.MOMENTS[i % 3])
         v, w = V[:3], V[3:]
-        linear = g[:3, :3].T @ pull[:3] / m - _cross(w, v)
+        linear = g[:3, :3].T @ pull[:3] / m - cross(w, v)
         found[f"g{i + 1}"] = _moved(g, V)
-        found[f"V{i + 1}"] = np.concatenate([linear, (pull[3:] - _cross(w, J * w)) / J])
+        found[f"V{i + 1}"] = np.concatenate([linear, (pull[3:] - cross(w, J * w)) / J])
     return found
 
 
@@ -118,7 +119,7 @@ def _tumbling_brick(t: Any, y: Values) -> dict[str, Array]:
     earth, J = tumbling_brick.EARTH, tumbling_brick.TUMBLING_BRICK.params["inertia"]
     g, v, w = y["g"], y["V"][:3], y["V"][3:]
     fall = g[:3, :3].T @ _gravity(g[:3, 3], earth.gm, earth.radius, earth.j2)
-    return {"g": _moved(g, y["V"]), "V": np.concatenate([fall - _cross(w, v), -_cross(w, J * w) / J])}
+    return {"g": _moved(g, y["V"]), "V": np.concatenate([fall - cross(w, v), -cross(w, J * w) / J])}
 
 
 #: Rates of the states as plain numbers, by scene.
@@ -193,6 +194,16 @@ def flown(scene: Scene, steps: int) -> dict[str, Array]:
     return flat.unpack(extrapolated(rate, start, scene.duration, steps))
 
 
+def printed(scene: Scene, steps: int, coarse: Values, fine: Values) -> None:
+    """Prints the end of a scene as Python, and how far those of two step sizes are apart."""
+    apart = max(float(np.max(np.abs(fine[s] - coarse[s]) / max(1.0, float(np.max(np.abs(fine[s])))))) for s in fine)
+    values = ", ".join(f"{name} = {value:g}" for name, value in scene.params.items() if value.shape == ())
+    which = f"{scene.name}, {values}" if values else scene.name
+    print(f"# {which}: {steps} and {3 * steps // 2} steps are {apart:.1e} apart")
+    for state, value in fine.items():
+        print(f'    "{state}": np.array({value.astype(float).tolist()}),')
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Prints the ends as Python."""
     from . import SCENES
@@ -204,11 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
         if name not in RATES:
             parser.error(f"no scene {name!r} here; there are {', '.join(RATES)}")
     for name in names:
-        coarse, fine = (flown(SCENES[name], n * STEPS[name] // 2) for n in (2, 3))
-        apart = max(float(np.max(np.abs(fine[s] - coarse[s]) / max(1.0, float(np.max(np.abs(fine[s])))))) for s in fine)
-        print(f"# {name}: {STEPS[name]} and {3 * STEPS[name] // 2} steps are {apart:.1e} apart")
-        for state, value in fine.items():
-            print(f'    "{state}": np.array({value.astype(float).tolist()}),')
+        printed(SCENES[name], STEPS[name], *(flown(SCENES[name], n * STEPS[name] // 2) for n in (2, 3)))
     return 0
 
 
