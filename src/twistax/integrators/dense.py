@@ -55,12 +55,12 @@ class Dense:
 
 @jax.jit
 def _states(dense: Dense, ts: jax.Array) -> Arrays:
-    trail, local = dense.trail, dense.stepper.coordinates
+    trail, stored = dense.trail, dense.stepper.stored
     last = jnp.maximum(trail.steps - 1, 0)
     before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
     k = jnp.clip(before, 0, last)
 
     def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
-        return local.value(dense.stepper.advance(start, y, t - start))
+        return stored.value(dense.stepper.advance(start, y, t - start))
 
     return jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))

@@ -56,7 +56,7 @@ def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
 
 
 def _whole(course: Course, stepper: Stepper, x: Arrays) -> Flight:
-    flown = course.run(stepper, stepper.coordinates.enter(x), record=False)
+    flown = course.run(stepper, stepper.stored.enter(x), record=False)
     if flown.saved is None:
         return _ended(stepper, flown, x)
     parts = course.parts(None, flown.saved)
@@ -76,7 +76,7 @@ def _save(stepper: Stepper, ys: Blocks, parts: Part) -> Blocks:
 
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Flight, Flight]:
     course, stepper, x = jax.lax.stop_gradient(primals)
-    flown = course.run(stepper, stepper.coordinates.enter(x), record=True)
+    flown = course.run(stepper, stepper.stored.enter(x), record=True)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
@@ -108,7 +108,7 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
     def step(y: Blocks, part: Part) -> Blocks:
         return stepper.advance(part.t, y, part.h)
 
-    start = stepper.coordinates.enter(x)
+    start = stepper.stored.enter(x)
     recorded = course.dense or flown.saved is not None
     steps = flown.outcome.accepted
     parts = course.steps_of(flown.path)
@@ -128,16 +128,16 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
 
 
 def _ended(stepper: Stepper, flown: Flown, x: Arrays) -> Flight:
-    end = _or_start(stepper.coordinates.value(flown.end), flown.outcome.accepted == 0, x)
+    end = _or_start(stepper.stored.value(flown.end), flown.outcome.accepted == 0, x)
     return Flight({}, end, jnp.zeros(0, bool), flown.outcome, flown.trail)
 
 
 def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -> Flight:
-    local, saved = stepper.coordinates, flown.saved
+    stored, saved = stepper.stored, flown.saved
     assert saved is not None  # flights without saved times end elsewhere
     at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
     reached = saved.reached & jax.vmap(all_finite)(ys)
-    xs = _or_start(jax.vmap(local.value)(ys), at_start, x)
+    xs = _or_start(jax.vmap(stored.value)(ys), at_start, x)
     xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
     outcome = flown.outcome
     counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
@@ -145,7 +145,7 @@ def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -
     outcome = outcome._replace(
         evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)
     )
-    end = _or_start(local.value(flown.end), outcome.accepted == 0, x)
+    end = _or_start(stored.value(flown.end), outcome.accepted == 0, x)
     return Flight(xs, end, reached, outcome, flown.trail)
 
 

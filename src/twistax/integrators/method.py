@@ -11,7 +11,7 @@ import jax
 from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts.whole import Blocks, StateCoordinates
+from .charts.whole import Blocks, StateCoordinates, StoredState
 
 __all__ = ["Attempt", "ControlsAt", "Method"]
 
@@ -64,9 +64,17 @@ class Method(ABC):
         """Refuse a system that the method cannot fly. Raises ModelError with the reason; most methods fly all."""
         return
 
-    @abstractmethod
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        """How the states of a system are stored between steps."""
+        """How the states of a system are stored, with coordinates around the start of a step.
+
+        Raises:
+            ModelError: the method has no such coordinates; then it says with `stored` how states are stored.
+        """
+        raise ModelError(f"{self.name} has no coordinates around the start of a step")
+
+    def stored(self, dynamics: Dynamics, params: Arrays) -> StoredState:
+        """How the states of a system are stored between steps: by their coordinates, unless a method knows better."""
+        return self.coordinates(dynamics)
 
     @abstractmethod
     def advance(
@@ -125,5 +133,5 @@ class Method(ABC):
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Arrays:
         """The state after one step of length h, from prepared arguments. Pure and traceable."""
-        local = self.coordinates(dynamics)
-        return local.value(self.advance(dynamics, t, local.enter(x), u_at, params, h))
+        stored = self.stored(dynamics, params)
+        return stored.value(self.advance(dynamics, t, stored.enter(x), u_at, params, h))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts.whole import Blocks, StateCoordinates
+from .charts.whole import Blocks, StateCoordinates, StoredState
 from .controls import Signals
 from .method import Attempt, Method
 
@@ -56,8 +56,13 @@ class Stepper:
 
     @property
     def coordinates(self) -> StateCoordinates:
-        """How states are stored between steps."""
+        """Coordinates around the start of a step, of methods that have them."""
         return self.method.coordinates(self.dynamics)
+
+    @property
+    def stored(self) -> StoredState:
+        """How states are stored between steps."""
+        return self.method.stored(self.dynamics, self.params)
 
     def controls(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The controls as a function of the times within the step from t to t + h."""

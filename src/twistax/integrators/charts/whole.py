@@ -1,8 +1,9 @@
-"""The coordinates of a whole state: those of its parts, side by side."""
+"""How a whole state is stored between steps; its coordinates: those of its parts, side by side."""
 
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TypeAlias
 
@@ -11,24 +12,34 @@ from ...lowering.dynamics import Arrays
 from .chart import Chart
 from .coordinates import Block, Coordinates
 
-__all__ = ["Blocks", "StateCoordinates", "coordinates_of"]
+__all__ = ["Blocks", "StateCoordinates", "StoredState", "coordinates_of"]
 
 #: Numbers by the name of the state: stored states, coordinates, rates. A pytree.
 Blocks: TypeAlias = dict[str, Block]
 
 
-class StateCoordinates:
+class StoredState(ABC):
+    """How the states of a system are stored between steps. Pure and traceable."""
+
+    @abstractmethod
+    def enter(self, x: Arrays) -> Blocks:
+        """What is stored of a state."""
+
+    @abstractmethod
+    def value(self, y: Blocks) -> Arrays:
+        """The state as expressions see it."""
+
+
+class StateCoordinates(StoredState):
     """`Coordinates` of every part of a state, applied part by part. Pure and traceable."""
 
     def __init__(self, parts: Mapping[str, Coordinates]) -> None:
         self.parts = dict(parts)
 
     def enter(self, x: Arrays) -> Blocks:
-        """What is stored of a state."""
         return {name: part.enter(x[name]) for name, part in self.parts.items()}
 
     def value(self, y: Blocks) -> Arrays:
-        """The state as expressions see it."""
         return {name: part.value(y[name]) for name, part in self.parts.items()}
 
     def rate(self, rates: Arrays) -> Blocks:
