@@ -18,7 +18,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from . import charts, expr, lie, linalg, spatial, tableaus
+from . import charts, compositions, expr, lie, linalg, spatial, tableaus
 from .errors import (
     ImmutableError,
     InputError,
@@ -32,6 +32,7 @@ from .errors import (
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
 from .integrators import RKMK, CommutatorFree, Held, Linear, Magnus, Result, Solution, StepControl, integrate
+from .integrators.splitting import FreeBody, FreeParticle, Splitting
 from .lowering import Dynamics, compile, lower
 from .system import System
 
@@ -50,6 +51,8 @@ __all__ = [
     "CommutatorFree",
     "Dynamics",
     "Euclidean",
+    "FreeBody",
+    "FreeParticle",
     "Held",
     "ImmutableError",
     "InputError",
@@ -65,12 +68,14 @@ __all__ = [
     "Result",
     "ShapeError",
     "Solution",
+    "Splitting",
     "StepControl",
     "System",
     "TrajectoryError",
     "TwistaxError",
     "charts",
     "compile",
+    "compositions",
     "diffrax",
     "integrate",
     "lie",

@@ -7,8 +7,9 @@ from jax import Array
 
 from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
 from twistax.groups.inputs import multiply
+from twistax.groups.series import exp_coefficients
 
-__all__ = ["from_rotation", "hamilton", "product", "rate", "rotate", "rotation_rows", "to_rotation", "unscaled"]
+__all__ = ["exp", "from_rotation", "hamilton", "product", "rate", "rotate", "rotation_rows", "to_rotation", "unscaled"]
 
 
 def _squares(R: Array) -> list[list[Array]]:
@@ -94,3 +95,11 @@ def rate(q: Components, w: Components) -> Components:
     """q' = q (0, w) / 2 with the body angular velocity w."""
     u = q[1:]
     return scale(0.5, (-dot(u, w), *add(scale(q[0], w), cross(u, w))))
+
+
+def exp(w: Components) -> Components:
+    """(cos(t/2), sin(t/2)/t w) with t = |w|: the unit quaternion of Exp(w), for any number of turns."""
+    x = 0.25 * dot(w, w)
+    # sin(t/2) / (t/2) and (1 - cos(t/2)) / (t/2)^2.
+    first, second, _ = exp_coefficients(x)
+    return (1.0 - x * second, *scale(0.5 * first, w))

@@ -1,0 +1,7 @@
+"""Symmetric compositions for `tx.Splitting`: `tx.compositions.KAHAN_LI8` and the others; make your own with `Composition`."""
+
+from .integrators.splitting.composition import Composition
+from .integrators.splitting.compositions import *  # noqa: F403
+from .integrators.splitting.compositions import __all__ as _compositions
+
+__all__ = [*_compositions, "Composition"]
