@@ -15,6 +15,7 @@ from .charts.whole import Blocks
 from .course import Course, Flown, Outcome, Part, Saved
 from .finite import all_finite
 from .first_step import first_step
+from .method import Carry
 from .result import Result
 from .rows import put, rows
 from .small_call import small_call
@@ -72,27 +73,28 @@ class _Path(NamedTuple):
 
 
 class _Packing(NamedTuple):
-    """How to read a packed state and a packed rate."""
+    """How to read a packed state and what a method packed for the next step."""
 
     state: Callable[[jax.Array], Blocks]
-    rate: Callable[[jax.Array], Blocks]
+    carry: Callable[[jax.Array], Carry]
 
 
 class _Now(NamedTuple):
-    """What the loop carries: the state with its rate, the next step to try, and the start of the last one taken.
+    """What the loop carries: the state, what the method carries, the next step to try, the start of the last one taken.
 
     After a failure h is the step that failed.
-    States and rates are packed into vectors: XLA would work out the test of a step again for every scalar it guards.
+    Pytrees are packed into vectors: XLA would work out the test of a step again for every scalar it guards.
     """
 
     t: jax.Array
     h: jax.Array
     y: jax.Array
-    rate: jax.Array
+    carry: jax.Array
     errors: Errors
     rejected: jax.Array
     tried: jax.Array
     accepted: jax.Array
+    evaluations: jax.Array
     code: jax.Array
     last: tuple[jax.Array, jax.Array] | None
     path: _Path | None
@@ -129,8 +131,7 @@ class AdaptiveCourse(Course):
         now, found = small_call(lambda course, stepper, y: course._all_steps(stepper, y, record), self, stepper, y)
         short = (now.code == 0) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
-        evaluations = 2 + stops.ts.size + now.tried * stepper.method.attempt_evaluations
-        outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
+        outcome = Outcome(code, now.tried, now.accepted, now.evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
         saved = None
         if stops.place is not None:
@@ -143,21 +144,22 @@ class AdaptiveCourse(Course):
         stops = self.stops
         room = stops.limits[-1] - self.t0
         guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
-        rate = stepper.begin(self.t0, y, guess)
+        rate = stepper.rate(self.t0, y, guess)
         chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
         packed, read = ravel_pytree(y)
-        packed_rate, read_rate = ravel_pytree(rate)
-        packing = _Packing(read, read_rate)
+        carry, read_carry = ravel_pytree(stepper.method.begin(rate))
+        packing = _Packing(read, read_carry)
         zero = jnp.zeros((), int)
         now = _Now(
             t=self.t0,
             h=jnp.where(self.first > 0.0, self.first, chosen),
             y=packed,
-            rate=packed_rate,
+            carry=carry,
             errors=Errors.none(self.t0.dtype),
             rejected=jnp.asarray(False),
             tried=zero,
             accepted=zero,
+            evaluations=zero + 2,
             code=zero,
             last=None if stops.place is None else (self.t0, packed),
             path=self._empty_path() if record or self.dense else None,
@@ -168,7 +170,9 @@ class AdaptiveCourse(Course):
             t, leg = stop
             # Rates may have jumped at the stop before.
             ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
-            now = now._replace(rate=ravel_pytree(stepper.begin(now.t, read(now.y), ahead))[0])
+            carry = stepper.resume(now.t, read(now.y), read_carry(now.carry), ahead)
+            evaluations = now.evaluations + stepper.method.resume_evaluations
+            now = now._replace(carry=ravel_pytree(carry)[0], evaluations=evaluations)
             now = jax.lax.while_loop(
                 lambda n: (n.t < t) & (n.code == 0) & (n.tried < self.bound),
                 lambda n: self._try(stepper, packing, n, leg),
@@ -200,18 +204,22 @@ class AdaptiveCourse(Course):
         t = jnp.where(step == room, limit, now.t + step)
         step = t - now.t
         before = packing.state(now.y)
-        found = stepper.attempt(now.t, before, packing.rate(now.rate), step)
-        y, rate = ravel_pytree(found.y)[0], ravel_pytree(found.rate)[0]
-        finite = all_finite((y, rate))
+        found = stepper.attempt(now.t, before, packing.carry(now.carry), step, self.tolerances)
+        y, carry = ravel_pytree(found.y)[0], ravel_pytree(found.carry)[0]
+        finite = all_finite((y, carry))
         square = self._error(stepper, before, found.y, found.errors)
-        square = jnp.where(finite & jnp.isfinite(square), square, jnp.inf)
+        usable = finite if found.solved is None else finite & found.solved
+        square = jnp.where(usable & jnp.isfinite(square), square, jnp.inf)
         good = square <= 1.0
         growth, errors = control.grown(square, now.errors, now.rejected, order)
         # A step cut short at a limit says little against the longer one that was planned.
         longer = jnp.maximum(step * growth, jnp.where(cut, jnp.where(now.rejected, 0.0, h), 0.0))
         shorter = step * control.shrunk(square, order)
-        failed = ~good & ((shorter < least) | (step <= least))
         trouble = jnp.where(finite, Result.STEP_TOO_SMALL.value, Result.NON_FINITE.value)
+        if found.solved is not None:
+            shorter = jnp.where(found.solved, shorter, 0.5 * step)
+            trouble = jnp.where(found.solved, trouble, Result.NEWTON_FAILED.value)
+        failed = ~good & ((shorter < least) | (step <= least))
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
@@ -220,11 +228,12 @@ class AdaptiveCourse(Course):
             t=pick(t, now.t),
             h=jnp.where(good, longer, jnp.where(failed, step, shorter)),
             y=pick(y, now.y),
-            rate=pick(rate, now.rate),
+            carry=pick(carry, now.carry),
             errors=pick(errors, now.errors),
             rejected=~good,
             tried=now.tried + 1,
             accepted=now.accepted + good.astype(int),
+            evaluations=now.evaluations + found.evaluations,
             code=jnp.where(failed, trouble, now.code),
             last=None if now.last is None else pick((now.t, now.y), now.last),
             path=None if now.path is None else self._noted(now.path, now.accepted, leg, now.t, t),
@@ -246,9 +255,14 @@ class AdaptiveCourse(Course):
         cause = "however short the step: the solution grows without bound, or a rate stops being finite just after"
         return cause, "stop before that time, or guard the expression"
 
+    def not_solved(self, h: float) -> tuple[str, str]:
+        cause = f"even in a step of {h:.3g} s: rates jump there, or are not smooth, or their derivatives are not finite"
+        return cause, "name times of jumps with jumps=..., or smooth the expression"
+
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         y = stepper.coordinates.enter(x)
-        found = stepper.attempt(outcome.t, y, stepper.begin(outcome.t, y, outcome.h), outcome.h)
+        carry = stepper.method.begin(stepper.rate(outcome.t, y, outcome.h))
+        found = stepper.attempt(outcome.t, y, carry, outcome.h, self.tolerances)
         parts = self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
         return max(parts, key=lambda name: float(parts[name]))
 

@@ -125,6 +125,10 @@ class Course(ABC):
     def too_long(self, h: float) -> tuple[str, str]:
         """Cause and fix of a step of length h whose end is not finite, where nothing else is known."""
 
+    @abstractmethod
+    def not_solved(self, h: float) -> tuple[str, str]:
+        """Cause and fix of an implicit step of length h whose equations could not be solved."""
+
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         """The state with the largest error in a step from where the flight ended; None where errors are not known."""
         return None

@@ -29,6 +29,8 @@ def failure(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> In
     result = Result(int(outcome.code))
     if result is Result.NON_FINITE:
         return _not_a_number(stepper, course, outcome.t, outcome.h, x)
+    if result is Result.NEWTON_FAILED:
+        return _not_solved(stepper, course, outcome, x)
     state = course.worst(stepper, outcome, x)
     blame = f"; state {state!r} has the largest error" if state else ""
     if result is Result.MAX_STEPS:
@@ -73,6 +75,16 @@ def _not_a_number(stepper: Stepper, course: Course, t: jax.Array, h: jax.Array, 
     return IntegrationError(
         f"state {names} became infinite or not a number in the step from t = {float(t):.6g} s.\n"
         f"  likely cause: {cause}\n  last finite state: {_sizes(x)} (largest entries)\n"
+        f"  fix: {fix}; throw=False keeps the flight up to here"
+    )
+
+
+def _not_solved(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> IntegrationError:
+    """The error for a step whose equations could not be solved."""
+    cause, fix = course.not_solved(float(outcome.h))
+    return IntegrationError(
+        f"the equations of a step of {stepper.method.name} could not be solved at t = {float(outcome.t):.6g} s.\n"
+        f"  likely cause: {cause}\n  last state: {_sizes(x)} (largest entries)\n"
         f"  fix: {fix}; throw=False keeps the flight up to here"
     )
 

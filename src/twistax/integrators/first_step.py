@@ -39,7 +39,7 @@ def first_step(
     short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
     z = jax.tree.map(lambda k: short * k, slope)
     moved = local.move(y, z)
-    later = local.slope(z, moved, stepper.begin(t + short, moved, short))
+    later = local.slope(z, moved, stepper.rate(t + short, moved, short))
     bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
     largest = jnp.maximum(speed, bend)
     h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))

@@ -13,6 +13,7 @@ from .charts.whole import Blocks
 from .course import Course, Flown, Outcome, Part, Saved
 from .finite import all_finite
 from .grid import Grid, Saves
+from .method import Carry
 from .result import Result
 from .rows import put, rows
 from .small_call import small_call
@@ -22,11 +23,15 @@ __all__ = ["FixedCourse"]
 
 
 class _Now(NamedTuple):
-    """What the loop carries: steps taken, the stored state, whether all went well, and the states so far if kept."""
+    """What the loop carries: steps taken, the stored state, what the method carries, evaluations, the number of the
+    result so far, and the states so far if kept.
+    """
 
     steps: jax.Array
     y: Blocks
-    good: jax.Array
+    carry: Carry
+    evaluations: jax.Array
+    code: jax.Array
     every: Blocks | None
 
 
@@ -69,10 +74,7 @@ class FixedCourse(Course):
         if self.at is not None:
             stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
         now, found = small_call(FixedCourse._all_steps, self, stepper, y, stops)
-        code = jnp.where(now.good, Result.DONE.value, Result.NON_FINITE.value)
-        tries = now.steps + (~now.good).astype(now.steps.dtype)
-        evaluations = tries * stepper.method.evaluations_of(stepper.dynamics)
-        outcome = Outcome(code, now.steps, now.steps, evaluations, self._time(now.steps), self.h)
+        outcome = Outcome(now.code, now.steps, now.steps, now.evaluations, self._time(now.steps), self.h)
         trail = None if now.every is None else self.trail(None, now.steps, now.every)
         saved = None
         if self.at is not None:
@@ -84,18 +86,24 @@ class FixedCourse(Course):
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
 
         def advance(now: _Now) -> _Now:
-            moved = stepper.advance(self._time(now.steps), now.y, self.h)
-            good = all_finite(moved)
-            kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), moved, now.y)
+            found = stepper.follow(self._time(now.steps), now.y, now.carry, self.h)
+            good = all_finite(found.y)
+            code = jnp.where(good, Result.DONE.value, Result.NON_FINITE.value)
+            if found.solved is not None:
+                good = good & found.solved
+                code = jnp.where(found.solved, code, Result.NEWTON_FAILED.value)
+            kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
             steps = now.steps + good.astype(now.steps.dtype)
-            return _Now(steps, kept, good, None if now.every is None else put(now.every, steps, kept))
+            every = None if now.every is None else put(now.every, steps, kept)
+            return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every)
 
         def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
-            now = jax.lax.while_loop(lambda n: (n.steps < stop) & n.good, advance, now)
-            return now, None if self.at is None else (now.y, now.good)
+            now = jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.DONE.value), advance, now)
+            return now, None if self.at is None else (now.y, now.code == Result.DONE.value)
 
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
-        now = _Now(jnp.zeros((), stops.dtype), y, jnp.asarray(True), every)
+        none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
+        now = _Now(none, y, carry, none, jnp.zeros((), int), every)
         return jax.lax.scan(to_stop, now, stops)
 
     def steps_of(self, path: None) -> Part:
@@ -113,3 +121,7 @@ class FixedCourse(Course):
     def too_long(self, h: float) -> tuple[str, str]:
         cause = f"the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound"
         return cause, "try a smaller dt"
+
+    def not_solved(self, h: float) -> tuple[str, str]:
+        cause = f"rates change too much within the step of {h:.6g} s for Newton's method, or they jump"
+        return cause, "try a smaller dt, or steps chosen by tolerances: rtol=..., atol=..."

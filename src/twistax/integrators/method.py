@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 
@@ -12,11 +12,15 @@ from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates, StoredState
+from .tolerances import Tolerances
 
-__all__ = ["Attempt", "ControlsAt", "Method"]
+__all__ = ["Attempt", "Carry", "ControlsAt", "Method"]
 
 #: The prepared controls at a stage time.
 ControlsAt: TypeAlias = Callable[[jax.Array], Arrays]
+
+#: What a method carries from one step to the next, its own affair: a pytree of arrays of the state's precision.
+Carry: TypeAlias = Any
 
 
 class Attempt(NamedTuple):
@@ -24,21 +28,26 @@ class Attempt(NamedTuple):
 
     Attributes:
         y: the stored state at its end.
-        rate: the rate of the state there, where the next step begins.
+        carry: what the next step begins with.
         errors: estimates of the error of the step, in the coordinates around its start; the first one of lowest order
-            but one, the second, where a method has two, of lowest order.
+            but one, the second, where a method has two, of lowest order. None where steps are fixed.
+        evaluations: of the right-hand side, a number or an array.
+        solved: whether the equations of the step were solved; None where it has none.
     """
 
     y: Blocks
-    rate: Blocks
+    carry: Carry
     errors: tuple[Blocks, ...]
+    evaluations: Any
+    solved: jax.Array | None = None
 
 
 class Method(ABC):
     """A one-step method. A value: methods are equal where they mean the same, and hash accordingly.
 
     A new method subclasses this; `tx.integrate` takes any with fixed steps. One that estimates its own error also gives
-    `error_order`, `begin` and `attempt`, and chooses its own steps.
+    `error_order` and `attempt`, and chooses its own steps. One that learns from the step before gives `before` and
+    `follow`, or `begin` and `resume` where steps are chosen.
     """
 
     @property
@@ -94,27 +103,57 @@ class Method(ABC):
             "  fix: give dt or steps in place of rtol, or take a pair: tx.RKMK(tx.tableaus.TSIT5)"
         )
 
-    @property
-    def attempt_evaluations(self) -> int:
-        """Evaluations of the right-hand side in `attempt`."""
-        raise NotImplementedError
+    def rate(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
+        """The rate of a stored state."""
+        local = self.coordinates(dynamics)
+        return local.rate(dynamics.vector_field(t, local.value(y), u_at(t), params))
 
-    def begin(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
-        """The rate of the state at the start of a step."""
-        raise NotImplementedError
+    # ---- fixed steps ---------------------------------------------------------------------------------------------
+
+    def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
+        """What `follow` is given at the start of a flight."""
+        return ()
+
+    def follow(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> Attempt:
+        """The step of `advance`, after a step that left `carry`. Pure and traceable."""
+        return Attempt(self.advance(dynamics, t, y, u_at, params, h), carry, (), self.evaluations_of(dynamics))
+
+    # ---- steps chosen by tolerances ------------------------------------------------------------------------------
+
+    #: Evaluations of the right-hand side in `resume`.
+    resume_evaluations: int = 1
+
+    def begin(self, rate: Blocks) -> Carry:
+        """What `attempt` is given at the start of a flight: the rate there, if a method wants nothing else."""
+        return rate
+
+    def resume(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays
+    ) -> Carry:
+        """What `attempt` is given at a time where rates may have jumped."""
+        return self.rate(dynamics, t, y, u_at, params)
 
     def attempt(
         self,
         dynamics: Dynamics,
         t: jax.Array,
         y: Blocks,
-        rate: Blocks,
+        carry: Carry,
         u_at: ControlsAt,
         params: Arrays,
         h: jax.Array,
+        tolerances: Tolerances,
     ) -> Attempt:
-        """One step of length h with its error, from the rate at its start. Pure and traceable."""
+        """One step of length h with its error. Pure and traceable.
+
+        Args:
+            tolerances: what is allowed, for methods that solve equations no better than that.
+        """
         raise NotImplementedError
+
+    # ---- derivatives and values ----------------------------------------------------------------------------------
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array

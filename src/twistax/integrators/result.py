@@ -14,6 +14,7 @@ class Result(enum.IntEnum):
     NON_FINITE = 1
     MAX_STEPS = 2
     STEP_TOO_SMALL = 3
+    NEWTON_FAILED = 4
 
     @property
     def sentence(self) -> str:
@@ -29,4 +30,5 @@ _SENTENCES = {
     Result.NON_FINITE: "a state became infinite or not a number",
     Result.MAX_STEPS: "the steps ran out before the end time",
     Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
+    Result.NEWTON_FAILED: "the equations of an implicit step could not be solved",
 }

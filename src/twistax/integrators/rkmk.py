@@ -12,9 +12,10 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Chart, Exponential
 from .charts.whole import Blocks, StateCoordinates, coordinates_of
-from .method import Attempt, ControlsAt, Method
+from .method import Attempt, Carry, ControlsAt, Method
 from .stages import stage_slopes
 from .tableau import ButcherTableau
+from .tolerances import Tolerances
 
 __all__ = ["RKMK"]
 
@@ -68,10 +69,6 @@ class RKMK(Method):
     def error_order(self) -> int:
         return self.tableau.error_order
 
-    @property
-    def attempt_evaluations(self) -> int:
-        return len(self.tableau.to_the_end.c) - 1
-
     def advance(
         self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
     ) -> Blocks:
@@ -84,43 +81,40 @@ class RKMK(Method):
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             moved = local.move(y, z)
-            return local.slope(z, moved, self.begin(dynamics, time, moved, u_at, params)), None
+            return local.slope(z, moved, self.rate(dynamics, time, moved, u_at, params)), None
 
-        first = local.first_slope(y, self.begin(dynamics, t, y, u_at, params))
+        first = local.first_slope(y, self.rate(dynamics, t, y, u_at, params))
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
         return local.settle(local.move(y, slopes.combine(self.tableau.b, h)))
-
-    def begin(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
-        local = self.coordinates(dynamics)
-        return local.rate(_flat(dynamics.vector_field(t, local.value(y), u_at(t), params)))
 
     def attempt(
         self,
         dynamics: Dynamics,
         t: jax.Array,
         y: Blocks,
-        rate: Blocks,
+        carry: Carry,
         u_at: ControlsAt,
         params: Arrays,
         h: jax.Array,
+        tolerances: Tolerances,
     ) -> Attempt:
-        """A step whose last stage is its end, so that the rate there serves the next step too."""
+        """A step whose last stage is its end, so that the rate there, which it carries, serves the next step too."""
         local = self.coordinates(dynamics)
-
-        packed, read = ravel_pytree(rate)
+        packed, read = ravel_pytree(carry)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, jax.Array]:
             moved = local.move(y, z)
-            rate = self.begin(dynamics, time, moved, u_at, params)
+            rate = self.rate(dynamics, time, moved, u_at, params)
             # Packed: the loop would carry every scalar by itself.
             return local.slope(z, moved, rate), ravel_pytree(rate)[0]
 
         tableau = self.tableau
-        slopes, last = stage_slopes(tableau.to_the_end, slope, local.first_slope(y, rate), packed, t, h)
+        stages = tableau.to_the_end
+        slopes, last = stage_slopes(stages, slope, local.first_slope(y, carry), packed, t, h)
         embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
         errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
         end = local.settle(local.move(y, slopes.combine(tableau.b, h)))
-        return Attempt(end, read(last), errors)
+        return Attempt(end, read(last), errors, len(stages.c) - 1)
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
@@ -145,7 +139,7 @@ class RKMK(Method):
         local, factors = self.coordinates(dynamics), dynamics.group.factors
 
         def omega(time: jax.Array, point: Arrays) -> Blocks:
-            return local.rate(_flat(dynamics.vector_field(time, point, u_at(time), params)))
+            return local.rate(dynamics.vector_field(time, point, u_at(time), params))
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             eta = local.tangent(z)
@@ -155,7 +149,3 @@ class RKMK(Method):
         # At the start of a step exponential coordinates change as the body velocity does.
         slopes, _ = stage_slopes(self.tableau.counted, slope, omega(t, x), None, t, h)
         return local.tangent(slopes.combine(self.tableau.b, h))
-
-
-def _flat(rates: Arrays) -> Arrays:
-    return {name: rate.reshape(-1) for name, rate in rates.items()}

@@ -13,7 +13,8 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates, StoredState
 from .controls import Signals
-from .method import Attempt, Method
+from .method import Attempt, Carry, Method
+from .tolerances import Tolerances
 
 __all__ = ["Stepper"]
 
@@ -73,13 +74,22 @@ class Stepper:
         """The stored state after a step of length h."""
         return self.method.advance(self._system(t, h), t, y, self.controls(t, h), self.params, h)
 
-    def begin(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """The rate at the start of a step of about length h."""
-        return self.method.begin(self._system(t, h), t, y, self.controls(t, h), self.params)
+    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        """A step of fixed length h after another one."""
+        return self.method.follow(self._system(t, h), t, y, carry, self.controls(t, h), self.params, h)
 
-    def attempt(self, t: jax.Array, y: Blocks, rate: Blocks, h: jax.Array) -> Attempt:
+    def rate(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        """The rate at the start of a step of about length h."""
+        return self.method.rate(self._system(t, h), t, y, self.controls(t, h), self.params)
+
+    def resume(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Carry:
+        """What a step of about length h begins with where rates may have jumped."""
+        return self.method.resume(self._system(t, h), t, y, carry, self.controls(t, h), self.params)
+
+    def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
         """A step of length h that may be taken back, with its error."""
-        return self.method.attempt(self._system(t, h), t, y, rate, self.controls(t, h), self.params, h)
+        system, controls = self._system(t, h), self.controls(t, h)
+        return self.method.attempt(system, t, y, carry, controls, self.params, h, tolerances)
 
     def _system(self, t: jax.Array, h: jax.Array) -> Dynamics:
         return _Inward(self.dynamics, t, h) if self.inward else self.dynamics
