@@ -1,0 +1,254 @@
+"""Derivatives on the graph: what is structurally zero in them is never worked out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import jaxpr_as_fun
+
+from .graph import Call, Graph, Nodes
+from .program import ScalarProgram
+from .reader import Reader, trace
+
+__all__ = ["cotangent_program", "jacobian", "tangent_program"]
+
+
+def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
+    """The derivative along tangents of the arguments `active`: (arguments, their tangents) -> tangents of the results.
+
+    Results that are no floating-point numbers have none and are left out.
+    """
+    g = program.graph
+    seeds, inputs = {}, list(program.inputs)
+    for k in active:
+        nodes = program.inputs[k]
+        tangents = _new_inputs(g, len(inputs), nodes)
+        inputs.append(tangents)
+        seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True))
+    found = _pushed(g, program.live, seeds)
+    outputs = _read(g, found, program)
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype for _ in outputs))
+
+
+def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
+    """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
+    g, inputs = program.graph, list(program.inputs)
+    found: dict[int, int] = {}
+    for nodes, dtype in zip(program.outputs, program.types, strict=True):
+        if not np.issubdtype(dtype, np.floating):
+            continue
+        cotangents = _new_inputs(g, len(inputs), nodes)
+        inputs.append(cotangents)
+        for i, c in zip(nodes.reshape(-1).tolist(), cotangents.reshape(-1).tolist(), strict=True):
+            _accumulate(g, found, i, c)
+    _pulled(g, program.live, found, _depending(g, program, active))
+    outputs = tuple(
+        np.array([found.get(i, g.zero) for i in program.inputs[k].reshape(-1).tolist()], np.int64).reshape(
+            program.inputs[k].shape
+        )
+        for k in active
+    )
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype for _ in outputs))
+
+
+def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
+    """All derivatives that are not structurally zero: (place in the results, place in the arguments) -> node.
+
+    Places count through all results and through the arguments `active`, one after the other. By sparse forward
+    accumulation: each node carries the derivatives by those entries that it depends on.
+    """
+    g = program.graph
+    columns = [i for k in active for i in program.inputs[k].reshape(-1).tolist()]
+    carried: dict[int, dict[int, int]] = {node: {column: g.one} for column, node in enumerate(columns)}
+    for i in program.live:
+        if i in carried:
+            continue
+        call = g.call_of(i)
+        if call is not None:
+            _call_jacobian(g, call, carried)
+            continue
+        arguments = g.arguments(i)
+        touched = {column for a in arguments for column in carried.get(a, ())}
+        if not touched:
+            continue
+        operation = g.operation(i)
+        if operation is None:
+            continue
+        row = {}
+        for column in touched:
+            tangents = [carried.get(a, {}).get(column) for a in arguments]
+            value = operation.tangent(g, arguments, i, tangents)
+            if value is not None and value != g.zero:
+                row[column] = value
+        if row:
+            carried[i] = row
+    return {
+        (place, column): node
+        for place, output in enumerate(program.flat)
+        for column, node in sorted(carried.get(output, {}).items())
+    }
+
+
+# ---- forward -----------------------------------------------------------------------------------------------------------
+
+
+def _pushed(g: Graph, live: Sequence[int], seeds: Mapping[int, int]) -> dict[int, int]:
+    """node -> its tangent, where it is not zero."""
+    found: dict[int, int] = dict(seeds)
+    done: set[int] = set()
+    for i in live:
+        if i in found:
+            continue
+        call = g.call_of(i)
+        if call is not None:
+            if id(call) not in done:
+                done.add(id(call))
+                found.update(_call_tangents(g, call, found))
+            continue
+        operation = g.operation(i)
+        if operation is None:
+            continue
+        arguments = g.arguments(i)
+        tangents = [found.get(a) for a in arguments]
+        if any(t is not None for t in tangents):
+            value = operation.tangent(g, arguments, i, tangents)
+            if value is not None and value != g.zero:
+                found[i] = value
+    return found
+
+
+def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, int]:
+    """The tangents of the results of a call, from the derivative of its function."""
+    active = [k for k, a in enumerate(call.arguments) if any(i in found for i in a.reshape(-1).tolist())]
+    if not active:
+        return {}
+    shapes = [_shape(g, a) for a in call.arguments]
+
+    def along(values: list[Any], tangents: list[Any]) -> list[Any]:
+        def moving(*some: Any) -> Any:
+            arguments = list(values)
+            for k, value in zip(active, some, strict=True):
+                arguments[k] = value
+            return jaxpr_as_fun(call.jaxpr)(*arguments)
+
+        return jax.jvp(moving, [values[k] for k in active], tangents)[1]
+
+    jaxpr = trace(along, shapes, [shapes[k] for k in active])
+    tangents = [_map(call.arguments[k], lambda i: found.get(i, g.zero)) for k in active]
+    results = Reader(g).read(jaxpr, [*call.arguments, *tangents])
+    return {
+        i: t
+        for nodes, values in zip(call.results, results, strict=True)
+        for i, t in zip(nodes.reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True)
+        if t != g.zero and np.issubdtype(g.dtypes[i], np.floating)
+    }
+
+
+def _call_jacobian(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
+    """The derivatives of the results of a call, column by column."""
+    inputs = [i for a in call.arguments for i in a.reshape(-1).tolist()]
+    outputs = [i for a in call.results for i in a.reshape(-1).tolist()]
+    if any(i in carried for i in outputs):
+        return
+    columns = sorted({column for i in inputs for column in carried.get(i, ())})
+    for column in columns:
+        seeds = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
+        for i, tangent in _call_tangents(g, call, seeds).items():
+            carried.setdefault(i, {})[column] = tangent
+
+
+# ---- reverse -----------------------------------------------------------------------------------------------------------
+
+
+def _pulled(g: Graph, live: Sequence[int], found: dict[int, int], depending: set[int]) -> None:
+    """Add to `found`, node -> its cotangent, those of all nodes that depend on active inputs, last ones first."""
+    done: set[int] = set()
+    for i in reversed(live):
+        if i not in found or i not in depending:
+            continue
+        call = g.call_of(i)
+        if call is not None:
+            # All results of a call stand before whatever reads them: their cotangents are complete.
+            if id(call) not in done:
+                done.add(id(call))
+                _pull_call(g, call, found, depending)
+            continue
+        operation = g.operation(i)
+        if operation is None:
+            continue
+        arguments = g.arguments(i)
+        for a, c in zip(arguments, operation.cotangents(g, arguments, i, found[i]), strict=True):
+            if c is not None and a in depending:
+                _accumulate(g, found, a, c)
+
+
+def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int]) -> None:
+    active = [k for k, a in enumerate(call.arguments) if any(i in depending for i in a.reshape(-1).tolist())]
+    shapes = [_shape(g, a) for a in call.arguments]
+    real = [k for k, r in enumerate(call.results) if np.issubdtype(_dtype(g, r), np.floating)]
+
+    def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
+        def moving(*some: Any) -> Any:
+            arguments = list(values)
+            for k, value in zip(active, some, strict=True):
+                arguments[k] = value
+            results = jaxpr_as_fun(call.jaxpr)(*arguments)
+            return [results[k] for k in real]
+
+        return list(jax.vjp(moving, *[values[k] for k in active])[1](cotangents))
+
+    jaxpr = trace(back, shapes, [_shape(g, call.results[k]) for k in real])
+    cotangents = [_map(call.results[k], lambda i: found.get(i, g.zero)) for k in real]
+    results = Reader(g).read(jaxpr, [*call.arguments, *cotangents])
+    for k, values in zip(active, results, strict=True):
+        for i, c in zip(call.arguments[k].reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True):
+            if i in depending:
+                _accumulate(g, found, i, c)
+
+
+def _depending(g: Graph, program: ScalarProgram, active: Sequence[int]) -> set[int]:
+    """The live nodes that depend on the active inputs, these included."""
+    found = {i for k in active for i in program.inputs[k].reshape(-1).tolist()}
+    for i in program.live:
+        call = g.call_of(i)
+        sources = g.arguments(i) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
+        if any(j in found for j in sources):
+            found.add(i)
+    return found
+
+
+# ---- small things ------------------------------------------------------------------------------------------------------
+
+
+def _accumulate(g: Graph, found: dict[int, int], node: int, term: int) -> None:
+    if term != g.zero:
+        found[node] = g.add(found[node], term) if node in found else term
+
+
+def _new_inputs(g: Graph, argument: int, like: Nodes) -> Nodes:
+    flat = [g.input(argument, j, g.dtype) for j in range(like.size)]
+    return np.array(flat, np.int64).reshape(like.shape)
+
+
+def _read(g: Graph, found: Mapping[int, int], program: ScalarProgram) -> tuple[Nodes, ...]:
+    return tuple(
+        _map(nodes, lambda i: found.get(i, g.zero))
+        for nodes, dtype in zip(program.outputs, program.types, strict=True)
+        if np.issubdtype(dtype, np.floating)
+    )
+
+
+def _map(nodes: Nodes, function: Any) -> Nodes:
+    return np.array([function(i) for i in nodes.reshape(-1).tolist()], np.int64).reshape(nodes.shape)
+
+
+def _dtype(g: Graph, nodes: Nodes) -> np.dtype[Any]:
+    return g.dtypes[int(nodes.reshape(-1)[0])] if nodes.size else g.dtype
+
+
+def _shape(g: Graph, nodes: Nodes) -> Any:
+    return jax.ShapeDtypeStruct(nodes.shape, jnp.dtype(_dtype(g, nodes)))

@@ -1,0 +1,282 @@
+"""Scalars as the nodes of a graph in which equal nodes are one, and zeros and ones disappear.
+
+A node is a number, the place of its entry in a list; an array is a NumPy array of such numbers. Arguments come before
+results, so that the list is in an order in which nodes can be worked out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+from numpy.typing import NDArray
+
+from .algebra import Algebra
+from .operations import Operation, by_primitive
+
+__all__ = ["Call", "Graph", "Nodes", "TooLarge"]
+
+#: An array of nodes.
+Nodes = NDArray[Any]
+
+_ADD, _SUB, _MUL, _DIV = (by_primitive[name] for name in ("add", "sub", "mul", "div"))
+_NEG, _SELECT, _NOT = (by_primitive[name] for name in ("neg", "select", "not"))
+
+#: First entries of nodes that are no operations: a number, an input, a result of a call.
+_CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
+
+
+class TooLarge(Exception):
+    """A program beyond the size that scalars are good for."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Call:
+    """A function that the graph does not look into, with its arguments.
+
+    Attributes:
+        jaxpr: the function, arrays to arrays.
+        key: equal for equal functions.
+        arguments: arrays of nodes.
+        results: the arrays of nodes that it gives.
+        inline: whether emitters may write the function out: it is a call only for its own derivative.
+    """
+
+    jaxpr: ClosedJaxpr
+    key: Any
+    arguments: tuple[Nodes, ...]
+    results: tuple[Nodes, ...]
+    inline: bool
+
+
+class Graph(Algebra):
+    """A growing graph of scalars.
+
+    Args:
+        dtype: the floating-point type of the program.
+        checked: keep what depends on all numbers being finite: 0 x, 0 / x and x - x stay as they are. By default they
+            are zero, also where x is infinite or not a number. The sign of a zero is not kept in either mode.
+        largest: refuse to grow beyond this many nodes.
+    """
+
+    def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000) -> None:
+        self.dtype: np.dtype[Any] = np.dtype(dtype)
+        self.checked = checked
+        self.largest = largest
+        self.nodes: list[tuple[Any, ...]] = []
+        self.dtypes: list[np.dtype[Any]] = []
+        #: The number where a node is one, else None.
+        self.numbers: list[Any] = []
+        self.calls: list[Call] = []
+        self._known: dict[tuple[Any, ...], int] = {}
+        self._called: dict[Any, Call] = {}
+        self.zero = self.constant(0.0)
+        self.one = self.constant(1.0)
+
+    # ---- making nodes --------------------------------------------------------------------------------------------
+
+    def constant(self, value: Any, dtype: np.dtype[Any] | None = None) -> int:
+        """The node of a number, of the program's type if none is given."""
+        dtype = self.dtype if dtype is None else dtype
+        value = dtype.type(value).item() if dtype == self.dtype else np.asarray(value, dtype).item()
+        if dtype == self.dtype:
+            value += 0.0  # one zero
+        return self._intern((_CONSTANT, dtype, value), dtype, value)
+
+    def input(self, argument: int, place: int, dtype: np.dtype[Any]) -> int:
+        """The node of one entry of an argument."""
+        return self._intern((_INPUT, argument, place), dtype)
+
+    def array(self, values: Any) -> Nodes:
+        """The nodes of an array of numbers."""
+        values = np.asarray(values)
+        dtype = values.dtype
+        return _nodes([self.constant(value, dtype) for value in values.reshape(-1)], values.shape)
+
+    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Call:
+        """A call of a function, once for each set of arguments."""
+        arguments = tuple(arguments)
+        key = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
+        known = self._called.get(key)
+        if known is None:
+            number, places = len(self.calls), itertools.count()
+            results = tuple(
+                _nodes(
+                    [self._intern((_RESULT, number, next(places)), np.dtype(v.aval.dtype)) for _ in range(v.aval.size)],
+                    v.aval.shape,
+                )
+                for v in jaxpr.jaxpr.outvars
+            )
+            known = self._called[key] = Call(jaxpr, key, arguments, results, inline)
+            self.calls.append(known)
+        return known
+
+    def node(self, operation: Operation, *arguments: int) -> int:
+        """The node of an operation, folded where all arguments are numbers."""
+        numbers = [self.numbers[a] for a in arguments]
+        dtype = operation.result or self.dtypes[arguments[-1]]
+        if None not in numbers:
+            # As the emitter would: in the types of the arguments.
+            with np.errstate(all="ignore"):
+                typed = [self.dtypes[a].type(n) for a, n in zip(arguments, numbers, strict=True)]
+                return self.constant(operation.number(*typed), dtype)
+        if operation.parity and self.nodes[arguments[0]][0] is _NEG:
+            inner = self.node(operation, self.nodes[arguments[0]][1])
+            return inner if operation.parity > 0 else self.neg(inner)
+        if operation.symmetric and arguments[0] > arguments[1]:
+            arguments = arguments[::-1]
+        return self._intern((operation, *arguments), dtype)
+
+    # ---- arithmetic ----------------------------------------------------------------------------------------------
+
+    def add(self, a: int, b: int) -> int:
+        if a == self.zero:
+            return b
+        if b == self.zero:
+            return a
+        first, second = self.nodes[a], self.nodes[b]
+        if second[0] is _NEG:
+            return self.sub(a, second[1])
+        if first[0] is _NEG:
+            return self.sub(b, first[1])
+        return self.node(_ADD, a, b)
+
+    def sub(self, a: int, b: int) -> int:
+        if b == self.zero:
+            return a
+        if a == self.zero:
+            return self.neg(b)
+        if a == b and not self.checked and self.dtypes[a] == self.dtype:
+            return self.zero
+        first, second = self.nodes[a], self.nodes[b]
+        if second[0] is _NEG:
+            return self.add(a, second[1])
+        if first[0] is _NEG:
+            return self.neg(self.add(first[1], b))
+        if self.numbers[b] is None and (_SUB, b, a) in self._known:
+            return self.neg(self._known[_SUB, b, a])
+        return self.node(_SUB, a, b)
+
+    def neg(self, a: int) -> int:
+        entry = self.nodes[a]
+        if entry[0] is _NEG:
+            return int(entry[1])
+        return self.node(_NEG, a)
+
+    def mul(self, a: int, b: int) -> int:
+        if self.numbers[a] is not None:
+            a, b = b, a
+        factor = self.numbers[b]
+        if factor is not None and self.numbers[a] is None and self.dtypes[b] == self.dtype:
+            if factor == 0.0 and not self.checked:
+                return self.zero
+            if factor == 1.0:
+                return a
+            if factor < 0.0:
+                # One sign for a number and its opposite, so that both products are one node.
+                return self.neg(self.mul(a, self.constant(-factor)))
+        first, second = self.nodes[a], self.nodes[b]
+        if first[0] is _NEG:
+            return self.neg(self.mul(first[1], b))
+        if second[0] is _NEG:
+            return self.neg(self.mul(a, second[1]))
+        return self.node(_MUL, a, b)
+
+    def div(self, a: int, b: int) -> int:
+        if self.dtypes[a] != self.dtype:
+            return self.node(_DIV, a, b)
+        divisor = self.numbers[b]
+        if divisor == 1.0:
+            return a
+        if a == self.zero and divisor is None and not self.checked:
+            return self.zero
+        if divisor and np.isfinite(divisor) and self.numbers[a] is None:
+            inverse = float(1.0 / divisor)
+            # Exact for powers of two, else to one rounding; not where the inverse leaves the range of numbers.
+            if np.isfinite(self.dtype.type(inverse)) and abs(inverse) > np.finfo(self.dtype).tiny:
+                return self.mul(a, self.constant(inverse))
+        first, second = self.nodes[a], self.nodes[b]
+        if first[0] is _NEG:
+            return self.neg(self.div(first[1], b))
+        if second[0] is _NEG:
+            return self.neg(self.div(a, second[1]))
+        return self.node(_DIV, a, b)
+
+    def select(self, c: int, a: int, b: int) -> int:
+        """a where c, else b."""
+        if a == b:
+            return a
+        choice = self.numbers[c]
+        if choice is not None:
+            return a if choice else b
+        if self.nodes[c][0] is _NOT:
+            return self.select(self.nodes[c][1], b, a)
+        return self.node(_SELECT, c, a, b)
+
+    def sum(self, terms: Iterable[int]) -> int:
+        total = self.zero
+        for term in terms:
+            total = self.add(total, term)
+        return total
+
+    # ---- reading nodes -------------------------------------------------------------------------------------------
+
+    def arguments(self, node: int) -> tuple[int, ...]:
+        """The nodes that an operation reads; none for numbers, inputs and results of calls."""
+        entry = self.nodes[node]
+        return entry[1:] if isinstance(entry[0], Operation) else ()
+
+    def call_of(self, node: int) -> Call | None:
+        """The call whose result a node is."""
+        entry = self.nodes[node]
+        return self.calls[entry[1]] if entry[0] is _RESULT else None
+
+    def input_of(self, node: int) -> tuple[int, int] | None:
+        """The argument and the place in it that a node is."""
+        entry = self.nodes[node]
+        return (entry[1], entry[2]) if entry[0] is _INPUT else None
+
+    def operation(self, node: int) -> Operation | None:
+        entry = self.nodes[node]
+        return entry[0] if isinstance(entry[0], Operation) else None
+
+    def values(self, array: Nodes) -> NDArray[Any] | None:
+        """The numbers of an array of nodes where all are numbers."""
+        numbers = [self.numbers[i] for i in array.reshape(-1)]
+        if any(n is None for n in numbers):
+            return None
+        dtype = self.dtypes[array.reshape(-1)[0]] if array.size else self.dtype
+        return np.array(numbers, dtype).reshape(array.shape)
+
+    def live(self, outputs: Iterable[int]) -> list[int]:
+        """All nodes that the outputs need, arguments first."""
+        found: set[int] = set()
+        todo = [int(i) for i in outputs]
+        while todo:
+            i = todo.pop()
+            if i in found:
+                continue
+            found.add(i)
+            call = self.call_of(i)
+            todo += self.arguments(i) if call is None else [int(j) for a in call.arguments for j in a.reshape(-1)]
+        return sorted(found)
+
+    def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
+        found = self._known.get(key)
+        if found is None:
+            found = len(self.nodes)
+            if found >= self.largest:
+                raise TooLarge(f"more than {self.largest} scalars")
+            self._known[key] = found
+            self.nodes.append(key)
+            self.dtypes.append(dtype)
+            self.numbers.append(number)
+        return found
+
+
+def _nodes(flat: list[int], shape: tuple[int, ...]) -> Nodes:
+    return np.array(flat, np.int64).reshape(shape)

@@ -1,0 +1,102 @@
+"""A program written anew before it is emitted: calls written out, reciprocals shared."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from .graph import Call, Graph, Nodes
+from .operations import by_primitive
+from .program import ScalarProgram
+from .reader import Reader
+
+__all__ = ["emitted_form", "substituted"]
+
+_ALGEBRA: dict[object, Callable[..., int]] = {
+    by_primitive["add"]: Graph.add,
+    by_primitive["sub"]: Graph.sub,
+    by_primitive["mul"]: Graph.mul,
+    by_primitive["div"]: Graph.div,
+    by_primitive["neg"]: Graph.neg,
+    by_primitive["select"]: Graph.select,
+}
+_DIV = by_primitive["div"]
+
+
+def emitted_form(program: ScalarProgram) -> ScalarProgram:
+    """The program that an emitter writes: calls that are functions of scalars are written out, and x / d, y / d, ...
+    become products with one 1 / d, unless the program is checked.
+
+    A shared reciprocal costs one more rounding, half a unit in the last place.
+    """
+    expanded = _rebuilt(program, {}, whole=False)
+    if program.graph.checked:
+        return expanded
+    g = expanded.graph
+    uses = Counter(g.arguments(i)[1] for i in expanded.live if g.operation(i) is _DIV and g.dtypes[i] == g.dtype)
+    shared = {divisor for divisor, count in uses.items() if count > 1}
+    return _rebuilt(expanded, {_DIV: shared}, whole=False) if shared else expanded
+
+
+def substituted(program: ScalarProgram, graph: Graph, arguments: tuple[Nodes, ...]) -> list[Nodes]:
+    """The results of a program on nodes of another graph."""
+    known = {
+        i: j
+        for own, given in zip(program.inputs, arguments, strict=True)
+        for i, j in zip(own.reshape(-1).tolist(), given.reshape(-1).tolist(), strict=True)
+    }
+    return _copied(program, graph, known, set(), whole=True)
+
+
+def _rebuilt(program: ScalarProgram, divisors: dict[object, set[int]], whole: bool) -> ScalarProgram:
+    """The program in a graph of its own."""
+    old = program.graph
+    new = Graph(old.dtype, old.checked, old.largest)
+    inputs, known = [], {}
+    for k, nodes in enumerate(program.inputs):
+        flat = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(nodes.reshape(-1).tolist())]
+        known.update(zip(nodes.reshape(-1).tolist(), flat, strict=True))
+        inputs.append(np.array(flat, np.int64).reshape(nodes.shape))
+    outputs = _copied(program, new, known, divisors.get(_DIV, set()), whole)
+    return ScalarProgram(new, tuple(inputs), tuple(outputs), program.types)
+
+
+def _copied(program: ScalarProgram, new: Graph, known: dict[int, int], shared: set[int], whole: bool) -> list[Nodes]:
+    """The outputs of a program as nodes of `new`, from what is known of its inputs.
+
+    Args:
+        shared: divisors of which the reciprocal is taken once.
+    """
+    old, reader = program.graph, Reader(new, whole)
+    done: set[int] = set()
+    for i in program.live:
+        if i in known:
+            continue
+        call, operation = old.call_of(i), old.operation(i)
+        if call is not None:
+            if id(call) not in done:
+                done.add(id(call))
+                _copy_call(new, reader, call, known, whole)
+        elif operation is None:
+            known[i] = new.constant(old.numbers[i], old.dtypes[i])
+        else:
+            arguments = [known[a] for a in old.arguments(i)]
+            if operation is _DIV and old.arguments(i)[1] in shared:
+                known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
+            elif operation in _ALGEBRA:
+                known[i] = _ALGEBRA[operation](new, *arguments)
+            else:
+                known[i] = new.node(operation, *arguments)
+    return [np.array([known[i] for i in o.reshape(-1).tolist()], np.int64).reshape(o.shape) for o in program.outputs]
+
+
+def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], whole: bool) -> None:
+    arguments = [np.array([known[i] for i in a.reshape(-1).tolist()], np.int64).reshape(a.shape) for a in call.arguments]
+    if call.inline and not whole:
+        results = reader.read(call.jaxpr, arguments)
+    else:
+        results = list(new.call(call.jaxpr, call.key, arguments, call.inline).results)
+    for mine, theirs in zip(call.results, results, strict=True):
+        known.update(zip(mine.reshape(-1).tolist(), theirs.reshape(-1).tolist(), strict=True))

@@ -1,0 +1,126 @@
+"""The JAX primitive of a scalar program: one equation, whose derivatives are scalar programs again."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+from .derivatives import cotangent_program, tangent_program
+from .emitter import as_function
+from .program import ScalarProgram
+
+__all__ = ["Derived", "call_program", "program_p"]
+
+
+class Derived:
+    """A program with its derivatives, each made when first asked for. Compared and hashed by identity."""
+
+    def __init__(self, program: ScalarProgram) -> None:
+        self.program = program
+        self._tangents: dict[tuple[int, ...], Derived] = {}
+        self._cotangents: dict[tuple[int, ...], Derived] = {}
+        #: Of a program made by `tangent`: which one it is a derivative of, and along which arguments.
+        self.origin: tuple[Derived, tuple[int, ...]] | None = None
+
+    @functools.cached_property
+    def function(self) -> Any:
+        return as_function(self.program)
+
+    @property
+    def real(self) -> list[int]:
+        """The results that have derivatives."""
+        return [k for k, t in enumerate(self.program.types) if np.issubdtype(t, np.floating)]
+
+    def tangent(self, active: tuple[int, ...]) -> Derived:
+        if active not in self._tangents:
+            found = Derived(tangent_program(self.program, active))
+            found.origin = (self, active)
+            self._tangents[active] = found
+        return self._tangents[active]
+
+    def cotangent(self, active: tuple[int, ...]) -> Derived:
+        if active not in self._cotangents:
+            self._cotangents[active] = Derived(cotangent_program(self.program, active))
+        return self._cotangents[active]
+
+
+program_p = Primitive("scalar_program")
+program_p.multiple_results = True
+
+
+def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
+    """The results of a program; differentiable and batched as any JAX function."""
+    return program_p.bind(*arguments, derived=derived)  # type: ignore[no-any-return]
+
+
+def _batch(derived: Derived, arguments: Sequence[Any]) -> tuple[int, ...]:
+    if not arguments:
+        return ()
+    own = derived.program.inputs[0].ndim
+    shape = np.shape(arguments[0])
+    return shape[: len(shape) - own]
+
+
+def _run(*arguments: Any, derived: Derived) -> list[jax.Array]:
+    return derived.function(*arguments)  # type: ignore[no-any-return]
+
+
+def _abstract(*arguments: Any, derived: Derived) -> list[Any]:
+    batch = _batch(derived, arguments)
+    program = derived.program
+    return [
+        jax.core.ShapedArray((*batch, *nodes.shape), dtype)
+        for nodes, dtype in zip(program.outputs, program.types, strict=True)
+    ]
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, derived: Derived) -> tuple[list[Any], list[Any]]:
+    results = program_p.bind(*primals, derived=derived)
+    active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
+    along = derived.tangent(active)
+    moved = iter(program_p.bind(*primals, *(tangents[k] for k in active), derived=along))
+    real = set(derived.real)
+    return results, [next(moved) if k in real else ad.Zero.from_primal_value(r) for k, r in enumerate(results)]
+
+
+def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived) -> list[Any]:
+    if derived.origin is None:
+        raise NotImplementedError("only the derivative of a scalar program is linear")
+    origin, active = derived.origin
+    count = len(arguments) - len(active)
+    given = [
+        jnp.zeros(c.aval.shape, c.aval.dtype) if type(c) is ad.Zero else c for c in cotangents
+    ]
+    linear = [k for k, a in enumerate(arguments[count:]) if ad.is_undefined_primal(a)]
+    found = program_p.bind(
+        *arguments[:count], *given, derived=origin.cotangent(tuple(active[k] for k in linear))
+    )
+    result: list[Any] = [None] * len(arguments)
+    for k, value in zip(linear, found, strict=True):
+        result[count + k] = value
+    return result
+
+
+def _batched(arguments: Sequence[Any], axes: Sequence[Any], *, derived: Derived) -> tuple[list[Any], list[int]]:
+    size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
+    moved = [
+        jnp.broadcast_to(a, (size, *np.shape(a))) if d is None else jnp.moveaxis(a, d, 0)
+        for a, d in zip(arguments, axes, strict=True)
+    ]
+    results = program_p.bind(*moved, derived=derived)
+    return results, [0] * len(results)
+
+
+program_p.def_impl(jax.jit(_run, static_argnames="derived"))
+program_p.def_abstract_eval(_abstract)
+ad.primitive_jvps[program_p] = _jvp
+ad.primitive_transposes[program_p] = _transpose
+batching.primitive_batchers[program_p] = _batched
+mlir.register_lowering(program_p, mlir.lower_fun(_run, multiple_results=True))

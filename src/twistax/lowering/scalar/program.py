@@ -1,0 +1,100 @@
+"""A scalar program: which nodes of a graph are its inputs and outputs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from .graph import Graph, Nodes
+from .reader import Reader, trace
+
+__all__ = ["ScalarProgram", "scalarize"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ScalarProgram:
+    """A function of arrays as scalars. Compared and hashed by identity.
+
+    Attributes:
+        graph: the scalars.
+        inputs: the arrays of nodes that are the arguments.
+        outputs: the arrays of nodes that are the results.
+        types: the types of the results.
+    """
+
+    graph: Graph
+    inputs: tuple[Nodes, ...]
+    outputs: tuple[Nodes, ...]
+    types: tuple[np.dtype[Any], ...]
+
+    @functools.cached_property
+    def flat(self) -> list[int]:
+        """The nodes of all results, one after the other."""
+        return [int(i) for a in self.outputs for i in a.reshape(-1)]
+
+    @functools.cached_property
+    def live(self) -> list[int]:
+        """The nodes that are needed, arguments first."""
+        return self.graph.live(self.flat)
+
+    def counts(self) -> dict[str, int]:
+        """Operations by name; a function with a derivative of its own counts as one."""
+        g = self.graph
+        found: Counter[str] = Counter()
+        calls = set()
+        for i in self.live:
+            operation, call = g.operation(i), g.call_of(i)
+            if operation is not None:
+                found[operation.name] += 1
+            elif call is not None and id(call) not in calls:
+                calls.add(id(call))
+                found["call"] += 1
+        return dict(sorted(found.items()))
+
+    @property
+    def operations(self) -> int:
+        """The number of all operations."""
+        return sum(self.counts().values())
+
+    def restricted(self, outputs: Sequence[Nodes]) -> ScalarProgram:
+        """The same inputs with other outputs."""
+        types = tuple(self.graph.dtypes[int(o.reshape(-1)[0])] if o.size else self.graph.dtype for o in outputs)
+        return ScalarProgram(self.graph, self.inputs, tuple(outputs), types)
+
+
+def scalarize(
+    function: Callable[..., Any] | ClosedJaxpr, *shapes: Any, dtype: Any = None, checked: bool = False
+) -> ScalarProgram:
+    """A function of arrays, results a list of arrays, as a scalar program.
+
+    Args:
+        function: traceable; or its jaxpr.
+        shapes: of the arguments, with types; left out for a jaxpr.
+        dtype: the floating-point type of the program; that of the arguments if left out.
+        checked: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
+    Raises:
+        TooLarge: more scalars than are good for a compiler.
+    """
+    closed = function if isinstance(function, ClosedJaxpr) else trace(function, *shapes)
+    avals = [v.aval for v in closed.jaxpr.invars]
+    graph = Graph(_precision([*avals, *(v.aval for v in closed.jaxpr.outvars)]) if dtype is None else dtype, checked)
+    inputs = tuple(
+        np.array([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], np.int64).reshape(a.shape)
+        for k, a in enumerate(avals)
+    )
+    outputs = Reader(graph).read(closed, inputs)
+    return ScalarProgram(graph, inputs, tuple(outputs), tuple(np.dtype(v.aval.dtype) for v in closed.jaxpr.outvars))
+
+
+def _precision(avals: Sequence[Any]) -> np.dtype[Any]:
+    for aval in avals:
+        if np.issubdtype(aval.dtype, np.floating):
+            return np.dtype(aval.dtype)
+    return np.dtype(jax.dtypes.canonicalize_dtype(float))

@@ -1,0 +1,204 @@
+"""A jaxpr as scalars: every equation acts on arrays of nodes, calls and loops of known length are written out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+from .graph import Graph, Nodes
+from .operations import by_primitive
+from .rules import RULES
+
+__all__ = ["Reader", "trace"]
+
+#: Parameters that hold the function of a call that is read as if written out.
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+    "remat2": "jaxpr",
+}
+
+#: Calls that have a derivative of their own: kept whole for it.
+_OWN_DERIVATIVE = ("custom_jvp_call", "custom_vjp_call")
+
+#: Loops and branches with more equations than this, all turns together, are called as they are.
+_LONGEST = 4000
+
+
+def trace(function: Callable[..., Any], *shapes: Any) -> ClosedJaxpr:
+    """The jaxpr of a function of arrays of these shapes."""
+    return jax.make_jaxpr(function)(*shapes)
+
+
+class Reader:
+    """Reads jaxprs into one graph.
+
+    Attributes:
+        graph: where the scalars go.
+        whole: keep functions with a derivative of their own as calls; else they are written out.
+        unread: the names of primitives that are called as they are.
+    """
+
+    def __init__(self, graph: Graph, whole: bool = True) -> None:
+        self.graph = graph
+        self.whole = whole
+        self.unread: set[str] = set()
+        self._literals: dict[Any, Nodes] = {}
+
+    def read(self, closed: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]:
+        """The results of a jaxpr on arrays of nodes."""
+        jaxpr, g = closed.jaxpr, self.graph
+        known: dict[Any, Nodes] = {}
+
+        def value(variable: Any) -> Nodes:
+            return self._literal(variable) if isinstance(variable, Literal) else known[variable]
+
+        known.update(zip(jaxpr.constvars, (g.array(c) for c in closed.consts), strict=True))
+        known.update(zip(jaxpr.invars, inputs, strict=True))
+        for eqn in jaxpr.eqns:
+            results = self._equation(eqn, [value(v) for v in eqn.invars])
+            known.update(zip(eqn.outvars, results, strict=True))
+        return [value(v) for v in jaxpr.outvars]
+
+    def _literal(self, literal: Any) -> Nodes:
+        key = (literal.aval.dtype, np.shape(literal.val), np.asarray(literal.val).tobytes())
+        if key not in self._literals:
+            self._literals[key] = self.graph.array(np.asarray(literal.val, literal.aval.dtype))
+        return self._literals[key]
+
+    def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
+        name = eqn.primitive.name
+        if name in _CALLS:
+            return self.read(_closed(eqn.params[_CALLS[name]]), arrays)
+        if name in _OWN_DERIVATIVE:
+            return self._call(eqn, arrays, inline=True) if self.whole else self.read(_own(eqn), arrays)
+        special = _SPECIAL.get(name)
+        found = special(self, eqn, arrays) if special else None
+        if found is None and name in RULES:
+            found = RULES[name](self.graph, eqn, *arrays)
+        if found is None:
+            self.unread.add(name)
+            found = self._call(eqn, arrays, inline=False)
+        return found
+
+    def _call(self, eqn: Any, arrays: list[Nodes], inline: bool) -> list[Nodes]:
+        """An equation as a call of a function."""
+        distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
+        alone = ClosedJaxpr(Jaxpr([], list(distinct), list(eqn.outvars), [eqn]), [])
+        # What is written out for its derivative only has no effects, and is the same wherever it is the same.
+        key = (_own(eqn).jaxpr.debug_info.func_src_info, _fingerprint(alone)) if inline else object()
+        return list(self.graph.call(alone, key, distinct.values(), inline).results)
+
+    # ---- control flow --------------------------------------------------------------------------------------------
+
+    def _scan(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes] | None:
+        p = eqn.params
+        body, length = p["jaxpr"], p["length"]
+        if length * _equations(body.jaxpr) > _LONGEST:
+            return None
+        fixed, carried = p["num_consts"], p["num_carry"]
+        consts, carry, along = arrays[:fixed], arrays[fixed : fixed + carried], arrays[fixed + carried :]
+        rows: list[list[Nodes]] = []
+        for k in reversed(range(length)) if p["reverse"] else range(length):
+            found = self.read(body, [*consts, *carry, *(a[k] for a in along)])
+            carry = found[:carried]
+            rows.append(found[carried:])
+        if p["reverse"]:
+            rows = rows[::-1]
+        shapes = [v.aval.shape for v in eqn.outvars[carried:]]
+        stacked = [np.array([row[i] for row in rows], np.int64).reshape(shape) for i, shape in enumerate(shapes)]
+        return [*carry, *stacked]
+
+    def _cond(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes] | None:
+        """The branch that is known, or all of them with the results selected."""
+        index, *operands = arrays
+        branches, g = eqn.params["branches"], self.graph
+        number = g.numbers[int(index)]
+        if number is not None:
+            return self.read(branches[int(np.clip(number, 0, len(branches) - 1))], operands)
+        if sum(_equations(b.jaxpr) for b in branches) > _LONGEST:
+            return None
+        cases = [self.read(branch, operands) for branch in branches]
+        last = cases[-1]
+        for k in range(len(branches) - 2, -1, -1):
+            here = g.node(by_primitive["le"], int(index), g.constant(k, g.dtypes[int(index)]))
+            last = [
+                np.array(
+                    [g.select(here, a, b) for a, b in zip(x.reshape(-1).tolist(), y.reshape(-1).tolist(), strict=True)],
+                    np.int64,
+                ).reshape(x.shape)
+                for x, y in zip(cases[k], last, strict=True)
+            ]
+        return last
+
+    def _linear_solve(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
+        """The solver that the solve came with; derivatives go through it."""
+        counts = eqn.params["const_lengths"]
+        skip, own = counts.matvec + counts.vecmat, counts.solve
+        right = arrays[sum(counts) :]
+        return self.read(eqn.params["jaxprs"].solve, [*arrays[skip : skip + own], *right])
+
+
+_SPECIAL: dict[str, Callable[[Reader, Any, list[Nodes]], list[Nodes] | None]] = {
+    "scan": Reader._scan,
+    "cond": Reader._cond,
+    "custom_linear_solve": Reader._linear_solve,
+}
+
+
+def _closed(jaxpr: Any) -> ClosedJaxpr:
+    return jaxpr if isinstance(jaxpr, ClosedJaxpr) else ClosedJaxpr(jaxpr, [])
+
+
+def _inner(params: dict[str, Any]) -> Iterable[Any]:
+    for value in params.values():
+        for entry in value if isinstance(value, (tuple, list)) else (value,):
+            if isinstance(entry, ClosedJaxpr):
+                yield entry.jaxpr
+            elif isinstance(entry, Jaxpr):
+                yield entry
+
+
+def _equations(jaxpr: Any) -> int:
+    """Equations, inner ones included."""
+    return sum(1 + sum(_equations(inner) for inner in _inner(eqn.params)) for eqn in jaxpr.eqns)
+
+
+def _own(eqn: Any) -> ClosedJaxpr:
+    """What a function with a derivative of its own does."""
+    return _closed(eqn.params["call_jaxpr"])
+
+
+def _fingerprint(closed: ClosedJaxpr) -> Any:
+    """Equal for jaxprs that do the same to arguments of the same types."""
+    jaxpr = closed.jaxpr
+    names: dict[Any, int] = {}
+
+    def name(variable: Any) -> Any:
+        if isinstance(variable, Literal):
+            return (str(variable.aval), np.asarray(variable.val).tobytes())
+        return names.setdefault(variable, len(names))
+
+    head = tuple((name(v), str(v.aval)) for v in (*jaxpr.constvars, *jaxpr.invars))
+    body = []
+    for eqn in jaxpr.eqns:
+        own = {k: v for k, v in eqn.params.items() if not callable(v) and not list(_inner({k: v}))}
+        inner = tuple(_fingerprint(_closed(v)) for v in _jaxprs(eqn.params))
+        ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
+        body.append((eqn.primitive.name, str(sorted(own.items(), key=lambda e: e[0])), inner, ins, outs))
+    consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in closed.consts)
+    return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
+
+
+def _jaxprs(params: dict[str, Any]) -> Iterable[Any]:
+    for value in params.values():
+        for entry in value if isinstance(value, (tuple, list)) else (value,):
+            if isinstance(entry, (ClosedJaxpr, Jaxpr)):
+                yield entry

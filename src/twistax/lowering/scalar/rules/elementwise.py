@@ -1,0 +1,135 @@
+"""Operations on arrays, entry by entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..graph import Graph, Nodes
+from ..operations import Operation, by_primitive, convert
+from .rule import Rule, each
+
+__all__ = ["ELEMENTWISE", "power"]
+
+
+def _plain(operation: Operation) -> Rule:
+    def rule(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+        return [each(g, lambda *a: g.node(operation, *a), *arrays)]
+
+    return rule
+
+
+def _method(name: str) -> Rule:
+    def rule(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+        return [each(g, getattr(g, name), *arrays)]
+
+    return rule
+
+
+def power(g: Graph, x: int, n: int) -> int:
+    """x^n by repeated squaring."""
+    if n < 0:
+        return g.div(g.one, power(g, x, -n))
+    result: int | None = None
+    while n:
+        if n & 1:
+            result = x if result is None else g.mul(result, x)
+        n >>= 1
+        if n:
+            x = g.mul(x, x)
+    return g.one if result is None else result
+
+
+def _integer_pow(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
+    if g.dtypes[a.reshape(-1)[0]] != g.dtype:
+        return None
+    return [each(g, lambda x: power(g, x, eqn.params["y"]), a)]
+
+
+def _rsqrt(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
+    root = by_primitive["sqrt"]
+    return [each(g, lambda x: g.div(g.one, g.node(root, x)), a)]
+
+
+def _square(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
+    return [each(g, lambda x: g.mul(x, x), a)]
+
+
+def _clamp(g: Graph, eqn: Any, low: Nodes, a: Nodes, high: Nodes) -> list[Nodes]:
+    largest, smallest = by_primitive["max"], by_primitive["min"]
+    return [each(g, lambda lo, x, hi: g.node(smallest, g.node(largest, lo, x), hi), low, a, high)]
+
+
+def _select_n(g: Graph, eqn: Any, which: Nodes, *cases: Nodes) -> list[Nodes]:
+    """Case by case; a truth value chooses the second case where it holds."""
+    equal, truth = by_primitive["eq"], np.dtype(bool)
+
+    def choose(c: int, *options: int) -> int:
+        if g.dtypes[c] == truth:
+            return g.select(c, options[1], options[0])
+        chosen = options[-1]
+        for k in range(len(options) - 2, -1, -1):
+            chosen = g.select(g.node(equal, c, g.constant(k, g.dtypes[c])), options[k], chosen)
+        return chosen
+
+    return [each(g, choose, which, *cases)]
+
+
+def _convert(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
+    target = np.dtype(eqn.params["new_dtype"])
+
+    def to(x: int) -> int:
+        return x if g.dtypes[x] == target else g.node(convert(target), x)
+
+    return [each(g, to, a)]
+
+
+def _same(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+    return list(arrays)
+
+
+def _stop_gradient(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
+    stop = by_primitive["stop_gradient"]
+    return [each(g, lambda x: x if g.numbers[x] is not None else g.node(stop, x), a)]
+
+
+def _boolean(name: str) -> Rule:
+    """and, or: of truth values only, with what is known left out."""
+    absorbing = name == "or"
+
+    def pair(g: Graph, a: int, b: int) -> int:
+        for x, y in ((a, b), (b, a)):
+            known = g.numbers[x]
+            if known is not None:
+                return x if bool(known) is absorbing else y
+        return a if a == b else g.node(by_primitive[name], a, b)
+
+    def rule(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes]:
+        if a.size and g.dtypes[a.reshape(-1)[0]] != np.dtype(bool):
+            return [each(g, lambda x, y: g.node(by_primitive[name], x, y), a, b)]
+        return [each(g, lambda x, y: pair(g, x, y), a, b)]
+
+    return rule
+
+
+_SPECIAL: dict[str, Callable[..., Any]] = {
+    **{name: _method(name) for name in ("add", "sub", "mul", "div", "neg")},
+    "add_any": _method("add"),
+    "and": _boolean("and"),
+    "or": _boolean("or"),
+    "square": _square,
+    "rsqrt": _rsqrt,
+    "integer_pow": _integer_pow,
+    "clamp": _clamp,
+    "select_n": _select_n,
+    "convert_element_type": _convert,
+    "stop_gradient": _stop_gradient,
+    **{name: _same for name in ("copy", "copy_p", "optimization_barrier", "reduce_precision", "pvary")},
+}
+
+ELEMENTWISE: dict[str, Rule] = {
+    **{name: _plain(operation) for name, operation in by_primitive.items() if name not in ("select", "stop_gradient")},
+    **_SPECIAL,
+}
