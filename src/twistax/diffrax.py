@@ -1,4 +1,8 @@
-"""Bridges to diffrax. `tx.diffrax.ambient_term(dynamics)` is the system as a plain ODE for its solvers."""
+"""Inside diffrax: Lie-group steps in its loops, and systems as plain ODEs for its solvers.
+
+term, solver = tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics)
+term = tx.diffrax.ambient_term(dynamics)  # quaternions as plain numbers, for any solver
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,11 @@ import diffrax
 import equinox as eqx
 
 from .integrators.ambient import Ambient
+from .integrators.diffrax_bridge import LieController, LieSolver, LieTerm, controller, lie_term
 from .lowering import Dynamics
 from .lowering.dynamics import Arrays
 
-__all__ = ["AmbientTerm", "ambient_term"]
+__all__ = ["AmbientTerm", "LieController", "LieSolver", "LieTerm", "ambient_term", "controller", "lie_term"]
 
 
 class AmbientTerm(diffrax.ODETerm):

@@ -14,7 +14,7 @@ from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quat
 from ..groups.components import unpack, vector
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .controls import controls_of
+from .arguments import read_arguments
 
 __all__ = ["Ambient"]
 
@@ -48,14 +48,14 @@ class Ambient:
 
     def vector_field(self, t: Any, y: Mapping[str, Any], args: Any = None) -> Arrays:
         """y' at time t with args = (u, params), both as `integrate` takes them, or None. Traceable."""
-        u, params = (None, None) if args is None else args
-        controls = controls_of(u)
-        inputs = self.dynamics.prepare(t, self.from_ambient(y), controls.sample(t), params)
+        given = read_arguments(self.dynamics, t, self.from_ambient(y), args)
         # A solver that picks its own steps has no step to look into: tables are read at t itself.
-        signals = controls.prepared(inputs.u, inputs.dtype)
-        now = signals.during(self.dynamics, inputs.t, jnp.zeros((), inputs.dtype))(inputs.t)
-        rates = self.dynamics.vector_field(inputs.t, dict(inputs.x), now, dict(inputs.params))
-        return {name: own.rate(jnp.asarray(y[name]), rates[name]) for name, own in self._coordinates.items()}
+        now = given.signals.during(self.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
+        return self.rates(y, self.dynamics.vector_field(given.t, given.x, now, given.params))
+
+    def rates(self, y: Mapping[str, Any], velocities: Mapping[str, Any]) -> Arrays:
+        """y' of the rates that the dynamics give: body velocities of rotations and poses."""
+        return {name: own.rate(jnp.asarray(y[name]), velocities[name]) for name, own in self._coordinates.items()}
 
 
 class _Coordinates(ABC):
