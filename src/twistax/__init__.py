@@ -32,6 +32,7 @@ from .errors import (
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
 from .integrators import RKMK, CommutatorFree, Held, Linear, Magnus, Result, Solution, StepControl, integrate
+from .integrators.implicit import ImplicitRKMK
 from .integrators.splitting import FreeBody, FreeParticle, Splitting
 from .lowering import Dynamics, compile, lower
 from .system import System
@@ -55,6 +56,7 @@ __all__ = [
     "FreeParticle",
     "Held",
     "ImmutableError",
+    "ImplicitRKMK",
     "InputError",
     "IntegrationError",
     "Linear",

@@ -1,11 +1,15 @@
 """Butcher tableaus: `tx.tableaus.RK4` and the others, `tx.tableaus.ALL`; make your own with `ButcherTableau`.
 
+`IMPLICIT` lists those of implicit methods, for `tx.ImplicitRKMK`; make your own with `CollocationTableau`.
 `CF4` is the commutator-free one, for `tx.CommutatorFree`; make your own with `CommutatorFreeTableau`.
 """
 
 from .integrators.commutator_free import CF4, CommutatorFreeTableau
+from .integrators.implicit.collocation import CollocationTableau
+from .integrators.implicit.radau_gauss import *  # noqa: F403
+from .integrators.implicit.radau_gauss import __all__ as _implicit
 from .integrators.tableau import ButcherTableau
 from .integrators.tableaus import *  # noqa: F403
 from .integrators.tableaus import __all__ as _tableaus
 
-__all__ = [*_tableaus, "CF4", "ButcherTableau", "CommutatorFreeTableau"]
+__all__ = [*_tableaus, *_implicit, "CF4", "ButcherTableau", "CollocationTableau", "CommutatorFreeTableau"]

@@ -2,6 +2,7 @@
 
 from .commutator_free import CF4, CommutatorFree, CommutatorFreeTableau
 from .controls import Held, Linear, Table
+from .implicit import CollocationTableau, ImplicitRKMK
 from .integrate import integrate
 from .magnus import Magnus
 from .method import Method
@@ -15,9 +16,11 @@ __all__ = [
     "CF4",
     "RKMK",
     "ButcherTableau",
+    "CollocationTableau",
     "CommutatorFree",
     "CommutatorFreeTableau",
     "Held",
+    "ImplicitRKMK",
     "Linear",
     "Magnus",
     "Method",

@@ -147,7 +147,7 @@ class AdaptiveCourse(Course):
         rate = stepper.rate(self.t0, y, guess)
         chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
         packed, read = ravel_pytree(y)
-        carry, read_carry = ravel_pytree(stepper.method.begin(rate))
+        carry, read_carry = ravel_pytree(stepper.method.begin(stepper.dynamics, y, rate))
         packing = _Packing(read, read_carry)
         zero = jnp.zeros((), int)
         now = _Now(
@@ -261,7 +261,7 @@ class AdaptiveCourse(Course):
 
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         y = stepper.coordinates.enter(x)
-        carry = stepper.method.begin(stepper.rate(outcome.t, y, outcome.h))
+        carry = stepper.method.begin(stepper.dynamics, y, stepper.rate(outcome.t, y, outcome.h))
         found = stepper.attempt(outcome.t, y, carry, outcome.h, self.tolerances)
         parts = self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
         return max(parts, key=lambda name: float(parts[name]))

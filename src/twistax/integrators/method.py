@@ -125,7 +125,7 @@ class Method(ABC):
     #: Evaluations of the right-hand side in `resume`.
     resume_evaluations: int = 1
 
-    def begin(self, rate: Blocks) -> Carry:
+    def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
         """What `attempt` is given at the start of a flight: the rate there, if a method wants nothing else."""
         return rate
 

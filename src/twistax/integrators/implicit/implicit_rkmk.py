@@ -1,0 +1,231 @@
+"""Implicit Runge-Kutta methods in coordinates around each step, for stiff systems and for symmetric integration."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from ...errors import ModelError
+from ...lowering import Dynamics
+from ...lowering.dynamics import Arrays
+from ..charts import Chart, Exponential
+from ..charts.whole import Blocks, StateCoordinates, coordinates_of
+from ..finite import all_finite
+from ..method import Attempt, Carry, ControlsAt, Method
+from ..tolerances import Tolerances
+from .collocation import CollocationTableau
+from .newton import newton
+from .stage_equations import Factors, StageEquations, combined, zero_coordinates
+
+__all__ = ["ImplicitRKMK"]
+
+#: Newton steps before a step is given up: where it may be taken back, and where it may not.
+_FEW, _MANY = 8, 60
+
+
+class _Last(NamedTuple):
+    """The last step: the coordinates of its stages (s, N), its length, and how fast Newton's method converged."""
+
+    Z: jax.Array
+    h: jax.Array
+    contraction: jax.Array
+
+
+class _Found(NamedTuple):
+    """A step: its stages, whether they solve the equations, and evaluations, a Jacobian counted as one."""
+
+    last: _Last
+    solved: jax.Array
+    evaluations: Any
+
+
+@dataclasses.dataclass(frozen=True)
+class ImplicitRKMK(Method):
+    """..."""
+
+    tableau: CollocationTableau
+    chart: Chart | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tableau, CollocationTableau):
+            raise ModelError(
+                f"ImplicitRKMK expects an implicit tableau like tx.tableaus.RADAU_IIA5, got {self.tableau!r}"
+            )
+        if self.chart is None:
+            object.__setattr__(self, "chart", Exponential())
+        if not isinstance(self.chart, Chart):
+            raise ModelError(f"ImplicitRKMK expects a chart like tx.charts.Exponential(), got {self.chart!r}")
+
+    @property
+    def name(self) -> str:
+        return f"{self.tableau.name}, {self.chart!r}"
+
+    @property
+    def order(self) -> int:
+        return self.tableau.order
+
+    @property
+    def evaluations(self) -> int:
+        """With three Newton steps."""
+        return 1 + 3 * self.tableau.stages
+
+    @property
+    def error_order(self) -> int:
+        return self.tableau.error_order
+
+    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
+        return coordinates_of(self.chart, dynamics.group)
+
+    # ---- one step by itself --------------------------------------------------------------------------------------
+
+    def advance(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> Blocks:
+        equations = self._equations(dynamics, t, y, u_at, params, h)
+        return self._moved(equations, self._solution(equations))
+
+    def _solution(self, equations: StageEquations) -> jax.Array:
+        """The stages, differentiable by the implicit function theorem; not a number where they are not found."""
+
+        def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
+            found = self._to_round_off(equations, self._nothing(equations.zero))
+            return jnp.where(found.solved, found.last.Z, jnp.nan)
+
+        def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
+            size = b.size
+            columns = jax.vmap(lambda e: linear(e.reshape(b.shape)).reshape(-1))(jnp.eye(size, dtype=b.dtype))
+            return jnp.linalg.solve(columns.T, b.reshape(-1)).reshape(b.shape)
+
+        guess = self._nothing(equations.zero).Z
+        return jax.lax.custom_root(equations.residual, guess, solve, tangent_solve)
+
+    # ---- fixed steps ---------------------------------------------------------------------------------------------
+
+    def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
+        return self._nothing(zero_coordinates(self.coordinates(dynamics), dynamics, y)[0])
+
+    def follow(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> Attempt:
+        equations = self._equations(dynamics, t, y, u_at, params, h)
+        found = self._to_round_off(equations, carry)
+        return Attempt(self._moved(equations, found.last.Z), found.last, (), found.evaluations, found.solved)
+
+    # ---- steps chosen by tolerances ------------------------------------------------------------------------------
+
+    #: The rate at the start of a step is looked at in every step anyway.
+    resume_evaluations = 0
+
+    def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
+        return self.before(dynamics, y)
+
+    def resume(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays
+    ) -> Carry:
+        return carry
+
+    def attempt(
+        self,
+        dynamics: Dynamics,
+        t: jax.Array,
+        y: Blocks,
+        carry: Carry,
+        u_at: ControlsAt,
+        params: Arrays,
+        h: jax.Array,
+        tolerances: Tolerances,
+    ) -> Attempt:
+        equations = self._equations(dynamics, t, y, u_at, params, h)
+        local, read = equations.local, equations.read
+        eps = float(jnp.finfo(h.dtype).eps)
+        share = jnp.maximum(10.0 * eps / tolerances.rtol, jnp.minimum(0.03, jnp.sqrt(tolerances.rtol)))
+
+        def size(dZ: jax.Array) -> jax.Array:
+            squares = jax.vmap(lambda dz: tolerances.mean_square(local, read(dz), y, y))(dZ)
+            return jnp.sqrt(jnp.mean(squares)) / share
+
+        start, J = equations.start()
+        factors = Factors(self.tableau, J, h)
+        found = self._found(equations, start, J, factors, size, carry, _FEW)
+        raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(found.last.Z))[0]
+        errors = (read(factors.damped(raw)),)
+        return Attempt(self._moved(equations, found.last.Z), found.last, errors, found.evaluations, found.solved)
+
+    # ---- what all of them share ----------------------------------------------------------------------------------
+
+    def _equations(
+        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
+    ) -> StageEquations:
+        def rate(time: jax.Array, moved: Blocks) -> Blocks:
+            return self.rate(dynamics, time, moved, u_at, params)
+
+        return StageEquations(self.tableau, self.coordinates(dynamics), rate, dynamics, t, y, h)
+
+    def _nothing(self, zero: jax.Array) -> _Last:
+        """What is known before the first step."""
+        none = jnp.zeros((), zero.dtype)
+        return _Last(jnp.zeros((self.tableau.stages, zero.size), zero.dtype), none, none + 1.0)
+
+    def _guess(self, last: _Last, h: jax.Array) -> jax.Array:
+        """The polynomial of the last step, carried on."""
+        known = last.h > 0.0
+        ratio = jnp.where(known, h / jnp.where(known, last.h, 1.0), 0.0)
+        powers = combined(self.tableau.polynomial, list(last.Z))
+        end = sum(powers)
+
+        def at(x: jax.Array) -> jax.Array:
+            value = powers[-1]
+            for power in reversed(powers[:-1]):
+                value = power + x * value
+            return x * value - end
+
+        return jnp.where(known, jnp.stack([at(1.0 + float(c) * ratio) for c in self.tableau.c]), 0.0)
+
+    def _found(
+        self,
+        equations: StageEquations,
+        start: jax.Array,
+        J: jax.Array,
+        factors: Factors,
+        size: Callable[[jax.Array], jax.Array],
+        last: _Last,
+        most: int,
+    ) -> _Found:
+        guess = self._guess(last, equations.h)
+        solved = newton(lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most)
+        evaluations = 1 + self.tableau.stages * solved.iterations
+        # Where rates are no numbers to begin with it is not the equations that are at fault.
+        good = solved.done | ~all_finite((start, J))
+        return _Found(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
+
+    def _to_round_off(self, equations: StageEquations, last: _Last) -> _Found:
+        """The stages as well as rounding allows."""
+        local, read, y, h = equations.local, equations.read, equations.y, equations.h
+        start, J = equations.start()
+        factors = Factors(self.tableau, J, h)
+
+        def deviation(z: jax.Array) -> jax.Array:
+            return ravel_pytree(local.deviation(read(z), y))[0]
+
+        # What rounding of the state does to rates, seen through the equations.
+        D = jnp.abs(jax.jacfwd(deviation)(equations.zero))
+        own = ravel_pytree(local.sizes(y, y))[0]
+        rounding = jnp.sum(jnp.abs(h * J) * jnp.sum(D * own[:, None], axis=0)[None, :], axis=1) + jnp.abs(h * start)
+        sizes = own + jnp.sum(D * factors.reach(rounding)[None, :], axis=1)
+        unit = float(jnp.finfo(h.dtype).eps) * jnp.maximum(sizes, float(jnp.finfo(h.dtype).tiny) * 1e20)
+
+        def size(dZ: jax.Array) -> jax.Array:
+            return jnp.sqrt(jnp.mean(jnp.square(jax.vmap(deviation)(dZ) / unit[None, :])))
+
+        return self._found(equations, start, J, factors, size, last, _MANY)
+
+    @staticmethod
+    def _moved(equations: StageEquations, Z: jax.Array) -> Blocks:
+        """The stored state at the end of the step."""
+        local = equations.local
+        return local.settle(local.move(equations.y, equations.read(equations.end(Z))))
