@@ -11,9 +11,14 @@ from scene_oracles import scipy_flight, spinning, tumbling
 from twistax.scenes import SCENES, offset_tumble
 from twistax.scenes.arrays import about
 from twistax.scenes.free_rotation import SymmetricBody, TriaxialBody
+from twistax.scenes.heavy_top import INERTIA, MOMENT
+from twistax.scenes.lagrange_top import LagrangeTop
+from twistax.scenes.references import RATES
 from twistax.scenes.scene import rotation_angle
 
 R0 = about((1.0, 0.0, 0.0), 0.6)
+#: Extended precision is a double on some machines.
+EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 
 
 @pytest.mark.parametrize(
@@ -128,3 +133,73 @@ def test_the_centre_of_mass_goes_straight() -> None:
         places.append(g[:3, 3] + g[:3, :3] @ offset_tumble.CENTER)
     np.testing.assert_allclose(places[1], 0.5 * (places[0] + places[2]), atol=1e-14)
     assert np.linalg.norm(places[2] - places[0]) > 1.0
+
+
+# ---- the heavy top ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_heavy_top_from_any_lean_and_phase(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    z = (0.0, 0.0, 1.0)
+    R0 = about(z, rng.uniform(-3, 3)) @ about((1.0, 0.0, 0.0), rng.uniform(0.2, 2.8)) @ about(z, rng.uniform(-3, 3))
+    w0 = rng.normal(size=3) * [1.0, 1.0, 6.0]
+    truth = scipy_flight(RATES["heavy-top"], {"R": R0, "w": w0}, 0.0, 5.0)
+    R, w = LagrangeTop(INERTIA[0], INERTIA[2], MOMENT, R0, w0).at(5.0)
+    assert rotation_angle(truth["R"], R) < 1e-12
+    np.testing.assert_allclose(w, truth["w"], rtol=0.0, atol=1e-12)
+
+
+def test_the_heavy_top_against_extended_precision() -> None:
+    """At the end of the short scene, which is found in another way; and its start."""
+    short, long = SCENES["heavy-top"], SCENES["long-heavy-top"]
+    assert short.error(long.truth(20.0)) < 1e-15
+    assert short.error(long.truth(0.0), t=0.0) < 1e-15
+
+
+def test_the_heavy_top_after_hours_in_thirty_digits() -> None:
+    """Jacobi's functions, and precession and spin by quadrature over one period, in mpmath."""
+    scene = SCENES["long-heavy-top"]
+    with mp.workdps(30):
+        J1, J3, W = mp.mpf(INERTIA[0]), mp.mpf(INERTIA[2]), mp.mpf(MOMENT)
+        n, w = ([mp.mpf(float(x)) for x in row] for row in (scene.start["R"][2], scene.start["w"]))
+        spin, energy = J3 * w[2], J1 * (w[0] ** 2 + w[1] ** 2) / 2 + W * n[2]
+        vertical = J1 * (n[0] * w[0] + n[1] * w[1]) + spin * n[2]
+        # u'^2 = 2 / J1 (energy - W u)(1 - u^2) - ((vertical - spin u) / J1)^2
+        cubic = [
+            2 * W / J1,
+            -2 * energy / J1 - (spin / J1) ** 2,
+            2 * vertical * spin / J1**2 - 2 * W / J1,
+            2 * energy / J1 - (vertical / J1) ** 2,
+        ]
+        a, b, c = sorted(mp.re(root) for root in mp.polyroots(cubic[::-1], maxsteps=200, extraprec=100, asc=True))
+        rate, m = mp.sqrt(W / (2 * J1) * (c - a)), (b - a) / (c - a)
+        # The top leans further at first, so that u falls.
+        phase = -mp.ellipf(mp.asin(mp.sqrt((n[2] - a) / (b - a))), m)
+
+        def cosine(t: Any) -> Any:
+            return a + (b - a) * mp.ellipfun("sn", rate * t + phase, m=m) ** 2
+
+        def precession(t: Any) -> Any:
+            u = cosine(t)
+            return (vertical - spin * u) / (J1 * (1 - u**2))
+
+        period = 2 * mp.ellipk(m) / rate
+        whole = int(mp.mpf(scene.duration) / period)
+        rest = scene.duration - whole * period
+
+        def over(f: Any) -> Any:
+            return whole * mp.quad(f, mp.linspace(0, period, 5)) + mp.quad(f, mp.linspace(0, rest, 5))
+
+        turned, seen = over(precession), over(lambda t: precession(t) * cosine(t))
+        spun = w[2] * scene.duration - seen
+        end = cosine(rest)
+        angles = [float(mp.fmod(x, 2 * mp.pi)) for x in (turned, mp.acos(end), spun)]
+        swinging = float(precession(rest) * mp.sqrt(1 - end**2))
+        leaning = float(-mp.diff(cosine, rest) / mp.sqrt(1 - end**2))
+    z = (0.0, 0.0, 1.0)
+    R = about(z, angles[0]) @ about((1.0, 0.0, 0.0), angles[1]) @ about(z, angles[2])
+    # Precession and spin begin at zero: the start leans about x.
+    assert rotation_angle(scene.end["R"], R) < (1e-13 if EXTENDED else 1e-10)
+    w_end = about(z, angles[2]).T @ np.array([leaning, swinging, 0.0]) + [0.0, 0.0, float(w[2])]
+    np.testing.assert_allclose(scene.end["w"], w_end, rtol=0.0, atol=1e-13 if EXTENDED else 1e-10)

@@ -24,18 +24,30 @@ def test_every_scene_without_a_closed_form_is_here() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "spring-bodies" else name for name in RATES]
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n in ("spring-bodies", "spinning-satellite") else n for n in RATES],
 )
 def test_the_stored_end_is_what_the_command_finds(name: str) -> None:
     """With two thirds of the steps the stored digits were found with."""
-    assert SCENES[name].error(flown(SCENES[name], STEPS[name])) < (1e-15 if EXTENDED else 1e-12)
+    # Round-off of 54,000 steps turns the satellite by more.
+    bar = 2e-13 if name == "spinning-satellite" else 1e-15
+    assert SCENES[name].error(flown(SCENES[name], STEPS[name])) < (bar if EXTENDED else 1e3 * bar)
 
 
 #: How much a flight in doubles may lose: the bodies on springs amplify an error some hundred times.
-LOSSES = {"heavy-top": 5e-12, "rocket": 1e-12, "low-orbit": 1e-12, "spring-bodies": 2e-11, "tumbling-brick": 1e-12}
+LOSSES = {
+    "heavy-top": 5e-12,
+    "rocket": 1e-12,
+    "low-orbit": 1e-12,
+    "spinning-satellite": 1e-9,
+    "spring-bodies": 2e-11,
+    "tumbling-brick": 1e-12,
+}
 
 
-@pytest.mark.parametrize("name", RATES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n == "spinning-satellite" else n for n in RATES]
+)
 def test_another_integrator_ends_there_too(name: str) -> None:
     scene = SCENES[name]
     end = scipy_flight(lambda t, y: RATES[name](t, {**scene.params, **y}), scene.start, 0.0, scene.duration)

@@ -147,7 +147,7 @@ def test_a_scene_cannot_be_changed_by_its_readers() -> None:
 
 
 def test_the_list() -> None:
-    assert len(SCENES) == 10
+    assert len(SCENES) == 14
     for name, scene in SCENES.items():
         assert scene.name == name == name.lower()
         assert all((scene.summary.endswith("."), scene.title, scene.source))

@@ -9,6 +9,7 @@ from scene_oracles import scipy_flight
 import twistax as tx
 from twistax.scenes import SCENES, Scene, spring_bodies
 from twistax.scenes.references import RATES
+from twistax.scenes.stiff_references import STIFF
 
 METHOD = tx.RKMK(tx.tableaus.DOP853)
 
@@ -24,6 +25,8 @@ BARS = {
     "low-orbit": (10.0, 2e-13, 1e-3),
     "spring-bodies": (0.01, 2e-12, 1e-12),
     "tumbling-brick": (0.1, 2e-13, 0.0),
+    "long-heavy-top": (0.01, 5e-8, 1e-11),
+    "spinning-satellite": (0.4, 2e-9, 1e-3),
 }
 
 
@@ -38,7 +41,7 @@ def changes(scene: Scene, x: dict[str, Any]) -> float:
     return max((float(np.max(np.abs(after[n] - before[n]))) for n in scene.invariants), default=0.0)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", BARS)
 def test_the_end_is_reached_and_invariants_hold(name: str) -> None:
     scene, (dt, error, change) = SCENES[name], BARS[name]
     end = end_of(scene.fly(dt=dt, method=METHOD))
@@ -46,6 +49,10 @@ def test_the_end_is_reached_and_invariants_hold(name: str) -> None:
     assert changes(scene, end) <= change
     # The same loop: a coarser flight is worse, so that the bars above are no accident of the error's definition.
     assert scene.error(end_of(scene.fly(dt=12.0 * dt, method=METHOD))) > 2.0 * error
+
+
+def test_every_scene_is_flown_here_or_is_stiff() -> None:
+    assert {*BARS, *STIFF} == set(SCENES)
 
 
 def test_other_numbers_of_bodies_on_springs() -> None:

@@ -3,14 +3,17 @@
 Importing builds nothing: a scene's system is made and compiled when it is first read.
 """
 
+from .actuator_lag import ACTUATOR_LAG
 from .euler_top import EULER_TOP
-from .heavy_top import HEAVY_TOP
+from .heavy_top import HEAVY_TOP, LONG_HEAVY_TOP
 from .low_orbit import LOW_ORBIT
 from .offset_tumble import OFFSET_TUMBLE
 from .rocket import ROCKET
 from .scene import Scene
+from .spinning_satellite import SPINNING_SATELLITE
 from .spring_bodies import SPRING_BODIES
 from .stiff_attitude import STIFF_ATTITUDE
+from .stiff_joint import STIFF_JOINT
 from .symmetric_body import FAST_SPIN, SYMMETRIC_BODY
 from .tumbling_brick import TUMBLING_BRICK
 
@@ -30,5 +33,9 @@ SCENES: dict[str, Scene] = {
         SPRING_BODIES,
         TUMBLING_BRICK,
         STIFF_ATTITUDE,
+        ACTUATOR_LAG,
+        STIFF_JOINT,
+        LONG_HEAVY_TOP,
+        SPINNING_SATELLITE,
     )
 }

@@ -54,16 +54,16 @@ def _lengths(duration: Any, steps: int, fastest: float) -> Iterator[Any]:
 def _step(rate: Callable[[Any, Array], Array], t: Any, y: Array, h: Any) -> Array:
     """One step: the stages z_i = h sum_j a_ij rate(t + c_j h, y + z_j) as deviations from y, the last one the end."""
     c, a = radau(_STAGES)
-    matrix = np.eye(_STAGES * y.size) - np.kron((h * a).astype(float), _jacobian(rate, t, y))
+    inverse = np.linalg.inv(np.eye(_STAGES * y.size) - np.kron((h * a).astype(float), _jacobian(rate, t, y)))
     z, last = np.zeros((_STAGES, y.size), y.dtype), np.inf
     for _ in range(_ROUNDS):
         found = np.stack([rate(t + node * h, y + stage) for node, stage in zip(c, z)])
         wrong = z - h * (a @ found)
-        change = np.linalg.solve(matrix, wrong.astype(float).ravel()).reshape(z.shape)
+        change = (inverse @ wrong.astype(float).ravel()).reshape(z.shape)
         z = z - change
         size = float(np.max(np.abs(change) / np.maximum(1.0, np.abs(y + z).astype(float))))
-        # Below a double's round-off and no longer falling: what is left is round-off.
-        if size == 0.0 or (size < 1e-17 and size > 0.1 * last):
+        # Small and no longer falling: what is left is round-off, which stiffness makes larger.
+        if size == 0.0 or (size < 1e-13 and size > 0.5 * last):
             return y + z[-1]
         last = size
     raise ArithmeticError(f"Newton's method does not converge in the step of {float(h):g} s from t = {float(t):g} s")

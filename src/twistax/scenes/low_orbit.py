@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,16 +22,17 @@ EARTH = dataclasses.replace(gravity.EARTH_J2, j2=1.08262668e-3)
 INERTIA = (10.0, 20.0, 25.0)
 
 
-def system() -> tx.System:
+def system(inertia: Sequence[float] = INERTIA) -> tx.System:
     """States R (body to inertial), w (3,) in body axes, rad/s, p and v (3,) inertial, m and m/s.
 
-    R' = R [w]x, J w' = (J w) x w + 3 GM / r^3 n x J n with n = R' p / r, p' = v, v' the gravity of `EARTH`. The torque
+    R' = R [w]x, J w' = (J w) x w + 3 GM / r^3 n x J n with n = R' p / r, J = diag(inertia), p' = v, v' the
+    gravity of `EARTH`. The torque
     is that of a point mass, and the attitude does not act back on the orbit.
 
     Outputs, constant in a true flight: energy, of the orbit per mass, J/kg; axial_momentum, about the Earth's axis per
     mass, m2/s.
     """
-    J = np.array(INERTIA)
+    J = np.array(inertia)
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     p, v = tx.State("p", shape=(3,)), tx.State("v", shape=(3,))
     r = tx.linalg.Norm(p)

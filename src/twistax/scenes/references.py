@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from . import heavy_top, low_orbit, rocket, spring_bodies, tumbling_brick
+from . import heavy_top, low_orbit, rocket, spinning_satellite, spring_bodies, tumbling_brick
 from .arrays import Array, cross_matrix
 from .scene import Scene
 
-__all__ = ["RATES", "STEPS", "Flat", "cross", "extrapolated", "flown", "main", "printed"]
+__all__ = ["RATES", "STEPS", "Flat", "cross", "extrapolated", "flown", "main", "moved", "printed"]
 
 Values = Mapping[str, Array]
 Rates = Callable[[Any, Values], dict[str, Array]]
@@ -39,7 +40,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _moved(g: Array, V: Array) -> Array:
+def moved(g: Array, V: Array) -> Array:
     """The rate (4, 4) of a pose with body twist V: R' = R [w]x, p' = R v."""
     rate = np.zeros_like(g)
     rate[:3, :3], rate[:3, 3] = g[:3, :3] @ cross_matrix(V[3:]), g[:3, :3] @ V[:3]
@@ -65,7 +66,7 @@ def _rocket(t: Any, y: Values) -> dict[str, Array]:
     yaw = -0.5 * side - 0.3 * w[2] - 0.02 * v[1]
     torque = np.array([roll, pitch, yaw]) - cross(w, m * k * w) - rocket.MASS_FLOW * k * w
     return {
-        "g": _moved(y["g"], y["V"]),
+        "g": moved(y["g"], y["V"]),
         "V": np.concatenate([force / m - cross(w, v), torque / (m * k)]),
         "m": np.asarray(rocket.MASS_FLOW),
     }
@@ -79,8 +80,8 @@ def _gravity(p: Array, gm: float, radius: float, j2: float) -> Array:
     return -gm / r**3 * (p + 1.5 * j2 * (radius / r) ** 2 * pull * p)
 
 
-def _low_orbit(t: Any, y: Values) -> dict[str, Array]:
-    J, earth, w, p = np.array(low_orbit.INERTIA), low_orbit.EARTH, y["w"], y["p"]
+def _orbit(inertia: Sequence[float], t: Any, y: Values) -> dict[str, Array]:
+    J, earth, w, p = np.array(inertia), low_orbit.EARTH, y["w"], y["p"]
     r = np.sqrt(p @ p)
     down = -(y["R"].T @ p) / r
     torque = 3 * earth.gm / r**3 * cross(down, J * down)
@@ -110,7 +111,7 @@ def _spring_bodies(t: Any, y: Values) -> dict[str, Array]:
         m, J = spring_bodies.MASSES[i % 3], np.array(spring_bodies.MOMENTS[i % 3])
         v, w = V[:3], V[3:]
         linear = g[:3, :3].T @ pull[:3] / m - cross(w, v)
-        found[f"g{i + 1}"] = _moved(g, V)
+        found[f"g{i + 1}"] = moved(g, V)
         found[f"V{i + 1}"] = np.concatenate([linear, (pull[3:] - cross(w, J * w)) / J])
     return found
 
@@ -119,19 +120,27 @@ def _tumbling_brick(t: Any, y: Values) -> dict[str, Array]:
     earth, J = tumbling_brick.EARTH, tumbling_brick.TUMBLING_BRICK.params["inertia"]
     g, v, w = y["g"], y["V"][:3], y["V"][3:]
     fall = g[:3, :3].T @ _gravity(g[:3, 3], earth.gm, earth.radius, earth.j2)
-    return {"g": _moved(g, y["V"]), "V": np.concatenate([fall - cross(w, v), -cross(w, J * w) / J])}
+    return {"g": moved(g, y["V"]), "V": np.concatenate([fall - cross(w, v), -cross(w, J * w) / J])}
 
 
 #: Rates of the states as plain numbers, by scene.
 RATES: dict[str, Rates] = {
     "heavy-top": _heavy_top,
     "rocket": _rocket,
-    "low-orbit": _low_orbit,
+    "low-orbit": functools.partial(_orbit, low_orbit.INERTIA),
+    "spinning-satellite": functools.partial(_orbit, spinning_satellite.INERTIA),
     "spring-bodies": _spring_bodies,
     "tumbling-brick": _tumbling_brick,
 }
 #: Steps that suffice, by scene.
-STEPS = {"heavy-top": 300, "rocket": 100, "low-orbit": 100, "spring-bodies": 150, "tumbling-brick": 100}
+STEPS = {
+    "heavy-top": 300,
+    "rocket": 100,
+    "low-orbit": 100,
+    "spinning-satellite": 54_000,
+    "spring-bodies": 150,
+    "tumbling-brick": 100,
+}
 
 
 # ---- flying them ----------------------------------------------------------------------------------------------------

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from . import stiff_attitude
+from . import actuator_lag, stiff_attitude, stiff_joint
 from .arrays import Array, about, cross_matrix
 from .collocation import collocated
-from .references import Flat, cross, printed
+from .references import Flat, cross, moved, printed
 from .scene import Scene
 
 __all__ = ["STIFF", "Stiff", "flown", "main"]
@@ -53,11 +53,47 @@ def _stiff_attitude(t: Any, y: Values, params: Values) -> dict[str, Array]:
     return {"R": R @ cross_matrix(w), "w": (cross(J * w, w) - k * (e + w)) / J}
 
 
+def _actuator_lag(t: Any, y: Values, params: Values) -> dict[str, Array]:
+    v, w, F, a = y["V"][:3], y["V"][3:], y["F"], y["a"]
+    m, J, n = actuator_lag.MASS, np.array(actuator_lag.INERTIA), y["g"][2, :3]
+    side = F * a
+    force = np.array([side[0], side[1], F]) - 9.81 * m * n - m * cross(w, v)
+    torque = actuator_lag.ARM * np.array([side[1], -side[0], 0 * F]) - cross(w, J * w)
+    command = 9.81 * m * (1 + 0.1 * np.cos(0.7 * t)) - 2 * v[2]
+    gimbals = [-0.3 * n[0] + 0.15 * w[1] + 0.02 * np.sin(t), -0.3 * n[1] - 0.15 * w[0] + 0.02 * np.cos(2 * t)]
+    return {
+        "g": moved(y["g"], y["V"]),
+        "V": np.concatenate([force / m, torque / J]),
+        "F": (command - F) / params["tau"],
+        "a": (np.array(gimbals) - a) / params["tau"],
+    }
+
+
+def _stiff_joint(t: Any, y: Values, params: Values) -> dict[str, Array]:
+    places, speeds = [], []
+    for g, V, point in zip((y["g1"], y["g2"]), (y["V1"], y["V2"]), stiff_joint.POINTS):
+        places.append(g[:3, 3] + g[:3, :3] @ point)
+        speeds.append(g[:3, :3] @ (V[:3] + cross(V[3:], point)))
+    pull = params["k"] * (places[1] - places[0]) + params["c"] * (speeds[1] - speeds[0])
+    found = {}
+    for i, force in enumerate((pull, -pull)):
+        g, V, m, J = y[f"g{i + 1}"], y[f"V{i + 1}"], stiff_joint.MASSES[i], np.array(stiff_joint.MOMENTS[i])
+        torque = g[:3, :3].T @ cross((places[0] + places[1]) / 2 - g[:3, 3], force)
+        linear = g[:3, :3].T @ force / m - cross(V[3:], V[:3])
+        found[f"g{i + 1}"] = moved(g, V)
+        found[f"V{i + 1}"] = np.concatenate([linear, (torque - cross(V[3:], J * V[3:])) / J])
+    return found
+
+
 #: By the name of the scene.
 STIFF: dict[str, Stiff] = {
     "stiff-attitude": Stiff(
         tuple(map(stiff_attitude.scene, stiff_attitude.RATES)), _stiff_attitude, 100, lambda params: params["k"]
     ),
+    "actuator-lag": Stiff(
+        tuple(map(actuator_lag.scene, actuator_lag.LAGS)), _actuator_lag, 100, lambda params: 1 / params["tau"]
+    ),
+    "stiff-joint": Stiff((stiff_joint.STIFF_JOINT,), _stiff_joint, 200, lambda params: 2e5),
 }
 
 
