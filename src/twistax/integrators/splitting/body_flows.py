@@ -15,6 +15,8 @@ from ..charts.stored import tightened
 from ..charts.whole import Blocks
 from .inertia import CenteredInertia, Inertia
 from .motion import Flows
+from .spin import arrays
+from .sums import Sum, begun, increased, value
 
 __all__ = ["AttitudeFlows", "PoseFlows"]
 
@@ -22,7 +24,7 @@ Map = Callable[[Components], Components]
 
 
 class AttitudeFlows(Flows):
-    """A body that turns about the origin of its frame. Stored: (q,) and the momentum in world axes.
+    """A body that turns about the origin of its frame. Stored: (q,) and the sum of momentum in world axes.
 
     Args:
         names: of the attitude, and of its velocity or momentum.
@@ -39,10 +41,10 @@ class AttitudeFlows(Flows):
     def enter(self, x: Arrays) -> Blocks:
         pose = self.part.enter(x[self.position])
         momenta = self.into(self.part.rate(x[self.velocity]))
-        return {self.position: self._to_center(pose), self.velocity: _turned(pose[:4], momenta)}
+        return {self.position: self._to_center(pose), self.velocity: begun(_turned(pose[:4], momenta))}
 
     def value(self, y: Blocks) -> Arrays:
-        pose, momenta = y[self.position], y[self.velocity]
+        pose, momenta = y[self.position], value(y[self.velocity])
         own = self.out(_turned(_conjugate(pose[:4]), momenta))
         return {self.position: self.part.value(self._from_center(pose)), self.velocity: self._array(own)}
 
@@ -51,9 +53,9 @@ class AttitudeFlows(Flows):
         return {self.position: pose, self.velocity: jnp.zeros(self.group.dimension, pose.dtype)}
 
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
-        pose, momenta = y[self.position], y[self.velocity]
+        pose, momenta = y[self.position], value(y[self.velocity])
         q = self.spin.symmetric(pose[:4], momenta[:3], dt)
-        return {self.position: (*q, *self._carried(pose[4:], momenta, dt)), self.velocity: momenta}
+        return {self.position: (*q, *self._carried(pose[4:], momenta, dt)), self.velocity: y[self.velocity]}
 
     def inner(self, y: Blocks, dt: jax.Array) -> Blocks:
         return self._by_others(y, dt, backwards=False)
@@ -64,7 +66,7 @@ class AttitudeFlows(Flows):
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
         pose, momenta = y[self.position], y[self.velocity]
         force = _turned(pose[:4], self.into(self.part.rate(rates[self.velocity])))
-        return {self.position: pose, self.velocity: add(momenta, scale(dt, force))}
+        return {self.position: pose, self.velocity: increased(momenta, scale(dt, force))}
 
     def settle(self, y: Blocks) -> Blocks:
         pose = y[self.position]
@@ -81,15 +83,16 @@ class AttitudeFlows(Flows):
     def _to_center(self, pose: Components) -> Components:
         return pose
 
-    def _from_center(self, pose: Components) -> Components:
-        return pose
+    def _from_center(self, stored: Components) -> Components:
+        return stored
 
-    def _carried(self, center: Components, momenta: Components, dt: jax.Array) -> Components:
+    def _carried(self, center: Sum, momenta: Components, dt: jax.Array) -> Sum:
         return center
 
 
 class PoseFlows(AttitudeFlows):
-    """A body that also moves. Stored: (q, centre of mass), and the momenta (L about the centre of mass, p) in world axes."""
+    """A body that also moves. Stored: q and the sum of the centre of mass; that of the momenta, of L about the centre of
+    mass and p, in world axes."""
 
     def __init__(
         self, names: tuple[str, str], group: SpecialEuclidean, own: CenteredInertia, into: Map, out: Map
@@ -101,13 +104,17 @@ class PoseFlows(AttitudeFlows):
         return self.order.from_linear_first(vector(own))
 
     def _to_center(self, pose: Components) -> Components:
-        return (*pose[:4], *add(pose[4:], quaternions.rotate(pose[:4], self.center)))
+        return (*pose[:4], *begun(add(pose[4:], self._arm(pose))))
 
-    def _from_center(self, pose: Components) -> Components:
-        return (*pose[:4], *add(pose[4:], scale(-1.0, quaternions.rotate(pose[:4], self.center))))
+    def _from_center(self, stored: Components) -> Components:
+        return (*stored[:4], *add(value(stored[4:]), scale(-1.0, self._arm(stored))))
 
-    def _carried(self, center: Components, momenta: Components, dt: jax.Array) -> Components:
-        return add(center, scale(dt / self.mass, momenta[3:]))
+    def _carried(self, center: Sum, momenta: Components, dt: jax.Array) -> Sum:
+        return increased(center, scale(dt / self.mass, momenta[3:]))
+
+    def _arm(self, pose: Components) -> Components:
+        """From the origin of the frame to the centre of mass, in world axes."""
+        return quaternions.rotate(pose[:4], arrays(self.center, pose[0]))
 
 
 def _conjugate(q: Components) -> Components:

@@ -12,7 +12,6 @@ from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
 from ...expr import Parameter
-from ...groups import Euclidean
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from .motion import FreeMotion
@@ -71,7 +70,9 @@ class _Comparison:
         self.dynamics, self.motions = dynamics, motions
         self.read = {name for motion in motions for name in motion.parameters}
 
-    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, direction: Arrays) -> dict[str, Any]:
+    def __call__(self, t: jax.Array, d: Arrays, u: Arrays, params: Arrays, direction: Arrays) -> dict[str, Any]:
+        """At the state Exp(d), the parameters moved in a direction."""
+        x = {name: group.exp(d[name].reshape(-1)) for name, group in self.dynamics.group.factors.items()}
         names = [motion.velocity for motion in self.motions]
         velocities = {name: x[name] for name in names}
 
@@ -138,30 +139,27 @@ def _judge(motion: FreeMotion, found: dict[str, Any]) -> None:
 
 
 def _drawn(dynamics: Dynamics, motions: Sequence[FreeMotion], rng: np.random.Generator) -> tuple[Any, ...]:
-    """A time, states, controls, parameters, and a direction to move the parameters in."""
+    """A time, tangents of states, controls, parameters, and a direction to move the parameters in."""
     dtype = jax.dtypes.canonicalize_dtype(float)
 
     def cast(values: dict[str, Any]) -> Arrays:
         return {name: jnp.asarray(value, dtype) for name, value in values.items()}
 
-    x = {}
-    for state in dynamics.states:
-        scale = 1.0 if state.scale is None else state.scale
-        if isinstance(state.group, Euclidean):
-            x[state.name] = rng.normal(size=state.shape) * scale
-        else:
-            x[state.name] = state.group.exp(jnp.asarray(rng.normal(size=state.group.dimension), dtype))
+    d = {
+        state.name: rng.normal(size=state.group.dimension) * np.ravel(1.0 if state.scale is None else state.scale)
+        for state in dynamics.states
+    }
     u = {control.name: rng.normal(size=control.shape) for control in dynamics.controls}
     params = {parameter.name: _parameter(parameter, rng) for parameter in dynamics.parameters}
     direction = {name: np.where(value == 0.0, 1.0, value) * rng.normal(size=value.shape) for name, value in params.items()}
-    return jnp.asarray(rng.uniform(0.0, 2.0), dtype), cast(x), cast(u), cast(params), cast(direction)
+    return jnp.asarray(rng.uniform(0.0, 2.0), dtype), cast(d), cast(u), cast(params), cast(direction)
 
 
 def _parameter(parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
     """A value near the parameter's own, of the same form; where it has none, one that a real body may have."""
     share = rng.uniform(0.8, 1.2)
     if parameter.value is not None:
-        return share * np.asarray(parameter.value, np.float64)
+        return np.asarray(share * parameter.value)
     if parameter.shape == (3, 3):
         arm = rng.normal(size=(3, 3))
         return np.eye(3) + 0.1 * (arm @ arm.T)
@@ -169,4 +167,4 @@ def _parameter(parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
         return np.diag([share, share, share, *rng.uniform(1.0, 2.0, size=3)])
     if parameter.shape == (6,):
         return np.array([share, share, share, *rng.uniform(1.0, 2.0, size=3)])
-    return rng.uniform(1.0, 2.0, size=parameter.shape)
+    return np.asarray(rng.uniform(1.0, 2.0, size=parameter.shape))

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import ModelError
 from ...groups import so3
 from ...groups.components import Components, add, cross, scale, unpack
-from .spin import Frame, Number, Spin, times
+from .spin import Frame, Number, Spin, arrays, times
 
 __all__ = ["CenteredInertia", "Inertia", "RotationalInertia", "rigid", "rotational"]
 
@@ -83,19 +83,19 @@ class CenteredInertia(Inertia):
 
     def momenta(self, velocity: Components) -> Components:
         v, w = velocity[:3], velocity[3:]
-        return (*times(self.spin.tensor, w), *scale(self.mass, add(v, cross(w, self.center))))
+        return (*times(self.spin.tensor, w), *scale(self.mass, add(v, cross(w, arrays(self.center, v[0])))))
 
     def velocity(self, momenta: Components) -> Components:
         w = times(self.spin.inverse, momenta[:3])
-        return (*add(scale(1.0 / self.mass, momenta[3:]), cross(self.center, w)), *w)
+        return (*add(scale(1.0 / self.mass, momenta[3:]), cross(arrays(self.center, w[0]), w)), *w)
 
     def centered(self, momentum: Components) -> Components:
         p, L = momentum[:3], momentum[3:]
-        return (*add(L, cross(p, self.center)), *p)
+        return (*add(L, cross(p, arrays(self.center, p[0]))), *p)
 
     def about_origin(self, momenta: Components) -> Components:
         L, p = momenta[:3], momenta[3:]
-        return (*p, *add(L, cross(self.center, p)))
+        return (*p, *add(L, cross(arrays(self.center, p[0]), p)))
 
 
 def rotational(place: str, value: np.ndarray | jax.Array, known: np.ndarray | None) -> RotationalInertia:

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...groups import Euclidean
-from ...groups.components import add, scale
+from ...groups.components import scale
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ..charts.coordinates import FlatCoordinates
 from ..charts.whole import Blocks
 from .motion import Flows, FreeMotion, name_of
+from .sums import begun, increased, value
 
 __all__ = ["FreeParticle"]
 
@@ -66,17 +67,17 @@ class _ParticleFlows(Flows):
     part: FlatCoordinates
 
     def enter(self, x: Arrays) -> Blocks:
-        return {name: self.part.enter(x[name]) for name in (self.position, self.velocity)}
+        return {name: begun(self.part.enter(x[name])) for name in (self.position, self.velocity)}
 
     def value(self, y: Blocks) -> Arrays:
-        return {name: self.part.value(y[name]) for name in (self.position, self.velocity)}
+        return {name: self.part.value(value(y[name])) for name in (self.position, self.velocity)}
 
     def at_rest(self, y: Blocks) -> Arrays:
-        p = self.part.value(y[self.position])
+        p = self.part.value(value(y[self.position]))
         return {self.position: p, self.velocity: jnp.zeros_like(p)}
 
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
-        return self._own(y) | {self.position: add(y[self.position], scale(dt, y[self.velocity]))}
+        return self._own(y) | {self.position: increased(y[self.position], scale(dt, value(y[self.velocity])))}
 
     def inner(self, y: Blocks, dt: jax.Array) -> Blocks:
         return self._own(y)
@@ -86,7 +87,7 @@ class _ParticleFlows(Flows):
 
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
         change = self.part.rate(rates[self.velocity])
-        return self._own(y) | {self.velocity: add(y[self.velocity], scale(dt, change))}
+        return self._own(y) | {self.velocity: increased(y[self.velocity], scale(dt, change))}
 
     def settle(self, y: Blocks) -> Blocks:
         return self._own(y)

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...groups import quaternions
-from ...groups.components import Components, cross, dot, matrix, scale, unpack
+from ...groups.components import Components, cross, dot, matrix, scale, unpack, vector
 
-__all__ = ["Frame", "Number", "Rows", "Spin", "times"]
+__all__ = ["Frame", "Number", "Rows", "Spin", "arrays", "times"]
 
 #: A constant, which costs nothing where it is zero, or a traced number.
 Number: TypeAlias = jax.Array | float
@@ -30,6 +30,11 @@ def _is_zero(number: Number) -> bool:
 def times(rows: Rows, v: Components) -> Components:
     """The matrix of these rows times v; entries that are the constant zero are left out."""
     return tuple(_weighted(row, v) for row in rows)
+
+
+def arrays(numbers: Sequence[Number], like: jax.Array) -> Components:
+    """The numbers as scalars of the precision of `like`."""
+    return tuple(jnp.asarray(number, like.dtype) for number in numbers)
 
 
 def _weighted(row: Sequence[Number], v: Components) -> jax.Array:
@@ -71,14 +76,14 @@ class Frame:
 class _Axis:
     """strength (n . L)^2 / 2, which turns the body about n, fixed in it, at the rate strength (n . L)."""
 
-    n: tuple[float, ...]
+    n: tuple[Number, ...]
     strength: Number
 
     def flow(self, q: Components, L: Components, dt: jax.Array) -> Components:
         """The attitude dt later; L is the momentum in world axes."""
         own = quaternions.rotate(_conjugate(q), L)
         half = 0.5 * dt * self.strength * _weighted(self.n, own)
-        return quaternions.product(q, (jnp.cos(half), *scale(jnp.sin(half), self.n)))
+        return quaternions.product(q, (jnp.cos(half), *scale(jnp.sin(half), arrays(self.n, half))))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,9 +162,16 @@ class Spin:
 
     def others_flow(self, q: Components, L: Components, dt: jax.Array, backwards: bool) -> Components:
         """The attitude after dt by every other part, one after the other."""
-        for axis in self.others[::-1] if backwards else self.others:
-            q = axis.flow(q, L, dt)
-        return q
+        if len(self.others) < 2:
+            return self.others[0].flow(q, L, dt) if self.others else q
+        # A loop: written out, derivatives of so many turns in a row take minutes to compile.
+        directions = jnp.asarray(np.array([axis.n for axis in self.others]), dt.dtype)
+        strengths = vector(arrays([axis.strength for axis in self.others], dt))
+
+        def turn(q: Components, entry: tuple[jax.Array, jax.Array]) -> tuple[Components, None]:
+            return _Axis(unpack(entry[0]), entry[1]).flow(q, L, dt), None
+
+        return jax.lax.scan(turn, q, (directions, strengths), reverse=backwards)[0]
 
 
 def _conjugate(q: Components) -> Components:
