@@ -25,7 +25,7 @@ BARS = {
     "low-orbit": (10.0, 2e-13, 1e-3),
     "spring-bodies": (0.01, 2e-12, 1e-12),
     "tumbling-brick": (0.1, 2e-13, 0.0),
-    "long-heavy-top": (0.01, 5e-8, 1e-11),
+    "long-heavy-top": (0.01, 1e-9, 1e-11),
     "spinning-satellite": (0.4, 2e-9, 1e-3),
 }
 

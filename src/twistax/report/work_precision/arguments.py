@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="under two minutes: few methods, coarse settings, few repeats, spring-bodies only if asked for",
+        help="under two minutes: few methods, coarse settings, few repeats; the longest scenes only if asked for",
     )
     parser.add_argument(
         "--out",

@@ -12,7 +12,7 @@ import jax
 from ...scenes import SCENES
 from .bars import Outcome, outcomes
 from .blocks import as_html, as_markdown
-from .contenders import CONTENDERS, IN_QUICK, TOO_LONG_FOR_QUICK
+from .contenders import CONTENDERS, IN_QUICK, TOO_LONG_FOR_QUICK, suited
 from .effort import FULL, QUICK
 from .figure import draw
 from .findings import TARGETS, Findings
@@ -61,7 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     for scene in scenes.values():
         lap, before = time.perf_counter(), len(store)
         progress.start(scene.name)
-        refused += measure_scene(scene, contenders.values(), effort, store, progress.tell)
+        flown = arguments.method or suited(contenders, scene.name)
+        refused += measure_scene(scene, [contenders[name] for name in flown], effort, store, progress.tell)
         progress.end()
         print(f"{scene.name:<18} {len(store) - before:4d} flights in {time.perf_counter() - lap:5.1f} s", flush=True)
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import twistax as tx
 
 from .contender import Contender, Line, Side
 from .own import Adaptive, FixedSteps
-from .rivals import I_CONTROL, PI_CONTROL, AsShipped, Diffrax, OneSmallCall
+from .rivals import I_CONTROL, PI_CONTROL, AsShipped, Diffrax, DiffraxImplicit, OneSmallCall
 
-__all__ = ["CONTENDERS", "IN_QUICK", "ONE_CALL", "OURS", "SHIPPED", "TOO_LONG_FOR_QUICK"]
+__all__ = ["CONTENDERS", "IN_QUICK", "LONG", "ONE_CALL", "OURS", "SHIPPED", "STIFF", "TOO_LONG_FOR_QUICK", "suited"]
 
 OURS = Side("twistax", "`tx.integrate` with its defaults")
 ONE_CALL = Side(
@@ -41,6 +43,10 @@ def _own() -> list[Contender]:
     closed = _rkmk("DOP853, closed form", "DOP853", "purple - P", "Exponential()", drawn=False)
     split = _rkmk("DOP853, split", "DOP853", "green - ^", "SplitExponential(6)")
     quaternion = _rkmk("DOP853, quaternion", "DOP853", "blue -- D", "Ambient()")
+    radau5 = _ours("Radau IIA 5", "tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)", "blue - X")
+    radau5_quaternion = _ours(
+        "Radau IIA 5, quaternion", "tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5, tx.charts.Ambient())", "blue -- X"
+    )
     dopri8 = _rkmk("Dormand-Prince 8", "DORMAND_PRINCE8", "brown - >", drawn=False)
     return [
         FixedSteps("rk4", rk4, tx.RKMK(T.RK4)),
@@ -55,6 +61,8 @@ def _own() -> list[Contender]:
         Adaptive("dop853-split", split, tx.RKMK(T.DOP853, C.SplitExponential(6))),
         Adaptive("dop853-quaternion", quaternion, tx.RKMK(T.DOP853, C.Ambient())),
         Adaptive("dopri8", dopri8, tx.RKMK(T.DORMAND_PRINCE8)),
+        Adaptive("radau5", radau5, tx.ImplicitRKMK(T.RADAU_IIA5)),
+        Adaptive("radau5-quaternion", radau5_quaternion, tx.ImplicitRKMK(T.RADAU_IIA5, C.Ambient())),
     ]
 
 
@@ -69,14 +77,35 @@ def _rivals() -> list[Contender]:
             # Two controllers on one line: the better counts.
             found.append(Diffrax(name, line, solver, I_CONTROL, form))
             found.append(Diffrax(f"{name}-pi", line, solver, PI_CONTROL, form))
+    # Its default controller is no match for stiff systems, and its linear algebra calls a library: no small call.
+    stiff = Line("diffrax Kvaerno5 as shipped", "diffrax.Kvaerno5()", SHIPPED, ("tab:red", ":", "X"))
+    found.append(DiffraxImplicit("diffrax-kvaerno5-pi", stiff, "Kvaerno5", PI_CONTROL, AsShipped()))
     return found
 
 
 #: All of them, by name.
 CONTENDERS: dict[str, Contender] = {contender.name: contender for contender in [*_own(), *_rivals()]}
 
-#: Those of the quick run.
-IN_QUICK = ("tsit5", "dop853", "dop853-quaternion", "diffrax-tsit5-call", "diffrax-dopri8-call-pi", "diffrax-tsit5")
+#: Scenes with a part so fast that it has died out: for implicit methods alone, as explicit ones cannot take a step.
+STIFF = ("stiff-attitude", "actuator-lag", "stiff-joint")
+_IMPLICIT = ("radau5", "radau5-quaternion", "diffrax-kvaerno5-pi")
 
-#: Scenes of the full run only: compiling four bodies takes more than a third of the time of all scenes together.
-TOO_LONG_FOR_QUICK = ("spring-bodies",)
+#: Scenes so long that a flight takes up to seconds: for a few methods of high order.
+LONG = ("long-heavy-top", "spinning-satellite")
+_HIGH_ORDER = ("dop853", "dop853-quaternion", "dopri8", "diffrax-dopri8-call-pi", "diffrax-dopri8-pi")
+
+#: Those of the quick run.
+_QUICK = ("tsit5", "dop853", "dop853-quaternion", "diffrax-tsit5-call", "diffrax-dopri8-call-pi", "diffrax-tsit5")
+IN_QUICK = (*_QUICK, "radau5", "diffrax-kvaerno5-pi")
+
+#: Scenes of the full run only: several bodies take long to compile.
+TOO_LONG_FOR_QUICK = ("spring-bodies", "stiff-joint", *LONG)
+
+
+def suited(contenders: Iterable[str], scene: str) -> list[str]:
+    """Which of the methods, by name, are worth flying a scene with, where nobody asked for others."""
+    if scene in STIFF:
+        return [name for name in contenders if name in _IMPLICIT]
+    if scene in LONG:
+        return [name for name in contenders if name in _HIGH_ORDER]
+    return [name for name in contenders if name not in _IMPLICIT]

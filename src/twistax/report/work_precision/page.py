@@ -50,7 +50,14 @@ def page(
             f"below 1). Time is one call of the compiled function. This is a {origin.effort['name']} run."
         ),
         Heading(2, "What to use when"),
-        Bullets([words.advice(findings, names), *words.winners(findings, names), words.digits(findings)]),
+        Bullets(
+            [
+                words.advice(findings, names),
+                *words.advice_if_stiff(findings, names),
+                *words.winners(findings, names),
+                words.digits(findings),
+            ]
+        ),
         Bullets([words.on_tolerance(findings)]),
         Heading(3, "Where plain quaternions or diffrax are the better choice"),
         Paragraph(f"Compared are {'; '.join(f'**{side.name}**, {side.what}' for side in _sides(findings))}."),
@@ -122,7 +129,7 @@ def _scene(findings: Findings, scene: Scene, figure: bytes | None) -> list[Block
             continue
         cells = [words.duration(curve.time_at(error)) for error in TARGETS]
         at = [curve.row_at(error) for error in TARGETS]
-        cells += [str(row.evaluations) if row else "-" for row in at]
+        cells += [str(row.evaluations) if row and row.evaluations else "-" for row in at]
         cells += [f"{row.steps} ({row.rejected})" if row else "-" for row in at]
         compiling = [row.compile_seconds for row in curve.rows if math.isfinite(row.compile_seconds)]
         rows.append([line.title, *cells, f"{min(compiling):.2g} s" if compiling else "-"])

@@ -19,7 +19,7 @@ from .contender import Contender, Counts, Line, Program
 from .effort import Effort
 from .ladder import Ladder
 
-__all__ = ["AsShipped", "Diffrax", "Form", "Gains", "I_CONTROL", "OneSmallCall", "PI_CONTROL"]
+__all__ = ["AsShipped", "Diffrax", "DiffraxImplicit", "Form", "Gains", "I_CONTROL", "OneSmallCall", "PI_CONTROL"]
 
 Fly = Callable[[Any, Any], tuple[Any, Counts]]
 
@@ -109,7 +109,6 @@ class Diffrax(Contender):
         start, unravel = ravel_pytree(term.to_ambient(scene.start))
         u, params = scene.u, {name: jnp.asarray(value) for name, value in scene.params.items()}
         solver = getattr(diffrax, self.solver)()
-        stages = solver.tableau.num_stages - 1
 
         def rate(t: Any, y: jax.Array, args: Any) -> jax.Array:
             return ravel_pytree(term.vector_field(t, unravel(y), (u, params)))[0]
@@ -130,8 +129,20 @@ class Diffrax(Contender):
                 **self.form.options,
             )
             accepted, rejected = sol.stats["num_accepted_steps"], sol.stats["num_rejected_steps"]
-            # The last stage of a step is the first of the next; the choice of the first step is left out.
-            evaluations = stages * (accepted + rejected) + 1
+            evaluations = self.evaluations(solver, accepted + rejected)
             return sol.ys[0], Counts(accepted, rejected, evaluations, jnp.isfinite(sol.ys[0]).all())
 
         return Program(start, self.form.wrap(fly), lambda y: term.from_ambient(unravel(y)), one_for_all=True)
+
+    def evaluations(self, solver: Any, steps: jax.Array) -> jax.Array:
+        """How often the right-hand side was evaluated."""
+        # The last stage of a step is the first of the next; the choice of the first step is left out.
+        return (solver.tableau.num_stages - 1) * steps + 1
+
+
+@dataclasses.dataclass(frozen=True)
+class DiffraxImplicit(Diffrax):
+    """An implicit solver, which does not say how often it evaluates the right-hand side: 0."""
+
+    def evaluations(self, solver: Any, steps: jax.Array) -> jax.Array:
+        return jnp.zeros_like(steps)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 
 from .contender import Line
-from .contenders import CONTENDERS, ONE_CALL, OURS, SHIPPED
+from .contenders import CONTENDERS, LONG, ONE_CALL, OURS, SHIPPED, STIFF
 from .findings import TARGETS, Findings
 
-__all__ = ["advice", "digits", "duration", "on_diffrax", "on_quaternions", "on_tolerance", "power", "winners"]
+__all__ = [
+    *("advice", "advice_if_stiff", "digits", "duration", "on_diffrax", "on_quaternions", "on_tolerance", "power"),
+    "winners",
+]
 
 #: Times closer than this count as the same.
 _SAME = 1.05
@@ -37,26 +40,39 @@ def advice(findings: Findings, names: Mapping[str, str]) -> str:
     Args:
         names: titles of the scenes.
     """
-    worst = _worst_ratios(findings)
+    scenes = [scene for scene in findings.scenes if scene not in (*STIFF, *LONG)]
+    said = _advice(findings, names, scenes, "If in doubt")
+    return said or "No method was run on all scenes to the errors compared here; there is no single advice."
+
+
+def advice_if_stiff(findings: Findings, names: Mapping[str, str]) -> list[str]:
+    """The same for the stiff scenes, where any were flown."""
+    said = _advice(findings, names, [scene for scene in findings.scenes if scene in STIFF], "If the system is stiff")
+    return [said] if said else []
+
+
+def _advice(findings: Findings, names: Mapping[str, str], scenes: Sequence[str], when: str) -> str:
+    """A sentence; empty where no line reached every error."""
+    worst = _worst_ratios(findings, scenes)
     if not worst:
-        return "No method was run on all scenes to the errors compared here; there is no single advice."
+        return ""
     line = min(worst, key=lambda line: worst[line][0])
     ratio, scene, error = worst[line]
     if ratio <= _SAME:
         close = "nothing else that can be had by calling a library is faster on any scene"
     else:
         close = f"at worst it takes {ratio:.1f} times as long as the fastest ({names[scene]}, error {power(error)})"
-    return f"**If in doubt, take {line.title}**, `{line.code}`: {close}."
+    return f"**{when}, take {line.title}**, `{line.code}`: {close}."
 
 
-def _worst_ratios(findings: Findings) -> dict[Line, tuple[float, str, float]]:
-    """By line that reaches every error on every scene: its largest ratio to the fastest, and where."""
+def _worst_ratios(findings: Findings, scenes: Sequence[str]) -> dict[Line, tuple[float, str, float]]:
+    """By line that reaches every error on every one of the scenes: its largest ratio to the fastest, and where."""
     found = {}
     lines = [line for line in findings.lines if line.side.ready]
     for line in lines:
         ratios = [
             (findings.time(scene, line, error) / ranking[0].seconds, scene, error)
-            for scene in findings.scenes
+            for scene in scenes
             for error in TARGETS
             if (ranking := findings.ranking(scene, error, lines))
         ]
@@ -155,8 +171,8 @@ def on_diffrax(findings: Findings, names: Mapping[str, str]) -> list[str]:
                 "time of its fastest."
             )
     sentences.append(
-        "All methods here are explicit. A stiff system, one that would move slowly but for a very fast part that has "
-        "died out, needs an implicit one, such as diffrax's `Kvaerno5`; `tx.diffrax.ambient_term` hands a system to it."
+        "Explicit methods are not flown on the stiff scenes, which would move slowly but for a very fast part that has "
+        "died out: their steps are as short as that part is fast. Implicit ones are flown there alone."
     )
     return sentences
 
