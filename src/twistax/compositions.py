@@ -1,4 +1,4 @@
-"""Symmetric compositions for `tx.Splitting`: `tx.compositions.KAHAN_LI8` and the others; make your own with `Composition`."""
+"""Symmetric compositions for `tx.Splitting`: `tx.compositions.KAHAN_LI8` and others; your own is a `Composition`."""
 
 from .integrators.splitting.composition import Composition
 from .integrators.splitting.compositions import *  # noqa: F403

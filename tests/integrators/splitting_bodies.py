@@ -49,7 +49,9 @@ def top_reference(x0: dict[str, np.ndarray], t1: float) -> dict[str, np.ndarray]
         torque = np.cross(LEVER, R.T @ WEIGHT) + np.cross(POLE, R.T @ field)
         return np.concatenate([(R @ skew(w)).ravel(), np.linalg.solve(TENSOR, np.cross(TENSOR @ w, w) + torque)])
 
-    y = solve_ivp(rate, (0.0, t1), np.append(x0["R"].ravel(), x0["w"]), method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    y = solve_ivp(rate, (0.0, t1), np.append(x0["R"].ravel(), x0["w"]), method="DOP853", rtol=1e-13, atol=1e-14).y[
+        :, -1
+    ]
     return {"R": y[:9].reshape(3, 3), "w": y[9:]}
 
 

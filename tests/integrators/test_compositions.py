@@ -63,7 +63,8 @@ def test_a_weight_that_is_off_by_one_part_in_1e12_is_seen() -> None:
 
 def test_kicks_of_all_but_negative_steps_lie_inside_of_the_step() -> None:
     for composition in tx.compositions.ALL:
-        assert composition.nodes.min() > 0.0 and composition.nodes.max() < 1.0
+        assert composition.nodes.min() > 0.0
+        assert composition.nodes.max() < 1.0
         assert np.isclose(composition.between.sum(), 1.0, rtol=1e-14)
         assert composition.between.size == composition.stages + 1
 

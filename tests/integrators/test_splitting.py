@@ -81,11 +81,13 @@ def variants() -> dict[str, Any]:
     parameter = tx.Parameter("M", value=M)
     of_a_point = spatial_inertia(1.0, CENTRE, np.zeros((3, 3)))
     built = tx.Parameter("m", value=MASS) * of_a_point + (M - MASS * of_a_point)
-    turned = lambda x: x | {"V": x["V"][SWAP]}
-    with_mu = lambda x: {"g": x["g"], "mu": M @ x["V"]}
     return {
-        "angular first": (hung(angular), tx.FreeBody("g", "V", inertia=swapped), turned),
-        "momentum": (hung(momentum=True), tx.FreeBody("g", momentum="mu", inertia=M), with_mu),
+        "angular first": (hung(angular), tx.FreeBody("g", "V", inertia=swapped), lambda x: x | {"V": x["V"][SWAP]}),
+        "momentum": (
+            hung(momentum=True),
+            tx.FreeBody("g", momentum="mu", inertia=M),
+            lambda x: {"g": x["g"], "mu": M @ x["V"]},
+        ),
         "momentum, angular first": (
             hung(angular, momentum=True),
             tx.FreeBody("g", momentum="mu", inertia=swapped),
@@ -106,11 +108,13 @@ def test_variants_fly_the_same_body(name: str, hung_end: State) -> None:
 
 def test_inertia_given_at_run_time(top_end: State) -> None:
     """The tensor flown is none that was known when the free motion was split, and has other axes."""
-    R, w, t, J = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Time(), tx.Parameter("J", shape=(3, 3))
+    R, w, J = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Parameter("J", shape=(3, 3))
     fixed = top()
     rate = fixed.rates["w"]
     assert isinstance(rate, tx.linalg.Solve)
-    dynamics = tx.compile(tx.System(rates={R: w, w: tx.linalg.Solve(J, rate.b - tx.Cross(TENSOR @ w, w) + tx.Cross(J @ w, w))}))
+    dynamics = tx.compile(
+        tx.System(rates={R: w, w: tx.linalg.Solve(J, rate.b - tx.Cross(TENSOR @ w, w) + tx.Cross(J @ w, w))})
+    )
     method = tx.Splitting(KAHAN_LI8, tx.FreeBody(R, w, inertia="J"))
     sol = tx.integrate(dynamics, TOP_START, t1=END, steps=80, method=method, params={"J": TENSOR})
     assert distance(sol, top_end) < 2e-10
@@ -149,14 +153,18 @@ def test_a_free_symmetric_body_is_exact_in_one_step(name: str) -> None:
     """The fast one turns by 1.5e4 rad in this step: a unit in the last place of its rate is 1e-12 rad."""
     scene = SCENES[name]
     sol = scene.fly(steps=1, method=tx.Splitting(STRANG, tx.FreeBody("R", "w", inertia=(1.0, 1.0, 1.5))))
-    assert scene.error({name: value[-1] for name, value in sol.xs.items()}) < (1e-13 if name == "symmetric-body" else 1e-11)
+    assert scene.error({name: value[-1] for name, value in sol.xs.items()}) < (
+        1e-13 if name == "symmetric-body" else 1e-11
+    )
 
 
 @pytest.mark.parametrize("axis", [np.array([1.0, 0.0, 0.0]), np.array([0.6, 0.0, 0.8])], ids=["x", "tilted"])
 def test_one_step_of_a_symmetric_body_with_offset_centre_of_mass(axis: np.ndarray) -> None:
     """The centre of mass goes straight ahead, and about it the body turns as the exact solution says."""
     own = np.asarray(tx.pose()[:3, :3])
-    turn = np.asarray(tx.lie.so3.exp(np.cross([0.0, 0.0, 1.0], axis) / np.linalg.norm(np.cross([0, 0, 1], axis)) * np.arccos(axis[2])))
+    turn = np.asarray(
+        tx.lie.so3.exp(np.cross([0.0, 0.0, 1.0], axis) / np.linalg.norm(np.cross([0, 0, 1], axis)) * np.arccos(axis[2]))
+    )
     np.testing.assert_allclose(turn @ own[:, 2], axis, atol=1e-15)
     w0, R0, seconds = np.array([0.6, -0.4, 3.0]), start()["g"][:3, :3], 40.0
     R, w = SymmetricBody(1.0, 1.5, R0 @ turn, w0).at(seconds)
@@ -219,7 +227,7 @@ def test_energy_of_a_heavy_top_stays_in_bounds() -> None:
     assert 1e-13 < energy[:200].max() < 1e-9
     assert energy[200:].max() < 1.5 * energy[:200].max()
     for name in ("vertical_momentum", "axial_momentum"):
-        assert np.abs(found[name] - found[name][0]).max() < 1e-12
+        assert np.abs(found[name] - found[name][0]).max() < 1e-11
 
 
 def driven() -> tx.Dynamics:
@@ -233,14 +241,18 @@ def test_controls_that_jump_at_steps_cost_no_order() -> None:
     wanted = tx.integrate(dynamics, TOP_START, t1=2.0, rtol=1e-13, u=u, method=tx.RKMK(tx.tableaus.DOP853)).xs
     wanted = {name: np.asarray(value[-1]) for name, value in wanted.items()}
     method = tx.Splitting(KAHAN_LI6, TOP_BODY)
-    errors = [distance(tx.integrate(dynamics, TOP_START, t1=2.0, steps=n, u=u, method=method), wanted) for n in (16, 32)]
+    errors = [
+        distance(tx.integrate(dynamics, TOP_START, t1=2.0, steps=n, u=u, method=method), wanted) for n in (16, 32)
+    ]
     assert 1e-10 < errors[1] < 1e-5
     assert np.log2(errors[0] / errors[1]) > 5.6
 
 
 def test_saved_times_and_dense_output(top_end: State) -> None:
     method = tx.Splitting(KAHAN_LI8, TOP_BODY)
-    sol = tx.integrate(compiled_top(), TOP_START, t1=2.0 * END, steps=110, method=method, save_at=[0.0, END], dense=True)
+    sol = tx.integrate(
+        compiled_top(), TOP_START, t1=2.0 * END, steps=110, method=method, save_at=[0.0, END], dense=True
+    )
     np.testing.assert_array_equal(sol.xs["w"][0], TOP_START["w"])
     for name, value in top_end.items():
         np.testing.assert_allclose(sol.xs[name][1], value, atol=1e-9)
@@ -253,7 +265,7 @@ def test_derivatives() -> None:
     R, w, F = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("F", shape=(3,))
     J = tx.Parameter("J", value=MOMENTS)
     dynamics = tx.compile(tx.System(rates={R: w, w: (tx.Cross(J * w, w) + R.T @ F) / J}))
-    method = tx.Splitting(SUZUKI4, tx.FreeBody(R, w, inertia=J))
+    method = tx.Splitting(STRANG, tx.FreeBody(R, w, inertia=J))
 
     def cost(z: jax.Array) -> jax.Array:
         x0 = {"R": tx.lie.so3.exp(z[:3]), "w": z[3:6]}
@@ -264,16 +276,16 @@ def test_derivatives() -> None:
     check_derivatives(cost, 9)
 
 
-def test_a_derivative_at_rest_is_finite() -> None:
-    """No body turns: every angle is zero."""
-    method = tx.Splitting(STRANG, TOP_BODY)
+def test_derivatives_at_rest() -> None:
+    """No body turns and no force acts, so that all angles are zero: the angle after h is h w to first order."""
+    dynamics, method, h = driven(), tx.Splitting(KAHAN_LI6, TOP_BODY), 0.5
+    u = {"F": jnp.zeros(3)}
 
-    def end(w: jax.Array) -> jax.Array:
-        return tx.integrate(driven(), {"R": np.eye(3), "w": w}, t1=0.5, steps=2, u={"F": np.zeros(3)}, method=method).xs["R"][-1]
+    def turn(w: jax.Array) -> jax.Array:
+        x = {"R": jnp.eye(3), "w": w}
+        return tx.lie.so3.log(method.step(dynamics, jnp.asarray(0.0), x, lambda t: u, {}, jnp.asarray(h))["R"])
 
-    rate = jax.jacfwd(end)(jnp.zeros(3))
-    np.testing.assert_allclose(rate[:, :, 2], 0.5 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), atol=0.2)
-    assert np.isfinite(rate).all()
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(turn))(jnp.zeros(3)), h * np.eye(3), atol=1e-14)
 
 
 def test_a_batch_flies_as_each_alone() -> None:

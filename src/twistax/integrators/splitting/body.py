@@ -33,13 +33,14 @@ class FreeBody(FreeMotion):
         velocity: the state that is its body velocity, (3,) or (6,) in the order of the pose.
         momentum: instead, the state that is its body momentum J w or M V, about the frame's origin.
         inertia: for an attitude moments (3,) about the body's axes, or a tensor (3, 3), about the origin, kg m2; for a
-            pose the spatial inertia (6, 6) in its order, or its diagonal (6,). An array; or a Parameter of the system, its
-            name, or an expression of its parameters, which may then differ from run to run. An array is faster: three
-            parts of a step become two, or two become six with a tensor or a spatial inertia of parameters.
+            pose the spatial inertia (6, 6) in its order, or its diagonal (6,). An array; or a Parameter of the system,
+            its name, or an expression of its parameters, which may then differ from run to run. An array is faster, by
+            far where parameters make a matrix: then the principal axes are not known.
 
     Raises:
-        ModelError: not one of velocity and momentum; an inertia that reads anything but parameters. When flown: states of
-            another kind, or an inertia that belongs to no body.
+        ModelError: not one of velocity and momentum; an inertia that reads anything but parameters. When flown: states
+            of another kind, or an inertia that belongs to no body. A matrix of parameters that belongs to none cannot
+            be told apart before a flight, which then ends at its first step.
     """
 
     def __init__(self, pose: Any, velocity: Any = None, *, momentum: Any = None, inertia: Any) -> None:
@@ -114,7 +115,7 @@ class FreeBody(FreeMotion):
         own = self._of_body(dynamics, self._value(dynamics, params), known)
         names = (self.position, self.velocity)
         into, out = (own.centered, own.about_origin) if self._is_momentum else (own.momenta, own.velocity)
-        if isinstance(own, CenteredInertia):
+        if isinstance(own, CenteredInertia) and isinstance(group, SpecialEuclidean):
             return PoseFlows(names, group, own, into, out)
         return AttitudeFlows(names, group, own, into, out)
 

@@ -91,8 +91,10 @@ class AttitudeFlows(Flows):
 
 
 class PoseFlows(AttitudeFlows):
-    """A body that also moves. Stored: q and the sum of the centre of mass; that of the momenta, of L about the centre of
-    mass and p, in world axes."""
+    """A body that also moves. Stored: q and the sum of the centre of mass; that of L about the centre of mass and of p.
+
+    Momenta and the centre of mass are in world axes.
+    """
 
     def __init__(
         self, names: tuple[str, str], group: SpecialEuclidean, own: CenteredInertia, into: Map, out: Map

@@ -58,7 +58,8 @@ def _check_states(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
     missing = [name for name in known if name not in covered]
     if missing:
         raise ModelError(
-            f"Splitting: no body covers state {missing[0]!r}.\n  fix: add a tx.FreeBody or a tx.FreeParticle to bodies; "
+            f"Splitting: no body covers state {missing[0]!r}.\n"
+            "  fix: add a tx.FreeBody or a tx.FreeParticle to bodies; "
             "a state that is no position or velocity has no free motion: tx.RKMK(tableau) flies every system"
         )
 
@@ -151,7 +152,9 @@ def _drawn(dynamics: Dynamics, motions: Sequence[FreeMotion], rng: np.random.Gen
     }
     u = {control.name: rng.normal(size=control.shape) for control in dynamics.controls}
     params = {parameter.name: _parameter(parameter, rng) for parameter in dynamics.parameters}
-    direction = {name: np.where(value == 0.0, 1.0, value) * rng.normal(size=value.shape) for name, value in params.items()}
+    direction = {
+        name: np.where(value == 0.0, 1.0, value) * rng.normal(size=value.shape) for name, value in params.items()
+    }
     return jnp.asarray(rng.uniform(0.0, 2.0), dtype), cast(d), cast(u), cast(params), cast(direction)
 
 

@@ -136,8 +136,8 @@ def rigid(place: str, value: np.ndarray | jax.Array, known: np.ndarray | None) -
         again = _assembled(m, c, tensor, np)
         if not np.abs(again - value).max() <= 1e-9 * np.abs(value).max():
             raise ModelError(
-                f"{place} is not the spatial inertia of a rigid body: with [v; w] its blocks must be m I, -m [c], m [c] "
-                "and J - m [c]^2 of a mass m and a centre of mass c.\n"
+                f"{place} is not the spatial inertia of a rigid body: with [v; w] its blocks must be m I, -m [c], "
+                "m [c] and J - m [c]^2 of a mass m and a centre of mass c.\n"
                 "  fix: give the matrix of the system in the order of the state; tx.RKMK flies bodies of other inertia"
             )
         tensor = 0.5 * (tensor + tensor.T)

@@ -46,7 +46,8 @@ class FreeParticle(FreeMotion):
         groups = [dynamics.group.factors[name] for name in (self.position, self.velocity)]
         if not all(isinstance(group, Euclidean) for group in groups) or groups[0].shape != groups[1].shape:
             raise ModelError(
-                f"{self!r}: expects two states without a group and of one shape, got {groups[0].name} and {groups[1].name}.\n"
+                f"{self!r}: expects two states without a group and of one shape, got {groups[0].name} and "
+                f"{groups[1].name}.\n"
                 "  fix: a rotation or a pose is that of a tx.FreeBody(pose, velocity, inertia=...)"
             )
 

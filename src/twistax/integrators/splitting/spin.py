@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -90,9 +90,9 @@ class _Axis:
 class Spin:
     """L . J^-1 L / 2 for the momentum L, as a sum whose terms are flown exactly: L stays in the world.
 
-    J^-1 = k I + sum_i s_i n_i n_i^T over fixed axes n_i. The first two terms together are a symmetric body: it turns about L
-    at the rate k |L| and about its axis at s (n . L). Each of the others turns it about its own axis. Three moments take
-    one other; a symmetric body takes none.
+    J^-1 = k I + sum_i s_i n_i n_i^T over fixed axes n_i. The first two terms together are a symmetric body: it turns
+    about L at the rate k |L| and about its axis at s (n . L). Each of the others turns it about its own axis. Three
+    moments take one other; a symmetric body takes none.
 
     Attributes:
         tensor, inverse: J and J^-1.
@@ -130,7 +130,9 @@ class Spin:
     def of_moments(cls, moments: Components, frame: Frame) -> Spin:
         """Of traced moments about the body's own axes, which are those of the frame."""
         inverse = [1.0 / moment for moment in moments]
-        main, rest = (_Axis(tuple(np.eye(3)[i].tolist()), inverse[i] - inverse[frame.like]) for i in (frame.main, frame.rest))
+        main, rest = (
+            _Axis(tuple(np.eye(3)[i].tolist()), inverse[i] - inverse[frame.like]) for i in (frame.main, frame.rest)
+        )
         return cls(_diagonal(moments), _diagonal(inverse), inverse[frame.like], main, (rest,))
 
     @classmethod

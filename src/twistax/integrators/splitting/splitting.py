@@ -35,9 +35,10 @@ class Splitting(Method):
 
         S(h/2) r_1(h/2) r_2(h/2) ... K(h) ... r_2(h/2) r_1(h/2) S(h/2),
 
-    neighbouring S made one: an evaluation of the rates a stage, never at the ends of a step. Rates at rest are the kicks,
-    so any compiled system of this form flies; others are refused. Between steps momenta are stored in world axes: what no
-    force changes stays to the last bit. Energy errors stay bounded as long as steps resolve the motion. Fixed steps.
+    neighbouring S made one: an evaluation of the rates a stage, never at the ends of a step. The rates at rest are the
+    kicks, so any compiled system of this form flies; others are refused. Between steps momenta are stored in world
+    axes: what no force changes stays to the last bit. Energy errors stay bounded as long as steps resolve the motion.
+    Fixed steps.
 
     Attributes:
         composition: `tx.compositions.KAHAN_LI8` or another.
@@ -97,7 +98,7 @@ class Splitting(Method):
         """The stored state after one step of length h. Pure and traceable. The clock goes with the free motion."""
         flows = self.stored(dynamics, params)
 
-        def stage(y: Blocks, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Blocks, None]:
+        def stage(y: Blocks, entry: tuple[jax.Array, ...]) -> tuple[Blocks, None]:
             weight, node, further = entry
             y = flows.inner(y, 0.5 * weight * h)
             time = t + node * h
