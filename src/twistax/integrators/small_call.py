@@ -36,7 +36,7 @@ _INSIDE = contextvars.ContextVar("inside a small call", default=False)
 _KNOWN = frozenset(
     " ".join(
         [
-            "abs acos acosh add and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate",
+            "abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate",
             "cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call",
             "custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1",
             "floor gather ge gt integer_pow iota is_finite jit le le_to log log1p logistic lt lt_to max min mul ne neg",

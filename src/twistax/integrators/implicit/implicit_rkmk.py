@@ -17,6 +17,7 @@ from ..charts import Chart, Exponential
 from ..charts.whole import Blocks, StateCoordinates, coordinates_of
 from ..finite import all_finite
 from ..method import Attempt, Carry, ControlsAt, Method
+from ..small_call import small_call
 from ..tolerances import Tolerances
 from .collocation import CollocationTableau
 from .newton import newton
@@ -46,7 +47,37 @@ class _Found(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ImplicitRKMK(Method):
-    """..."""
+    """The implicit Runge-Kutta method of a collocation tableau in a chart: for stiff systems, or symmetric.
+
+    With z_i the coordinates of stage i around the start of the step, z_i = h sum_j a_ij k_j, k_j the slope of the chart
+    at stage j, and the step ends at sum_i d_i z_i, d = b a^-1. The equations are solved by Newton's method with the
+    Jacobian at the start of the step, one real and one complex inverse a step in the size of the tangent, from the
+    polynomial of the step before carried on.
+
+    - `tx.tableaus.RADAU_IIA5` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm. They fly with
+      fixed steps, or choose their own.
+    - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are those around the middle
+      of the step, half the way to its end: then the method is symmetric, and the energy of a free body does not drift.
+      Around its start it would, linearly in time.
+
+    Where steps are chosen the equations are solved to a share of the tolerance; with fixed steps, saved times and
+    derivatives to round-off. Derivatives are those of the solution, by the implicit function theorem: forward, reverse
+    and of second order. A step whose equations cannot be solved is taken back and halved; with fixed steps, or where no
+    step is short enough, the flight ends with `Result.NEWTON_FAILED`.
+
+    Attributes:
+        tableau: the coefficients, a `CollocationTableau`.
+        chart: the coordinates, a `tx.charts.Chart`; exponential ones in closed form if left out. A number of
+            commutators below the order minus two costs order.
+
+    Raises:
+        ModelError: no tableau of this kind, or no chart; steps chosen by tolerances with a tableau whose last stage is
+            not the end of the step.
+
+    Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.5 (Radau IIA), IV.8
+    (Newton's method, the estimate of the error); Hairer, Lubich, Wanner, Geometric Numerical Integration (2006),
+    sections IV.8 (charts) and V.4 (symmetric steps in charts).
+    """
 
     tableau: CollocationTableau
     chart: Chart | None = None
@@ -93,7 +124,7 @@ class ImplicitRKMK(Method):
         """The stages, differentiable by the implicit function theorem; not a number where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
-            found = self._to_round_off(equations, self._nothing(equations.zero))
+            found = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
             return jnp.where(found.solved, found.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:

@@ -48,7 +48,7 @@ def inverse(matrix: Parts) -> Parts:
 
     parts, order = jax.lax.fori_loop(0, size, eliminate, (matrix, places))
     # Rows were swapped on the way: columns of the inverse are.
-    back = jnp.zeros_like(order).at[order].set(places)
+    back = jnp.argmax(order[:, None] == places[None, :], axis=0)
     return tuple(part[:, back] for part in parts)
 
 

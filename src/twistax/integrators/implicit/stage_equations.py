@@ -65,7 +65,8 @@ class StageEquations:
             half = 0.5 * self.end(Z)
             base, Z = self.local.move(self.y, self.read(half)), Z - half[None, :]
         nodes = jnp.asarray(self.tableau.c, self.h.dtype)
-        return jax.vmap(lambda node, z: self._slope(self.t + node * self.h, base, z))(nodes, Z)
+        # One after the other: XLA would work out a whole slope for every entry of a table of them.
+        return jax.lax.map(lambda entry: self._slope(self.t + entry[0] * self.h, base, entry[1]), (nodes, Z))
 
     def start(self) -> tuple[jax.Array, jax.Array]:
         """The slope at the start of the step (N,), and its derivative with respect to the coordinates (N, N)."""
