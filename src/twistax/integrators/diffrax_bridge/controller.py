@@ -61,7 +61,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
 
     rtol: Any
     atol: Any
-    norm: Any  # type: ignore[assignment]
+    norm: Any
     allowed: Any
     pid: diffrax.PIDController
 
