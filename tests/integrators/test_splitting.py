@@ -260,17 +260,39 @@ def test_saved_times_and_dense_output(top_end: State) -> None:
     assert sol.stats.rhs_evaluations == (110 + 0) * 17
 
 
-def test_derivatives() -> None:
-    """With respect to the start, the moments and a control: forward, reverse and differences agree."""
+def pushed() -> tuple[tx.Dynamics, tx.Splitting]:
+    """A body whose moments are a parameter, and its method."""
     R, w, F = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("F", shape=(3,))
     J = tx.Parameter("J", value=MOMENTS)
     dynamics = tx.compile(tx.System(rates={R: w, w: (tx.Cross(J * w, w) + R.T @ F) / J}))
-    method = tx.Splitting(STRANG, tx.FreeBody(R, w, inertia=J))
+    return dynamics, tx.Splitting(SUZUKI4, tx.FreeBody(R, w, inertia=J))
+
+
+def inputs(z: jax.Array) -> tuple[Any, Any, Any]:
+    """A start, a control and moments from nine numbers."""
+    return {"R": tx.lie.so3.exp(z[:3]), "w": z[3:6]}, {"F": z[6:]}, {"J": jnp.asarray(MOMENTS) + 0.1 * z[3:6]}
+
+
+def test_derivatives_of_steps() -> None:
+    """With respect to the start, the moments and a control: forward, reverse and differences agree."""
+    dynamics, method = pushed()
 
     def cost(z: jax.Array) -> jax.Array:
-        x0 = {"R": tx.lie.so3.exp(z[:3]), "w": z[3:6]}
-        moments = jnp.asarray(MOMENTS) + 0.1 * z[3:6]
-        sol = tx.integrate(dynamics, x0, t1=0.5, steps=5, u={"F": z[6:]}, params={"J": moments}, method=method)
+        x0, u, params = inputs(z)
+        t, h = jnp.asarray(0.0), jnp.asarray(0.2)
+        x = method.step(dynamics, t, x0, lambda t: u, params, h)
+        return jnp.sum(x["w"] ** 2) + x["R"][0, 1]
+
+    check_derivatives(cost, 9)
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_flight() -> None:
+    dynamics, method = pushed()
+
+    def cost(z: jax.Array) -> jax.Array:
+        x0, u, params = inputs(z)
+        sol = tx.integrate(dynamics, x0, t1=0.5, steps=5, u=u, params=params, method=method)
         return jnp.sum(sol.xs["w"][-1] ** 2) + sol.xs["R"][-1, 0, 1]
 
     check_derivatives(cost, 9)

@@ -210,8 +210,8 @@ def _spatial_inertia() -> Array:
 
 def _output(dynamics: tx.Dynamics, name: str) -> Callable[[dict[str, Array]], tuple[Array, Array]]:
     def kept(xs: dict[str, Array]) -> tuple[Array, Array]:
-        values = jax.vmap(lambda x: dynamics.outputs(0.0, x)[name])({n: jnp.asarray(x) for n, x in xs.items()})
-        values = np.asarray(values)
+        found = jax.vmap(lambda x: dynamics.outputs(0.0, x)[name])({n: jnp.asarray(x) for n, x in xs.items()})
+        values = np.asarray(found)
         return values, np.linalg.norm(values.reshape(len(values), -1), axis=1)
 
     return kept
