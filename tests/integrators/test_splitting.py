@@ -226,6 +226,8 @@ def test_energy_of_a_heavy_top_stays_in_bounds() -> None:
     energy = np.abs(found["energy"] - found["energy"][0]) / np.abs(found["energy"][0])
     assert 1e-13 < energy[:200].max() < 1e-9
     assert energy[200:].max() < 1.5 * energy[:200].max()
+    defect = np.swapaxes(sol.xs["R"], 1, 2) @ np.asarray(sol.xs["R"]) - np.eye(3)
+    assert np.abs(defect).max() < 2e-15
     for name in ("vertical_momentum", "axial_momentum"):
         assert np.abs(found[name] - found[name][0]).max() < 1e-11
 
