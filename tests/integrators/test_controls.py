@@ -146,3 +146,15 @@ def test_wrong_controls_are_named(u: object, message: str) -> None:
 def test_wrong_tables_are_named(form: type, ts: object, values: object, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         form(ts, values)
+
+
+@pytest.mark.parametrize("width", [1e-6, 1e-9, 1e-12])
+def test_a_row_shorter_than_round_off_of_its_neighbours_counts(width: float) -> None:
+    """A kick of area 1: all of it arrives, and nothing has to be found out by steps that fail."""
+    x, F = tx.State("x"), tx.Control("F")
+    moved = tx.compile(tx.System(rates={x: F}))
+    ts = np.array([0.0, 0.7, 0.7 + width])
+    kick = {"F": tx.Held(ts=ts, values=[2.0, 1.0 / (ts[2] - ts[1]), -3.0])}
+    sol = tx.integrate(moved, {"x": 0.0}, t1=2.0, u=kick, rtol=1e-9)
+    assert float(sol.xs["x"][-1]) == pytest.approx(1.4 + 1.0 - 3.0 * (2.0 - ts[2]), abs=1e-12)
+    assert sol.stats.rejected == 0

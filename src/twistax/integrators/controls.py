@@ -82,11 +82,13 @@ class Table(ABC):
 
 
 def _within(t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
-    """Times of the step from t to t + h, a hair nearer to its middle: far less than a step, far more than round-off.
+    """Times of the step from t to t + h, a hair nearer to its middle: far less than a step, but more than round-off.
 
-    A table read there shows the side of a jump or a kink that the step lies on.
+    A table read there shows the side of a jump or a kink that the step lies on, however short the step.
     """
-    middle, hair = t + 0.5 * h, float(np.sqrt(jnp.finfo(t.dtype).eps))
+    middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
+    rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(h, float(jnp.finfo(t.dtype).tiny))
+    hair = jax.lax.stop_gradient(jnp.clip(rounding, float(np.sqrt(eps)), 1.0))
     return lambda time: time + hair * (middle - time)
 
 
