@@ -160,8 +160,8 @@ class _Hinge:
     """A joint with all that hangs on it, which needs the wrench I B + b.
 
     With U = I H and D = H' U the joint accelerates by q'' = (tau - H' b - U' B) / D, B that of the link but for its own
-    joint's. U / D is h* + U_R / D, with h* the joint's working wrench and U_R what the bearing carries of U; written so,
-    the entries of I - U U' / D along the joint are exact zeros.
+    joint's. U / D is h* + U_R / D, with h* the joint's working wrench and U_R what the bearing carries of U: written
+    so, the entries of I - U U' / D along the joint are exact zeros.
 
     Args:
         link: the link behind the joint.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..expr import Block, Constant, Cos, Expr, Sin, Where
-from ..expr.lie import AxisRotation, CoadjointAction, Pose, rotation, translation
+from ..expr.lie import AxisRotation, CoadjointAction, rotation, translation
 from ..expr.lie.transforms import parts_of_pose
 from .joints.screws import complement
 
@@ -38,7 +38,7 @@ def _changed(T: Expr, I: Expr) -> Expr:
 
 def _turned_about_axis(R: AxisRotation, I: Expr) -> Expr:
     """The blocks R M R', R H R', R J R' of a turn about a fixed axis, together."""
-    C, sine, cosine = _axes(R.axis), Sin(R.angle), Cos(R.angle)
+    C, sine, cosine = Constant(_axes(R.axis)), Sin(R.angle), Cos(R.angle)
 
     def turned(X: Expr) -> Expr:
         return C @ _turned_about_z(C.T @ X @ C, sine, cosine) @ C.T
