@@ -1,0 +1,219 @@
+"""Flights by implicit methods: failures by name, saved times, derivatives, batches, precision, compiling once."""
+
+import functools
+import logging
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.scenes import stiff_attitude
+from twistax.tableaus import GAUSS_LEGENDRE4, RADAU_IIA3, RADAU_IIA5
+
+RADAU = tx.ImplicitRKMK(RADAU_IIA5)
+SCENE = stiff_attitude.scene(1e5)
+
+
+@functools.cache
+def hold() -> tx.Dynamics:
+    return tx.compile(stiff_attitude.system())
+
+
+@functools.cache
+def wall() -> tx.Dynamics:
+    """A rate that turns back at x = 0.5: no step across it has a solution."""
+    x = tx.State("x")
+    return tx.compile(tx.System(rates={x: tx.Where(x >= 0.5, -1.0, 1.0)}))
+
+
+# ---- failures --------------------------------------------------------------------------------------------------------
+
+
+def test_a_fixed_step_without_a_solution_ends_the_flight_by_name() -> None:
+    sol = tx.integrate(wall(), {"x": 0.0}, t1=1.0, steps=7, method=RADAU, throw=False)
+    assert sol.result is tx.Result.NEWTON_FAILED
+    assert sol.stats.accepted == 3
+    assert sol.xs["x"][-1] == pytest.approx(3 / 7)
+    with pytest.raises(tx.IntegrationError, match=r"Radau IIA 5.* could not be solved at t = 0\.428.*") as caught:
+        tx.integrate(wall(), {"x": 0.0}, t1=1.0, steps=7, method=RADAU)
+    assert "smaller dt" in str(caught.value)
+
+
+def test_chosen_steps_shrink_until_none_has_a_solution() -> None:
+    sol = tx.integrate(wall(), {"x": 0.0}, t1=1.0, rtol=1e-6, method=RADAU, throw=False)
+    assert sol.result is tx.Result.NEWTON_FAILED
+    assert sol.ts[-1] == pytest.approx(0.5, abs=1e-6)
+    assert sol.stats.rejected > 10
+    with pytest.raises(tx.IntegrationError, match=r"could not be solved at t = 0\.5 s") as caught:
+        tx.integrate(wall(), {"x": 0.0}, t1=1.0, rtol=1e-6, method=RADAU)
+    assert "jumps=" in str(caught.value)
+
+
+def test_a_step_taken_back_is_halved_and_the_flight_goes_on() -> None:
+    """A first step far too long for a rate that bends hard."""
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -tx.Exp(20.0 * x)}))
+    sol = tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=1.0, rtol=1e-8, method=RADAU)
+    assert sol.stats.rejected > 3
+    exact = -np.log(np.exp(-20.0) + 20.0) / 20.0
+    np.testing.assert_allclose(sol.xs["x"][-1], exact, rtol=1e-7)
+
+
+def test_rates_that_are_no_numbers_are_said_to_be() -> None:
+    x, p = tx.State("x"), tx.Parameter("p")
+    dynamics = tx.compile(tx.System(rates={x: p / x}))
+    for options in ({"steps": 5}, {"rtol": 1e-6}):
+        sol = tx.integrate(dynamics, {"x": 0.0}, t1=1.0, params={"p": 1.0}, method=RADAU, throw=False, **options)
+        assert sol.result is tx.Result.NON_FINITE
+
+
+def test_gauss_chooses_no_steps() -> None:
+    with pytest.raises(tx.ModelError, match=r"Gauss-Legendre 4.*last stage is not the end"):
+        tx.integrate(wall(), {"x": 0.0}, t1=1.0, rtol=1e-6, method=tx.ImplicitRKMK(GAUSS_LEGENDRE4))
+
+
+def test_what_is_no_tableau_or_chart_is_refused(unchecked: None) -> None:
+    with pytest.raises(tx.ModelError, match="RADAU_IIA5"):
+        tx.ImplicitRKMK(tx.tableaus.RK4)
+    with pytest.raises(tx.ModelError, match="chart"):
+        tx.ImplicitRKMK(RADAU_IIA5, "exponential")
+
+
+# ---- saved times -----------------------------------------------------------------------------------------------------
+
+
+def test_saved_times_change_no_step_and_are_as_accurate_as_the_flight() -> None:
+    options = {"t1": SCENE.duration, "params": SCENE.params, "rtol": 1e-8, "atol": 1e-8, "method": RADAU}
+    ts = np.array([0.0, 1e-5, 0.3, 0.30001, 2.0, 5.0])
+    alone = tx.integrate(hold(), SCENE.start, **options)
+    saved = tx.integrate(hold(), SCENE.start, save_at=ts, **options)
+    kept = tx.integrate(hold(), SCENE.start, dense=True, **options)
+    assert saved.stats.steps == alone.stats.steps == kept.stats.steps
+    for name in ("R", "w"):
+        np.testing.assert_allclose(saved.xs[name][-1], alone.xs[name][-1], atol=1e-14)
+        np.testing.assert_allclose(kept.evaluate(ts)[name], saved.xs[name], atol=1e-12)
+    for i, t in enumerate(ts[2:5], start=2):
+        end = tx.integrate(hold(), SCENE.start, **(options | {"t1": t, "rtol": 1e-11, "atol": 1e-11}))
+        for name in ("R", "w"):
+            np.testing.assert_allclose(saved.xs[name][i], end.xs[name][-1], atol=1e-7)
+    orthogonal = np.einsum("nij,nik->njk", saved.xs["R"], saved.xs["R"]) - np.eye(3)
+    assert np.abs(orthogonal).max() < 1e-14
+
+
+def test_steps_that_learn_from_the_last_one_end_where_steps_alone_do() -> None:
+    """With fixed steps both are solved to round-off: a flight of twenty steps is twenty flights of one."""
+    options = {"params": SCENE.params, "method": RADAU}
+    together = tx.integrate(hold(), SCENE.start, t1=0.4, steps=20, **options)
+    x, evaluations = SCENE.start, 0
+    for k in range(20):
+        sol = tx.integrate(hold(), x, t0=0.02 * k, t1=0.02 * (k + 1), steps=1, **options)
+        x, evaluations = {name: value[-1] for name, value in sol.xs.items()}, evaluations + sol.stats.rhs_evaluations
+    assert together.stats.rhs_evaluations < 0.9 * evaluations
+    for name in ("R", "w"):
+        np.testing.assert_allclose(together.xs[name][-1], x[name], atol=1e-13)
+
+
+# ---- derivatives and batches -----------------------------------------------------------------------------------------
+
+
+@functools.cache
+def arm() -> tx.Dynamics:
+    """A rotation that a stiff, nonlinear actuator turns: w follows the attitude within 1/k."""
+    R, w, k = tx.State("R", group=tx.SO3), tx.State("w"), tx.Parameter("k")
+    wanted = tx.Cos(R[0, 1]) - w**3
+    return tx.compile(tx.System(rates={R: tx.Concat(w, 0.3, R[2, 2]), w: k * (wanted - w)}))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"steps": 12, "method": tx.ImplicitRKMK(GAUSS_LEGENDRE4)},
+        {"rtol": 1e-11, "method": RADAU, "save_at": [0.3, 0.5], "control": tx.StepControl(max_steps=256)},
+    ],
+    ids=["fixed", "chosen"],
+)
+def test_derivatives(options: dict[str, Any]) -> None:
+    """With respect to start, stiffness and final time, forward, in reverse and by differences, at a rate of 1e5."""
+
+    def cost(z: jax.Array) -> jax.Array:
+        x = {"R": tx.lie.so3.exp(z[:3]), "w": z[3]}
+        sol = tx.integrate(arm(), x, t1=0.5 + 0.01 * z[4], params={"k": 1e5 * jnp.exp(z[5])}, **options)
+        return sol.xs["R"][0, 0, 1] + sol.xs["R"][-1, 1, 2] + sol.xs["w"][-1]
+
+    z, step = jnp.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.3]), 1e-3
+    run = jax.jit(cost)
+    reverse = jax.jit(jax.grad(cost))(z)
+    forward = jax.jit(jax.jacfwd(cost))(z)
+    numeric = [
+        (8.0 * (run(z + e) - run(z - e)) - (run(z + 2.0 * e) - run(z - 2.0 * e))) / (12.0 * step)
+        for e in step * jnp.eye(6)
+    ]
+    scale = float(jnp.abs(reverse).max())
+    np.testing.assert_allclose(reverse, forward, atol=1e-12 * scale)
+    np.testing.assert_allclose(reverse, jnp.stack(numeric), atol=1e-8 * scale)
+
+
+def test_second_derivatives() -> None:
+    x, k = tx.State("x"), tx.Parameter("k")
+    dynamics = tx.compile(tx.System(rates={x: -k * x**3}))
+
+    def end(z: jax.Array) -> jax.Array:
+        sol = tx.integrate(dynamics, {"x": z[0]}, t1=1.0, steps=20, params={"k": z[1]}, method=RADAU)
+        return sol.xs["x"][-1]
+
+    def exact(z: jax.Array) -> jax.Array:
+        return z[0] / jnp.sqrt(1.0 + 2.0 * z[1] * z[0] ** 2)
+
+    z = jnp.array([0.8, 1.5])
+    np.testing.assert_allclose(jax.hessian(end)(z), jax.hessian(exact)(z), rtol=1e-6)
+
+
+def test_a_batch_is_a_loop() -> None:
+    rates = jnp.array([1e2, 1e5, 1e8])
+
+    def fly(k: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        sol = tx.integrate(hold(), SCENE.start, t1=1.0, rtol=1e-7, atol=1e-7, params={"k": k}, method=RADAU)
+        return sol.xs, sol.stats.steps
+
+    batch, steps = jax.jit(jax.vmap(fly))(rates)
+    one = jax.jit(fly)
+    for i, k in enumerate(rates):
+        alone, count = one(k)
+        assert steps[i] == count
+        for name, value in alone.items():
+            np.testing.assert_allclose(batch[name][i], value, atol=1e-11)
+
+
+# ---- precision, values, compiling ------------------------------------------------------------------------------------
+
+
+def test_single_precision() -> None:
+    start = {name: np.asarray(value, np.float32) for name, value in SCENE.start.items()}
+    for options in ({"rtol": 1e-4, "atol": 1e-4}, {"steps": 50}):
+        sol = tx.integrate(hold(), start, t1=5.0, params={"k": np.float32(1e5)}, method=RADAU, **options)
+        for name, value in SCENE.reference.items():
+            assert sol.xs[name].dtype == np.float32
+            np.testing.assert_allclose(sol.xs[name][-1], value, atol=1e-4)
+
+
+def test_methods_are_values() -> None:
+    assert tx.ImplicitRKMK(RADAU_IIA5, tx.charts.Exponential()) == RADAU
+    assert hash(RADAU) == hash(tx.ImplicitRKMK(RADAU_IIA5))
+    assert tx.ImplicitRKMK(RADAU_IIA3) != RADAU
+    assert tx.ImplicitRKMK(RADAU_IIA5, tx.charts.Ambient()) != RADAU
+    assert "Radau IIA 5" in RADAU.name
+
+
+def test_another_flight_does_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+    def fly(k: float, **options: float) -> None:
+        tx.integrate(hold(), SCENE.start, params={"k": k}, method=tx.ImplicitRKMK(RADAU_IIA5), **options)
+
+    fly(1e3, t1=0.1, dt=0.01)
+    fly(1e3, t1=0.1, rtol=1e-5)
+    with jax.log_compiles(), caplog.at_level(logging.WARNING):
+        fly(1e6, t1=0.2, dt=0.02)
+        fly(1e6, t1=0.2, rtol=1e-7)
+    assert not [record for record in caplog.records if "fly" in record.getMessage()]
