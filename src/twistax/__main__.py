@@ -51,6 +51,10 @@ def _demo(given: argparse.Namespace) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
+    if given.stability:
+        from .report.stability.command import run as run_stability
+
+        return run_stability(given)
     from .report.work_precision.command import run
 
     return run(given)

@@ -30,9 +30,9 @@ def test_a_few_units_in_the_last_place_sweep():
 def test_the_measure_sees_an_error(monkeypatch):
     """Ten units too much in one coefficient must not pass."""
     spoiled = dataclasses.replace(
-        accuracy_of_maps._MAPS[0], function=lambda xi: se3.exp(xi * np.where(np.arange(6) < 3, 1.0, 1.0 + 5e-15))
+        accuracy_of_maps.MAPS[0], function=lambda xi: se3.exp(xi * np.where(np.arange(6) < 3, 1.0, 1.0 + 5e-15))
     )
-    monkeypatch.setattr(accuracy_of_maps, "_MAPS", (spoiled,))
+    monkeypatch.setattr(accuracy_of_maps, "MAPS", (spoiled,))
     rotation, position = measure(60, ["float64"])
     assert rotation.worst > BAR
     assert rotation.block == "rotation"

@@ -22,7 +22,7 @@ import numpy as np
 
 from twistax.groups import se3
 
-__all__ = ["BAR", "Row", "main", "measure"]
+__all__ = ["BAR", "MAPS", "Map", "Row", "main", "measure", "poses_of", "worst_units"]
 
 BAR = 8.0
 """The largest figure allowed."""
@@ -230,7 +230,7 @@ def _blocks_of_jacobian(inverse: bool, sign: float) -> Callable[..., dict[str, t
     return blocks
 
 
-def _poses(xis: np.ndarray) -> np.ndarray:
+def poses_of(xis: np.ndarray) -> np.ndarray:
     """The exact poses, rounded once."""
     poses = np.tile(np.eye(4, dtype=xis.dtype), (len(xis), 1, 1))
     for pose, xi in zip(poses, xis, strict=True):
@@ -241,7 +241,9 @@ def _poses(xis: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Map:
+class Map:
+    """A map of twists, its exact value by blocks of the result, and how far it is asked for."""
+
     name: str
     function: Callable[..., jax.Array]
     blocks: Callable[..., dict[str, tuple[np.ndarray, Any, float]]]
@@ -250,40 +252,45 @@ class _Map:
     of_poses: bool = False
 
 
-_MAPS = (
-    _Map("exp", se3.exp, _blocks_of_exp, 20.0, "0 to 20"),
-    _Map("log", se3.log, _blocks_of_log, float(np.pi), "below pi", of_poses=True),
-    _Map("left_jacobian", se3.left_jacobian, _blocks_of_jacobian(False, 1.0), 20.0, "0 to 20"),
-    _Map("left_jacobian_inv", se3.left_jacobian_inv, _blocks_of_jacobian(True, 1.0), 6.0, "0 to 6"),
-    _Map("right_jacobian_inv", se3.right_jacobian_inv, _blocks_of_jacobian(True, -1.0), 6.0, "0 to 6"),
+MAPS = (
+    Map("exp", se3.exp, _blocks_of_exp, 20.0, "0 to 20"),
+    Map("log", se3.log, _blocks_of_log, float(np.pi), "below pi", of_poses=True),
+    Map("left_jacobian", se3.left_jacobian, _blocks_of_jacobian(False, 1.0), 20.0, "0 to 20"),
+    Map("left_jacobian_inv", se3.left_jacobian_inv, _blocks_of_jacobian(True, 1.0), 6.0, "0 to 6"),
+    Map("right_jacobian_inv", se3.right_jacobian_inv, _blocks_of_jacobian(True, -1.0), 6.0, "0 to 6"),
 )
+
+
+def worst_units(each: Map, xis: np.ndarray) -> dict[str, tuple[float, float]]:
+    """By block the largest error of a map over twists (n, 6), in units in the last place, and the angle where it is."""
+    mp = _mpmath()
+    with mp.workdps(_DIGITS):
+        results = np.asarray(jax.jit(jax.vmap(each.function))(poses_of(xis) if each.of_poses else xis))
+        worst: dict[str, tuple[float, float]] = {}
+        for xi, got in zip(xis, results, strict=True):
+            angle = float(np.linalg.norm(xi[3:].astype(np.float64)))
+            for block, (values, exact, size) in each.blocks(xi, got).items():
+                found = (_units(values, exact, size, angle, mp), angle)
+                worst[block] = max(worst.get(block, (0.0, 0.0)), found)
+    return worst
 
 
 def measure(cases: int = 600, precisions: Sequence[str] = ("float64", "float32")) -> list[Row]:
     """The worst case of every block of every map. float64 needs JAX's x64 switch; the command line turns it on."""
-    mp = _mpmath()
     rows = []
-    with mp.workdps(_DIGITS):
-        for precision in precisions:
-            dtype = np.dtype(precision).type
-            if jnp.zeros(0, dtype).dtype != dtype:
-                raise RuntimeError(
-                    f"measuring {precision} needs 64-bit numbers in JAX; "
-                    "fix: jax.config.update('jax_enable_x64', True) before the first computation"
-                )
-            for each in _MAPS:
-                xis = twists(cases, each.largest, dtype, below=each.of_poses)
-                results = np.asarray(jax.jit(jax.vmap(each.function))(_poses(xis) if each.of_poses else xis))
-                worst: dict[str, tuple[float, float]] = {}
-                for xi, got in zip(xis, results, strict=True):
-                    angle = float(np.linalg.norm(xi[3:].astype(np.float64)))
-                    for block, (values, exact, size) in each.blocks(xi, got).items():
-                        found = (_units(values, exact, size, angle, mp), angle)
-                        worst[block] = max(worst.get(block, (0.0, 0.0)), found)
-                rows += [
-                    Row(each.name, block, precision, each.angles, cases, units, angle)
-                    for block, (units, angle) in worst.items()
-                ]
+    for precision in precisions:
+        dtype = np.dtype(precision).type
+        if jnp.zeros(0, dtype).dtype != dtype:
+            raise RuntimeError(
+                f"measuring {precision} needs 64-bit numbers in JAX; "
+                "fix: jax.config.update('jax_enable_x64', True) before the first computation"
+            )
+        for each in MAPS:
+            worst = worst_units(each, twists(cases, each.largest, dtype, below=each.of_poses))
+            rows += [
+                Row(each.name, block, precision, each.angles, cases, units, angle)
+                for block, (units, angle) in worst.items()
+            ]
     return rows
 
 

@@ -34,6 +34,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="under two minutes: few methods, coarse settings, few repeats; the longest scenes only if asked for",
     )
     parser.add_argument(
+        "--stability",
+        action="store_true",
+        help="another report: what happens at the edges, stiff, long, extreme or wrong; --scene and --method do not "
+        "apply, and --quick leaves out what takes long",
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",

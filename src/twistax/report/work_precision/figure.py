@@ -6,10 +6,11 @@ Needs matplotlib, the extra `plot`; imported when a figure is drawn.
 from __future__ import annotations
 
 import io
+from typing import Any
 
 from .findings import TARGETS, Findings
 
-__all__ = ["draw"]
+__all__ = ["as_svg", "draw"]
 
 
 def draw(findings: Findings, scene: str, title: str) -> bytes:
@@ -18,8 +19,6 @@ def draw(findings: Findings, scene: str, title: str) -> bytes:
     Raises:
         ImportError: matplotlib is not installed.
     """
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 5.6), layout="constrained")
@@ -38,8 +37,15 @@ def draw(findings: Findings, scene: str, title: str) -> bytes:
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=2, fontsize=10, frameon=False)
+    return as_svg(figure)
+
+
+def as_svg(figure: Any) -> bytes:
+    """A matplotlib figure as SVG: text stays text, and the same data gives the same file."""
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     out = io.BytesIO()
-    # Text stays text, and the same data gives the same file.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "twistax", "font.family": "sans-serif"}):
         FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None})
     return out.getvalue()
