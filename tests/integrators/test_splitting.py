@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from derivative_oracles import check_derivatives
-from integrator_bodies import CENTRE, MASS, spatial_inertia, start
+from integrator_bodies import CENTRE, MASS, skew, spatial_inertia, start
+from scipy.linalg import expm
 from splitting_bodies import (
     HUNG_BODY,
     SWAP,
@@ -156,6 +157,15 @@ def test_a_free_symmetric_body_is_exact_in_one_step(name: str) -> None:
     assert scene.error({name: value[-1] for name, value in sol.xs.items()}) < (
         1e-13 if name == "symmetric-body" else 1e-11
     )
+
+
+def test_a_free_sphere_is_exact_in_one_step() -> None:
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    dynamics = tx.compile(tx.System(rates={R: w, w: 0.0 * w}))
+    sol = tx.integrate(
+        dynamics, TOP_START, t1=7.0, steps=1, method=tx.Splitting(STRANG, tx.FreeBody(R, w, inertia=[2.0, 2.0, 2.0]))
+    )
+    np.testing.assert_allclose(sol.xs["R"][-1], TOP_START["R"] @ expm(7.0 * skew(TOP_START["w"])), atol=3e-15)
 
 
 @pytest.mark.parametrize("axis", [np.array([1.0, 0.0, 0.0]), np.array([0.6, 0.0, 0.8])], ids=["x", "tilted"])

@@ -110,4 +110,5 @@ class Splitting(Method):
         first, *_ = between = self.composition.between
         entries = (self.composition.weights, self.composition.nodes, between[1:])
         y = flows.outer(y, float(first) * h)
-        return jax.lax.scan(stage, y, tuple(jnp.asarray(entry, h.dtype) for entry in entries))[0]
+        tables = tuple(jnp.asarray(entry, h.dtype) for entry in entries)
+        return jax.lax.scan(stage, y, tables, unroll=self.composition.stages == 1)[0]
