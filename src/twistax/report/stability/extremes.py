@@ -12,7 +12,7 @@ from ...scenes import SCENES, offset_tumble
 from ...scenes.arrays import about, cross_matrix
 from ...scenes.free_rotation import SymmetricBody
 from ...scenes.scene import rotation_angle
-from .row import AtMost, Either, Ends, Row, Section, flown
+from .row import AtMost, Either, Ends, Row, Section, flown, plain
 
 __all__ = ["EXTREMES"]
 
@@ -62,7 +62,7 @@ def _tumbled(mass: float, offset: float) -> tuple[float, float]:
 
 def _mass(mass: float) -> Row:
     return Row(
-        f"mass {mass:g} kg, equal steps of 0.02 s",
+        f"mass {plain(mass)} kg, equal steps of 0.02 s",
         "DOP853",
         lambda: max(_tumbled(mass, 0.0)),
         AtMost(1e-11, "rad or m"),
@@ -88,7 +88,7 @@ EXTREMES = Section(
             "DOP853",
             lambda: _spun(1.0, 1e-12, (0.3, 0.2, 2.0)),
             Either(AtMost(1e-9, "rad"), Ends(tx.Result.MAX_STEPS)),
-            "J1 w1 w2 - J2 w2 w1 leaves round-off of 1e-17 N m where products are fused: 1e-5 rad/s2 for such a needle. "
+            "J1 w1 w2 - J2 w2 w1 leaves round-off of 1e-17 N m where products are fused, 1e-5 rad/s2 for a needle. "
             "The flight sees the noise, and runs out of steps rather than go wrong.",
         ),
         Row(

@@ -12,7 +12,7 @@ import twistax as tx
 
 from ...scenes import SCENES, heavy_top
 from .. import drift
-from .row import AtMost, Expected, Place, Row, Section, flown
+from .row import AtMost, Expected, Place, Row, Section, flown, plain
 
 __all__ = ["LONG_RUNS"]
 
@@ -50,13 +50,13 @@ def _rows(what: str, method: str, of: Any, bars: tuple[Expected, Expected], why:
     for counts, bar in zip((_FEW, _MANY), bars, strict=True):
         rows += [
             Row(
-                f"{what}, {count:.0e} steps",
+                f"{what}, {plain(count)} steps",
                 method,
                 functools.partial(of, counts, i),
                 bar,
                 why,
                 slow=slow or counts is _MANY,
-                place=Place(f"{what}, {method}", count),
+                place=Place(f"{what}, {method}", float(count)),
             )
             for i, count in enumerate(counts)
         ]
@@ -85,6 +85,7 @@ LONG_RUNS = Section(
             _of_drift("constant twist", "defect"),
             (AtMost(1e-14), AtMost(1e-14)),
             "A quaternion put back to length one in every step cannot drift, even where every step rounds alike.",
+            slow=True,
         ),
         *_rows(
             "energy, free body",
@@ -92,6 +93,7 @@ LONG_RUNS = Section(
             _of_drift("free body", "energy"),
             (AtMost(5e-7, "J"), AtMost(5e-5, "J")),
             "A method without structure loses energy in every step: the drift is linear, and that of its order.",
+            slow=True,
         ),
         *_rows(
             "linear momentum, free body",
@@ -99,6 +101,7 @@ LONG_RUNS = Section(
             _of_drift("free body", "linear"),
             (AtMost(1e-5, "N s"), AtMost(1e-3, "N s")),
             "The same for momentum, which lives in the body's axes here.",
+            slow=True,
         ),
         *_rows(
             "energy, heavy top",

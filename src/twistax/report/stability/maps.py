@@ -11,7 +11,7 @@ import numpy as np
 
 from ...groups import se3, so3
 from ..accuracy_of_maps import BAR, MAPS, Map, worst_units
-from .row import AtMost, Place, Row, Section
+from .row import AtMost, Place, Row, Section, plain
 
 __all__ = ["ANGLES"]
 
@@ -28,7 +28,7 @@ def _twists(angles: tuple[float, ...]) -> Any:
 def _accuracy(each: Map) -> Row:
     angles = tuple(angle for angle in (*_ANGLES, *_LARGE) if angle <= (1e3 if each.largest > 6.3 else each.largest))
     return Row(
-        f"{each.name} of SE(3), angles {angles[0]:g} to {angles[-1]:g} rad",
+        f"{each.name} of SE(3), angles {plain(angles[0])} to {plain(angles[-1])} rad",
         "tx.lie.se3",
         lambda: max(units for units, _ in worst_units(each, _twists(angles)).values()),
         AtMost(BAR, "ulp"),
@@ -79,7 +79,7 @@ ANGLES = Section(
         *(_accuracy(each) for each in MAPS),
         *(
             Row(
-                f"log(Exp(w)), |w| = {angle:g} rad",
+                f"log(Exp(w)), |w| = {plain(angle)} rad",
                 "tx.lie.so3",
                 functools.partial(_round_trip, angle, False),
                 AtMost(1e-15 if angle < 1.5 else 3e-15),
@@ -90,7 +90,7 @@ ANGLES = Section(
         ),
         *(
             Row(
-                f"derivative of log(Exp(w)), |w| = {angle:g} rad",
+                f"derivative of log(Exp(w)), |w| = {plain(angle)} rad",
                 "tx.lie.so3",
                 functools.partial(_round_trip, angle, True),
                 AtMost(2e-14),
@@ -106,6 +106,7 @@ ANGLES = Section(
             AtMost(1e-15, "rad"),
             "At half a turn w and -w are the same rotation; the one whose first entry is positive comes back, with "
             "finite derivatives.",
+            slow=True,
         ),
         Row(
             "left Jacobian times its inverse, 1e-6 rad before a full turn",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..work_precision.blocks import Block, Bullets, Figure, Heading, Paragraph, Table
+from ..work_precision.blocks import Block, Bullets, Details, Figure, Heading, Paragraph, Table
 from .outcome import Outcome
 from .row import Section
 
 __all__ = ["TITLE", "page"]
+
+#: Tables longer than this are folded up, unless something is wrong.
+_SHOWN = 14
 
 TITLE = "At the edges: what holds, what ends, and how it says so"
 
@@ -67,11 +70,15 @@ def _section(section: Section, outcomes: Sequence[Outcome], figure: bytes | None
         if each.section is section
     ]
     drawn = [Figure(f"figures/stability-{section.name}.svg", figure, section.title)] if figure else []
+    table = Table(["case", "by", "what came", "what should come", "", "why"], rows, words=6)
+    bad = sum(not each.good for each in outcomes if each.section is section)
+    summary = f"{len(rows)} rows, {f'{bad} of them UNEXPECTED' if bad else 'all as expected'}"
+    folded = len(rows) > _SHOWN and not bad
     return [
         Heading(2, section.title),
         Paragraph(section.about),
         *drawn,
-        Table(["case", "by", "what came", "what should come", "", "why"], rows, words=6),
+        *([Details(summary, [table])] if folded else [table]),
     ]
 
 

@@ -23,7 +23,14 @@ __all__ = [
     "Row",
     "Section",
     "flown",
+    "plain",
 ]
+
+
+def plain(number: float | int) -> str:
+    """1e5 rather than 1e+05, and 0.05 as it is."""
+    text = f"{number:.0e}" if number and not 1e-3 <= abs(number) < 1e4 else f"{number:g}"
+    return text.replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 
 
 class Ended(Exception):
@@ -63,7 +70,7 @@ class Found:
     def text(self) -> str:
         """For the table."""
         if self.failure is None:
-            return f"{self.number:.1e}" if math.isfinite(self.number) else "NOT A NUMBER, AND NOTHING SAID SO"
+            return f"{self.number:.2g}" if math.isfinite(self.number) else "NOT A NUMBER, AND NOTHING SAID SO"
         first = str(self.failure).splitlines()[0] if str(self.failure) else ""
         kind = "" if isinstance(self.failure, Ended) else f"{type(self.failure).__name__}: "
         return f"{kind}{first}"
@@ -91,7 +98,7 @@ class AtMost(Expected):
 
     @property
     def text(self) -> str:
-        return f"at most {self.bar:g} {self.unit}".rstrip()
+        return f"at most {plain(self.bar)} {self.unit}".rstrip()
 
     def met(self, found: Found) -> bool:
         return found.failure is None and found.number <= self.bar

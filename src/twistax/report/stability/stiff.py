@@ -10,7 +10,7 @@ import numpy as np
 import twistax as tx
 
 from ...scenes import SCENES, Scene, actuator_lag, stiff_attitude
-from .row import AtLeast, AtMost, Ends, Place, Row, Section, flown
+from .row import AtLeast, AtMost, Ends, Place, Row, Section, flown, plain
 
 __all__ = ["STIFF"]
 
@@ -39,7 +39,7 @@ def _error(scene: Scene, of: Scene, **options: Any) -> float:
 
 def _chosen(rate: float) -> Row:
     return Row(
-        f"rate {rate:.0e}/s, rtol 1e-8",
+        f"rate {plain(rate)}/s, rtol 1e-8",
         "Radau IIA 5",
         lambda: _hold(rate, _RADAU, rtol=1e-8),
         AtMost(1e-8),
@@ -50,7 +50,7 @@ def _chosen(rate: float) -> Row:
 
 def _fixed(rate: float, dt: float, bar: float) -> Row:
     return Row(
-        f"rate {rate:.0e}/s, steps of {dt:g} s: step x rate {rate * dt:.0e}",
+        f"rate {plain(rate)}/s, steps of {dt:g} s: step x rate {plain(rate * dt)}",
         "Radau IIA 5",
         lambda: _hold(rate, _RADAU, dt=dt),
         AtMost(bar),
@@ -64,7 +64,7 @@ def _explicit(rate: float) -> Row:
     dt = 5e-3
     short = rate * dt < 6.0
     return Row(
-        f"rate {rate:.0e}/s, steps of {dt:g} s: step x rate {rate * dt:.0e}",
+        f"rate {plain(rate)}/s, steps of {dt:g} s: step x rate {plain(rate * dt)}",
         "DOP853",
         lambda: _hold(rate, _DOP853, dt=dt),
         AtMost(1e-8) if short else Ends(tx.Result.NON_FINITE),
@@ -111,7 +111,7 @@ STIFF = Section(
         ),
         *(
             Row(
-                f"actuators with a lag of {lag:.0e} s, rtol 1e-8",
+                f"actuators with a lag of {plain(lag)} s, rtol 1e-8",
                 "Radau IIA 5",
                 functools.partial(_lagged, lag),
                 AtMost(1e-7),
