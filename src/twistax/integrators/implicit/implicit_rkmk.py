@@ -20,6 +20,7 @@ from ..method import Attempt, Carry, ControlsAt, Method
 from ..small_call import small_call
 from ..tolerances import Tolerances
 from .collocation import CollocationTableau
+from .inverses import Parts
 from .newton import newton
 from .stage_equations import Factors, StageEquations, combined, zero_coordinates
 
@@ -27,6 +28,10 @@ __all__ = ["ImplicitRKMK"]
 
 #: Newton steps before a step is given up: where it may be taken back, and where it may not.
 _FEW, _MANY = 8, 60
+#: Inverses serve again for steps that differ by no more than this share from the one they were made for,
+_ALIKE = 0.05
+#: and as long as Newton's method converges this fast.
+_FAST = 0.03
 
 
 class _Last(NamedTuple):
@@ -35,6 +40,14 @@ class _Last(NamedTuple):
     Z: jax.Array
     h: jax.Array
     contraction: jax.Array
+
+
+class _Learned(NamedTuple):
+    """What steps chosen by tolerances carry: the last step, the inverses in use, and the step they were made for."""
+
+    last: _Last
+    inverses: tuple[Parts, ...]
+    h: jax.Array
 
 
 class _Found(NamedTuple):
@@ -154,7 +167,8 @@ class ImplicitRKMK(Method):
     resume_evaluations = 0
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        return self.before(dynamics, y)
+        last = self.before(dynamics, y)
+        return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
 
     def resume(
         self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays
@@ -181,12 +195,20 @@ class ImplicitRKMK(Method):
             squares = jax.vmap(lambda dz: tolerances.mean_square(local, read(dz), y, y))(dZ)
             return jnp.sqrt(jnp.mean(squares)) / share
 
-        start, J = equations.start()
-        factors = Factors(self.tableau, J, h)
-        found = self._found(equations, start, J, factors, size, carry, _FEW)
+        known: _Learned = carry
+        start = equations.first_slope()
+        apart = jnp.abs(h - known.h) > _ALIKE * known.h
+        renewed = apart | (known.last.contraction > _FAST)
+        inverses = jax.lax.cond(
+            renewed, lambda: Factors.found(self.tableau, equations.start()[1], h), lambda: known.inverses
+        )
+        factors = Factors(self.tableau, inverses)
+        found = self._found(equations, (start, inverses), factors, size, known.last, _FEW)
+        learned = _Learned(found.last, inverses, jnp.where(renewed, h, known.h))
         raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(found.last.Z))[0]
         errors = (read(factors.damped(raw)),)
-        return Attempt(self._moved(equations, found.last.Z), found.last, errors, found.evaluations, found.solved)
+        evaluations = found.evaluations + renewed.astype(found.evaluations.dtype)
+        return Attempt(self._moved(equations, found.last.Z), learned, errors, evaluations, found.solved)
 
     # ---- what all of them share ----------------------------------------------------------------------------------
 
@@ -221,25 +243,26 @@ class ImplicitRKMK(Method):
     def _found(
         self,
         equations: StageEquations,
-        start: jax.Array,
-        J: jax.Array,
+        given: Any,
         factors: Factors,
         size: Callable[[jax.Array], jax.Array],
         last: _Last,
         most: int,
     ) -> _Found:
         guess = self._guess(last, equations.h)
-        solved = newton(lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most)
+        # A step that may not be taken back gets a second guess.
+        again = most == _MANY
+        solved = newton(lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most, again)
         evaluations = 1 + self.tableau.stages * solved.iterations
         # Where rates are no numbers to begin with it is not the equations that are at fault.
-        good = solved.done | ~all_finite((start, J))
+        good = solved.done | ~all_finite(given)
         return _Found(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 
     def _to_round_off(self, equations: StageEquations, last: _Last) -> _Found:
         """The stages as well as rounding allows."""
         local, read, y, h = equations.local, equations.read, equations.y, equations.h
         start, J = equations.start()
-        factors = Factors(self.tableau, J, h)
+        factors = Factors(self.tableau, Factors.found(self.tableau, J, h))
 
         def deviation(z: jax.Array) -> jax.Array:
             return ravel_pytree(local.deviation(read(z), y))[0]
@@ -254,7 +277,7 @@ class ImplicitRKMK(Method):
         def size(dZ: jax.Array) -> jax.Array:
             return jnp.sqrt(jnp.mean(jnp.square(jax.vmap(deviation)(dZ) / unit[None, :])))
 
-        return self._found(equations, start, J, factors, size, last, _MANY)
+        return self._found(equations, (start, J), factors, size, last, _MANY)
 
     @staticmethod
     def _moved(equations: StageEquations, Z: jax.Array) -> Blocks:

@@ -37,6 +37,7 @@ class _Now(NamedTuple):
     failed: jax.Array
     iterations: jax.Array
     contraction: jax.Array
+    again: jax.Array
 
 
 def newton(
@@ -45,6 +46,7 @@ def newton(
     guess: jax.Array,
     contraction: jax.Array,
     most: int,
+    again: bool,
 ) -> Solved:
     """Z <- Z - update(Z) from a guess, until what is left to come is below 1. Pure and traceable.
 
@@ -54,6 +56,8 @@ def newton(
     Args:
         size: the size of an update, in units of what is asked for.
         contraction: what the last solution was left with, so that one update may do.
+        most: how many updates there may be.
+        again: start once more, from zero, where the guess leads nowhere.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping.
     """
@@ -61,16 +65,21 @@ def newton(
     def iterate(now: _Now) -> _Now:
         step = update(now.Z)
         found = size(step)
-        later = now.iterations > 0
+        later = now.size > 0.0
         ratio = jnp.where(later, found / jnp.where(later, now.size, 1.0), 0.0)
         growing = ratio >= 1.0
         left = jnp.where(later, ratio / jnp.where(growing, 1.0, 1.0 - ratio), jnp.maximum(now.contraction, eps) ** 0.8)
         done = (found == 0.0) | jnp.where(growing, found < _STALLED, left * found < 1.0)
         failed = ~jnp.isfinite(found) | (growing & ~done)
-        return _Now(now.Z - step, found, done & ~failed, failed, now.iterations + 1, jnp.where(failed, 1.0, left))
+        Z = now.Z - step
+        restart = failed & now.again
+        if again:
+            Z, found = jnp.where(restart, 0.0, Z), jnp.where(restart, 0.0, found)
+        contraction = jnp.where(failed, 1.0, left)
+        return _Now(Z, found, done & ~failed, failed & ~restart, now.iterations + 1, contraction, now.again & ~restart)
 
     eps = float(jnp.finfo(guess.dtype).eps)
     no, none = jnp.asarray(False), jnp.zeros((), int)
-    start = _Now(guess, jnp.zeros((), guess.dtype), no, no, none, contraction)
+    start = _Now(guess, jnp.zeros((), guess.dtype), no, no, none, contraction, jnp.asarray(again))
     end = jax.lax.while_loop(lambda n: ~n.done & ~n.failed & (n.iterations < most), iterate, start)
     return Solved(end.Z, end.done, end.iterations, end.contraction)

@@ -77,6 +77,10 @@ class StageEquations:
         eye = jnp.eye(self.zero.size, dtype=self.zero.dtype)
         return jax.vmap(along, out_axes=(None, 1))(eye)
 
+    def first_slope(self) -> jax.Array:
+        """The slope at the start of the step (N,)."""
+        return self._slope(self.t, self.y, self.zero)
+
     def residual(self, Z: jax.Array) -> jax.Array:
         """a^-1 Z - h K(Z)."""
         return jnp.stack(combined(self.tableau.inverse, list(Z))) - self.h * self.slopes(Z)
@@ -94,11 +98,23 @@ class Factors:
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8.
     """
 
-    def __init__(self, tableau: CollocationTableau, J: jax.Array, h: jax.Array) -> None:
-        self.tableau = tableau
+    def __init__(self, tableau: CollocationTableau, inverses: tuple[Parts, ...]) -> None:
+        self.tableau, self.inverses = tableau, inverses
+        count = len(tableau.real)
+        self.real, self.pairs = inverses[:count], inverses[count:]
+
+    @staticmethod
+    def found(tableau: CollocationTableau, J: jax.Array, h: jax.Array) -> tuple[Parts, ...]:
+        """The inverses for a step of length h."""
         eye, scaled = jnp.eye(J.shape[0], dtype=J.dtype), h * J
-        self.real = [inverse((mu * eye - scaled,)) for mu in tableau.real]
-        self.pairs = [inverse((mu.real * eye - scaled, mu.imag * eye)) for mu in tableau.pairs]
+        real = [inverse((mu * eye - scaled,)) for mu in tableau.real]
+        return (*real, *(inverse((mu.real * eye - scaled, mu.imag * eye)) for mu in tableau.pairs))
+
+    @staticmethod
+    def none(tableau: CollocationTableau, zero: jax.Array) -> tuple[Parts, ...]:
+        """Zeros in place of inverses."""
+        empty = jnp.zeros((zero.size, zero.size), zero.dtype)
+        return (*((empty,) for _ in tableau.real), *((empty, empty) for _ in tableau.pairs))
 
     def solve(self, R: jax.Array) -> jax.Array:
         """X (s, N)."""
