@@ -1,20 +1,5 @@
-"""What is known before a program runs: numbers, as opposed to values that JAX is tracing."""
+"""What is known before a program runs, where integrators look for it."""
 
-from __future__ import annotations
-
-from typing import Any
-
-import jax
-import numpy as np
+from ..lowering.concrete import is_finite, is_traced
 
 __all__ = ["is_finite", "is_traced"]
-
-
-def is_traced(tree: Any) -> bool:
-    """Whether any leaf is a traced value, whose numbers are not known yet."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
-
-
-def is_finite(value: Any) -> bool:
-    """Whether all entries of an array are finite, as far as they are known."""
-    return is_traced(value) or bool(np.isfinite(np.asarray(value)).all())

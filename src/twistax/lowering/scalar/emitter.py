@@ -1,4 +1,4 @@
-"""A scalar program as JAX operations on scalars, or on vectors where it is mapped over a batch."""
+"""A scalar program as JAX operations on scalars."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
-from .graph import Call
 from .passes import emitted_form
 from .program import ScalarProgram
 
@@ -18,48 +17,37 @@ __all__ = ["as_function"]
 
 
 def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
-    """The program as a function of arrays with the same leading batch axes, or none; pure and traceable."""
+    """The program as a function of arrays, one body at a time; pure and traceable."""
     form = emitted_form(program)
     g = form.graph
 
     def function(*arguments: jax.Array) -> list[jax.Array]:
-        batch = arguments[0].shape[: arguments[0].ndim - form.inputs[0].ndim] if arguments else ()
-        entries = [a.reshape(*batch, -1) for a in arguments]
+        entries = [jnp.reshape(a, -1) for a in arguments]
         values: dict[int, jax.Array] = {}
 
-        def number(i: int) -> jax.Array:
-            return jnp.full(batch, g.numbers[i], g.dtypes[i])
-
-        def array(nodes: Any, at: dict[int, jax.Array]) -> jax.Array:
-            flat = [at[i] for i in nodes.reshape(-1).tolist()]
-            if not flat:
-                return jnp.zeros((*batch, *nodes.shape), g.dtype)
-            return jnp.stack(flat, axis=-1).reshape(*batch, *nodes.shape)
+        def array(nodes: Any) -> jax.Array:
+            flat = [values[i] for i in nodes.reshape(-1).tolist()]
+            return jnp.stack(flat).reshape(nodes.shape) if flat else jnp.zeros(nodes.shape, g.dtype)
 
         done: set[int] = set()
         for i in form.live:
             place, call, operation = g.input_of(i), g.call_of(i), g.operation(i)
             if place is not None:
-                argument, entry = place
-                values[i] = lax.index_in_dim(entries[argument], entry, axis=len(batch), keepdims=False)
+                values[i] = lax.index_in_dim(entries[place[0]], place[1], keepdims=False)
             elif call is not None:
                 if id(call) not in done:
                     done.add(id(call))
-                    _called(call, array, values, len(batch))
+                    results = jaxpr_as_fun(call.jaxpr)(*(array(a) for a in call.arguments))
+                    for nodes, result in zip(call.results, results, strict=True):
+                        flat = jnp.reshape(result, -1)
+                        values.update({j: flat[k] for k, j in enumerate(nodes.reshape(-1).tolist())})
             elif operation is None:
-                values[i] = number(i)
+                values[i] = jnp.asarray(g.numbers[i], g.dtypes[i])
             else:
                 values[i] = operation.array(*(values[a] for a in g.arguments(i)))
-        return [array(nodes, values) for nodes in form.outputs]
+        # XLA would work out all that an array needs again for each of its entries.
+        needed = sorted(set(form.flat))
+        values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
+        return [array(nodes) for nodes in form.outputs]
 
     return function
-
-
-def _called(call: Call, array: Any, values: dict[int, jax.Array], depth: int) -> None:
-    function: Callable[..., list[jax.Array]] = jaxpr_as_fun(call.jaxpr)
-    for _ in range(depth):
-        function = jax.vmap(function)
-    for nodes, result in zip(call.results, function(*(array(a, values) for a in call.arguments)), strict=True):
-        flat = result.reshape(*result.shape[:depth], -1)
-        for k, i in enumerate(nodes.reshape(-1).tolist()):
-            values[i] = lax.index_in_dim(flat, k, axis=depth, keepdims=False)

@@ -12,6 +12,7 @@ import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from ..small_call import inside_small_call, small_call
 from .derivatives import cotangent_program, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
@@ -57,23 +58,37 @@ program_p.multiple_results = True
 
 def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
     """The results of a program; differentiable and batched as any JAX function."""
-    return program_p.bind(*arguments, derived=derived)  # type: ignore[no-any-return]
+    return _bind(derived, 0, *arguments)
 
 
-def _batch(derived: Derived, arguments: Sequence[Any]) -> tuple[int, ...]:
-    if not arguments:
-        return ()
-    own = derived.program.inputs[0].ndim
-    shape = np.shape(arguments[0])
-    return shape[: len(shape) - own]
+def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
+    # A loop that is compiled as one small function needs no other one inside.
+    return program_p.bind(*arguments, derived=derived, depth=depth, inside=inside_small_call())  # type: ignore[no-any-return]
 
 
-def _run(*arguments: Any, derived: Derived) -> list[jax.Array]:
-    return derived.function(*arguments)  # type: ignore[no-any-return]
+def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
+    """On the CPU: body after body, each loop compiled as one function."""
+    if depth == 0:
+        return derived.function(*arguments) if inside else small_call(derived.function, *arguments)  # type: ignore[no-any-return]
+    shape = jnp.shape(arguments[0])[:depth]
+    flat = [jnp.reshape(a, (-1, *jnp.shape(a)[depth:])) for a in arguments]
+
+    def each(*flat: jax.Array) -> list[jax.Array]:
+        return jax.lax.map(lambda row: derived.function(*row), flat)  # type: ignore[no-any-return]
+
+    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in small_call(each, *flat)]
 
 
-def _abstract(*arguments: Any, derived: Derived) -> list[Any]:
-    batch = _batch(derived, arguments)
+def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
+    """On accelerators: all bodies at once."""
+    function = derived.function
+    for _ in range(depth):
+        function = jax.vmap(function)
+    return function(*arguments)  # type: ignore[no-any-return]
+
+
+def _abstract(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
+    batch = np.shape(arguments[0])[:depth] if arguments else ()
     program = derived.program
     return [
         jax.core.ShapedArray((*batch, *nodes.shape), dtype)
@@ -81,46 +96,46 @@ def _abstract(*arguments: Any, derived: Derived) -> list[Any]:
     ]
 
 
-def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, derived: Derived) -> tuple[list[Any], list[Any]]:
-    results = program_p.bind(*primals, derived=derived)
+def _jvp(
+    primals: Sequence[Any], tangents: Sequence[Any], *, derived: Derived, depth: int, inside: bool
+) -> tuple[list[Any], list[Any]]:
+    results = _bind(derived, depth, *primals)
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
-    along = derived.tangent(active)
-    moved = iter(program_p.bind(*primals, *(tangents[k] for k in active), derived=along))
+    moved = iter(_bind(derived.tangent(active), depth, *primals, *(tangents[k] for k in active)))
     real = set(derived.real)
     return results, [next(moved) if k in real else ad.Zero.from_primal_value(r) for k, r in enumerate(results)]
 
 
-def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived) -> list[Any]:
+def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
     if derived.origin is None:
         raise NotImplementedError("only the derivative of a scalar program is linear")
     origin, active = derived.origin
     count = len(arguments) - len(active)
-    given = [
-        jnp.zeros(c.aval.shape, c.aval.dtype) if type(c) is ad.Zero else c for c in cotangents
-    ]
+    given = [jnp.zeros(c.aval.shape, c.aval.dtype) if type(c) is ad.Zero else c for c in cotangents]
     linear = [k for k, a in enumerate(arguments[count:]) if ad.is_undefined_primal(a)]
-    found = program_p.bind(
-        *arguments[:count], *given, derived=origin.cotangent(tuple(active[k] for k in linear))
-    )
+    back = origin.cotangent(tuple(active[k] for k in linear))
     result: list[Any] = [None] * len(arguments)
-    for k, value in zip(linear, found, strict=True):
+    for k, value in zip(linear, _bind(back, depth, *arguments[:count], *given), strict=True):
         result[count + k] = value
     return result
 
 
-def _batched(arguments: Sequence[Any], axes: Sequence[Any], *, derived: Derived) -> tuple[list[Any], list[int]]:
+def _batched(
+    arguments: Sequence[Any], axes: Sequence[Any], *, derived: Derived, depth: int, inside: bool
+) -> tuple[list[Any], list[int]]:
     size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
     moved = [
-        jnp.broadcast_to(a, (size, *np.shape(a))) if d is None else jnp.moveaxis(a, d, 0)
+        jnp.broadcast_to(a, (size, *jnp.shape(a))) if d is None else jnp.moveaxis(a, d, 0)
         for a, d in zip(arguments, axes, strict=True)
     ]
-    results = program_p.bind(*moved, derived=derived)
+    results = program_p.bind(*moved, derived=derived, depth=depth + 1, inside=False)
     return results, [0] * len(results)
 
 
-program_p.def_impl(jax.jit(_run, static_argnames="derived"))
+program_p.def_impl(jax.jit(_run, static_argnames=("derived", "depth", "inside")))
 program_p.def_abstract_eval(_abstract)
 ad.primitive_jvps[program_p] = _jvp
 ad.primitive_transposes[program_p] = _transpose
 batching.primitive_batchers[program_p] = _batched
-mlir.register_lowering(program_p, mlir.lower_fun(_run, multiple_results=True))
+mlir.register_lowering(program_p, mlir.lower_fun(_run_wide, multiple_results=True))
+mlir.register_lowering(program_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")

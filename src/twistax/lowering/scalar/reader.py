@@ -78,7 +78,8 @@ class Reader:
         if name in _CALLS:
             return self.read(_closed(eqn.params[_CALLS[name]]), arrays)
         if name in _OWN_DERIVATIVE:
-            return self._call(eqn, arrays, inline=True) if self.whole else self.read(_own(eqn), arrays)
+            known = all(self.graph.values(a) is not None for a in arrays)
+            return self.read(_own(eqn), arrays) if known or not self.whole else self._call(eqn, arrays, inline=True)
         special = _SPECIAL.get(name)
         found = special(self, eqn, arrays) if special else None
         if found is None and name in RULES:

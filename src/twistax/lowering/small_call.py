@@ -1,0 +1,167 @@
+"""A function compiled as one small function, so that loops inside it run fast under default settings.
+
+XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless the loop is compiled as one function.
+The attribute that asks for it is not documented, so it is set only on the CPU, for functions made of operations known
+to compile that way, on arrays of at most thousands of entries, and with every argument in use. Elsewhere, and under
+vmap, the function runs as it is, with the same result.
+`tests/integrators/test_small_call.py` notices if the attribute loses its effect.
+"""
+
+from __future__ import annotations
+
+import contextvars
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+from .concrete import is_traced
+
+__all__ = ["fits", "inside_small_call", "small_call"]
+
+try:
+    from jax.experimental.xla_metadata import set_xla_metadata
+except ImportError:  # a later JAX may have moved it
+    set_xla_metadata = None  # type: ignore[assignment]
+
+Result = TypeVar("Result")
+
+#: Whether a function is being traced to become a small one.
+_INSIDE = contextvars.ContextVar("inside a small call", default=False)
+
+#: Operations that are compiled inside one function. Anything that calls a library (solvers, FFI, callbacks) is not.
+_KNOWN = frozenset(
+    " ".join(
+        [
+            "abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp concatenate",
+            "cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call",
+            "custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1",
+            "floor gather ge gt integer_pow iota is_finite jit le le_to log log1p logistic lt lt_to max min mul ne neg",
+            "not optimization_barrier or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem reshape rev",
+            "round rsqrt scalar_program scan scatter scatter-add select_n sign sin sinh slice split sqrt square squeeze stack",
+            "stop_gradient sub tan tanh tile transpose unstack while xor",
+        ]
+    ).split(" ")
+)
+
+#: Operations that move numbers, or hold others; arrays of any size are fine.
+_MOVING = frozenset(
+    " ".join(
+        [
+            "broadcast_in_dim cond custom_jvp_call custom_vjp_call dynamic_slice dynamic_update_slice gather jit",
+            "optimization_barrier pjit reshape scalar_program scan scatter slice squeeze while",
+        ]
+    ).split(" ")
+)
+
+#: Beyond this many entries XLA shares the work of an operation between threads, or compiles it in ways of its own.
+_LARGEST_ARRAY = 4096
+
+#: Products of matrices beyond this many entries call a library.
+_LARGEST_PRODUCT = 64
+
+
+def inside_small_call() -> bool:
+    """Whether what is being traced becomes part of a small function."""
+    return _INSIDE.get()
+
+
+def fits(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Whether function(*arguments) is made of operations known to compile as one small function."""
+    return _all_known(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
+    """function(*arguments), compiled as one small function where that is known to work.
+
+    Where it is not, small calls that the function makes itself may still be; inside of one that works they are part of
+    it. Pure and traceable. Arguments and result are pytrees of arrays.
+
+    Args:
+        trusted: take the caller's word that it works. XLA ends the process where it does not.
+    """
+    if _INSIDE.get():
+        return function(*arguments)
+    leaves, structure = jax.tree.flatten(arguments)
+    leaves = [jnp.asarray(leaf) for leaf in leaves]
+    shapes: list[Any] = []
+
+    def flat(*leaves: jax.Array) -> list[jax.Array]:
+        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        shapes.append(shape)
+        # XLA aborts on an argument that is never read: one more result reads them all.
+        read = functools.reduce(jnp.add, [leaf.reshape(-1)[0].astype(jnp.float32) for leaf in leaves if leaf.size])
+        return [*results, read]
+
+    if set_xla_metadata is None or jax.default_backend() != "cpu":
+        return function(*arguments)
+    outside = _INSIDE.set(True)
+    try:
+        jaxpr = jax.make_jaxpr(flat)(*leaves)
+    finally:
+        _INSIDE.reset(outside)
+    if not trusted and not _all_known(jaxpr.jaxpr):
+        return function(*arguments)
+    run, leaves = _opened(jaxpr, leaves)
+    # Constants must not be moved inside either: an argument that is one then counts as never read.
+    results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
+    return jax.tree.unflatten(shapes[0], results[:-1])
+
+
+def _opened(jaxpr: Any, leaves: list[Any]) -> tuple[Callable[..., list[jax.Array]], list[Any]]:
+    """The jaxpr as a function, the traced values it closes over made arguments in front: vmap must see them."""
+    held = [i for i, value in enumerate(jaxpr.consts) if is_traced(value)]
+    if not held:
+        return jaxpr_as_fun(jaxpr), leaves
+
+    def run(*arguments: jax.Array) -> list[jax.Array]:
+        consts = list(jaxpr.consts)
+        for i, value in zip(held, arguments[: len(held)], strict=True):
+            consts[i] = value
+        return jaxpr_as_fun(ClosedJaxpr(jaxpr.jaxpr, consts))(*arguments[len(held) :])
+
+    return run, [*(jaxpr.consts[i] for i in held), *leaves]
+
+
+def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
+    """A function of arrays as one small function; under vmap as it is: XLA has no such functions for large arrays."""
+
+    @jax.custom_batching.custom_vmap
+    def outlined(*leaves: jax.Array) -> list[jax.Array]:
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            return jax.jit(run, inline=False)(*leaves)
+
+    @outlined.def_vmap
+    def batched(size: int, mapped: list[bool], *leaves: jax.Array) -> tuple[list[jax.Array], list[bool]]:
+        axes = [0 if own else None for own in mapped]
+        results = jax.vmap(run, in_axes=axes, axis_size=size)(*leaves)
+        return results, [True] * len(results)
+
+    return outlined
+
+
+def _all_known(jaxpr: Any) -> bool:
+    """Whether every operation, also inside of loops and branches, is one that compiles inside a function."""
+    for equation in jaxpr.eqns:
+        name = equation.primitive.name
+        if name not in _KNOWN:
+            return False
+        largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
+        if name not in _MOVING and largest > (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY):
+            return False
+        if not all(_all_known(inner) for inner in _inner(equation.params)):
+            return False
+    return True
+
+
+def _inner(params: dict[str, Any]) -> Iterator[Any]:
+    """The jaxprs among the parameters of an equation."""
+    for value in params.values():
+        for entry in value if isinstance(value, (tuple, list)) else (value,):
+            if hasattr(entry, "jaxpr"):
+                yield entry.jaxpr
+            elif hasattr(entry, "eqns"):
+                yield entry
