@@ -27,7 +27,7 @@ from .stage_equations import Factors, StageEquations, combined, zero_coordinates
 __all__ = ["ImplicitRKMK"]
 
 #: Newton steps before a step is given up: where it may be taken back, and where it may not.
-_FEW, _MANY = 8, 60
+_FEW, _MANY = 8, 200
 #: Inverses serve again for steps that differ by no more than this share from the one they were made for,
 _ALIKE = 0.05
 #: and as long as Newton's method converges this fast.
