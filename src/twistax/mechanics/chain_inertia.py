@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..expr import Block, Constant, Cos, Expr, Sin, Where
-from ..expr.lie import AxisRotation, CoadjointAction, rotation, translation
+from ..expr.lie import AxisRotation, CoadjointAction, translation
 from ..expr.lie.transforms import parts_of_pose
 from .joints.screws import complement
 
@@ -32,13 +32,10 @@ def mirrored(I: Expr) -> Expr:
 
 
 def in_frame(T: Expr, I: Expr) -> Expr:
-    """Ad*_T I Ad_T^-1 (6, 6) of a symmetric I: turned first, then moved."""
+    """Ad*_T I Ad_T^-1 (6, 6) of a symmetric I."""
     R, p = parts_of_pose(T)
-    turned = _turned_about_axis(R, I) if isinstance(R, AxisRotation) else _changed(rotation(R), I)
-    return _changed(translation(p), turned)
-
-
-def _changed(T: Expr, I: Expr) -> Expr:
+    if isinstance(R, AxisRotation):
+        I, T = _turned_about_axis(R, I), translation(p)
     return mirrored(CoadjointAction(T, CoadjointAction(T, I).T))
 
 
