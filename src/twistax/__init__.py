@@ -31,10 +31,10 @@ from .errors import (
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
-from .integrators import RKMK, CommutatorFree, Held, Linear, Magnus, Result, Solution, StepControl, integrate
+from .integrators import RKMK, CommutatorFree, Event, Held, Linear, Magnus, Result, Solution, StepControl, integrate
 from .integrators.implicit import ImplicitRKMK
 from .integrators.splitting import FreeBody, FreeParticle, Splitting
-from .lowering import Dynamics, compile, lower
+from .lowering import XLA, Arrays, Dynamics, compile, lower
 from .system import System
 
 if TYPE_CHECKING:
@@ -49,9 +49,12 @@ __all__ = [
     "RKMK",
     "SE3",
     "SO3",
+    "XLA",
+    "Arrays",
     "CommutatorFree",
     "Dynamics",
     "Euclidean",
+    "Event",
     "FreeBody",
     "FreeParticle",
     "Held",

@@ -2,6 +2,7 @@
 
 from .commutator_free import CF4, CommutatorFree, CommutatorFreeTableau
 from .controls import Held, Linear, Table
+from .events import Event
 from .implicit import CollocationTableau, ImplicitRKMK
 from .integrate import integrate
 from .magnus import Magnus
@@ -19,6 +20,7 @@ __all__ = [
     "CollocationTableau",
     "CommutatorFree",
     "CommutatorFreeTableau",
+    "Event",
     "Held",
     "ImplicitRKMK",
     "Linear",

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .course import Course, Flown, Outcome, Part, Saved
+from .events import Watched
 from .finite import all_finite
 from .first_step import first_step
 from .method import Carry
@@ -99,6 +100,7 @@ class _Now(NamedTuple):
     last: tuple[jax.Array, jax.Array] | None
     path: _Path | None
     every: jax.Array | None
+    watched: Watched | None
 
 
 @jax.tree_util.register_dataclass
@@ -113,6 +115,7 @@ class AdaptiveCourse(Course):
         tolerances: the error allowed in a step.
         control: how the next step follows from the errors, and how many there may be.
         dense: whether the starts of all steps are kept.
+        watch: the conditions that end the flight.
     """
 
     t0: Any
@@ -121,6 +124,7 @@ class AdaptiveCourse(Course):
     tolerances: Tolerances
     control: StepControl = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
+    watch: Any = None
 
     @property
     def bound(self) -> int:
@@ -129,7 +133,7 @@ class AdaptiveCourse(Course):
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
         stops, read = self.stops, ravel_pytree(y)[1]
         now, found = small_call(lambda course, stepper, y: course._all_steps(stepper, y, record), self, stepper, y)
-        short = (now.code == 0) & (now.t < stops.limits[-1])
+        short = (now.code == Result.DONE.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         outcome = Outcome(code, now.tried, now.accepted, now.evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
@@ -137,7 +141,7 @@ class AdaptiveCourse(Course):
         if stops.place is not None:
             (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
             saved = Saved(index, times, jax.vmap(read)(starts), reached)
-        return Flown(read(now.y), outcome, saved, now.path, trail)
+        return Flown(read(now.y), outcome, saved, now.path, trail, now.watched)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
@@ -164,6 +168,7 @@ class AdaptiveCourse(Course):
             last=None if stops.place is None else (self.t0, packed),
             path=self._empty_path() if record or self.dense else None,
             every=put(rows(packed, self.bound + 1), 0, packed) if self.dense else None,
+            watched=None if self.watch is None else self.watch.begin(stepper, self.t0, guess, y),
         )
 
         def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
@@ -220,13 +225,21 @@ class AdaptiveCourse(Course):
             shorter = jnp.where(found.solved, shorter, 0.5 * step)
             trouble = jnp.where(found.solved, trouble, Result.NEWTON_FAILED.value)
         failed = ~good & ((shorter < least) | (step <= least))
+        code = jnp.where(failed, trouble, now.code)
+        halted, watched = failed, None
+        if now.watched is not None:
+            watched = self.watch.after(stepper, now.t, step, found.y, now.watched, now.accepted == 0)
+            hit = good & watched.hits.any()
+            # The flight halts before the step with the event.
+            good, halted, code = good & ~hit, failed | hit, jnp.where(hit, Result.EVENT.value, code)
+            watched = watched._replace(values=jnp.where(good, watched.values, now.watched.values))
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
 
         return _Now(
             t=pick(t, now.t),
-            h=jnp.where(good, longer, jnp.where(failed, step, shorter)),
+            h=jnp.where(good, longer, jnp.where(halted, step, shorter)),
             y=pick(y, now.y),
             carry=pick(carry, now.carry),
             errors=pick(errors, now.errors),
@@ -234,11 +247,12 @@ class AdaptiveCourse(Course):
             tried=now.tried + 1,
             accepted=now.accepted + good.astype(int),
             evaluations=now.evaluations + found.evaluations,
-            code=jnp.where(failed, trouble, now.code),
+            code=code,
             last=None if now.last is None else pick((now.t, now.y), now.last),
             path=None if now.path is None else self._noted(now.path, now.accepted, leg, now.t, t),
             # A step that is taken back leaves a row that a later one writes again.
             every=None if now.every is None else put(now.every, now.accepted + 1, y),
+            watched=watched,
         )
 
     def _error(self, stepper: Stepper, before: Blocks, after: Blocks, errors: tuple[Blocks, ...]) -> jax.Array:
@@ -250,6 +264,10 @@ class AdaptiveCourse(Course):
         first, second = squares
         weight = first + 0.01 * second
         return jnp.where(weight > 0.0, first * first / jnp.where(weight > 0.0, weight, 1.0), 0.0)
+
+    @property
+    def saved_times(self) -> jax.Array:
+        return self.stops.ts[self.stops.place]
 
     def too_long(self, h: float) -> tuple[str, str]:
         cause = "however short the step: the solution grows without bound, or a rate stops being finite just after"
@@ -289,7 +307,7 @@ class AdaptiveCourse(Course):
         return Part(start + path.begin * length, (path.end - path.begin) * length)
 
     def parts(self, path: _Path | None, saved: Saved) -> Part:
-        ts = self.stops.ts[self.stops.place]
+        ts = self.saved_times
         if path is None:
             return Part(saved.t, ts - saved.t)
         k = jnp.maximum(saved.steps - 1, 0)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
+from .events import Watched
 from .stepper import Stepper
 
 __all__ = ["Course", "Flown", "Outcome", "Part", "Saved", "Trail"]
@@ -72,6 +73,7 @@ class Flown(NamedTuple):
         saved: for the saved times; None where the end alone is asked for.
         path: what a course needs to take the same steps again, where it was asked for.
         trail: the starts of all steps, where a course keeps them.
+        watched: what is known of the conditions, where there are any. A course halts before the step with an event.
     """
 
     end: Blocks
@@ -79,6 +81,7 @@ class Flown(NamedTuple):
     saved: Saved | None
     path: Any
     trail: Trail | None
+    watched: Watched | None = None
 
 
 class Part(NamedTuple):
@@ -93,9 +96,11 @@ class Course(ABC):
 
     Attributes:
         dense: whether the starts of all steps are kept.
+        watch: the conditions that end a flight; None where there are none.
     """
 
     dense: bool
+    watch: Any
 
     @property
     @abstractmethod
@@ -120,6 +125,11 @@ class Course(ABC):
 
         Without a path they are as the loop left them.
         """
+
+    @property
+    @abstractmethod
+    def saved_times(self) -> jax.Array:
+        """(n,) the saved times; differentiable."""
 
     @abstractmethod
     def too_long(self, h: float) -> tuple[str, str]:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from ..errors import InputError
 from .charts.whole import Blocks
 from .course import Course, Flown, Outcome, Part, Saved
+from .events import Watch, Watched
 from .finite import all_finite
 from .grid import Grid, Saves
 from .method import Carry
@@ -24,7 +25,7 @@ __all__ = ["FixedCourse"]
 
 class _Now(NamedTuple):
     """What the loop carries: steps taken, the stored state, what the method carries, evaluations, the number of the
-    result so far, and the states so far if kept.
+    result so far, the states so far if kept, and the conditions if there are any.
     """
 
     steps: jax.Array
@@ -33,6 +34,7 @@ class _Now(NamedTuple):
     evaluations: jax.Array
     code: jax.Array
     every: Blocks | None
+    watched: Watched | None
 
 
 @jax.tree_util.register_dataclass
@@ -46,6 +48,7 @@ class FixedCourse(Course):
         at: where the saved times fall; None where there are none.
         most: their number as structure, which derivatives and dense output need; else None.
         dense: whether the starts of all steps are kept.
+        watch: the conditions that end the flight.
     """
 
     t0: Any
@@ -54,6 +57,7 @@ class FixedCourse(Course):
     at: Saves | None
     most: int | None = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
+    watch: Any = None
 
     @property
     def bound(self) -> int:
@@ -65,9 +69,9 @@ class FixedCourse(Course):
         return self.most
 
     @classmethod
-    def of(cls, grid: Grid, at: Saves | None, bounded: bool, dense: bool) -> FixedCourse:
+    def of(cls, grid: Grid, at: Saves | None, bounded: bool, dense: bool, watch: Watch | None) -> FixedCourse:
         """The course over a grid; `bounded` where the number of steps is to be structure too."""
-        return cls(grid.t0, grid.h, jnp.asarray(grid.steps), at, grid.steps if bounded else None, dense)
+        return cls(grid.t0, grid.h, jnp.asarray(grid.steps), at, grid.steps if bounded else None, dense, watch)
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
         stops = self.steps[None]
@@ -80,7 +84,7 @@ class FixedCourse(Course):
         if self.at is not None:
             starts, reached = jax.tree.map(lambda a: a[:-1], found)
             saved = Saved(self.at.index, self._time(self.at.index), starts, reached)
-        return Flown(now.y, outcome, saved, None, trail)
+        return Flown(now.y, outcome, saved, None, trail, now.watched)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
@@ -92,10 +96,17 @@ class FixedCourse(Course):
             if found.solved is not None:
                 good = good & found.solved
                 code = jnp.where(found.solved, code, Result.NEWTON_FAILED.value)
+            watched = None
+            if now.watched is not None:
+                t = self._time(now.steps)
+                watched = self.watch.after(stepper, t, self.h, found.y, now.watched, now.steps == 0)
+                hit = good & watched.hits.any()
+                watched = watched._replace(values=jnp.where(hit, now.watched.values, watched.values))
+                code, good = jnp.where(hit, Result.EVENT.value, code), good & ~hit
             kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
             steps = now.steps + good.astype(now.steps.dtype)
             every = None if now.every is None else put(now.every, steps, kept)
-            return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every)
+            return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, watched)
 
         def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
             now = jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.DONE.value), advance, now)
@@ -103,7 +114,8 @@ class FixedCourse(Course):
 
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
-        now = _Now(none, y, carry, none, jnp.zeros((), int), every)
+        watched = None if self.watch is None else self.watch.begin(stepper, self.t0, self.h, y)
+        now = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
         return jax.lax.scan(to_stop, now, stops)
 
     def steps_of(self, path: None) -> Part:
@@ -113,6 +125,11 @@ class FixedCourse(Course):
     def parts(self, path: None, saved: Saved) -> Part:
         assert self.at is not None  # else there would be nothing saved
         return Part(self._time(saved.steps), self.at.share * self.h)
+
+    @property
+    def saved_times(self) -> jax.Array:
+        assert self.at is not None  # else there would be nothing saved
+        return self.at.ts
 
     def _time(self, k: jax.Array) -> jax.Array:
         """The start of step k, computed afresh so that it does not drift."""

@@ -11,6 +11,7 @@ from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .checkpointed import take_steps
 from .course import Course, Flown, Outcome, Part, Trail
+from .event_end import Meeting, cut_at, locate, refined, saved_before
 from .finite import all_finite
 from .result import Result
 from .small_call import small_call
@@ -29,6 +30,7 @@ class Flight(NamedTuple):
         reached: (n,) whether the flight came so far.
         outcome: how the steps went, those of saved times included in the evaluations.
         trail: the starts of all steps, where the course keeps them.
+        event: the number of the event that ended it, -1 for none; None where the course watches for none.
     """
 
     xs: Arrays
@@ -36,6 +38,7 @@ class Flight(NamedTuple):
     reached: jax.Array
     outcome: Outcome
     trail: Trail | None
+    event: jax.Array | None
 
 
 @jax.jit
@@ -57,11 +60,26 @@ def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
 
 def _whole(course: Course, stepper: Stepper, x: Arrays) -> Flight:
     flown = course.run(stepper, stepper.stored.enter(x), record=False)
-    if flown.saved is None:
-        return _ended(stepper, flown, x)
-    parts = course.parts(None, flown.saved)
+    meeting = None if course.watch is None else small_call(locate, stepper, course.watch, flown)
+    parts = None if flown.saved is None else course.parts(None, flown.saved)
+    flown, parts = _met(course, stepper, flown, parts, meeting)
+    if flown.saved is None or parts is None:
+        return _ended(stepper, flown, x, meeting)
     ys = small_call(_save, stepper, flown.saved.y, parts)
-    return _saved(stepper, flown, ys, parts, x)
+    return _saved(stepper, flown, ys, parts, x, meeting)
+
+
+def _met(
+    course: Course, stepper: Stepper, flown: Flown, parts: Part | None, meeting: Meeting | None
+) -> tuple[Flown, Part | None]:
+    """The flight up to the event, where it met one."""
+    if meeting is None:
+        return flown, parts
+    halted, flown = flown, cut_at(stepper, flown, meeting)
+    if flown.saved is None or parts is None:
+        return flown, parts
+    saved, parts = saved_before(flown.saved, parts, course.saved_times, halted, meeting)
+    return flown._replace(saved=saved), parts
 
 
 def _save(stepper: Stepper, ys: Blocks, parts: Part) -> Blocks:
@@ -77,13 +95,14 @@ def _save(stepper: Stepper, ys: Blocks, parts: Part) -> Blocks:
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Flight, Flight]:
     course, stepper, x = jax.lax.stop_gradient(primals)
     flown = course.run(stepper, stepper.stored.enter(x), record=True)
+    known = None if course.watch is None else locate(stepper, course.watch, flown)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
 
     def again(values: list[Any]) -> Flight:
         course, stepper, x = jax.tree.unflatten(structure, _with(leaves, moving, values))
-        return _again(course, stepper, x, flown)
+        return _again(course, stepper, x, flown, known)
 
     return jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
 
@@ -102,7 +121,7 @@ def _with(leaves: list[Any], places: list[int], values: list[Any]) -> list[Any]:
     return found
 
 
-def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
+def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown, known: Meeting | None) -> Flight:
     """A flight by taking its steps again."""
 
     def step(y: Blocks, part: Part) -> Blocks:
@@ -111,28 +130,37 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown) -> Flight:
     start = stepper.stored.enter(x)
     recorded = course.dense or flown.saved is not None
     steps = flown.outcome.accepted
-    parts = course.steps_of(flown.path)
+    all_parts = course.steps_of(flown.path)
     # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is not a number.
-    parts = parts._replace(h=jnp.where(jnp.arange(course.bound) < steps, parts.h, 0.0))
-    end, every = take_steps(step, start, parts, steps, course.bound, recorded)
+    taken = all_parts._replace(h=jnp.where(jnp.arange(course.bound) < steps, all_parts.h, 0.0))
+    end, every = take_steps(step, start, taken, steps, course.bound, recorded)
     flown = flown._replace(end=end, trail=course.trail(flown.path, steps, every) if course.dense else None)
-    if flown.saved is None:
-        return _ended(stepper, flown, x)
+    meeting = None
+    if known is not None:
+        begins = jnp.where(known.met, all_parts.t[jnp.minimum(steps, course.bound - 1)], known.t)
+        meeting = refined(stepper, course.watch, end, flown.outcome.h, known._replace(t=begins))
+    parts = None if flown.saved is None else course.parts(flown.path, flown.saved)
+    flown, parts = _met(course, stepper, flown, parts, meeting)
     saved = flown.saved
-    parts = course.parts(flown.path, saved)
+    if saved is None or parts is None:
+        return _ended(stepper, flown, x, meeting)
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
     parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
     starts = jax.tree.map(lambda a: a[saved.steps], every)
     ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(parts, starts)
-    return _saved(stepper, flown, ys, parts, x)
+    return _saved(stepper, flown, ys, parts, x, meeting)
 
 
-def _ended(stepper: Stepper, flown: Flown, x: Arrays) -> Flight:
+def _ended(stepper: Stepper, flown: Flown, x: Arrays, meeting: Meeting | None) -> Flight:
     end = _or_start(stepper.stored.value(flown.end), flown.outcome.accepted == 0, x)
-    return Flight({}, end, jnp.zeros(0, bool), flown.outcome, flown.trail)
+    return Flight({}, end, jnp.zeros(0, bool), flown.outcome, flown.trail, _number(meeting))
 
 
-def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -> Flight:
+def _number(meeting: Meeting | None) -> jax.Array | None:
+    return None if meeting is None else meeting.which
+
+
+def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays, meeting: Meeting | None) -> Flight:
     stored, saved = stepper.stored, flown.saved
     assert saved is not None  # flights without saved times end elsewhere
     at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
@@ -146,7 +174,7 @@ def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays) -
         evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)
     )
     end = _or_start(stored.value(flown.end), outcome.accepted == 0, x)
-    return Flight(xs, end, reached, outcome, flown.trail)
+    return Flight(xs, end, reached, outcome, flown.trail, _number(meeting))
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:

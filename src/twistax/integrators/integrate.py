@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
 from ..lowering.inputs import precision
 from .adaptive import AdaptiveCourse, Stops
 from .checks import check_start
@@ -18,6 +19,7 @@ from .concrete import is_finite, is_traced
 from .controls import OfTime, Signals, controls_of
 from .course import Course
 from .dense import Dense
+from .events import watch_of
 from .failures import failure
 from .fixed import FixedCourse
 from .flight import Flight, fly
@@ -51,6 +53,7 @@ def integrate(
     params: Mapping[str, Any] | None = None,
     save_at: Any = None,
     dense: bool = False,
+    event: Any = None,
     throw: bool = True,
 ) -> Solution:
     """Fly a system from x0 at t0 to t1, with fixed steps or with as long ones as tolerances allow.
@@ -85,6 +88,10 @@ def integrate(
             step's start, as accurate as the method. Left out: the end alone.
         dense: keep the start of every step, so that `Solution.evaluate` gives the state at any time. With fixed steps
             their number is then part of the compiled program.
+        event: an `Event`, or a list of them: the flight ends at the first root of any condition, with
+            `Result.EVENT`, which is no failure; `Solution.event` is its number. With save_at the last row is then where
+            the flight ended, besides the saved times before it. Derivatives of the time and the state there are those
+            of the implicit function theorem.
         throw: raise when the flight ends early. Otherwise the part before the failure is returned, with `result`.
 
     Returns:
@@ -109,6 +116,8 @@ def integrate(
     signals = controls.prepared(inputs.u, inputs.dtype)
     x, dtype = dict(inputs.x), inputs.dtype
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at))
+    watch, watched_values = watch_of(dynamics, event, inputs, signals)
+    traced = traced or is_traced(watched_values)
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(inputs.t)
     stepper = Stepper(dynamics, method, signals, dict(inputs.params), inward=jumps is not None)
@@ -124,6 +133,7 @@ def integrate(
             tolerances=tolerances_of(dynamics, rtol, atol, dtype),
             control=control or StepControl(),
             dense=dense,
+            watch=watch,
         )
         ts = jnp.asarray([t1] if save_at is None else save_at, dtype)
     else:
@@ -134,7 +144,7 @@ def integrate(
                 )
         grid = make_grid(t0, t1, dt, steps, dtype)
         saves = place_saves(save_at, grid, dtype)
-        course = FixedCourse.of(grid, saves, bounded=traced or dense, dense=dense)
+        course = FixedCourse.of(grid, saves, bounded=traced or dense, dense=dense, watch=watch)
         ts = grid.t1[None] if saves is None else saves.ts
     flight = fly(course, stepper, x)
     return _solution(stepper, course, flight, ts, save_at is None, throw)
@@ -160,19 +170,32 @@ def _stops(
 
 def _solution(stepper: Stepper, course: Course, flight: Flight, ts: jax.Array, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome = flight.outcome
+    outcome, watching = flight.outcome, course.watch is not None
     dense = None if flight.trail is None else Dense(stepper, flight.trail)
     stats = Stats(outcome.tried, outcome.accepted, outcome.tried - outcome.accepted, outcome.evaluations)
-    xs = {name: value[None] for name, value in flight.end.items()} if end_only else flight.xs
+    end = {name: value[None] for name, value in flight.end.items()}
+    halted = jnp.where(outcome.code == Result.EVENT.value, outcome.t, ts[-1])[None] if watching and end_only else None
     if is_traced(outcome):
-        return Solution(ts, xs, stats, outcome.code, dense)
+        if end_only:
+            return Solution(ts if halted is None else halted, end, stats, outcome.code, dense, flight.event)
+        xs = flight.xs
+        if watching:
+            ts, xs = jnp.append(ts, outcome.t), _joined(xs, end)
+        return Solution(ts, xs, stats, outcome.code, dense, flight.event)
     stats = Stats(*(int(count) for count in (stats.steps, stats.accepted, stats.rejected, stats.rhs_evaluations)))
     result = Result(int(outcome.code))
-    if result is Result.DONE:
-        return Solution(ts, xs, stats, result, dense)
-    if throw:
+    good = result in (Result.DONE, Result.EVENT)
+    if throw and not good:
         raise failure(stepper, course, outcome, flight.end)
     if end_only:
-        return Solution(outcome.t[None], xs, stats, result, dense)
-    kept = int(np.cumprod(flight.reached).sum())
-    return Solution(ts[:kept], {name: value[:kept] for name, value in xs.items()}, stats, result, dense)
+        return Solution(ts if result is Result.DONE else outcome.t[None], end, stats, result, dense, flight.event)
+    kept = len(ts) if result is Result.DONE else int(np.cumprod(flight.reached).sum())
+    ts, xs = ts[:kept], {name: value[:kept] for name, value in flight.xs.items()}
+    if watching:
+        ts, xs = jnp.append(ts, outcome.t), _joined(xs, end)
+    return Solution(ts, xs, stats, result, dense, flight.event)
+
+
+def _joined(xs: Arrays, end: Arrays) -> Arrays:
+    """The saved states and the end."""
+    return {name: jnp.concatenate([value, end[name]]) for name, value in xs.items()}

@@ -8,13 +8,14 @@ __all__ = ["Result"]
 
 
 class Result(enum.IntEnum):
-    """How an integration ended; `sentence` says it in words."""
+    """How an integration ended; `sentence` says it in words. DONE and EVENT are no failures."""
 
     DONE = 0
     NON_FINITE = 1
     MAX_STEPS = 2
     STEP_TOO_SMALL = 3
     NEWTON_FAILED = 4
+    EVENT = 5
 
     @property
     def sentence(self) -> str:
@@ -31,4 +32,5 @@ _SENTENCES = {
     Result.MAX_STEPS: "the steps ran out before the end time",
     Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
     Result.NEWTON_FAILED: "the equations of an implicit step could not be solved",
+    Result.EVENT: "an event stopped it",
 }

@@ -50,6 +50,7 @@ class Solution:
         stats: counts.
         code: the number of the Result.
         dense: what `evaluate` reads, with dense=True; else None.
+        which: the number of the event that stopped it, -1 for none; None where none was watched for.
     """
 
     ts: jax.Array
@@ -57,6 +58,14 @@ class Solution:
     stats: Stats
     code: Any
     dense: Dense | None = None
+    which: Any = None
+
+    @property
+    def event(self) -> Any:
+        """The number of the event that stopped it, or None; of traced or mapped solutions an array, -1 for none."""
+        if self.which is None or is_traced(self.which) or np.ndim(self.which) > 0:
+            return self.which
+        return int(self.which) if int(self.which) >= 0 else None
 
     def evaluate(self, t: Any) -> Arrays:
         """The states by name at a time () or at times (n,), then on a leading axis. Needs a flight with dense=True.

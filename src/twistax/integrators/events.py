@@ -1,0 +1,188 @@
+"""Conditions that end a flight where they become zero."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..errors import InputError, ModelError
+from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_all, evaluate_all, leaves_of
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from .charts.whole import Blocks
+from .controls import Signals
+from .stepper import Stepper
+
+__all__ = ["Event", "Watch", "Watched", "watch_of"]
+
+#: A value at the start that is this many units of round-off, or less, of the one a step later counts as zero.
+_HAIR = 1e3
+
+
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """A flight ends where the condition becomes zero: `tx.integrate(..., event=tx.Event(condition))`.
+
+    A step during which the sign of the condition changes is flown again up to the root, in its group and to round-off
+    of the time. Two roots within one step are not seen: `tx.StepControl(dtmax=...)` or dt must be shorter than the time
+    between them. A condition that is zero at the start, up to round-off, is no event until it has been something else.
+
+    Attributes:
+        condition: an expression of shape (), or a traceable function f(t, x, u, params) -> (). A function is part of
+            the compiled program: another one compiles again.
+        direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls.
+
+    Raises:
+        ModelError: a condition that is neither, or of another shape; another direction.
+    """
+
+    condition: Any
+    direction: Any = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.condition, Expr):
+            shape = self.condition.check_shape()
+            if shape != ():
+                raise ModelError(f"Event expects a condition of shape (), got {shape}: {self.condition!r}")
+        elif not callable(self.condition):
+            raise ModelError(
+                f"Event expects an expression or a function f(t, x, u, params), got {type(self.condition).__name__}"
+            )
+        if not (self.direction is None or self.direction in (True, False, 1, -1)):
+            raise ModelError(f"Event: direction must be None, True (rising) or False (falling), got {self.direction!r}")
+
+    @property
+    def sense(self) -> int:
+        """1, -1, or 0 for both."""
+        if self.direction is None:
+            return 0
+        return 1 if self.direction == 1 else -1
+
+
+class _OfExpression:
+    """An expression as a condition. A value: equal where the expressions are."""
+
+    def __init__(self, expr: Expr) -> None:
+        (self._expr,) = canonicalize_all([expr])
+        self._key = self._expr.key()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OfExpression) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
+        inputs = Inputs(t, x, u, params, t.dtype)
+        (value,) = evaluate_all([self._expr], lambda leaf: leaf.read(inputs))
+        return value
+
+
+class Watched(NamedTuple):
+    """What a loop over steps knows of the conditions.
+
+    Attributes:
+        values: (m,) where the step begins; the last ones that were numbers.
+        hits: (m,) whether each became zero in the last step tried.
+    """
+
+    values: jax.Array
+    hits: jax.Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Watch:
+    """The conditions of a flight. A pytree: functions and directions are structure.
+
+    Attributes:
+        functions: f(t, x, u, params, *inputs) each.
+        senses: 1, -1, or 0 for both, each.
+        inputs: traced values the functions used to close over, so that derivatives find them.
+    """
+
+    functions: tuple[Callable[..., Any], ...]
+    senses: tuple[int, ...]
+    inputs: Any
+
+    def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Blocks) -> jax.Array:
+        """(m,) the conditions at a time and a stored state, within the step of length h from start."""
+        x, u = stepper.stored.value(y), stepper.controls(start, h)(t)
+        found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
+        return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
+
+    def begin(self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks) -> Watched:
+        """At the start of a flight whose first step is about h."""
+        values = self.values(stepper, t, h, t, y)
+        return Watched(values, jnp.zeros(values.shape, bool))
+
+    def after(
+        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: jax.Array
+    ) -> Watched:
+        """At the end y of a step from t: values there, and which became zero on the way. Zero at the end counts."""
+        now = self.values(stepper, t, h, t + h, y)
+        hair = _HAIR * float(jnp.finfo(now.dtype).eps)
+        old = jnp.where(first & (jnp.abs(before.values) <= hair * jnp.abs(now)), 0.0, before.values)
+        wanted = jnp.asarray(self.senses)
+        falls, rises = (old > 0.0) & (now <= 0.0), (old < 0.0) & (now >= 0.0)
+        hits = (falls & (wanted <= 0)) | (rises & (wanted >= 0))
+        return Watched(jnp.where(jnp.isnan(now), before.values, now), hits)
+
+
+jax.tree_util.register_pytree_node(
+    Watch, lambda w: ((w.inputs,), (w.functions, w.senses)), lambda structure, inputs: Watch(*structure, *inputs)
+)
+
+
+def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch | None, list[jax.Array]]:
+    """The conditions that `integrate` was given, and their values at the start; None where there are none.
+
+    Raises:
+        InputError: neither an event nor a sequence of events; a condition that does not return one number.
+        ModelError: an expression that reads what the system does not have.
+    """
+    if event is None:
+        return None, []
+    events: Sequence[Any] = [event] if isinstance(event, Event) else event
+    if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
+        raise InputError(f"event expects tx.Event(condition), or a list of them, got {event!r}")
+    now = signals.during(dynamics, start.t, jnp.zeros_like(start.t))(start.t)
+    arguments = (start.t, dict(start.x), now, dict(start.params))
+    functions, inputs, values = [], [], []
+    for number, own in enumerate(events):
+        condition = own.condition
+        if isinstance(condition, Expr):
+            _check_leaves(dynamics, condition)
+            condition = _OfExpression(condition)
+        value = condition(*arguments)
+        if jnp.shape(value) != () or not jnp.issubdtype(jnp.result_type(value), jnp.floating):
+            raise InputError(
+                f"the condition of event {number} must return one real number, got shape {jnp.shape(value)} of "
+                f"{jnp.result_type(value)}"
+            )
+        closed: tuple[Any, ...] = ()
+        if not isinstance(condition, _OfExpression) and isinstance(value, jax.core.Tracer):
+            # Of the function itself only where it closes over traced values; else it would compile again.
+            converted, held = jax.closure_convert(condition, *arguments)
+            if held:
+                condition, closed = converted, tuple(held)
+        functions.append(condition)
+        inputs.append(closed)
+        values.append(value)
+    return Watch(tuple(functions), tuple(e.sense for e in events), tuple(inputs)), values
+
+
+def _check_leaves(dynamics: Dynamics, expr: Expr) -> None:
+    """Everything that an expression reads must be there. Raises ModelError."""
+    known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
+    for leaf in leaves_of(expr):
+        if isinstance(leaf, (Constant, Time)) or not isinstance(leaf, Leaf) or leaf.key() in known:
+            continue
+        baked = " (a baked parameter is no input any more)" if isinstance(leaf, Parameter) else ""
+        raise ModelError(
+            f"the event {expr!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system does not "
+            f"have{baked}"
+        )
