@@ -8,7 +8,7 @@ import pytest
 from twistax.report.work_precision.agreement import doubts
 from twistax.report.work_precision.bars import outcomes
 from twistax.report.work_precision.blocks import Bullets, Details, Figure, Heading, Table, as_html, as_markdown
-from twistax.report.work_precision.contenders import CONTENDERS, OURS
+from twistax.report.work_precision.contenders import CONTENDERS, LONG, OURS, STIFF, suited
 from twistax.report.work_precision.curve import Curve
 from twistax.report.work_precision.effort import QUICK
 from twistax.report.work_precision.findings import Findings
@@ -17,7 +17,15 @@ from twistax.report.work_precision.ladder import Steps, Tolerances
 from twistax.report.work_precision.origin import Origin
 from twistax.report.work_precision.page import page
 from twistax.report.work_precision.row import Row
-from twistax.report.work_precision.words import advice, digits, on_diffrax, on_quaternions, on_tolerance, power
+from twistax.report.work_precision.words import (
+    advice,
+    advice_if_stiff,
+    digits,
+    on_diffrax,
+    on_quaternions,
+    on_tolerance,
+    power,
+)
 from twistax.scenes import SCENES
 
 NAMES = {"euler-top": "Euler top", "rocket": "rocket", "fast-spin": "fast spin"}
@@ -103,6 +111,26 @@ def test_the_page_names_whoever_is_fastest() -> None:
             assert "a machine" in text
             assert "magnus6 does not fly rocket, heavy-top: rates read a pose." in text
             assert "pip install 'twistax[plot]'" in text or "pip install &#x27;twistax[plot]&#x27;" in text
+
+
+def test_stiff_scenes_have_their_own_methods_and_their_own_advice() -> None:
+    assert {*STIFF, *LONG} < set(SCENES)
+    assert all("radau5" in suited(CONTENDERS, scene) and "dop853" not in suited(CONTENDERS, scene) for scene in STIFF)
+    assert all("dop853" in suited(CONTENDERS, scene) and "rk4" not in suited(CONTENDERS, scene) for scene in LONG)
+    assert "rk4" in suited(CONTENDERS, "euler-top")
+    assert "radau5" not in suited(CONTENDERS, "euler-top")
+    # What is fast on one kind does not count on the other, and no method has to fly both.
+    rows = [
+        *flights("euler-top", "dop853", 1.0, 8),
+        *flights("euler-top", "tsit5", 1.2, 8),
+        *flights("stiff-attitude", "radau5", 1.0, 5),
+        *flights("stiff-attitude", "diffrax-kvaerno5-pi", 3.0, 5),
+        *flights("spinning-satellite", "dopri8", 0.1, 8),
+    ]
+    findings, names = Findings(rows, CONTENDERS), {name: scene.title for name, scene in SCENES.items()}
+    assert "If in doubt, take DOP853" in advice(findings, names)
+    assert "If the system is stiff, take Radau IIA 5" in advice_if_stiff(findings, names)[0]
+    assert advice_if_stiff(found(dop853=1.0), names) == []
 
 
 def test_advice_is_the_smallest_worst_case() -> None:

@@ -41,7 +41,7 @@ def draw(outcomes: Sequence[Outcome]) -> bytes | None:
             label = None if good else line
             axes.loglog(ended, [top] * len(ended), color=colour, marker="x", ms=8, ls="", label=label)
     if any(not math.isfinite(each.found.number) for each in placed):
-        axes.text(0.99, 0.985, "x: ends by name", transform=axes.transAxes, ha="right", va="top", fontsize=9)
+        axes.text(0.01, 0.985, "x: ends by name", transform=axes.transAxes, ha="left", va="top", fontsize=9)
     axes.set_xlabel(axes_labels[0], fontsize=11)
     axes.set_ylabel(axes_labels[1], fontsize=11)
     axes.set_title(outcomes[0].section.title, fontsize=13, loc="left")

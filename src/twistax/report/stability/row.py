@@ -42,14 +42,14 @@ class Ended(Exception):
 
 
 def flown(dynamics: tx.Dynamics, x0: Mapping[str, Any], **options: Any) -> tx.Solution:
-    """`tx.integrate` to the end.
+    """`tx.integrate` to the end, or to an event.
 
     Raises:
         Ended: the flight ended early.
         TwistaxError: as `tx.integrate`.
     """
     sol = tx.integrate(dynamics, x0, throw=False, **options)
-    if sol.result is not tx.Result.DONE:
+    if sol.result not in (tx.Result.DONE, tx.Result.EVENT):
         raise Ended(sol.result, float(sol.ts[-1]))
     return sol
 

@@ -44,7 +44,6 @@ def _chosen(rate: float) -> Row:
         lambda: _hold(rate, _RADAU, rtol=1e-8),
         AtMost(1e-8),
         "An L-stable method steps over what has died out: its steps follow the slow motion, however fast the rest.",
-        place=Place("Radau IIA 5, rtol 1e-8 (at step 0.1 s)", 0.1 * rate),
     )
 
 
