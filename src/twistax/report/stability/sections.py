@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .events import EVENTS
 from .extremes import EXTREMES
 from .failures import FAILURES
 from .inputs import INPUTS
@@ -22,6 +23,7 @@ SECTIONS: tuple[Section, ...] = (
     EXTREMES,
     LONG_RUNS,
     PRECISION,
+    EVENTS,
     JUMPS,
     INPUTS,
     FAILURES,
