@@ -98,8 +98,8 @@ _HIGH_ORDER = ("dop853", "dop853-quaternion", "dopri8", "diffrax-dopri8-call-pi"
 _QUICK = ("tsit5", "dop853", "dop853-quaternion", "diffrax-tsit5-call", "diffrax-dopri8-call-pi", "diffrax-tsit5")
 IN_QUICK = (*_QUICK, "radau5", "diffrax-kvaerno5-pi")
 
-#: Scenes of the full run only: several bodies take long to compile.
-TOO_LONG_FOR_QUICK = ("spring-bodies", "stiff-joint", *LONG)
+#: Scenes of the full run only: they take long to compile or to fly.
+TOO_LONG_FOR_QUICK = ("spring-bodies", "actuator-lag", "stiff-joint", *LONG)
 
 
 def suited(contenders: Iterable[str], scene: str) -> list[str]:
