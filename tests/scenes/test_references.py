@@ -29,7 +29,7 @@ def test_every_scene_without_a_closed_form_is_here() -> None:
 )
 def test_the_stored_end_is_what_the_command_finds(name: str) -> None:
     """With two thirds of the steps the stored digits were found with."""
-    # Round-off of 54,000 steps turns the satellite by more.
+    # Round-off turns the satellite by more.
     bar = 2e-13 if name == "spinning-satellite" else 1e-15
     assert SCENES[name].error(flown(SCENES[name], STEPS[name])) < (bar if EXTENDED else 1e3 * bar)
 

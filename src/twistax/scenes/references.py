@@ -137,7 +137,7 @@ STEPS = {
     "heavy-top": 300,
     "rocket": 100,
     "low-orbit": 100,
-    "spinning-satellite": 54_000,
+    "spinning-satellite": 24_000,
     "spring-bodies": 150,
     "tumbling-brick": 100,
 }
