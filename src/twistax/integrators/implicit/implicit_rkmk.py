@@ -28,6 +28,8 @@ __all__ = ["ImplicitRKMK"]
 
 #: Newton steps before a step is given up: where it may be taken back, and where it may not.
 _FEW, _MANY = 8, 200
+#: What Newton's method may leave of the error allowed: steps are better than their estimate.
+_SHARE = 0.005
 #: Inverses serve again for steps that differ by no more than this share from the one they were made for,
 _ALIKE = 0.05
 #: and as long as Newton's method converges this fast.
@@ -189,7 +191,7 @@ class ImplicitRKMK(Method):
         equations = self._equations(dynamics, t, y, u_at, params, h)
         local, read = equations.local, equations.read
         eps = float(jnp.finfo(h.dtype).eps)
-        share = jnp.maximum(10.0 * eps / tolerances.rtol, jnp.minimum(0.03, jnp.sqrt(tolerances.rtol)))
+        share = jnp.maximum(10.0 * eps / tolerances.rtol, _SHARE)
 
         def size(dZ: jax.Array) -> jax.Array:
             squares = jax.vmap(lambda dz: tolerances.mean_square(local, read(dz), y, y))(dZ)
