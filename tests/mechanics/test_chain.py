@@ -24,17 +24,11 @@ from twistax.mechanics import (
 )
 
 
-def lowered(chain: Chain) -> Callable[..., dict[str, jax.Array]]:
-    """f(q, qd, x): the dynamics, with x as accelerations or forces, and the energy."""
+def lowered(chain: Chain, **others: Callable[[tx.Expr, tx.Expr], tx.Expr]) -> Callable[..., dict[str, jax.Array]]:
+    """f(q, qd, x): the dynamics, with x as accelerations or forces, and others of q and qd."""
     q, qd, x = (tx.State(name, shape=(chain.dofs,)) for name in ("q", "qd", "x"))
-    found = tx.lower(
-        {
-            "forces": inverse_dynamics(chain, q, qd, x),
-            "accelerations": forward_dynamics(chain, q, qd, x),
-            "energy": chain.energy(q, qd),
-            "tip": chain.poses(q)[-1],
-        }
-    )
+    dynamics = {"forces": inverse_dynamics(chain, q, qd, x), "accelerations": forward_dynamics(chain, q, qd, x)}
+    found = tx.lower(dynamics | {name: function(q, qd) for name, function in others.items()})
     return lambda q, qd, x: found(0.0, {"q": q, "qd": qd, "x": x})
 
 
@@ -116,7 +110,9 @@ def test_mixed_joints_follow_lagrange() -> None:
 @pytest.fixture(scope="module")
 def arm() -> tuple[Callable[..., dict[str, jax.Array]], np.ndarray]:
     """The Panda's functions for a batch, and states and forces or accelerations of it."""
-    return jax.jit(jax.vmap(lowered(chain_models.panda()))), np.random.default_rng(2).normal(size=(3, 8, 7))
+    panda = chain_models.panda()
+    functions = lowered(panda, energy=panda.energy, tip=lambda q, qd: panda.poses(q)[-1])
+    return jax.jit(jax.vmap(functions)), np.random.default_rng(2).normal(size=(3, 8, 7))
 
 
 def test_forward_and_inverse_dynamics_undo_each_other(arm: Any) -> None:
@@ -195,6 +191,7 @@ def test_precision_follows_the_arrays() -> None:
         np.testing.assert_allclose(value, double[name], rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_thirty_equal_links() -> None:
     chain = chain_models.equal_links(30)
     q, qd, tau = np.random.default_rng(4).normal(size=(3, 30))
