@@ -21,7 +21,7 @@ __all__ = ["check_motions"]
 #: Random states to look at.
 _DRAWS = 3
 
-_FIX = "fix: tx.RKMK(tableau) flies every system"
+_OTHERWISE = "tx.RKMK(tableau) flies every system"
 
 
 def check_motions(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
@@ -60,7 +60,7 @@ def _check_states(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
         raise ModelError(
             f"Splitting: no body covers state {missing[0]!r}.\n"
             "  fix: add a tx.FreeBody or a tx.FreeParticle to bodies; "
-            "a state that is no position or velocity has no free motion: tx.RKMK(tableau) flies every system"
+            f"a state that is no position or velocity has no free motion, but {_OTHERWISE}"
         )
 
 
@@ -111,25 +111,26 @@ def _judge(motion: FreeMotion, found: dict[str, Any]) -> None:
     if not np.abs(ours - theirs).max() <= tolerance * np.abs(theirs).max():
         raise ModelError(
             f"Splitting: the rate of {position!r} is not the velocity of {motion!r}.\n"
-            f"  fix: for a FreeBody it is the body velocity, or J^-1 or M^-1 times the body momentum; {_FIX[5:]}"
+            f"  fix: for a FreeBody it is the body velocity, or J^-1 or M^-1 times the body momentum; {_OTHERWISE}"
         )
     system, free, rest = (found[kind][velocity] for kind in ("system", "free", "rest"))
     size = max(np.abs(free).max(), np.abs(system).max())
     if not np.isfinite(size):
         raise ModelError(
-            f"Splitting: the rate of {velocity!r} is not finite at random states, so it cannot be checked.\n  {_FIX}"
+            f"Splitting: the rate of {velocity!r} is not finite at random states, so it cannot be checked.\n"
+            f"  fix: {_OTHERWISE}"
         )
     if np.abs(rest).max() > tolerance**1.5 * size:
         raise ModelError(
             f"Splitting: the rate of {velocity!r} depends on velocities also near rest: drag, damping, a gyroscopic or "
-            f"Coriolis force. Splitting needs forces that depend on poses and time alone.\n  {_FIX}"
+            f"Coriolis force. Splitting needs forces that depend on poses and time alone.\n  fix: {_OTHERWISE}"
         )
     off = np.abs(system - free).max()
     if off > tolerance * size:
         raise ModelError(
             f"Splitting: the rate of {velocity!r} depends on velocities in another way than that of {motion!r} in free "
             f"motion (relative difference {off / size:.1e}): another inertia, or a force that depends on velocities.\n"
-            f"  fix: give the inertia of the system, in its axes; {_FIX[5:]}"
+            f"  fix: give the inertia of the system, in its axes; {_OTHERWISE}"
         )
     if found["change"] and np.abs(found["change"][velocity]).max() > tolerance * size:
         raise ModelError(
