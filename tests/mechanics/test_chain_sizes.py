@@ -1,0 +1,24 @@
+"""How many scalar operations the dynamics of an arm take once zeros are gone and equal ones are one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.lowering.scalar.program import scalarize
+from twistax.mechanics import chain_models, forward_dynamics, inverse_dynamics
+
+
+@pytest.mark.parametrize(("function", "most"), [(inverse_dynamics, 909), (forward_dynamics, 1501)])
+def test_operations_of_the_panda(function: Any, most: int, unchecked: None) -> None:
+    q, qd, x = (tx.State(name, shape=(7,)) for name in ("q", "qd", "x"))
+    f = tx.lower(function(chain_models.panda(), q, qd, x))
+    arrays = [jax.ShapeDtypeStruct((7,), np.float64)] * 3
+    program = scalarize(lambda q, qd, x: [f(0.0, {"q": q, "qd": qd, "x": x})], *arrays)
+    assert set(program.counts()) <= {"add", "sub", "mul", "div", "neg", "sin", "cos"}
+    assert program.counts()["sin"] == program.counts()["cos"] == 6  # the first joint turns about the vertical
+    assert program.operations <= most
