@@ -11,7 +11,7 @@ import numpy as np
 
 from ...groups import se3, so3
 from ..accuracy_of_maps import BAR, MAPS, Map, worst_units
-from .row import AtMost, Place, Row, Section, plain
+from .row import AtMost, Row, Section, plain
 
 __all__ = ["ANGLES"]
 
@@ -84,7 +84,6 @@ ANGLES = Section(
                 functools.partial(_round_trip, angle, False),
                 AtMost(1e-15 if angle < 1.5 else 3e-15),
                 "Small rotations keep their direction and size to round-off, far below where R equals the identity.",
-                place=Place("log(Exp(w))", angle),
             )
             for angle in _ANGLES
         ),
@@ -95,7 +94,6 @@ ANGLES = Section(
                 functools.partial(_round_trip, angle, True),
                 AtMost(2e-14),
                 "Every coefficient function carries a derivative of its own: no 0/0 at any angle.",
-                place=Place("derivative", angle),
             )
             for angle in _ANGLES
         ),
@@ -123,7 +121,6 @@ ANGLES = Section(
             "Rotation and translation do not share a scale: each comes back to its own round-off.",
         ),
     ),
-    axes=("|w|, rad", "error"),
 )
 
 
