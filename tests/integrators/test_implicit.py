@@ -105,7 +105,11 @@ def test_the_fit_sees_commutators_that_are_left_out() -> None:
     assert fitted_order(method, COUNTS[5]) < 4.5
 
 
-@pytest.mark.parametrize("chart", [tx.charts.SplitExponential(), tx.charts.Ambient()], ids=lambda chart: repr(chart))
+@pytest.mark.parametrize(
+    "chart",
+    [pytest.param(tx.charts.SplitExponential(), marks=pytest.mark.slow), tx.charts.Ambient()],
+    ids=lambda chart: repr(chart),
+)
 def test_other_charts_come_to_the_same_end(chart: tx.charts.Chart) -> None:
     end = tx.integrate(tumbling(), tumbler(0), t1=1.0, steps=40, method=tx.ImplicitRKMK(GAUSS_LEGENDRE6, chart)).xs
     for name, value in tumbled(0).items():

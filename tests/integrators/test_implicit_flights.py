@@ -156,7 +156,11 @@ def check_gradient(cost: Callable[[jax.Array], jax.Array], z: jax.Array) -> None
     np.testing.assert_allclose(reverse, jnp.stack(numeric), atol=1e-8 * scale)
 
 
-@pytest.mark.parametrize(("options", "rate"), [(CHOSEN, 1e5), (SYMMETRIC, 10.0)], ids=["chosen", "symmetric"])
+@pytest.mark.parametrize(
+    ("options", "rate"),
+    [(CHOSEN, 1e5), pytest.param(SYMMETRIC, 10.0, marks=pytest.mark.slow)],
+    ids=["chosen", "symmetric"],
+)
 def test_derivatives(options: dict[str, Any], rate: float) -> None:
     """With respect to start, final time and stiffness."""
 

@@ -123,7 +123,8 @@ def _speeds(dynamics: Dynamics) -> bool:
     reference = stiff_attitude.scene(_RATE).reference
     flights = contenders(dynamics)
     print(f"the peer fits a small function: {fits(flights['Kvaerno5'], jnp.asarray(1e-6))}")
-    compiled, runs = {}, {}
+    compiled: dict[str, Any] = {}
+    runs: dict[str, list[Run]] = {}
     for name, flight in flights.items():
         begin = time.perf_counter()
         compiled[name] = jax.jit(flight).lower(jnp.asarray(1e-6)).compile()
