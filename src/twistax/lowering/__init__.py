@@ -1,7 +1,8 @@
 """From trees to functions: one expression (`lower`) or a whole system (`compile`)."""
 
 from .dynamics import Dynamics, compile
+from .emitters import XLA, Arrays, Emitter
 from .explain import Explanation
 from .lower import lower
 
-__all__ = ["Dynamics", "Explanation", "compile", "lower"]
+__all__ = ["XLA", "Arrays", "Dynamics", "Emitter", "Explanation", "compile", "lower"]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from ..errors import ModelError
+from ..errors import InputError, ModelError
 from ..expr import (
     Constant,
     Control,
@@ -24,8 +24,10 @@ from ..expr import (
     substitute,
 )
 from ..system import System
+from .emitters import XLA, Emission, Emitter
 from .explain import Explanation, count_equations, distinct_nodes, written_nodes
 from .inputs import Values, prepare
+from .jacobian import RateJacobian
 
 Arrays = dict[str, jax.Array]
 
@@ -41,10 +43,16 @@ class Dynamics:
         states, controls, parameters: its leaves in order; baked parameters are gone.
         group: the product group of the state; its `slices` say where each state sits in a tangent vector.
         dimension: length of a tangent vector.
+        emitter: how its functions become JAX programs.
     """
 
-    def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any]) -> None:
+    def __init__(
+        self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], emitter: Emitter
+    ) -> None:
         self.system = system
+        self.emitter = emitter
+        self._emissions: dict[Any, tuple[Emission, Any]] = {}
+        self._jacobians: dict[Any, RateJacobian] = {}
         self._baked = tuple(bake)
         narrowed = _narrow(system.outputs, outputs)
         constants = _constants(system.parameters, bake)
@@ -79,6 +87,29 @@ class Dynamics:
     def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
         """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises as a call does."""
         return self._call("constraints", t, x, u, params)
+
+    def jacobian(
+        self,
+        t: Any,
+        x: Values,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        wrt: Sequence[str] = ("x", "u"),
+    ) -> Arrays:
+        """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, what is structurally zero never worked out.
+
+        Rows are the rates as one tangent vector, states in the order of declaration. Columns of "x" are right
+        perturbations x (+) d, of "u" and "params" the entries of what is given, read row by row in the order of
+        declaration. Units are those of the rates over those of the columns. Traceable and differentiable.
+
+        Args:
+            wrt: which of "x", "u", "params".
+        Raises:
+            InputError: as a call of the dynamics; an unknown entry in wrt.
+        """
+        found, arrays = self._jacobian(self.prepare(t, x, u, params), tuple(wrt))
+        return found(*arrays)
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""
@@ -137,6 +168,58 @@ class Dynamics:
 
     def evaluate(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """Rates, outputs or constraints from prepared arguments: traceable, unchecked, not jitted."""
+        leaves, structure = jax.tree.flatten((t, x, u, params))
+        emission, shape = self.emission(family, structure, tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves))
+        if emission.program is None:
+            return self._as_written(family, t, x, u, params)
+        return jax.tree.unflatten(shape, emission.function(*leaves))
+
+    def emission(
+        self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...]
+    ) -> tuple[Emission, Any]:
+        """How a family of functions runs on arguments of these (shape, type), and the structure of its results."""
+        key = (family, structure, types)
+        if key not in self._emissions:
+            shapes: list[Any] = []
+
+            def function(*leaves: jax.Array) -> list[jax.Array]:
+                results, shape = jax.tree.flatten(self._as_written(family, *jax.tree.unflatten(structure, leaves)))
+                shapes.append(shape)
+                return results
+
+            closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(*each) for each in types))
+            self._emissions[key] = (self.emitter.emit(closed), shapes[0])
+        return self._emissions[key]
+
+    def _jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
+        """The program of the Jacobian for arguments of these types, and the arguments."""
+        for kind in wrt:
+            if kind not in ("x", "u", "params"):
+                raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
+        given = {
+            "x": (self.states, inputs.x),
+            "u": (self.controls, inputs.u),
+            "params": (self.parameters, inputs.params),
+        }
+        places = [("t", "t")]
+        places += [(kind, leaf.name) for kind, (own, values) in given.items() for leaf in own if leaf.name in values]
+        arrays = [inputs.t, *(given[kind][1][name] for kind, name in places[1:])]
+        key = (wrt, tuple(places), inputs.dtype)
+        if key not in self._jacobians:
+
+            def flat_rates(*arrays: jax.Array) -> list[jax.Array]:
+                values: dict[str, Arrays] = {"x": {}, "u": {}, "params": {}}
+                for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
+                    values[kind][name] = array
+                rates = self._as_written("rates", arrays[0], *values.values())
+                return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
+
+            closed = jax.make_jaxpr(flat_rates)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays))
+            self._jacobians[key] = RateJacobian(closed, places, self.group, wrt)
+        return self._jacobians[key], arrays
+
+    def _as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """The same in arrays, node by node."""
         roots = self._families[family]
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
@@ -196,7 +279,13 @@ class Dynamics:
         return count_equations(jax.make_jaxpr(function)(shapes).jaxpr)
 
 
-def compile(system: System, *, outputs: Iterable[str] | None = None, bake: Mapping[str, Any] | None = None) -> Dynamics:
+def compile(
+    system: System,
+    *,
+    outputs: Iterable[str] | None = None,
+    bake: Mapping[str, Any] | None = None,
+    emitter: Emitter | None = None,
+) -> Dynamics:
     """Compile a system to jitted, differentiable functions.
 
     Only what is asked for is lowered: rates, outputs and constraints are separate functions, traced when first called.
@@ -204,15 +293,18 @@ def compile(system: System, *, outputs: Iterable[str] | None = None, bake: Mappi
     Args:
         outputs: names of the outputs to keep; all if left out.
         bake: parameters to fold into the code, name -> value; they are no inputs any more.
+        emitter: how functions become JAX programs; `XLA()` if left out, which writes large ones out as scalars.
     Raises:
-        ModelError: an unknown output or parameter.
+        ModelError: an unknown output or parameter; no emitter.
         ShapeError: a baked value of the wrong shape.
     """
     if not isinstance(system, System):
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
     if bake is not None and not isinstance(bake, Mapping):
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
-    return Dynamics(system, outputs, dict(bake or {}))
+    if emitter is not None and not isinstance(emitter, Emitter):
+        raise ModelError(f"emitter must be an object like tx.XLA() or tx.Arrays(), got {emitter!r}")
+    return Dynamics(system, outputs, dict(bake or {}), XLA() if emitter is None else emitter)
 
 
 def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:

@@ -23,7 +23,8 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
     Results that are no floating-point numbers have none and are left out.
     """
     g = program.graph
-    seeds, inputs = {}, list(program.inputs)
+    inputs = list(program.inputs)
+    seeds: dict[int, int] = {}
     for k in active:
         nodes = program.inputs[k]
         tangents = _new_inputs(g, len(inputs), nodes)
@@ -58,34 +59,38 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
 def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
     """All derivatives that are not structurally zero: (place in the results, place in the arguments) -> node.
 
-    Places count through all results and through the arguments `active`, one after the other. By sparse forward
-    accumulation: each node carries the derivatives by those entries that it depends on.
+    Places count through all results and through the arguments `active`, one after the other.
+    """
+    columns = [i for k in active for i in program.inputs[k].reshape(-1).tolist()]
+    return columns_of(program, {node: {column: program.graph.one} for column, node in enumerate(columns)})
+
+
+def columns_of(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[tuple[int, int], int]:
+    """The derivatives along several tangents at once, by sparse forward accumulation.
+
+    Args:
+        seeds: input node -> (tangent -> its entry there), zeros left out.
+    Returns:
+        (place in the results, tangent) -> node, zeros left out. Each node carries only tangents that reach it.
     """
     g = program.graph
-    columns = [i for k in active for i in program.inputs[k].reshape(-1).tolist()]
-    carried: dict[int, dict[int, int]] = {node: {column: g.one} for column, node in enumerate(columns)}
+    carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
     for i in program.live:
         if i in carried:
             continue
         call = g.call_of(i)
         if call is not None:
-            _call_jacobian(g, call, carried)
+            _call_columns(g, call, carried)
             continue
-        arguments = g.arguments(i)
-        touched = {column for a in arguments for column in carried.get(a, ())}
-        if not touched:
+        operation, arguments = g.operation(i), g.arguments(i)
+        touched = sorted({column for a in arguments for column in carried.get(a, ())})
+        if operation is None or not touched:
             continue
-        operation = g.operation(i)
-        if operation is None:
-            continue
-        row = {}
-        for column in touched:
-            tangents = [carried.get(a, {}).get(column) for a in arguments]
-            value = operation.tangent(g, arguments, i, tangents)
-            if value is not None and value != g.zero:
-                row[column] = value
-        if row:
-            carried[i] = row
+        rows = [carried.get(a, {}) for a in arguments]
+        along = operation.tangents(g, arguments, i, [[row.get(column) for row in rows] for column in touched])
+        found = {c: v for c, v in zip(touched, along, strict=True) if v is not None and v != g.zero}
+        if found:
+            carried[i] = found
     return {
         (place, column): node
         for place, output in enumerate(program.flat)
@@ -93,7 +98,7 @@ def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, i
     }
 
 
-# ---- forward -----------------------------------------------------------------------------------------------------------
+# ---- forward ---------------------------------------------------------------------------------------------------------
 
 
 def _pushed(g: Graph, live: Sequence[int], seeds: Mapping[int, int]) -> dict[int, int]:
@@ -115,7 +120,7 @@ def _pushed(g: Graph, live: Sequence[int], seeds: Mapping[int, int]) -> dict[int
         arguments = g.arguments(i)
         tangents = [found.get(a) for a in arguments]
         if any(t is not None for t in tangents):
-            value = operation.tangent(g, arguments, i, tangents)
+            (value,) = operation.tangents(g, arguments, i, [tangents])
             if value is not None and value != g.zero:
                 found[i] = value
     return found
@@ -148,7 +153,7 @@ def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, 
     }
 
 
-def _call_jacobian(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
+def _call_columns(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
     """The derivatives of the results of a call, column by column."""
     inputs = [i for a in call.arguments for i in a.reshape(-1).tolist()]
     outputs = [i for a in call.results for i in a.reshape(-1).tolist()]
@@ -161,7 +166,7 @@ def _call_jacobian(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> 
             carried.setdefault(i, {})[column] = tangent
 
 
-# ---- reverse -----------------------------------------------------------------------------------------------------------
+# ---- reverse ---------------------------------------------------------------------------------------------------------
 
 
 def _pulled(g: Graph, live: Sequence[int], found: dict[int, int], depending: set[int]) -> None:
@@ -221,7 +226,7 @@ def _depending(g: Graph, program: ScalarProgram, active: Sequence[int]) -> set[i
     return found
 
 
-# ---- small things ------------------------------------------------------------------------------------------------------
+# ---- small things ----------------------------------------------------------------------------------------------------
 
 
 def _accumulate(g: Graph, found: dict[int, int], node: int, term: int) -> None:

@@ -48,16 +48,21 @@ class Operation:
     def __repr__(self) -> str:
         return self.name
 
-    def tangent(self, g: Algebra, arguments: tuple[int, ...], node: int, tangents: Sequence[int | None]) -> int | None:
-        """sum_i (partial_i) t_i; None stands for zero."""
+    def tangents(
+        self, g: Algebra, arguments: tuple[int, ...], node: int, along: Sequence[Sequence[int | None]]
+    ) -> list[int | None]:
+        """sum_i (partial_i) t_i for each set of tangents t; None stands for zero."""
         if self.partials is None:
-            return None
-        total: int | None = None
-        for partial, tangent in zip(self.partials(g, arguments, node), tangents, strict=True):
-            if partial is not None and tangent is not None:
-                term = g.mul(partial, tangent)
-                total = term if total is None else g.add(total, term)
-        return total
+            return [None] * len(along)
+        partials, found = self.partials(g, arguments, node), []
+        for tangents in along:
+            total: int | None = None
+            for partial, tangent in zip(partials, tangents, strict=True):
+                if partial is not None and tangent is not None:
+                    term = g.mul(partial, tangent)
+                    total = term if total is None else g.add(total, term)
+            found.append(total)
+        return found
 
     def cotangents(self, g: Algebra, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
         """What the cotangent of the result gives to each argument."""
@@ -70,11 +75,15 @@ class Operation:
 class Select(Operation):
     """Select(c, a, b): a where c, else b. Derivatives are selected too: nothing of the other branch is multiplied."""
 
-    def tangent(self, g: Algebra, arguments: tuple[int, ...], node: int, tangents: Sequence[int | None]) -> int | None:
-        _, a, b = tangents
-        if a is None and b is None:
-            return None
-        return g.select(arguments[0], g.zero if a is None else a, g.zero if b is None else b)
+    def tangents(
+        self, g: Algebra, arguments: tuple[int, ...], node: int, along: Sequence[Sequence[int | None]]
+    ) -> list[int | None]:
+        return [
+            None
+            if a is None and b is None
+            else g.select(arguments[0], g.zero if a is None else a, g.zero if b is None else b)
+            for _, a, b in along
+        ]
 
     def cotangents(self, g: Algebra, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
         c = arguments[0]
@@ -101,9 +110,7 @@ def _div(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
 
 def _larger(greater: Operation) -> Partials:
     def partials(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
-        first = g.select(
-            g.node(greater, *a), g.one, g.select(g.node(by_primitive["eq"], *a), _half(g), g.zero)
-        )
+        first = g.select(g.node(greater, *a), g.one, g.select(g.node(by_primitive["eq"], *a), _half(g), g.zero))
         return [first, g.sub(g.one, first)]
 
     return partials
@@ -188,9 +195,7 @@ by_primitive: dict[str, Operation] = {
         Operation("tan", np.tan, lax.tan, _of(lambda g, x, y: _square_plus(g, y, 1.0)), parity=-1),
         Operation("asin", np.arcsin, lax.asin, _of(_inverse_root(-1.0, 1.0)), parity=-1),
         Operation("acos", np.arccos, lax.acos, _of(lambda g, x, y: g.neg(_inverse_root(-1.0, 1.0)(g, x, y)))),
-        Operation(
-            "atan", np.arctan, lax.atan, _of(lambda g, x, y: g.div(g.one, _square_plus(g, x, 1.0))), parity=-1
-        ),
+        Operation("atan", np.arctan, lax.atan, _of(lambda g, x, y: g.div(g.one, _square_plus(g, x, 1.0))), parity=-1),
         Operation("sinh", np.sinh, lax.sinh, _of(lambda g, x, y: _call("cosh")(g, x)), parity=-1),
         Operation("cosh", np.cosh, lax.cosh, _of(lambda g, x, y: _call("sinh")(g, x)), parity=1),
         Operation("tanh", np.tanh, lax.tanh, _of(lambda g, x, y: _square_plus(g, y, -1.0)), parity=-1),

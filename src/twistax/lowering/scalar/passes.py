@@ -54,7 +54,8 @@ def _rebuilt(program: ScalarProgram, divisors: dict[object, set[int]], whole: bo
     """The program in a graph of its own."""
     old = program.graph
     new = Graph(old.dtype, old.checked, old.largest)
-    inputs, known = [], {}
+    inputs: list[Nodes] = []
+    known: dict[int, int] = {}
     for k, nodes in enumerate(program.inputs):
         flat = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(nodes.reshape(-1).tolist())]
         known.update(zip(nodes.reshape(-1).tolist(), flat, strict=True))
@@ -93,7 +94,9 @@ def _copied(program: ScalarProgram, new: Graph, known: dict[int, int], shared: s
 
 
 def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], whole: bool) -> None:
-    arguments = [np.array([known[i] for i in a.reshape(-1).tolist()], np.int64).reshape(a.shape) for a in call.arguments]
+    arguments = [
+        np.array([known[i] for i in a.reshape(-1).tolist()], np.int64).reshape(a.shape) for a in call.arguments
+    ]
     if call.inline and not whole:
         results = reader.read(call.jaxpr, arguments)
     else:

@@ -63,18 +63,18 @@ def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
 
 def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
     # A loop that is compiled as one small function needs no other one inside.
-    return program_p.bind(*arguments, derived=derived, depth=depth, inside=inside_small_call())  # type: ignore[no-any-return]
+    return program_p.bind(*arguments, derived=derived, depth=depth, inside=inside_small_call())
 
 
 def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
     """On the CPU: body after body, each loop compiled as one function."""
     if depth == 0:
-        return derived.function(*arguments) if inside else small_call(derived.function, *arguments)  # type: ignore[no-any-return]
+        return derived.function(*arguments) if inside else small_call(derived.function, *arguments)
     shape = jnp.shape(arguments[0])[:depth]
     flat = [jnp.reshape(a, (-1, *jnp.shape(a)[depth:])) for a in arguments]
 
     def each(*flat: jax.Array) -> list[jax.Array]:
-        return jax.lax.map(lambda row: derived.function(*row), flat)  # type: ignore[no-any-return]
+        return jax.lax.map(lambda row: derived.function(*row), flat)
 
     return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in small_call(each, *flat)]
 
@@ -84,7 +84,7 @@ def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> li
     function = derived.function
     for _ in range(depth):
         function = jax.vmap(function)
-    return function(*arguments)  # type: ignore[no-any-return]
+    return function(*arguments)
 
 
 def _abstract(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
@@ -103,7 +103,9 @@ def _jvp(
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
     moved = iter(_bind(derived.tangent(active), depth, *primals, *(tangents[k] for k in active)))
     real = set(derived.real)
-    return results, [next(moved) if k in real else ad.Zero.from_primal_value(r) for k, r in enumerate(results)]
+    return results, [
+        next(moved) if k in real else ad.Zero(jax.typeof(r).to_tangent_aval()) for k, r in enumerate(results)
+    ]
 
 
 def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
@@ -111,7 +113,7 @@ def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived, dep
         raise NotImplementedError("only the derivative of a scalar program is linear")
     origin, active = derived.origin
     count = len(arguments) - len(active)
-    given = [jnp.zeros(c.aval.shape, c.aval.dtype) if type(c) is ad.Zero else c for c in cotangents]
+    given = [ad.instantiate_zeros(c) for c in cotangents]
     linear = [k for k, a in enumerate(arguments[count:]) if ad.is_undefined_primal(a)]
     back = origin.cotangent(tuple(active[k] for k in linear))
     result: list[Any] = [None] * len(arguments)

@@ -70,21 +70,21 @@ class ScalarProgram:
 
 
 def scalarize(
-    function: Callable[..., Any] | ClosedJaxpr, *shapes: Any, dtype: Any = None, checked: bool = False
+    function: Callable[..., Any] | ClosedJaxpr, *shapes: Any, checked: bool = False, largest: int = 200_000
 ) -> ScalarProgram:
     """A function of arrays, results a list of arrays, as a scalar program.
 
     Args:
         function: traceable; or its jaxpr.
         shapes: of the arguments, with types; left out for a jaxpr.
-        dtype: the floating-point type of the program; that of the arguments if left out.
         checked: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
+        largest: the most scalars there may be.
     Raises:
         TooLarge: more scalars than are good for a compiler.
     """
     closed = function if isinstance(function, ClosedJaxpr) else trace(function, *shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
-    graph = Graph(_precision([*avals, *(v.aval for v in closed.jaxpr.outvars)]) if dtype is None else dtype, checked)
+    graph = Graph(_precision([*avals, *(v.aval for v in closed.jaxpr.outvars)]), checked, largest)
     inputs = tuple(
         np.array([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], np.int64).reshape(a.shape)
         for k, a in enumerate(avals)

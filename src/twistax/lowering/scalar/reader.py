@@ -63,7 +63,7 @@ class Reader:
         known.update(zip(jaxpr.constvars, (g.array(c) for c in closed.consts), strict=True))
         known.update(zip(jaxpr.invars, inputs, strict=True))
         for eqn in jaxpr.eqns:
-            results = self._equation(eqn, [value(v) for v in eqn.invars])
+            results = self._equation(jaxpr, eqn, [value(v) for v in eqn.invars])
             known.update(zip(eqn.outvars, results, strict=True))
         return [value(v) for v in jaxpr.outvars]
 
@@ -73,26 +73,32 @@ class Reader:
             self._literals[key] = self.graph.array(np.asarray(literal.val, literal.aval.dtype))
         return self._literals[key]
 
-    def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
+    def _equation(self, jaxpr: Any, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
         name = eqn.primitive.name
         if name in _CALLS:
             return self.read(_closed(eqn.params[_CALLS[name]]), arrays)
         if name in _OWN_DERIVATIVE:
             known = all(self.graph.values(a) is not None for a in arrays)
-            return self.read(_own(eqn), arrays) if known or not self.whole else self._call(eqn, arrays, inline=True)
+            return (
+                self.read(_own(eqn), arrays) if known or not self.whole else self._call(jaxpr, eqn, arrays, inline=True)
+            )
         special = _SPECIAL.get(name)
         found = special(self, eqn, arrays) if special else None
         if found is None and name in RULES:
             found = RULES[name](self.graph, eqn, *arrays)
         if found is None:
             self.unread.add(name)
-            found = self._call(eqn, arrays, inline=False)
+            found = self._call(jaxpr, eqn, arrays, inline=False)
         return found
 
-    def _call(self, eqn: Any, arrays: list[Nodes], inline: bool) -> list[Nodes]:
+    def _call(self, jaxpr: Any, eqn: Any, arrays: list[Nodes], inline: bool) -> list[Nodes]:
         """An equation as a call of a function."""
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
-        alone = ClosedJaxpr(Jaxpr([], list(distinct), list(eqn.outvars), [eqn]), [])
+        debug = jaxpr.debug_info.with_unknown_names()
+        one = jaxpr.replace(
+            constvars=[], invars=list(distinct), outvars=list(eqn.outvars), eqns=[eqn], debug_info=debug
+        )
+        alone = ClosedJaxpr(one, [])
         # What is written out for its derivative only has no effects, and is the same wherever it is the same.
         key = (_own(eqn).jaxpr.debug_info.func_src_info, _fingerprint(alone)) if inline else object()
         return list(self.graph.call(alone, key, distinct.values(), inline).results)
@@ -108,7 +114,7 @@ class Reader:
         consts, carry, along = arrays[:fixed], arrays[fixed : fixed + carried], arrays[fixed + carried :]
         rows: list[list[Nodes]] = []
         for k in reversed(range(length)) if p["reverse"] else range(length):
-            found = self.read(body, [*consts, *carry, *(a[k] for a in along)])
+            found = self.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in along)])
             carry = found[:carried]
             rows.append(found[carried:])
         if p["reverse"]:

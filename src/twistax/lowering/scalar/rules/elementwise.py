@@ -126,7 +126,7 @@ _SPECIAL: dict[str, Callable[..., Any]] = {
     "select_n": _select_n,
     "convert_element_type": _convert,
     "stop_gradient": _stop_gradient,
-    **{name: _same for name in ("copy", "copy_p", "optimization_barrier", "reduce_precision", "pvary")},
+    **dict.fromkeys(("copy", "copy_p", "optimization_barrier", "reduce_precision", "pvary"), _same),
 }
 
 ELEMENTWISE: dict[str, Rule] = {

@@ -42,7 +42,7 @@ def _stack(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes]:
 
 
 def _unstack(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
-    return list(np.moveaxis(a, eqn.params.get("axis", 0), 0))
+    return [np.asarray(row) for row in np.moveaxis(a, eqn.params.get("axis", 0), 0)]
 
 
 def _slice(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
@@ -189,7 +189,7 @@ def _scatter(combine: str | None) -> Rule:
 
 
 MOVEMENT: dict[str, Rule] = {
-    **{name: _reshape for name in ("reshape", "squeeze", "expand_dims")},
+    **dict.fromkeys(("reshape", "squeeze", "expand_dims"), _reshape),
     "transpose": _transpose,
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": _concatenate,

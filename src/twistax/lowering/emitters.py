@@ -1,0 +1,80 @@
+"""How the functions of a system become JAX programs: as arrays, or as scalars."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import jax
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+from .scalar.graph import TooLarge
+from .scalar.primitive import Derived, call_program
+from .scalar.program import ScalarProgram, scalarize
+from .work import array_operations
+
+__all__ = ["XLA", "Arrays", "Emission", "Emitter"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Emission:
+    """A function and how it came about.
+
+    Attributes:
+        function: arrays to a list of arrays; pure and traceable.
+        program: the scalar program that it runs; None where it runs as arrays.
+        reason: one sentence.
+    """
+
+    function: Callable[..., list[jax.Array]]
+    program: ScalarProgram | None
+    reason: str
+
+
+class Emitter(ABC):
+    """Turns a function of arrays into the one that runs. A value: equal where it does the same."""
+
+    @abstractmethod
+    def emit(self, closed: ClosedJaxpr) -> Emission:
+        """The function of a jaxpr."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Arrays(Emitter):
+    """As written, in small arrays."""
+
+    def emit(self, closed: ClosedJaxpr) -> Emission:
+        return Emission(jaxpr_as_fun(closed), None, "arrays were asked for")
+
+
+@dataclasses.dataclass(frozen=True)
+class XLA(Emitter):
+    """Scalars without structural zeros and ones, compiled by XLA, where a function is large enough to gain by it.
+
+    By default 0 x, 0 / x and x - x are zero, also where x is infinite or not a number; numbers are folded; x / d, y / d
+    share 1 / d. What has no scalar form is called as it is.
+
+    Attributes:
+        checked: keep 0 x, 0 / x and x - x, and every division.
+        least: functions of fewer scalar operations run as arrays: in them XLA finds as much by itself.
+        largest: functions of more scalars run as arrays: their compilation would take minutes.
+    """
+
+    checked: bool = False
+    least: int = 300
+    largest: int = 30_000
+
+    def emit(self, closed: ClosedJaxpr) -> Emission:
+        arrays = jaxpr_as_fun(closed)
+        if array_operations(closed.jaxpr).total() < self.least:
+            return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
+        try:
+            program = scalarize(closed, checked=self.checked, largest=self.largest)
+        except TooLarge:
+            return Emission(arrays, None, f"arrays: more than {self.largest} scalars")
+        count = program.operations
+        if count < self.least:
+            return Emission(arrays, None, f"arrays: {count} scalar operations, fewer than {self.least}")
+        derived = Derived(program)
+        return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {count} operations")

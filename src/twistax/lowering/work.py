@@ -1,0 +1,53 @@
+"""How many operations on scalars a jaxpr amounts to as it stands."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import jax
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+__all__ = ["array_operations"]
+
+#: Operations that only move numbers, or hold others.
+_MOVING = frozenset(
+    " ".join(
+        [
+            "broadcast_in_dim concatenate convert_element_type copy copy_p dynamic_slice dynamic_update_slice",
+            "expand_dims gather iota optimization_barrier pad reshape rev scatter slice split squeeze stack",
+            "stop_gradient tile transpose unstack",
+        ]
+    ).split(" ")
+)
+_CUBIC = ("lu", "cholesky", "triangular_solve")
+
+
+def array_operations(jaxpr: Any) -> Counter[str]:
+    """Operations by name, all entries of arrays and all turns of loops counted; factorisations by their cube."""
+    found: Counter[str] = Counter()
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        inner = [p for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+        out = sum(v.aval.size for v in eqn.outvars)
+        if inner:
+            for each in inner:
+                for kind, count in array_operations(each.jaxpr if isinstance(each, ClosedJaxpr) else each).items():
+                    found[kind] += count * eqn.params.get("length", 1)
+        elif name == "dot_general":
+            (contracted, _), _ = eqn.params["dimension_numbers"]
+            depth = math.prod(eqn.invars[0].aval.shape[i] for i in contracted)
+            found["mul"] += depth * out
+            found["add"] += (depth - 1) * out
+        elif name in _CUBIC:
+            found[name] += max(v.aval.size for v in eqn.invars) * max(v.aval.shape[-1] for v in eqn.invars)
+        elif name.startswith(("reduce_", "cum", "arg")):
+            found[name.removeprefix("reduce_").replace("sum", "add")] += sum(v.aval.size for v in eqn.invars) - out
+        elif name not in _MOVING:
+            found[name] += out
+    return +found
+
+
+def _is_jaxpr(value: Any) -> bool:
+    return isinstance(value, (ClosedJaxpr, Jaxpr))
