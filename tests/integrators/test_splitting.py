@@ -281,7 +281,7 @@ def pushed() -> tuple[tx.Dynamics, tx.Splitting]:
     R, w, F = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("F", shape=(3,))
     J = tx.Parameter("J", value=MOMENTS)
     dynamics = tx.compile(tx.System(rates={R: w, w: (tx.Cross(J * w, w) + R.T @ F) / J}))
-    return dynamics, tx.Splitting(STRANG, tx.FreeBody(R, w, inertia=J))
+    return dynamics, tx.Splitting(SUZUKI4, tx.FreeBody(R, w, inertia=J))
 
 
 def inputs(z: jax.Array) -> tuple[Any, Any, Any]:
