@@ -1,0 +1,226 @@
+"""Flights that end where a condition becomes zero, against exact times."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+
+WEIGHT = 9.81
+SPIN = np.array([0.0, 0.0, 1.2])
+FIXED = {"dt": 0.1}
+CHOSEN = {"rtol": 1e-10}
+
+g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(3,))
+pull = tx.Parameter("pull", value=WEIGHT)
+
+
+@functools.cache
+def falling() -> tx.Dynamics:
+    """A body that falls and turns about the vertical at a constant rate: heights and angles are known exactly."""
+    rates = {g: tx.lie.twist(linear=g[:3, :3].T @ V, angular=SPIN), V: tx.Concat(0.0, 0.0, -pull)}
+    return tx.compile(tx.System(rates=rates))
+
+
+GROUND = tx.Event(g[2, 3])
+QUARTER = tx.Event(g[0, 0], direction=-1)
+#: Half a turn further: cos grows through zero at 3/4 of a turn.
+RISING = tx.Event(g[0, 0], direction=True)
+
+
+def start(height: Any = 5.0, speed: Any = 0.0) -> dict[str, Any]:
+    return {"g": jnp.eye(4).at[2, 3].set(height), "V": jnp.zeros(3).at[2].set(speed)}
+
+
+def fly(event: Any, height: Any = 5.0, speed: Any = 0.0, t1: float = 6.0, **how: Any) -> tx.Solution:
+    return tx.integrate(falling(), start(height, speed), t1=t1, event=event, **how)
+
+
+@pytest.mark.parametrize("how", [FIXED, CHOSEN], ids=["fixed", "chosen"])
+def test_the_first_of_several_events_stops_the_flight_at_its_exact_time(how: dict) -> None:
+    """The same program for all heights: from low ones the ground comes first, from high ones the quarter of a turn."""
+    events = [GROUND, QUARTER, RISING]
+    turned = 0.5 * np.pi / SPIN[2]
+    for height, which in ((5.0, 0), (50.0, 1)):
+        flight = fly(events, height, **how)
+        exact = np.sqrt(2.0 * height / WEIGHT) if which == 0 else turned
+        assert flight.result is tx.Result.EVENT
+        assert flight.event == which
+        np.testing.assert_allclose(flight.ts, [exact], atol=2e-7 if "dt" in how else 1e-10)
+        end = flight.xs["g"][0]
+        np.testing.assert_allclose(end[:3, :3].T @ end[:3, :3], np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(end[2, 3] if which == 0 else end[0, 0], 0.0, atol=1e-14)
+    assert "event" in str(tx.Result.EVENT)
+
+
+def test_directions() -> None:
+    """Thrown up through 6 m at rising and falling heights; each direction stops at its own crossing."""
+    rise, fall = (20.0 - np.sqrt(400.0 - 2.0 * WEIGHT)) / WEIGHT, (20.0 + np.sqrt(400.0 - 2.0 * WEIGHT)) / WEIGHT
+    for direction, exact in ((None, rise), (True, rise), (False, fall), (1, rise), (-1, fall)):
+        flight = fly(tx.Event(g[2, 3] - 6.0, direction), 5.0, 20.0, **CHOSEN)
+        np.testing.assert_allclose(flight.ts, [exact], atol=1e-10)
+
+
+def test_without_an_event_on_the_way_the_end_is_reached() -> None:
+    flight = fly(GROUND, 500.0, t1=1.0, **FIXED)
+    assert flight.result is tx.Result.DONE
+    assert flight.event is None
+    assert float(flight.ts[-1]) == 1.0
+    plain = tx.integrate(falling(), start(500.0), t1=1.0, **FIXED)
+    assert plain.event is None
+    np.testing.assert_array_equal(flight.xs["g"], plain.xs["g"])
+    assert flight.stats == plain.stats
+
+
+@pytest.mark.parametrize("how", [FIXED, CHOSEN], ids=["fixed", "chosen"])
+def test_saved_times_before_the_event_and_the_event(how: dict) -> None:
+    """Also those within the last step; later ones are cut, and the last row is the event. Dense output ends there."""
+    exact = np.sqrt(2.0 * 5.0 / WEIGHT)
+    saves = np.array([0.0, 0.5, 1.0, 1.005, exact - 1e-4, exact + 1e-4, 1.1, 5.0])
+    flight = fly(GROUND, save_at=saves, dense=True, **how)
+    np.testing.assert_allclose(flight.ts, [*saves[:5], exact], atol=2e-7)
+    np.testing.assert_allclose(flight.xs["g"][:, 2, 3], 5.0 - 0.5 * WEIGHT * flight.ts**2, atol=2e-6)
+    angle = SPIN[2] * flight.ts
+    np.testing.assert_allclose(flight.xs["g"][:, 0, 0], np.cos(angle), atol=1e-9)
+    np.testing.assert_allclose(flight.evaluate(flight.ts)["g"], flight.xs["g"], atol=1e-13)
+    with pytest.raises(tx.InputError, match="which was flown"):
+        flight.evaluate(1.5)
+
+
+def test_an_event_at_the_edge_of_a_step_is_neither_lost_nor_doubled() -> None:
+    """x' = 1 from -0.5 in steps of 1/8, 1/16, ...: zero is exactly the end of a step, and of the flight it starts."""
+    x = tx.State("x")
+    line = tx.compile(tx.System(rates={x: 1.0 + 0.0 * x}))
+    crossing = tx.Event(x)
+    for steps in (8, 16, 24):
+        flight = tx.integrate(line, {"x": -0.5}, t1=1.0, steps=steps, event=crossing)
+        assert flight.result is tx.Result.EVENT
+        assert float(flight.ts[-1]) == pytest.approx(0.5, abs=1e-15)
+        again = tx.integrate(line, {"x": flight.xs["x"][-1]}, t0=flight.ts[-1], t1=1.0, steps=steps, event=crossing)
+        assert again.result is tx.Result.DONE
+    # From round-off on either side it is no event; from further away it is.
+    for offset, result in ((1e-16, "DONE"), (-1e-16, "DONE"), (0.0, "DONE"), (-1e-6, "EVENT")):
+        flight = tx.integrate(line, {"x": offset}, t1=1.0, steps=8, event=crossing)
+        assert flight.result is tx.Result[result], offset
+    # The flight ends exactly where the condition becomes zero; Euler's steps of 1/8 add up without rounding.
+    flight = tx.integrate(line, {"x": -1.0}, t1=1.0, steps=8, event=crossing, method=tx.RKMK(tx.tableaus.EULER))
+    assert flight.result is tx.Result.EVENT
+
+
+def test_a_condition_that_returns_to_zero_stops_at_its_return() -> None:
+    """Thrown up from the level itself."""
+    flight = fly(tx.Event(g[2, 3] - 5.0), 5.0, 20.0, **CHOSEN)
+    np.testing.assert_allclose(flight.ts, [2.0 * 20.0 / WEIGHT], atol=1e-9)
+
+
+def test_a_bouncing_ball() -> None:
+    """Flights from event to event: the times between bounces shrink as the speed does."""
+    height, speed, t, between = 1.0, 0.0, 0.0, []
+    for _ in range(4):
+        flight = tx.integrate(falling(), start(height, speed), t0=t, t1=t + 5.0, event=GROUND, **CHOSEN)
+        assert flight.event == 0
+        between.append(float(flight.ts[-1]) - t)
+        t, height, speed = float(flight.ts[-1]), flight.xs["g"][-1, 2, 3], -0.8 * flight.xs["V"][-1, 2]
+    first = np.sqrt(2.0 / WEIGHT)
+    np.testing.assert_allclose(between, first * np.array([1.0, 1.6, 1.28, 1.024]), rtol=1e-8)
+
+
+def met_at(z: jax.Array, how: dict, level: Any = None) -> jax.Array:
+    """When the ground is met, and how far it is turned there, from a height and a pull."""
+    event = GROUND if level is None else tx.Event(lambda t, x, u, params: x["g"][2, 3] - level)
+    flight = tx.integrate(falling(), start(z[0]), t1=3.0, params={"pull": z[1]}, event=event, **how)
+    return jnp.stack([flight.ts[-1], flight.xs["g"][-1, 1, 0], flight.xs["V"][-1, 2]])
+
+
+@pytest.mark.parametrize("how", [FIXED, CHOSEN | {"control": tx.StepControl(max_steps=64)}], ids=["fixed", "chosen"])
+def test_derivatives_of_the_time_and_the_state(how: dict) -> None:
+    """dt = -(d condition)/(d condition/dt): forward and in reverse, of the time, the angle and the speed there."""
+
+    def exact(z: jax.Array) -> jax.Array:
+        t = jnp.sqrt(2.0 * z[0] / z[1])
+        return jnp.stack([t, jnp.sin(SPIN[2] * t), -z[1] * t])
+
+    z = jnp.array([5.0, WEIGHT])
+    both = jax.jit(lambda z: (jax.jacfwd(met_at)(z, how), jax.jacrev(met_at)(z, how)))
+    for found in both(z):
+        np.testing.assert_allclose(found, jax.jacfwd(exact)(z), rtol=1e-6)
+
+
+def test_derivatives_with_respect_to_what_a_condition_closes_over() -> None:
+    """A function as condition, under jit; a level 1 m up is met earlier by 1/v for every metre."""
+    z = jnp.array([5.0, WEIGHT])
+    slope = jax.jit(jax.grad(lambda level: met_at(z, FIXED, level)[0]))(jnp.asarray(1.0))
+    np.testing.assert_allclose(slope, -1.0 / np.sqrt(2.0 * WEIGHT * 4.0), rtol=1e-6)
+
+
+def test_a_batch_stops_each_member_at_its_own_event() -> None:
+    """Some meet the ground, some fly on to the end; times not reached are not a number."""
+    heights, saves = jnp.array([1.0, 5.0, 80.0]), jnp.array([0.2, 0.8, 2.0])
+
+    def one(height: jax.Array) -> tx.Solution:
+        return fly(GROUND, height, t1=2.0, save_at=saves, **CHOSEN)
+
+    flights = jax.jit(jax.vmap(one))(heights)
+    exact = np.minimum(np.sqrt(2.0 * np.asarray(heights) / WEIGHT), 2.0)
+    np.testing.assert_allclose(flights.ts[:, -1], exact, atol=1e-9)
+    np.testing.assert_array_equal(flights.result, [tx.Result.EVENT, tx.Result.EVENT, tx.Result.DONE])
+    np.testing.assert_array_equal(flights.event, [0, 0, -1])
+    reached = np.isfinite(flights.xs["g"][:, :3, 2, 3])
+    np.testing.assert_array_equal(reached, np.asarray(saves)[None] <= exact[:, None])
+    np.testing.assert_allclose(flights.xs["g"][:2, -1, 2, 3], 0.0, atol=1e-13)
+
+
+def test_conditions_may_read_time_controls_and_parameters() -> None:
+    x, F, k = tx.State("x"), tx.Control("F"), tx.Parameter("k", value=2.0)
+    motor = tx.compile(tx.System(rates={x: k * F}))
+    table = {"F": tx.Held([0.0, 0.2], [1.0, 3.0])}
+    event = [tx.Event(x * k - F), tx.Event(tx.Time() - 0.75)]
+    # x = 2 t, then from 0.2 on 0.4 + 6 (t - 0.2), and k x reaches F = 3 at x = 1.5.
+    flight = tx.integrate(motor, {"x": 0.0}, t1=1.0, rtol=1e-10, u=table, event=event)
+    np.testing.assert_allclose(flight.ts, [0.2 + 1.1 / 6.0], atol=1e-12)
+    late = tx.integrate(motor, {"x": 0.0}, t1=1.0, rtol=1e-10, u=table, params={"k": 0.1}, event=event)
+    assert late.event == 1
+    np.testing.assert_allclose(late.ts, [0.75], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("method", "how"),
+    [
+        (tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5), {"rtol": 1e-8}),
+        (tx.CommutatorFree(), FIXED),
+    ],
+    ids=["implicit", "commutator-free"],
+)
+def test_other_methods(method: Any, how: dict) -> None:
+    flight = fly(GROUND, method=method, **how)
+    np.testing.assert_allclose(flight.ts, [np.sqrt(2.0 * 5.0 / WEIGHT)], atol=1e-6)
+
+
+def test_refusals(unchecked: None) -> None:
+    with pytest.raises(tx.ModelError, match=r"shape \(\), got \(3,\)"):
+        tx.Event(V)
+    with pytest.raises(tx.ModelError, match="an expression or a function"):
+        tx.Event(1.0)
+    with pytest.raises(tx.ModelError, match="direction must be"):
+        tx.Event(g[2, 3], direction="up")
+    with pytest.raises(tx.InputError, match=r"expects tx\.Event"):
+        fly(g[2, 3], **FIXED)
+    with pytest.raises(tx.InputError, match=r"expects tx\.Event"):
+        fly([], **FIXED)
+    with pytest.raises(tx.InputError, match=r"event 1 must return one real number, got shape \(3,\)"):
+        fly([GROUND, tx.Event(lambda t, x, u, params: x["V"])], **FIXED)
+    with pytest.raises(tx.ModelError, match="reads Parameter 'other'"):
+        fly(tx.Event(g[2, 3] - tx.Parameter("other", value=1.0)), **FIXED)
+
+
+def test_the_same_condition_does_not_compile_again() -> None:
+    from twistax.integrators.flight import fly as compiled
+
+    fly(tx.Event(g[2, 3] - 0.5), **FIXED)
+    before = compiled._cache_size()
+    fly(tx.Event(g[2, 3] - 0.5), 7.0, **FIXED)
+    assert compiled._cache_size() == before
