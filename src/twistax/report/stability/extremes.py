@@ -67,6 +67,7 @@ def _mass(mass: float) -> Row:
         lambda: max(_tumbled(mass, 0.0)),
         AtMost(1e-11, "rad or m"),
         "The motion of a free body does not depend on its mass, and no tolerance or threshold here does.",
+        slow=True,
     )
 
 
@@ -105,6 +106,7 @@ EXTREMES = Section(
             lambda: _tumbled(2.0, 1e9)[0],
             AtMost(1e-11, "rad"),
             "The rotation does not feel where the body is.",
+            slow=True,
         ),
         Row(
             "position of a body 1.7e9 m from the origin, 500 steps",
@@ -112,6 +114,7 @@ EXTREMES = Section(
             lambda: _tumbled(2.0, 1e9)[1],
             AtMost(3e-5, "m"),
             "A double resolves 1e-7 m there; round-off of 500 steps adds up.",
+            slow=True,
         ),
     ),
 )
