@@ -370,3 +370,41 @@ def test_an_angular_first_pose_has_angular_first_tangents() -> None:
     wanted = POSE @ expm(hat(np.r_[d[3:], d[:3]]))
     np.testing.assert_allclose(dynamics.retract({"h": POSE}, d)["h"], wanted, rtol=1e-13, atol=1e-14)
     np.testing.assert_allclose(dynamics.difference({"h": POSE}, {"h": wanted}), d, rtol=1e-12)
+
+
+def test_explain_counts_scalars_and_shows_the_pattern() -> None:
+    p, v, m = tx.State("p", shape=(3,)), tx.State("v", shape=(3,)), tx.State("m")
+    F, c = tx.Control("F", shape=(3,)), tx.Parameter("c", value=0.5)
+    system = tx.System(
+        rates={p: v, v: np.diag([1.0, 0.0, 0.0]) @ F / m - c * v, m: tx.Constant(-2.0)}, outputs={"power": tx.Dot(F, v)}
+    )
+    explanation = tx.compile(system).explain()
+    # F[0] / m - c v[0], -c v[1], -c v[2]: one division, three products, one difference, two signs.
+    assert explanation.operations[1] == {"div": 1, "mul": 3, "neg": 2, "sub": 1}
+    assert sum(explanation.operations[0].values()) > sum(explanation.operations[1].values())
+    assert explanation.constants == {"m": -2.0}
+    expected = np.zeros((7, 10), bool)
+    expected[[0, 1, 2], [3, 4, 5]] = True
+    expected[[3, 4, 5, 3, 3], [3, 4, 5, 6, 7]] = True
+    np.testing.assert_array_equal(np.hstack([explanation.patterns["x"], explanation.patterns["u"]]), expected)
+    assert explanation.picture().splitlines()[3] == "|...#..#|#..|"
+    assert "runs as arrays: fewer than 300" in str(explanation)
+    assert explanation.as_dict()["patterns"]["params"] == [[False]] * 3 + [[True]] * 3 + [[False]]
+
+
+def test_explain_of_one_entry() -> None:
+    p, v = tx.State("p", shape=(2,)), tx.State("v", shape=(2,))
+    k = tx.Parameter("k", shape=(2, 2), value=np.eye(2))
+    system = tx.System(rates={p: v, v: -k @ p}, outputs={"speed": tx.linalg.Norm(v)})
+    dynamics = tx.compile(system)
+    found = dynamics.explain("v[1]")
+    assert found.reads == ["p[0]", "p[1]", "k[1, 0]", "k[1, 1]"]
+    assert "v[1] depends on: p[0], p[1], k[1, 0], k[1, 1]" in str(found)
+    assert dynamics.explain("p").reads == ["v[0]", "v[1]"]
+    assert dynamics.explain("speed").reads == ["v[0]", "v[1]"]
+    baked = tx.compile(system, bake={"k": np.diag([1.0, 0.0])})
+    assert baked.explain("v[1]").value == 0.0
+    assert str(baked.explain("v[1]")) == "v[1] is 0 always"
+    for wrong in ("w", "v[2]", "v[1"):
+        with pytest.raises(tx.InputError, match="explain expects|no entry"):
+            dynamics.explain(wrong)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..errors import InputError, ModelError
 from ..expr import (
@@ -25,9 +27,11 @@ from ..expr import (
 )
 from ..system import System
 from .emitters import XLA, Emission, Emitter
-from .explain import Explanation, count_equations, distinct_nodes, written_nodes
+from .explain import Dependence, Explanation, count_equations, distinct_nodes, entry_names, written_nodes
 from .inputs import Values, prepare
 from .jacobian import RateJacobian
+from .scalar.program import scalarize
+from .work import array_operations
 
 Arrays = dict[str, jax.Array]
 
@@ -122,8 +126,17 @@ class Dynamics:
         other = {name: value.astype(inputs.dtype) for name, value in self.prepare(0.0, y, reads=()).x.items()}
         return self.group.difference(inputs.x, other)
 
-    def explain(self) -> Explanation:
-        """What is computed, what was left out, and the counts before and after."""
+    def explain(self, of: str | None = None) -> Explanation | Dependence:
+        """What is computed, what was left out, and the counts before and after.
+
+        Args:
+            of: a rate or an output, "V", or one entry of it, "V[3]", "speed": what it depends on instead.
+        Raises:
+            InputError: no rate and no output of that name, or no such entry.
+        """
+        return self._explanation() if of is None else self._dependence(of)
+
+    def _explanation(self) -> Explanation:
         roots = list(self._rates.values())
         every = [*roots, *self._outputs.values(), *self._inequalities.values(), *self._equalities.values()]
         read, read_anywhere = _names(roots), _names(every)
@@ -135,13 +148,75 @@ class Dynamics:
             elif leaf.name not in read:
                 unused.append(f"{kind} {leaf.name!r} is not used by any rate")
         kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
+        inputs = self._zeros()
+        jacobian, _ = self._jacobian(inputs, ("x", "u", "params"))
+        rates = jacobian.rates
+        entries = [name for state in self.states for name in entry_names(state.name, self._rates[state.name].shape)]
+        numbers = [rates.graph.numbers[i] for i in rates.flat]
+        leaves, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
+        emission, _ = self.emission("rates", structure, tuple((a.shape, a.dtype) for a in leaves))
+        before = time.perf_counter()
+        jax.jit(self.vector_field).lower(inputs.t, inputs.x, inputs.u, inputs.params).compile()
+        seconds = time.perf_counter() - before
+        written = list(self.system.rates.values())
         return Explanation(
             leaves={kind: [leaf.name for leaf in leaves] for kind, leaves in kinds},
             unused=unused,
             baked=list(self._baked),
-            nodes=(written_nodes(self.system.rates.values()), distinct_nodes(roots)),
-            equations=(self._equations(list(self.system.rates.values())), self._equations(roots)),
+            nodes=(written_nodes(written), distinct_nodes(roots)),
+            equations=(count_equations(self._jaxpr(written)), count_equations(self._jaxpr(roots))),
+            operations=(dict(sorted(array_operations(self._jaxpr(written)).items())), rates.counts()),
+            constants={name: n for name, n in zip(entries, numbers, strict=True) if n is not None},
+            patterns=jacobian.pattern,
+            emitter=emission.reason,
+            compile_seconds=seconds,
         )
+
+    def _dependence(self, of: str) -> Dependence:
+        name, _, rest = of.partition("[")
+        rates = {state.name: self._rates[state.name].shape for state in self.states}
+        shapes = {**rates, **{output: expr.shape for output, expr in self._outputs.items()}}
+        if name not in shapes:
+            raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {', '.join(shapes)}")
+        inputs, family = self._zeros(), "rates" if name in rates else "outputs"
+        arrays = {"t": inputs.t, **inputs.x, **inputs.u, **inputs.params}
+
+        def function(*values: jax.Array) -> list[jax.Array]:
+            at = dict(zip(arrays, values, strict=True))
+            groups = [{key: at[key] for key in group} for group in (inputs.x, inputs.u, inputs.params)]
+            return [self._as_written(family, at["t"], *groups)[name]]
+
+        program = scalarize(function, *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays.values()))
+        if rest:
+            entries = entry_names(name, shapes[name])
+            wanted = of.replace(" ", "").replace(",", ", ")
+            if wanted not in entries:
+                raise InputError(f"{name} has no entry {of!r}; it has {entries[0]} to {entries[-1]}")
+            (nodes,) = program.outputs
+            program = program.restricted([nodes.reshape(-1)[[entries.index(wanted)]]])
+        return Dependence.of(of, program, list(arrays))
+
+    def _zeros(self) -> Inputs:
+        """Arguments of the right shapes: all states, and what anything reads."""
+        every = set().union(*self._reads.values())
+        own = {leaf.name: np.zeros(leaf.shape) for leaf in self._leaves}
+        x = {state.name: own[state.name] for state in self.states}
+        u = {control.name: own[control.name] for control in self.controls if control.name in every}
+        params = {parameter.name: own[parameter.name] for parameter in self.parameters if parameter.name in every}
+        return self.prepare(0.0, x, u, params, reads=())
+
+    def _jaxpr(self, roots: list[Expr]) -> Any:
+        """What the roots amount to in arrays, of all leaves that they read."""
+        dtype = jax.dtypes.canonicalize_dtype(float)
+        leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
+        inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
+
+        def function(values: Arrays) -> list[jax.Array]:
+            return evaluate_all(roots, lambda leaf: values[leaf.key()] if leaf.key() in leaves else leaf.read(inputs))
+
+        return jax.make_jaxpr(function)(
+            {k: jax.ShapeDtypeStruct(leaf.shape, dtype) for k, leaf in leaves.items()}
+        ).jaxpr
 
     # ---- what the floors above call ----------------------------------------------------------------------------
 
@@ -265,18 +340,6 @@ class Dynamics:
         return {
             family: _names([e for exprs in roots.values() for e in exprs]) for family, roots in self._families.items()
         }
-
-    def _equations(self, roots: list[Expr]) -> int:
-        """How many jaxpr equations the roots amount to."""
-        dtype = jax.dtypes.canonicalize_dtype(float)
-        leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
-        inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
-
-        def function(values: Arrays) -> list[jax.Array]:
-            return evaluate_all(roots, lambda leaf: values[leaf.key()] if leaf.key() in leaves else leaf.read(inputs))
-
-        shapes = {key: jax.ShapeDtypeStruct(leaf.shape, dtype) for key, leaf in leaves.items()}
-        return count_equations(jax.make_jaxpr(function)(shapes).jaxpr)
 
 
 def compile(

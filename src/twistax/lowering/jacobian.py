@@ -32,7 +32,8 @@ class RateJacobian:
     def __init__(
         self, closed: ClosedJaxpr, places: Sequence[tuple[str, str]], group: Product, wrt: Sequence[str]
     ) -> None:
-        program = scalarize(closed)
+        #: The rates alone.
+        self.rates = program = scalarize(closed)
         g = program.graph
         widths: dict[str, int] = {}
         seeds: dict[int, dict[int, int]] = {}

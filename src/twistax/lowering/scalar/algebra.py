@@ -48,3 +48,7 @@ class Algebra(ABC):
     @abstractmethod
     def select(self, c: int, a: int, b: int) -> int:
         """a where c, else b."""
+
+    @abstractmethod
+    def scaled(self, factor: int, cotangent: int) -> int:
+        """factor cotangent; zero where a branch that was not taken makes the cotangent zero, whatever the factor."""

@@ -25,9 +25,10 @@ def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
         entries = [jnp.reshape(a, -1) for a in arguments]
         values: dict[int, jax.Array] = {}
 
-        def array(nodes: Any) -> jax.Array:
-            flat = [values[i] for i in nodes.reshape(-1).tolist()]
-            return jnp.stack(flat).reshape(nodes.shape) if flat else jnp.zeros(nodes.shape, g.dtype)
+        def array(nodes: Any, dtype: Any) -> jax.Array:
+            if not nodes.size:
+                return jnp.zeros(nodes.shape, dtype)
+            return jnp.stack([values[i] for i in nodes.reshape(-1).tolist()]).reshape(nodes.shape)
 
         done: set[int] = set()
         for i in form.live:
@@ -37,7 +38,8 @@ def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
             elif call is not None:
                 if id(call) not in done:
                     done.add(id(call))
-                    results = jaxpr_as_fun(call.jaxpr)(*(array(a) for a in call.arguments))
+                    types = [v.aval.dtype for v in call.jaxpr.jaxpr.invars]
+                    results = jaxpr_as_fun(call.jaxpr)(*map(array, call.arguments, types))
                     for nodes, result in zip(call.results, results, strict=True):
                         flat = jnp.reshape(result, -1)
                         values.update({j: flat[k] for k, j in enumerate(nodes.reshape(-1).tolist())})
@@ -48,6 +50,6 @@ def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
         # XLA would work out all that an array needs again for each of its entries.
         needed = sorted(set(form.flat))
         values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
-        return [array(nodes) for nodes in form.outputs]
+        return list(map(array, form.outputs, form.types))
 
     return function

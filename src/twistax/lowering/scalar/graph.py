@@ -15,6 +15,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 from numpy.typing import NDArray
 
+from ...errors import ModelError
 from .algebra import Algebra
 from .operations import Operation, by_primitive
 
@@ -30,7 +31,7 @@ _NEG, _SELECT, _NOT = (by_primitive[name] for name in ("neg", "select", "not"))
 _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
 
 
-class TooLarge(Exception):
+class TooLarge(ModelError):
     """A program beyond the size that scalars are good for."""
 
 
@@ -58,8 +59,9 @@ class Graph(Algebra):
 
     Args:
         dtype: the floating-point type of the program.
-        checked: keep what depends on all numbers being finite: 0 x, 0 / x and x - x stay as they are. By default they
-            are zero, also where x is infinite or not a number. The sign of a zero is not kept in either mode.
+        checked: keep what depends on all numbers being finite: 0 x, 0 / x and x - x stay as they are, and so does every
+            division. By default they are zero, also where x is infinite or not a number. The sign of a zero is not
+            kept in either mode.
         largest: refuse to grow beyond this many nodes.
     """
 
@@ -89,7 +91,7 @@ class Graph(Algebra):
 
     def input(self, argument: int, place: int, dtype: np.dtype[Any]) -> int:
         """The node of one entry of an argument."""
-        return self._intern((_INPUT, argument, place), dtype)
+        return self._intern((_INPUT, argument, place, dtype), dtype)
 
     def array(self, values: Any) -> Nodes:
         """The nodes of an array of numbers."""
@@ -194,7 +196,7 @@ class Graph(Algebra):
             return a
         if a == self.zero and divisor is None and not self.checked:
             return self.zero
-        if divisor and np.isfinite(divisor) and self.numbers[a] is None:
+        if divisor and np.isfinite(divisor) and self.numbers[a] is None and not self.checked:
             inverse = float(1.0 / divisor)
             # Exact for powers of two, else to one rounding; not where the inverse leaves the range of numbers.
             if np.isfinite(self.dtype.type(inverse)) and abs(inverse) > np.finfo(self.dtype).tiny:
@@ -216,6 +218,30 @@ class Graph(Algebra):
         if self.nodes[c][0] is _NOT:
             return self.select(self.nodes[c][1], b, a)
         return self.node(_SELECT, c, a, b)
+
+    def scaled(self, factor: int, cotangent: int) -> int:
+        """factor cotangent; zero where a branch that was not taken makes the cotangent zero, whatever the factor."""
+        entry = self.nodes[cotangent]
+        if entry[0] is _NEG:
+            return self.neg(self.scaled(factor, entry[1]))
+        if entry[0] is _SELECT and self.zero in entry[2:]:
+            c, a, b = entry[1:]
+            return self.select(
+                c,
+                self.zero if a == self.zero else self.scaled(factor, a),
+                self.zero if b == self.zero else self.scaled(factor, b),
+            )
+        return self.mul(factor, cotangent)
+
+    def joined(self, a: int, b: int) -> int:
+        """a + b of two cotangents; what the same branch makes zero stays together."""
+        first, second = self.nodes[a], self.nodes[b]
+        if first[0] is _SELECT and second[0] is _SELECT and first[1] == second[1]:
+            for k in (2, 3):
+                if first[k] == second[k] == self.zero:
+                    rest = self.joined(first[5 - k], second[5 - k])
+                    return self.select(first[1], *((self.zero, rest) if k == 2 else (rest, self.zero)))
+        return self.add(a, b)
 
     def sum(self, terms: Iterable[int]) -> int:
         total = self.zero
@@ -270,7 +296,10 @@ class Graph(Algebra):
         if found is None:
             found = len(self.nodes)
             if found >= self.largest:
-                raise TooLarge(f"more than {self.largest} scalars")
+                raise TooLarge(
+                    f"the function takes more than {self.largest} scalars, too many to write out one by one.\n"
+                    "  fix: compile with emitter=tx.Arrays(), and take its derivatives with jax.jacfwd"
+                )
             self._known[key] = found
             self.nodes.append(key)
             self.dtypes.append(dtype)

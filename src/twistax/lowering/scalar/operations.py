@@ -69,7 +69,7 @@ class Operation:
         if self.partials is None:
             return [None] * len(arguments)
         found = self.partials(g, arguments, node)
-        return [None if partial is None else g.mul(partial, cotangent) for partial in found]
+        return [None if partial is None else g.scaled(partial, cotangent) for partial in found]
 
 
 class Select(Operation):
@@ -78,16 +78,34 @@ class Select(Operation):
     def tangents(
         self, g: Algebra, arguments: tuple[int, ...], node: int, along: Sequence[Sequence[int | None]]
     ) -> list[int | None]:
+        zero = g.constant(0.0, g.dtypes[node])
         return [
             None
             if a is None and b is None
-            else g.select(arguments[0], g.zero if a is None else a, g.zero if b is None else b)
+            else g.select(arguments[0], zero if a is None else a, zero if b is None else b)
             for _, a, b in along
         ]
 
     def cotangents(self, g: Algebra, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
-        c = arguments[0]
-        return [None, g.select(c, cotangent, g.zero), g.select(c, g.zero, cotangent)]
+        c, zero = arguments[0], g.constant(0.0, g.dtypes[node])
+        return [None, g.select(c, cotangent, zero), g.select(c, zero, cotangent)]
+
+
+class Convert(Operation):
+    """The conversion to another type. Linear between floating-point types, else of no derivative."""
+
+    def tangents(
+        self, g: Algebra, arguments: tuple[int, ...], node: int, along: Sequence[Sequence[int | None]]
+    ) -> list[int | None]:
+        if not self._linear(g, arguments):
+            return [None] * len(along)
+        return [None if t is None else g.node(self, t) for (t,) in along]
+
+    def cotangents(self, g: Algebra, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
+        return [g.node(convert(g.dtypes[arguments[0]]), cotangent) if self._linear(g, arguments) else None]
+
+    def _linear(self, g: Algebra, arguments: tuple[int, ...]) -> bool:
+        return all(d is not None and jnp.issubdtype(d, jnp.floating) for d in (self.result, g.dtypes[arguments[0]]))
 
 
 _BOOL = np.dtype(bool)
@@ -114,6 +132,18 @@ def _larger(greater: Operation) -> Partials:
         return [first, g.sub(g.one, first)]
 
     return partials
+
+
+def _clamp(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
+    """Zero at the limits themselves."""
+    low, x, high = a
+    greater, less = by_primitive["gt"], by_primitive["lt"]
+
+    def where(condition: int) -> int:
+        return g.select(condition, g.one, g.zero)
+
+    inside = g.node(by_primitive["and"], g.node(greater, x, low), g.node(less, x, high))
+    return [where(g.node(greater, low, x)), where(inside), where(g.node(less, high, x))]
 
 
 def _atan2(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
@@ -161,8 +191,8 @@ def _logistic(x: Any) -> Any:
     return 1.0 / (1.0 + np.exp(-x))
 
 
-def _rounded(x: Any) -> Any:
-    return np.copysign(np.floor(np.abs(x) + 0.5), x)
+def _between(low: Any, x: Any, high: Any) -> Any:
+    return np.minimum(np.maximum(low, x), high)
 
 
 #: The operations by the name of the JAX primitive that they are.
@@ -181,10 +211,11 @@ by_primitive: dict[str, Operation] = {
         Operation("rem", np.fmod, lax.rem),
         Operation("max", np.maximum, lax.max, None, symmetric=True),
         Operation("min", np.minimum, lax.min, None, symmetric=True),
+        Operation("clamp", _between, lambda low, x, high: lax.clamp(low, x, high), _clamp),
         Operation("pow", np.power, lax.pow, _pow),
         Operation("atan2", np.arctan2, lax.atan2, _atan2),
         Operation("sqrt", np.sqrt, lax.sqrt, _of(lambda g, x, y: g.div(_half(g), y))),
-        Operation("cbrt", np.cbrt, lax.cbrt, _of(lambda g, x, y: g.div(y, g.mul(g.constant(3.0), x))), parity=-1),
+        Operation("cbrt", np.cbrt, lax.cbrt, _of(lambda g, x, y: g.div(g.constant(1.0 / 3.0), g.mul(y, y))), parity=-1),
         Operation("exp", np.exp, lax.exp, _of(lambda g, x, y: y)),
         Operation("exp2", np.exp2, lax.exp2, _of(lambda g, x, y: g.mul(g.constant(float(np.log(2.0))), y))),
         Operation("expm1", np.expm1, lax.expm1, _of(lambda g, x, y: g.add(y, g.one))),
@@ -227,17 +258,12 @@ _CONVERSIONS: dict[np.dtype[Any], Operation] = {}
 
 
 def convert(dtype: np.dtype[Any]) -> Operation:
-    """The conversion to a type. Linear between floating-point types, else of no derivative."""
-
-    def partials(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
-        return [g.one if jnp.issubdtype(g.dtypes[a[0]], jnp.floating) else None]
-
+    """The conversion to a type."""
     if dtype not in _CONVERSIONS:
-        _CONVERSIONS[dtype] = Operation(
+        _CONVERSIONS[dtype] = Convert(
             f"to {dtype.name}",
             lambda x: np.asarray(x).astype(dtype),
             lambda x: lax.convert_element_type(x, dtype),
-            partials if jnp.issubdtype(dtype, jnp.floating) else None,
             result=dtype,
         )
     return _CONVERSIONS[dtype]

@@ -15,8 +15,10 @@ from .rule import Rule, nodes
 __all__ = ["CONTRACTION"]
 
 
-def _dot_general(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes]:
+def _dot_general(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | None:
     """Batch, free and contracted axes as in `jax.lax.dot_general`; the terms are added from the first to the last."""
+    if len({v.aval.dtype for v in (*eqn.invars, *eqn.outvars)}) > 1:
+        return None
     (left, right), (left_batch, right_batch) = eqn.params["dimension_numbers"]
     left_free = [i for i in range(a.ndim) if i not in (*left, *left_batch)]
     right_free = [i for i in range(b.ndim) if i not in (*right, *right_batch)]
@@ -43,7 +45,7 @@ def _folded(function: Callable[[Graph, int, int], int]) -> Rule:
     """A reduction by a function of two nodes."""
 
     def rule(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
-        lists, shape = _gathered(a, eqn.params["axes"])
+        lists, shape = _gathered(a, tuple(map(int, eqn.params["axes"])))
         if not all(lists):
             return None
         flat = []
@@ -76,7 +78,7 @@ def _extreme(name: str) -> Rule:
 
     def rule(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
         dtype, further = np.dtype(eqn.params["index_dtype"]), by_primitive[name]
-        lists, shape = _gathered(a, eqn.params["axes"])
+        lists, shape = _gathered(a, tuple(map(int, eqn.params["axes"])))
         if len(eqn.params["axes"]) != 1:
             return None
         flat = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..graph import Graph, Nodes
@@ -43,7 +44,7 @@ def power(g: Graph, x: int, n: int) -> int:
 
 
 def _integer_pow(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
-    if g.dtypes[a.reshape(-1)[0]] != g.dtype:
+    if a.size and g.dtypes[a.reshape(-1)[0]] != g.dtype:
         return None
     return [each(g, lambda x: power(g, x, eqn.params["y"]), a)]
 
@@ -57,9 +58,14 @@ def _square(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
     return [each(g, lambda x: g.mul(x, x), a)]
 
 
-def _clamp(g: Graph, eqn: Any, low: Nodes, a: Nodes, high: Nodes) -> list[Nodes]:
-    largest, smallest = by_primitive["max"], by_primitive["min"]
-    return [each(g, lambda lo, x, hi: g.node(smallest, g.node(largest, lo, x), hi), low, a, high)]
+def _pow(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes]:
+    """The exponent may be an integer."""
+
+    def raised(x: int, n: int) -> int:
+        same = n if g.dtypes[n] == g.dtypes[x] else g.node(convert(g.dtypes[x]), n)
+        return g.node(by_primitive["pow"], x, same)
+
+    return [each(g, raised, a, b)]
 
 
 def _select_n(g: Graph, eqn: Any, which: Nodes, *cases: Nodes) -> list[Nodes]:
@@ -88,6 +94,12 @@ def _convert(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
 
 def _same(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     return list(arrays)
+
+
+def _reduce_precision(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
+    """Nothing, where it names the type's own precision."""
+    own, p = jnp.finfo(eqn.invars[0].aval.dtype), eqn.params
+    return [a] if (p["exponent_bits"], p["mantissa_bits"]) == (own.nexp, own.nmant) else None
 
 
 def _stop_gradient(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
@@ -122,11 +134,12 @@ _SPECIAL: dict[str, Callable[..., Any]] = {
     "square": _square,
     "rsqrt": _rsqrt,
     "integer_pow": _integer_pow,
-    "clamp": _clamp,
+    "pow": _pow,
+    "reduce_precision": _reduce_precision,
     "select_n": _select_n,
     "convert_element_type": _convert,
     "stop_gradient": _stop_gradient,
-    **dict.fromkeys(("copy", "copy_p", "optimization_barrier", "reduce_precision", "pvary"), _same),
+    **dict.fromkeys(("copy", "copy_p", "optimization_barrier", "pvary"), _same),
 }
 
 ELEMENTWISE: dict[str, Rule] = {
