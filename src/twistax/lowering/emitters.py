@@ -9,7 +9,9 @@ from collections.abc import Callable
 import jax
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from ..errors import ModelError
 from .scalar.graph import TooLarge
+from .scalar.numbering import ValueNumbering
 from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
 from .work import array_operations
@@ -57,20 +59,29 @@ class XLA(Emitter):
 
     Attributes:
         checked: keep 0 x, 0 / x and x - x, and every division.
+        numbering: merge scalars that are equal by value, a `tx.ValueNumbering`; its risk is stated there.
         least: functions of fewer scalar operations run as arrays: in them XLA finds as much by itself.
         largest: functions of more scalars run as arrays: their compilation would take minutes.
+
+    Raises:
+        ModelError: checked and numbering together.
     """
 
     checked: bool = False
+    numbering: ValueNumbering | None = None
     least: int = 300
     largest: int = 30_000
+
+    def __post_init__(self) -> None:
+        if self.checked and self.numbering is not None:
+            raise ModelError("XLA expects checked or numbering, not both: merged scalars are not kept as written")
 
     def emit(self, closed: ClosedJaxpr) -> Emission:
         arrays = jaxpr_as_fun(closed)
         if array_operations(closed.jaxpr).total() < self.least:
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
         try:
-            program = scalarize(closed, checked=self.checked, largest=self.largest)
+            program = scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
         except TooLarge:
             return Emission(arrays, None, f"arrays: more than {self.largest} scalars")
         count = program.operations

@@ -13,6 +13,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from .graph import Graph, Nodes
+from .numbering import NumberedGraph, ValueNumbering
 from .reader import Reader, trace
 
 __all__ = ["ScalarProgram", "scalarize"]
@@ -70,7 +71,11 @@ class ScalarProgram:
 
 
 def scalarize(
-    function: Callable[..., Any] | ClosedJaxpr, *shapes: Any, checked: bool = False, largest: int = 200_000
+    function: Callable[..., Any] | ClosedJaxpr,
+    *shapes: Any,
+    checked: bool = False,
+    numbering: ValueNumbering | None = None,
+    largest: int = 200_000,
 ) -> ScalarProgram:
     """A function of arrays, results a list of arrays, as a scalar program.
 
@@ -78,13 +83,25 @@ def scalarize(
         function: traceable; or its jaxpr.
         shapes: of the arguments, with types; left out for a jaxpr.
         checked: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
+        numbering: merge scalars that are equal by value; not with checked.
         largest: the most scalars there may be.
     Raises:
         TooLarge: more scalars than are good for a compiler.
     """
     closed = function if isinstance(function, ClosedJaxpr) else trace(function, *shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
-    graph = Graph(_precision([*avals, *(v.aval for v in closed.jaxpr.outvars)]), checked, largest)
+    dtype = _precision([*avals, *(v.aval for v in closed.jaxpr.outvars)])
+    if numbering is not None:
+        numbered = NumberedGraph(dtype, largest, numbering)
+        program = _read(closed, numbered)
+        if numbered.verified():
+            return program
+    return _read(closed, Graph(dtype, checked, largest))
+
+
+def _read(closed: ClosedJaxpr, graph: Graph) -> ScalarProgram:
+    """The program of a jaxpr, in a graph that is still empty."""
+    avals = [v.aval for v in closed.jaxpr.invars]
     inputs = tuple(
         np.array([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], np.int64).reshape(a.shape)
         for k, a in enumerate(avals)
