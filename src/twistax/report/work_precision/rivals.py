@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -99,6 +99,9 @@ class Diffrax(Contender):
     gains: Gains
     form: Form
 
+    #: Of a flight.
+    most_steps: ClassVar[int] = _MOST_STEPS
+
     def ladder(self, effort: Effort) -> Ladder:
         return effort.tolerances
 
@@ -125,7 +128,7 @@ class Diffrax(Contender):
                 None,
                 y,
                 stepsize_controller=diffrax.PIDController(tolerance, tolerance, **dataclasses.asdict(self.gains)),
-                max_steps=_MOST_STEPS,
+                max_steps=self.most_steps,
                 **self.form.options,
             )
             accepted, rejected = sol.stats["num_accepted_steps"], sol.stats["num_rejected_steps"]
@@ -143,6 +146,9 @@ class Diffrax(Contender):
 @dataclasses.dataclass(frozen=True)
 class DiffraxImplicit(Diffrax):
     """An implicit solver, which does not say how often it evaluates the right-hand side: 0."""
+
+    #: Near round-off its steps may become so short that a flight takes hours.
+    most_steps: ClassVar[int] = 20_000
 
     def evaluations(self, solver: Any, steps: jax.Array) -> jax.Array:
         return jnp.zeros_like(steps)
