@@ -130,8 +130,11 @@ def _first_flight(
         rough = _seconds(call)
         if rough < _SHORT:
             rough = min(rough, _seconds(call))
-    except RuntimeError as error:  # diffrax raises where it gives up
-        return _Flight(dataclasses.replace(row, result=str(error).strip().splitlines()[0][:80]), lambda: None, 0.0)
+    except (RuntimeError, ValueError) as error:  # diffrax raises where it gives up, from a callback
+        said = [line for line in str(error).splitlines() if "RuntimeError" in line] or str(error).strip().splitlines()
+        if isinstance(error, ValueError) and "callback" not in str(error):
+            raise
+        return _Flight(dataclasses.replace(row, result=said[0].strip()[:80]), lambda: None, 0.0)
     good = bool(counts.good)
     state = {name: np.asarray(value) for name, value in launch.program.state(end).items()}
     row = dataclasses.replace(
