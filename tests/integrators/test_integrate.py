@@ -51,7 +51,9 @@ def test_saved_times_on_the_grid_are_its_points() -> None:
     np.testing.assert_array_equal(sol.xs["g"][0], start()["g"])
     np.testing.assert_array_equal(sol.xs["V"][1], sol.xs["V"][2])
     np.testing.assert_allclose(sol.xs["V"][1], tx.integrate(forced(), start(), t1=0.3, dt=0.1).xs["V"][0], rtol=1e-13)
-    np.testing.assert_array_equal(sol.xs["g"][3], tx.integrate(forced(), start(), t1=1.0, dt=0.1).xs["g"][0])
+    # Two programs, which XLA may round differently in the last place.
+    end = tx.integrate(forced(), start(), t1=1.0, dt=0.1).xs["g"][0]
+    np.testing.assert_allclose(sol.xs["g"][3], end, rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("tableau", [EULER, HEUN, tx.tableaus.RK4], ids=lambda tableau: tableau.name)
