@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..lowering.dynamics import Arrays
+from ..lowering.small_call import small_call
 from .charts.whole import Blocks
 from .course import Course, Flown, Outcome, Part, Saved
 from .events import Watched
@@ -19,7 +20,6 @@ from .first_step import first_step
 from .method import Carry
 from .result import Result
 from .rows import put, rows
-from .small_call import small_call
 from .step_control import Errors, StepControl
 from .stepper import Stepper
 from .tolerances import Tolerances

@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Euclidean, Group
 from ..lowering import Dynamics
-from .concrete import is_finite, is_traced
+from ..lowering.concrete import is_finite, is_traced
 
 __all__ = ["check_start"]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import InputError, ShapeError
 from ..lowering import Dynamics
+from ..lowering.concrete import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import read_values
-from .concrete import is_traced
 
 __all__ = ["ByName", "Held", "Linear", "OfTime", "Signals", "Table", "controls_of"]
 

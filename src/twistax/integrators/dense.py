@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
+from ..lowering.concrete import is_traced
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
-from .concrete import is_traced
 from .course import Trail
 from .stepper import Stepper
 

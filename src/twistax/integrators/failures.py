@@ -12,8 +12,8 @@ import numpy as np
 from ..errors import IntegrationError
 from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..lowering import Dynamics
+from ..lowering.concrete import is_finite
 from ..lowering.dynamics import Arrays
-from .concrete import is_finite
 from .course import Course, Outcome
 from .result import Result
 from .stepper import Stepper

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..errors import InputError
+from ..lowering.small_call import small_call
 from .charts.whole import Blocks
 from .course import Course, Flown, Outcome, Part, Saved
 from .events import Watch, Watched
@@ -17,7 +18,6 @@ from .grid import Grid, Saves
 from .method import Carry
 from .result import Result
 from .rows import put, rows
-from .small_call import small_call
 from .stepper import Stepper
 
 __all__ = ["FixedCourse"]

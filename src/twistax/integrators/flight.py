@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from ..lowering.dynamics import Arrays
+from ..lowering.small_call import small_call
 from .charts.whole import Blocks
 from .checkpointed import take_steps
 from .course import Course, Flown, Outcome, Part, Trail
 from .event_end import Meeting, cut_at, locate, refined, saved_before
 from .finite import all_finite
 from .result import Result
-from .small_call import small_call
 from .stepper import Stepper
 
 __all__ = ["Flight", "fly"]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
-from .concrete import is_finite, is_traced
+from ..lowering.concrete import is_finite, is_traced
 
 __all__ = ["Grid", "Saves", "check_saves", "make_grid", "place_saves", "span_of"]
 

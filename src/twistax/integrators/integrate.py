@@ -11,11 +11,11 @@ import numpy as np
 
 from ..errors import InputError
 from ..lowering import Dynamics
+from ..lowering.concrete import is_finite, is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import precision
 from .adaptive import AdaptiveCourse, Stops
 from .checks import check_start
-from .concrete import is_finite, is_traced
 from .controls import OfTime, Signals, controls_of
 from .course import Course
 from .dense import Dense

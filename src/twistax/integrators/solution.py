@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from ..errors import InputError
+from ..lowering.concrete import is_traced
 from ..lowering.dynamics import Arrays
-from .concrete import is_traced
 from .dense import Dense
 from .result import Result
 

@@ -15,8 +15,8 @@ from ..errors import InputError
 from ..expr import State
 from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
+from ..lowering.concrete import is_traced
 from .charts.whole import Blocks, StateCoordinates
-from .concrete import is_traced
 
 __all__ = ["Tolerances", "tolerances_of"]
 

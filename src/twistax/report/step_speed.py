@@ -21,9 +21,9 @@ from ..expr.solve import Solve
 from ..groups import SE3
 from ..integrators import RKMK
 from ..integrators.charts import Ambient, Chart, Exponential, SplitExponential
-from ..integrators.small_call import small_call
 from ..integrators.tableaus import DOP853, RK4, TSIT5
 from ..lowering import Dynamics, compile
+from ..lowering.small_call import small_call
 from ..system import System
 from .machine import machine
 

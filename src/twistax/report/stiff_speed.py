@@ -25,8 +25,8 @@ import numpy as np
 from ..diffrax import ambient_term
 from ..integrators import ImplicitRKMK, StepControl, integrate
 from ..integrators.implicit import RADAU_IIA5
-from ..integrators.small_call import fits
 from ..lowering import Dynamics, compile
+from ..lowering.small_call import fits
 from ..scenes import stiff_attitude
 from .machine import machine
 

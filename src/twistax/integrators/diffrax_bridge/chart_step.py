@@ -13,12 +13,12 @@ from jax.flatten_util import ravel_pytree
 
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
+from ...lowering.small_call import small_call
 from ..ambient import Ambient
 from ..arguments import Arguments
 from ..charts import Chart
 from ..charts.whole import Blocks, StateCoordinates, coordinates_of
 from ..finite import all_finite
-from ..small_call import small_call
 from ..stages import stage_slopes
 from ..tableau import Rows
 from .errors_at import errors_at

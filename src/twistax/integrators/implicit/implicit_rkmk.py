@@ -13,11 +13,11 @@ from jax.flatten_util import ravel_pytree
 from ...errors import ModelError
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
+from ...lowering.small_call import small_call
 from ..charts import Chart, Exponential
 from ..charts.whole import Blocks, StateCoordinates, coordinates_of
 from ..finite import all_finite
 from ..method import Attempt, Carry, ControlsAt, Method
-from ..small_call import small_call
 from ..tolerances import Tolerances
 from .collocation import CollocationTableau
 from .inverses import Parts

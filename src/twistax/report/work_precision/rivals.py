@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 import twistax as tx
 
-from ...integrators.small_call import fits, small_call
+from ...lowering.small_call import fits, small_call
 from ...scenes import Scene
 from .contender import Contender, Counts, Line, Program
 from .effort import Effort
