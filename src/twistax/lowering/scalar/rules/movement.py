@@ -126,11 +126,7 @@ def _gather(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
     sizes, mode = eqn.params["slice_sizes"], str(eqn.params["mode"])
     where = g.values(indices)
     if where is None:
-        plain = a.ndim == 1 and tuple(sizes) == (1,) and indices.shape[-1] == 1 and a.size <= _LONGEST_LOOKUP
-        if not plain or "FILL" in mode:
-            return None
-        flat = [_lookup(g, a.tolist(), i) for i in indices.reshape(-1).tolist()]
-        return [nodes(flat, eqn.outvars[0].aval.shape)]
+        return None if "FILL" in mode else _taken(g, eqn, a, indices)
     shape = eqn.outvars[0].aval.shape
     offset = numbers.offset_dims
     batch_axes = [i for i in range(len(shape)) if i not in offset]
@@ -150,6 +146,40 @@ def _gather(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
             target[axis] = value
         found[tuple(target)] = window.reshape([sizes[i] for i in window_axes])
     return [found]
+
+
+def _taken(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
+    """Whole slices along one short axis, at places known only at run time."""
+    numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
+    if len(numbers.start_index_map) != 1 or tuple(numbers.collapsed_slice_dims) != tuple(numbers.start_index_map):
+        return None
+    (axis,) = numbers.start_index_map
+    rest = [n for i, n in enumerate(a.shape) if i != axis]
+    if a.shape[axis] > _LONGEST_LOOKUP or [m for i, m in enumerate(sizes) if i != axis] != rest:
+        return None
+    columns = np.moveaxis(a, axis, -1).reshape(-1, a.shape[axis]).tolist()
+    places = indices.reshape(-1).tolist()
+    found = nodes([_lookup(g, column, place) for place in places for column in columns], (len(places), *rest))
+    shape = eqn.outvars[0].aval.shape
+    batch = [i for i in range(len(shape)) if i not in numbers.offset_dims]
+    found = found.reshape(*(shape[i] for i in batch), *rest)
+    return [found.transpose(np.argsort([*batch, *numbers.offset_dims]))]
+
+
+def _sort(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """Short vectors in the order of the first one, by exchanges of neighbours: equals keep their order."""
+    n = arrays[0].size
+    if arrays[0].ndim != 1 or n > _LONGEST_LOOKUP or eqn.params["num_keys"] != 1:
+        return None
+    if g.dtypes[int(arrays[0][0])] == g.dtype if n else False:
+        return None  # not-a-number has a place of its own among real numbers
+    rows, less = [a.tolist() for a in arrays], by_primitive["lt"]
+    for end in range(n - 1, 0, -1):
+        for k in range(end):
+            swap = g.node(less, rows[0][k + 1], rows[0][k])
+            for row in rows:
+                row[k], row[k + 1] = g.select(swap, row[k + 1], row[k]), g.select(swap, row[k], row[k + 1])
+    return [nodes(row, (n,)) for row in rows]
 
 
 def _scatter(combine: str | None) -> Rule:
@@ -204,6 +234,7 @@ MOVEMENT: dict[str, Rule] = {
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
     "gather": _gather,
+    "sort": _sort,
     "scatter": _scatter(None),
     "scatter-add": _scatter("add"),
     "scatter_add": _scatter("add"),
