@@ -155,6 +155,20 @@ def test_tolerances_bound_the_error_at_every_rate(k: float) -> None:
             np.testing.assert_allclose(sol.xs[name][-1], value, atol=tolerance)
 
 
+@pytest.mark.parametrize("k", [1e3, 1e7])
+def test_stiffness_that_ends_with_a_jump(k: float) -> None:
+    """Steps before and after the jump are of one length: what was learned before must not serve after it."""
+    x, K, F, t = tx.State("x"), tx.Control("K"), tx.Control("F"), tx.Time()
+    dynamics = tx.compile(tx.System(rates={x: F - K * (x - 1.0 - 0.1 * tx.Sin(t))}))
+    u = {"K": tx.Held(ts=[0.0, 1.0], values=[k, 0.0]), "F": tx.Held(ts=[0.0, 1.0], values=[0.0, 1.0])}
+    control = tx.StepControl(dtmax=0.125)
+    options = {"u": u, "rtol": 1e-5, "control": control, "save_at": [0.3, 1.0, 1.3, 1.5]}
+    sol = tx.integrate(dynamics, {"x": 1.0}, t1=1.5, dt=0.125, method=RADAU, **options)
+    assert sol.stats.steps < 20
+    np.testing.assert_allclose(sol.xs["x"][2:] - sol.xs["x"][1], [0.3, 0.5], atol=1e-13)
+    np.testing.assert_allclose(sol.xs["x"][:2], 1.0 + 0.1 * np.sin([0.3, 1.0]), atol=1.0 / k)
+
+
 def test_an_explicit_method_needs_steps_as_short_as_the_fastest_rate() -> None:
     scene = stiff_attitude.scene(1e5)
     control = tx.StepControl(max_steps=2000)

@@ -47,7 +47,7 @@ def test_the_attribute_reaches_the_compiled_program() -> None:
 
 
 def test_libraries_are_left_outside() -> None:
-    """A solver from LAPACK, a callback, a large product: none of them compiles inside of one function."""
+    """A solver from LAPACK, a callback, a large product, entries set at several places: none of them compiles inside."""
 
     def solves(a: jax.Array) -> jax.Array:
         return jnp.linalg.solve(a + 9.0 * jnp.eye(8), jnp.ones(8))
@@ -58,10 +58,25 @@ def test_libraries_are_left_outside() -> None:
     def multiplies(a: jax.Array) -> jax.Array:
         return jnp.tile(a, (2, 2)) @ jnp.tile(a, (2, 2))
 
+    def sets(a: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 3, lambda i, a: a.at[jnp.array([0, 2])].set(2.0 * a[1]), a)
+
+    def adds(a: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 3, lambda i, a: a.at[jnp.array([0, 2])].add(2.0 * a[1]), a)
+
     a = jnp.arange(64.0).reshape(8, 8) / 64.0
-    for function in (solves, calls_back, multiplies):
+    for function in (solves, calls_back, multiplies, sets, adds):
         assert MARK not in compiled(lambda a, f=function: small_call(f, a), a)
         np.testing.assert_array_equal(small_call(function, a), function(a))
+
+
+def test_entries_set_at_one_place_are_inside() -> None:
+    def sets(a: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 3, lambda i, a: a.at[i].set(a[1] + 1.0).at[1].add(a[2]).at[2:4].set(a[0]), a)
+
+    a = jnp.arange(5.0)
+    assert MARK in compiled(lambda a: small_call(sets, a), a)
+    np.testing.assert_array_equal(small_call(sets, a), sets(a))
 
 
 def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextvars
 import functools
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
@@ -56,6 +57,9 @@ _MOVING = frozenset(
         ]
     ).split(" ")
 )
+
+#: Of these only ones at a single place, which XLA makes a slice; it has no code for others inside of a function.
+_SCATTERING = frozenset(["scatter", "scatter-add"])
 
 #: Beyond this many entries XLA shares the work of an operation between threads, or compiles it in ways of its own.
 _LARGEST_ARRAY = 4096
@@ -147,7 +151,7 @@ def _all_known(jaxpr: Any) -> bool:
     """Whether every operation, also inside of loops and branches, is one that compiles inside a function."""
     for equation in jaxpr.eqns:
         name = equation.primitive.name
-        if name not in _KNOWN:
+        if name not in _KNOWN or (name in _SCATTERING and math.prod(equation.invars[1].aval.shape[:-1]) > 1):
             return False
         largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
         if name not in _MOVING and largest > (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY):

@@ -169,13 +169,18 @@ class ImplicitRKMK(Method):
     resume_evaluations = 0
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        last = self.before(dynamics, y)
-        return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
+        return self._unlearned(dynamics, y)
 
     def resume(
         self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays
     ) -> Carry:
-        return carry
+        # Inverses from before a jump would take a long step across slow rates for one across stiff ones: the update
+        # and the error both come out small.
+        return self._unlearned(dynamics, y)
+
+    def _unlearned(self, dynamics: Dynamics, y: Blocks) -> _Learned:
+        last = self.before(dynamics, y)
+        return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
 
     def attempt(
         self,
