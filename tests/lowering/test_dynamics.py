@@ -388,7 +388,7 @@ def test_explain_counts_scalars_and_shows_the_pattern() -> None:
     expected[[3, 4, 5, 3, 3], [3, 4, 5, 6, 7]] = True
     np.testing.assert_array_equal(np.hstack([explanation.patterns["x"], explanation.patterns["u"]]), expected)
     assert explanation.picture().splitlines()[3] == "|...#..#|#..|"
-    assert "runs as arrays: fewer than 300" in str(explanation)
+    assert "runs as arrays: fewer than 500" in str(explanation)
     assert explanation.as_dict()["patterns"]["params"] == [[False]] * 3 + [[True]] * 3 + [[False]]
 
 

@@ -263,7 +263,8 @@ class Dynamics:
                 return results
 
             closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(*each) for each in types))
-            self._emissions[key] = (self.emitter.emit(closed), shapes[0])
+            places = jax.tree.unflatten(structure, range(len(types)))
+            self._emissions[key] = (self.emitter.emit(closed, jax.tree.leaves(places[3])), shapes[0])
         return self._emissions[key]
 
     def _jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:

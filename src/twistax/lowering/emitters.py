@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import jax
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
@@ -38,15 +38,19 @@ class Emitter(ABC):
     """Turns a function of arrays into the one that runs. A value: equal where it does the same."""
 
     @abstractmethod
-    def emit(self, closed: ClosedJaxpr) -> Emission:
-        """The function of a jaxpr."""
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        """The function of a jaxpr.
+
+        Args:
+            fixed: arguments that stay the same where the function is called again and again, as parameters do.
+        """
 
 
 @dataclasses.dataclass(frozen=True)
 class Arrays(Emitter):
     """As written, in small arrays."""
 
-    def emit(self, closed: ClosedJaxpr) -> Emission:
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         return Emission(jaxpr_as_fun(closed), None, "arrays were asked for")
 
 
@@ -60,7 +64,8 @@ class XLA(Emitter):
     Attributes:
         checked: keep 0 x, 0 / x and x - x, and every division.
         numbering: merge scalars that are equal by value, a `tx.ValueNumbering`; its risk is stated there.
-        least: functions of fewer scalar operations run as arrays: in them XLA finds as much by itself.
+        least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
+            them XLA finds as much by itself.
         largest: functions of more scalars run as arrays: their compilation would take minutes.
 
     Raises:
@@ -69,14 +74,14 @@ class XLA(Emitter):
 
     checked: bool = False
     numbering: ValueNumbering | None = None
-    least: int = 300
+    least: int = 500
     largest: int = 30_000
 
     def __post_init__(self) -> None:
         if self.checked and self.numbering is not None:
             raise ModelError("XLA expects checked or numbering, not both: merged scalars are not kept as written")
 
-    def emit(self, closed: ClosedJaxpr) -> Emission:
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         arrays = jaxpr_as_fun(closed)
         if array_operations(closed.jaxpr).total() < self.least:
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
@@ -84,8 +89,10 @@ class XLA(Emitter):
             program = scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
         except TooLarge:
             return Emission(arrays, None, f"arrays: more than {self.largest} scalars")
-        count = program.operations
+        count = len(program.depending([k for k in range(len(program.inputs)) if k not in fixed]))
         if count < self.least:
-            return Emission(arrays, None, f"arrays: {count} scalar operations, fewer than {self.least}")
+            # What parameters alone determine XLA works out once, before a loop, as long as it is in arrays.
+            kind = "change with time and state, " if fixed else ""
+            return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
         derived = Derived(program)
-        return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {count} operations")
+        return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")

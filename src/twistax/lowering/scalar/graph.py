@@ -45,6 +45,7 @@ class Call:
         arguments: arrays of nodes.
         results: the arrays of nodes that it gives.
         inline: whether emitters may write the function out: it is a call only for its own derivative.
+        tangents: its derivatives along some of its arguments, once they were asked for.
     """
 
     jaxpr: ClosedJaxpr
@@ -52,6 +53,7 @@ class Call:
     arguments: tuple[Nodes, ...]
     results: tuple[Nodes, ...]
     inline: bool
+    tangents: dict[tuple[int, ...], ClosedJaxpr] = dataclasses.field(default_factory=dict)
 
 
 class Graph(Algebra):
@@ -255,6 +257,11 @@ class Graph(Algebra):
         """The nodes that an operation reads; none for numbers, inputs and results of calls."""
         entry = self.nodes[node]
         return entry[1:] if isinstance(entry[0], Operation) else ()
+
+    def sources(self, node: int) -> list[int]:
+        """The nodes that a node is worked out from, those of a call included."""
+        call = self.call_of(node)
+        return list(self.arguments(node)) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
 
     def call_of(self, node: int) -> Call | None:
         """The call whose result a node is."""

@@ -64,6 +64,16 @@ class ScalarProgram:
         """The number of all operations."""
         return sum(self.counts().values())
 
+    def depending(self, arguments: Sequence[int]) -> set[int]:
+        """The operations and calls that depend on some of the arguments, as nodes."""
+        g = self.graph
+        found = {i for k in arguments for i in self.inputs[k].reshape(-1).tolist()}
+        own = set(found)
+        for i in self.live:
+            if any(j in found for j in g.sources(i)):
+                found.add(i)
+        return found - own
+
     def restricted(self, outputs: Sequence[Nodes]) -> ScalarProgram:
         """The same inputs with other outputs."""
         types = tuple(self.graph.dtypes[int(o.reshape(-1)[0])] if o.size else self.graph.dtype for o in outputs)
