@@ -47,7 +47,7 @@ def test_the_attribute_reaches_the_compiled_program() -> None:
 
 
 def test_libraries_are_left_outside() -> None:
-    """A solver from LAPACK, a callback, a large product, entries set at several places: none of them compiles inside."""
+    """A solver from LAPACK, a callback, a large product, entries set at several places: none compiles inside."""
 
     def solves(a: jax.Array) -> jax.Array:
         return jnp.linalg.solve(a + 9.0 * jnp.eye(8), jnp.ones(8))
