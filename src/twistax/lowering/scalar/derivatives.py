@@ -14,7 +14,7 @@ from .graph import Call, Graph, Nodes
 from .program import ScalarProgram
 from .reader import Reader, trace
 
-__all__ = ["cotangent_program", "jacobian", "tangent_program"]
+__all__ = ["columns_of", "cotangent_program", "is_real", "jacobian", "tangent_program"]
 
 
 def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
@@ -32,7 +32,7 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
         seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True))
     found = _pushed(g, program.live, seeds)
     outputs = _read(g, found, program)
-    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype for _ in outputs))
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(filter(is_real, program.types)))
 
 
 def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
@@ -40,20 +40,15 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
     g, inputs = program.graph, list(program.inputs)
     found: dict[int, int] = {}
     for nodes, dtype in zip(program.outputs, program.types, strict=True):
-        if not np.issubdtype(dtype, np.floating):
+        if not is_real(dtype):
             continue
         cotangents = _new_inputs(g, len(inputs), nodes)
         inputs.append(cotangents)
         for i, c in zip(nodes.reshape(-1).tolist(), cotangents.reshape(-1).tolist(), strict=True):
             _accumulate(g, found, i, c)
     _pulled(g, program.live, found, _depending(g, program, active))
-    outputs = tuple(
-        np.array([found.get(i, g.zero) for i in program.inputs[k].reshape(-1).tolist()], np.int64).reshape(
-            program.inputs[k].shape
-        )
-        for k in active
-    )
-    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype for _ in outputs))
+    outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(_dtype(g, program.inputs[k]) for k in active))
 
 
 def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
@@ -142,14 +137,17 @@ def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, 
 
         return jax.jvp(moving, [values[k] for k in active], tangents)[1]
 
-    jaxpr = trace(along, shapes, [shapes[k] for k in active])
-    tangents = [_map(call.arguments[k], lambda i: found.get(i, g.zero)) for k in active]
+    key = tuple(active)
+    if key not in call.tangents:
+        call.tangents[key] = trace(along, shapes, [shapes[k] for k in active])
+    jaxpr = call.tangents[key]
+    tangents = [_gathered(g, found, call.arguments[k]) for k in active]
     results = Reader(g).read(jaxpr, [*call.arguments, *tangents])
     return {
         i: t
         for nodes, values in zip(call.results, results, strict=True)
         for i, t in zip(nodes.reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True)
-        if t != g.zero and np.issubdtype(g.dtypes[i], np.floating)
+        if t != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact)
     }
 
 
@@ -192,9 +190,13 @@ def _pulled(g: Graph, live: Sequence[int], found: dict[int, int], depending: set
 
 
 def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int]) -> None:
-    active = [k for k, a in enumerate(call.arguments) if any(i in depending for i in a.reshape(-1).tolist())]
+    active = [
+        k
+        for k, a in enumerate(call.arguments)
+        if jnp.issubdtype(_dtype(g, a), jnp.inexact) and any(i in depending for i in a.reshape(-1).tolist())
+    ]
     shapes = [_shape(g, a) for a in call.arguments]
-    real = [k for k, r in enumerate(call.results) if np.issubdtype(_dtype(g, r), np.floating)]
+    real = [k for k, r in enumerate(call.results) if jnp.issubdtype(_dtype(g, r), jnp.inexact)]
 
     def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
         def moving(*some: Any) -> Any:
@@ -207,7 +209,7 @@ def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int])
         return list(jax.vjp(moving, *[values[k] for k in active])[1](cotangents))
 
     jaxpr = trace(back, shapes, [_shape(g, call.results[k]) for k in real])
-    cotangents = [_map(call.results[k], lambda i: found.get(i, g.zero)) for k in real]
+    cotangents = [_gathered(g, found, call.results[k]) for k in real]
     results = Reader(g).read(jaxpr, [*call.arguments, *cotangents])
     for k, values in zip(active, results, strict=True):
         for i, c in zip(call.arguments[k].reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True):
@@ -231,24 +233,31 @@ def _depending(g: Graph, program: ScalarProgram, active: Sequence[int]) -> set[i
 
 def _accumulate(g: Graph, found: dict[int, int], node: int, term: int) -> None:
     if term != g.zero:
-        found[node] = g.add(found[node], term) if node in found else term
+        found[node] = g.joined(found[node], term) if node in found else term
 
 
 def _new_inputs(g: Graph, argument: int, like: Nodes) -> Nodes:
-    flat = [g.input(argument, j, g.dtype) for j in range(like.size)]
+    flat = [g.input(argument, j, g.dtypes[i]) for j, i in enumerate(like.reshape(-1).tolist())]
     return np.array(flat, np.int64).reshape(like.shape)
 
 
 def _read(g: Graph, found: Mapping[int, int], program: ScalarProgram) -> tuple[Nodes, ...]:
     return tuple(
-        _map(nodes, lambda i: found.get(i, g.zero))
+        _gathered(g, found, nodes)
         for nodes, dtype in zip(program.outputs, program.types, strict=True)
-        if np.issubdtype(dtype, np.floating)
+        if is_real(dtype)
     )
 
 
-def _map(nodes: Nodes, function: Any) -> Nodes:
-    return np.array([function(i) for i in nodes.reshape(-1).tolist()], np.int64).reshape(nodes.shape)
+def is_real(dtype: Any) -> bool:
+    """Whether results of a type have derivatives."""
+    return bool(jnp.issubdtype(dtype, jnp.floating))
+
+
+def _gathered(g: Graph, found: Mapping[int, int], nodes: Nodes) -> Nodes:
+    """What was found of each node, else zero of its type."""
+    flat = [found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in nodes.reshape(-1).tolist()]
+    return np.array(flat, np.int64).reshape(nodes.shape)
 
 
 def _dtype(g: Graph, nodes: Nodes) -> np.dtype[Any]:

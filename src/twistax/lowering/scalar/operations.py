@@ -105,7 +105,7 @@ class Convert(Operation):
         return [g.node(convert(g.dtypes[arguments[0]]), cotangent) if self._linear(g, arguments) else None]
 
     def _linear(self, g: Algebra, arguments: tuple[int, ...]) -> bool:
-        return all(d is not None and jnp.issubdtype(d, jnp.floating) for d in (self.result, g.dtypes[arguments[0]]))
+        return all(d is not None and jnp.issubdtype(d, jnp.inexact) for d in (self.result, g.dtypes[arguments[0]]))
 
 
 _BOOL = np.dtype(bool)
@@ -132,6 +132,13 @@ def _larger(greater: Operation) -> Partials:
         return [first, g.sub(g.one, first)]
 
     return partials
+
+
+def _rem(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
+    """x - n y, n the whole part of x / y."""
+    ratio = g.div(*a)
+    whole = g.mul(_call("sign")(g, ratio), _call("floor")(g, _call("abs")(g, ratio)))
+    return [g.one, g.neg(whole)]
 
 
 def _clamp(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
@@ -168,20 +175,31 @@ def _call(name: str) -> Callable[[Algebra, int], int]:
     return lambda g, x: g.node(by_primitive[name], x)
 
 
-def _inverse_root(sign: float, offset: float) -> Callable[[Algebra, int, int], int]:
-    """1 / sqrt(offset + sign x^2)."""
-
-    def function(g: Algebra, x: int, y: int) -> int:
-        square = g.mul(x, x)
-        under = g.add(g.constant(offset), square) if sign > 0.0 else g.sub(g.constant(offset), square)
-        return g.div(g.one, _call("sqrt")(g, under))
-
-    return function
+def _slope(g: Algebra, x: int, y: int) -> int:
+    """Of |x|: 1 at zero."""
+    return g.select(g.node(by_primitive["ge"], x, g.zero), g.one, g.constant(-1.0))
 
 
-def _square_plus(g: Algebra, x: int, sign: float) -> int:
-    """1 + sign x^2."""
-    return g.add(g.one, g.mul(x, x)) if sign > 0.0 else g.sub(g.one, g.mul(x, x))
+def _beside_one(g: Algebra, x: int) -> int:
+    """1 - x^2, without cancellation near one."""
+    return g.mul(g.sub(g.one, x), g.add(g.one, x))
+
+
+def _arc(g: Algebra, x: int, y: int) -> int:
+    return g.div(g.one, _call("sqrt")(g, _beside_one(g, x)))
+
+
+def _arc_of_sinh(g: Algebra, x: int, y: int) -> int:
+    return g.div(g.one, _call("sqrt")(g, _square_plus(g, x)))
+
+
+def _arc_of_cosh(g: Algebra, x: int, y: int) -> int:
+    return g.div(g.one, _call("sqrt")(g, g.mul(g.sub(x, g.one), g.add(x, g.one))))
+
+
+def _square_plus(g: Algebra, x: int) -> int:
+    """1 + x^2."""
+    return g.add(g.one, g.mul(x, x))
 
 
 # ---- the operations --------------------------------------------------------------------------------------------------
@@ -204,11 +222,11 @@ by_primitive: dict[str, Operation] = {
         Operation("mul", np.multiply, lax.mul, lambda g, a, y: [a[1], a[0]], symmetric=True),
         Operation("div", np.divide, lax.div, _div),
         Operation("neg", np.negative, lax.neg, lambda g, a, y: [g.constant(-1.0)]),
-        Operation("abs", np.abs, lax.abs, _of(lambda g, x, y: _call("sign")(g, x)), parity=1),
+        Operation("abs", np.abs, lax.abs, _of(_slope), parity=1),
         Operation("sign", np.sign, lax.sign, parity=-1),
         Operation("floor", np.floor, lax.floor),
         Operation("ceil", np.ceil, lax.ceil),
-        Operation("rem", np.fmod, lax.rem),
+        Operation("rem", np.fmod, lax.rem, _rem),
         Operation("max", np.maximum, lax.max, None, symmetric=True),
         Operation("min", np.minimum, lax.min, None, symmetric=True),
         Operation("clamp", _between, lambda low, x, high: lax.clamp(low, x, high), _clamp),
@@ -223,18 +241,22 @@ by_primitive: dict[str, Operation] = {
         Operation("log1p", np.log1p, lax.log1p, _of(lambda g, x, y: g.div(g.one, g.add(g.one, x)))),
         Operation("sin", np.sin, lax.sin, _of(lambda g, x, y: _call("cos")(g, x)), parity=-1),
         Operation("cos", np.cos, lax.cos, _of(lambda g, x, y: g.neg(_call("sin")(g, x))), parity=1),
-        Operation("tan", np.tan, lax.tan, _of(lambda g, x, y: _square_plus(g, y, 1.0)), parity=-1),
-        Operation("asin", np.arcsin, lax.asin, _of(_inverse_root(-1.0, 1.0)), parity=-1),
-        Operation("acos", np.arccos, lax.acos, _of(lambda g, x, y: g.neg(_inverse_root(-1.0, 1.0)(g, x, y)))),
-        Operation("atan", np.arctan, lax.atan, _of(lambda g, x, y: g.div(g.one, _square_plus(g, x, 1.0))), parity=-1),
+        Operation("tan", np.tan, lax.tan, _of(lambda g, x, y: _square_plus(g, y)), parity=-1),
+        Operation("asin", np.arcsin, lax.asin, _of(_arc), parity=-1),
+        Operation("acos", np.arccos, lax.acos, _of(lambda g, x, y: g.neg(_arc(g, x, y)))),
+        Operation("atan", np.arctan, lax.atan, _of(lambda g, x, y: g.div(g.one, _square_plus(g, x))), parity=-1),
         Operation("sinh", np.sinh, lax.sinh, _of(lambda g, x, y: _call("cosh")(g, x)), parity=-1),
         Operation("cosh", np.cosh, lax.cosh, _of(lambda g, x, y: _call("sinh")(g, x)), parity=1),
-        Operation("tanh", np.tanh, lax.tanh, _of(lambda g, x, y: _square_plus(g, y, -1.0)), parity=-1),
-        Operation("asinh", np.arcsinh, lax.asinh, _of(_inverse_root(1.0, 1.0)), parity=-1),
-        Operation("acosh", np.arccosh, lax.acosh, _of(_inverse_root(1.0, -1.0))),
+        Operation("tanh", np.tanh, lax.tanh, _of(lambda g, x, y: _beside_one(g, y)), parity=-1),
         Operation(
-            "atanh", np.arctanh, lax.atanh, _of(lambda g, x, y: g.div(g.one, _square_plus(g, x, -1.0))), parity=-1
+            "asinh",
+            np.arcsinh,
+            lax.asinh,
+            _of(_arc_of_sinh),
+            parity=-1,
         ),
+        Operation("acosh", np.arccosh, lax.acosh, _of(_arc_of_cosh)),
+        Operation("atanh", np.arctanh, lax.atanh, _of(lambda g, x, y: g.div(g.one, _beside_one(g, x))), parity=-1),
         Operation("logistic", _logistic, lax.logistic, _of(lambda g, x, y: g.mul(y, g.sub(g.one, y)))),
         Operation("stop_gradient", np.positive, lambda x: x),
         Operation("eq", np.equal, lax.eq, result=_BOOL, symmetric=True),
@@ -262,7 +284,7 @@ def convert(dtype: np.dtype[Any]) -> Operation:
     if dtype not in _CONVERSIONS:
         _CONVERSIONS[dtype] = Convert(
             f"to {dtype.name}",
-            lambda x: np.asarray(x).astype(dtype),
+            lambda x: (x if np.issubdtype(dtype, np.complexfloating) else np.real(x)).astype(dtype),
             lambda x: lax.convert_element_type(x, dtype),
             result=dtype,
         )

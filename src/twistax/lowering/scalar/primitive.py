@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,22 +14,41 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from ..small_call import inside_small_call, small_call
-from .derivatives import cotangent_program, tangent_program
+from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
 __all__ = ["Derived", "call_program", "program_p"]
 
 
-class Derived:
-    """A program with its derivatives, each made when first asked for. Compared and hashed by identity."""
+#: Of each result of a program.
+Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
 
-    def __init__(self, program: ScalarProgram) -> None:
-        self.program = program
+
+class Derived:
+    """A program with its derivatives, each made when it first runs. Compared and hashed by identity.
+
+    Args:
+        program: the program; or what makes it, with the shapes and types of its results.
+    """
+
+    def __init__(self, program: ScalarProgram | Callable[[], ScalarProgram], results: Shapes | None = None) -> None:
+        self._program = program
+        self._results = results
         self._tangents: dict[tuple[int, ...], Derived] = {}
         self._cotangents: dict[tuple[int, ...], Derived] = {}
         #: Of a program made by `tangent`: which one it is a derivative of, and along which arguments.
         self.origin: tuple[Derived, tuple[int, ...]] | None = None
+
+    @functools.cached_property
+    def program(self) -> ScalarProgram:
+        return self._program if isinstance(self._program, ScalarProgram) else self._program()
+
+    @functools.cached_property
+    def results(self) -> Shapes:
+        if self._results is not None:
+            return self._results
+        return [(nodes.shape, dtype) for nodes, dtype in zip(self.program.outputs, self.program.types, strict=True)]
 
     @functools.cached_property
     def function(self) -> Any:
@@ -37,11 +57,12 @@ class Derived:
     @property
     def real(self) -> list[int]:
         """The results that have derivatives."""
-        return [k for k, t in enumerate(self.program.types) if np.issubdtype(t, np.floating)]
+        return [k for k, (_, dtype) in enumerate(self.results) if is_real(dtype)]
 
     def tangent(self, active: tuple[int, ...]) -> Derived:
         if active not in self._tangents:
-            found = Derived(tangent_program(self.program, active))
+            # Made when it runs: what is only transposed need not have a forward derivative at all.
+            found = Derived(lambda: tangent_program(self.program, active), [self.results[k] for k in self.real])
             found.origin = (self, active)
             self._tangents[active] = found
         return self._tangents[active]
@@ -69,9 +90,13 @@ def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
 def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
     """On the CPU: body after body, each loop compiled as one function."""
     if depth == 0:
-        return derived.function(*arguments) if inside else small_call(derived.function, *arguments)
+        if inside or not any(jnp.size(a) for a in arguments):
+            return derived.function(*arguments)
+        return small_call(derived.function, *arguments)
     shape = jnp.shape(arguments[0])[:depth]
-    flat = [jnp.reshape(a, (-1, *jnp.shape(a)[depth:])) for a in arguments]
+    flat = [jnp.reshape(a, (math.prod(shape), *jnp.shape(a)[depth:])) for a in arguments]
+    if not any(jnp.size(a) for a in arguments):
+        return _run_wide(*arguments, derived=derived, depth=depth, inside=inside)
 
     def each(*flat: jax.Array) -> list[jax.Array]:
         return jax.lax.map(lambda row: derived.function(*row), flat)
@@ -89,11 +114,7 @@ def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> li
 
 def _abstract(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
     batch = np.shape(arguments[0])[:depth] if arguments else ()
-    program = derived.program
-    return [
-        jax.core.ShapedArray((*batch, *nodes.shape), dtype)
-        for nodes, dtype in zip(program.outputs, program.types, strict=True)
-    ]
+    return [jax.core.ShapedArray((*batch, *shape), dtype) for shape, dtype in derived.results]
 
 
 def _jvp(

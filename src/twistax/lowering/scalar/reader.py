@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from .graph import Graph, Nodes
 from .operations import by_primitive
 from .rules import RULES
+from .rules.movement import MOVEMENT
 
 __all__ = ["Reader", "trace"]
 
@@ -26,7 +29,10 @@ _CALLS = {
 }
 
 #: Calls that have a derivative of their own: kept whole for it.
-_OWN_DERIVATIVE = ("custom_jvp_call", "custom_vjp_call")
+_OWN_DERIVATIVE = ("custom_jvp_call", "custom_vjp_call", "custom_linear_solve")
+
+#: Rules that hold for numbers of any type.
+_ANY_TYPE = frozenset(MOVEMENT) | {"convert_element_type", "copy", "copy_p", "optimization_barrier"}
 
 #: Loops and branches with more equations than this, all turns together, are called as they are.
 _LONGEST = 4000
@@ -35,6 +41,37 @@ _LONGEST = 4000
 def trace(function: Callable[..., Any], *shapes: Any) -> ClosedJaxpr:
     """The jaxpr of a function of arrays of these shapes."""
     return jax.make_jaxpr(function)(*shapes)
+
+
+class _OwnDerivative:
+    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare."""
+
+    def __init__(self, eqn: Any, alone: ClosedJaxpr) -> None:
+        self._alone = alone
+        self._key = (eqn.primitive.name, _own(eqn).jaxpr.debug_info.func_src_info, _fingerprint(alone))
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OwnDerivative) and self._key == other._key and self._back == other._back
+
+    @functools.cached_property
+    def _back(self) -> Any:
+        avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
+
+        def linear(*values: Any) -> Any:
+            real = [k for k, v in enumerate(values) if jnp.issubdtype(v.dtype, jnp.inexact)]
+
+            def moving(*some: Any) -> Any:
+                given = dict(zip(real, some, strict=True))
+                results = jaxpr_as_fun(self._alone)(*(given.get(k, v) for k, v in enumerate(values)))
+                return [r for r in results if jnp.issubdtype(r.dtype, jnp.inexact)]
+
+            results, back = jax.vjp(moving, *(values[k] for k in real))
+            return back([jnp.ones_like(r) for r in results])
+
+        return _fingerprint(trace(linear, *avals))
 
 
 class Reader:
@@ -78,18 +115,35 @@ class Reader:
         if name in _CALLS:
             return self.read(_closed(eqn.params[_CALLS[name]]), arrays)
         if name in _OWN_DERIVATIVE:
-            known = all(self.graph.values(a) is not None for a in arrays)
-            return (
-                self.read(_own(eqn), arrays) if known or not self.whole else self._call(jaxpr, eqn, arrays, inline=True)
-            )
+            out = not self.whole or self._constant(eqn, arrays)
+            return self._written_out(eqn, arrays) if out else self._call(jaxpr, eqn, arrays, inline=True)
         special = _SPECIAL.get(name)
         found = special(self, eqn, arrays) if special else None
-        if found is None and name in RULES:
+        if found is None and name in RULES and (name in _ANY_TYPE or not self._foreign(eqn)):
             found = RULES[name](self.graph, eqn, *arrays)
         if found is None:
             self.unread.add(name)
             found = self._call(jaxpr, eqn, arrays, inline=False)
         return found
+
+    def _constant(self, eqn: Any, arrays: list[Nodes]) -> bool:
+        """Whether a function with a derivative of its own needs none: all is known, of a solve the matrix."""
+        if eqn.primitive.name == "custom_linear_solve":
+            arrays = arrays[: sum(eqn.params["const_lengths"])]
+        return all(self.graph.values(a) is not None for a in arrays)
+
+    def _written_out(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
+        """What a function with a derivative of its own does; a solve, by the solver that it came with."""
+        if eqn.primitive.name != "custom_linear_solve":
+            return self.read(_own(eqn), arrays)
+        counts = eqn.params["const_lengths"]
+        skip, right = counts.matvec + counts.vecmat, arrays[sum(counts) :]
+        return self.read(_own(eqn), [*arrays[skip : skip + counts.solve], *right])
+
+    def _foreign(self, eqn: Any) -> bool:
+        """Whether an equation works in complex numbers, or in a precision that is not the program's."""
+        dtypes = (v.aval.dtype for v in (*eqn.invars, *eqn.outvars))
+        return any(jnp.issubdtype(dtype, jnp.inexact) and dtype != self.graph.dtype for dtype in dtypes)
 
     def _call(self, jaxpr: Any, eqn: Any, arrays: list[Nodes], inline: bool) -> list[Nodes]:
         """An equation as a call of a function."""
@@ -100,7 +154,7 @@ class Reader:
         )
         alone = ClosedJaxpr(one, [])
         # What is written out for its derivative only has no effects, and is the same wherever it is the same.
-        key = (_own(eqn).jaxpr.debug_info.func_src_info, _fingerprint(alone)) if inline else object()
+        key = _OwnDerivative(eqn, alone) if inline else object()
         return list(self.graph.call(alone, key, distinct.values(), inline).results)
 
     # ---- control flow --------------------------------------------------------------------------------------------
@@ -132,7 +186,10 @@ class Reader:
             return self.read(branches[int(np.clip(number, 0, len(branches) - 1))], operands)
         if sum(_equations(b.jaxpr) for b in branches) > _LONGEST:
             return None
+        before = len(g.calls)
         cases = [self.read(branch, operands) for branch in branches]
+        if not all(call.inline for call in g.calls[before:]):
+            return None  # what is not written out runs only where its branch is taken: it may be a loop without end
         last = cases[-1]
         for k in range(len(branches) - 2, -1, -1):
             here = g.node(by_primitive["le"], int(index), g.constant(k, g.dtypes[int(index)]))
@@ -145,18 +202,10 @@ class Reader:
             ]
         return last
 
-    def _linear_solve(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
-        """The solver that the solve came with; derivatives go through it."""
-        counts = eqn.params["const_lengths"]
-        skip, own = counts.matvec + counts.vecmat, counts.solve
-        right = arrays[sum(counts) :]
-        return self.read(eqn.params["jaxprs"].solve, [*arrays[skip : skip + own], *right])
-
 
 _SPECIAL: dict[str, Callable[[Reader, Any, list[Nodes]], list[Nodes] | None]] = {
     "scan": Reader._scan,
     "cond": Reader._cond,
-    "custom_linear_solve": Reader._linear_solve,
 }
 
 
@@ -180,7 +229,7 @@ def _equations(jaxpr: Any) -> int:
 
 def _own(eqn: Any) -> ClosedJaxpr:
     """What a function with a derivative of its own does."""
-    return _closed(eqn.params["call_jaxpr"])
+    return _closed(eqn.params["jaxprs"].solve if "jaxprs" in eqn.params else eqn.params["call_jaxpr"])
 
 
 def _fingerprint(closed: ClosedJaxpr) -> Any:
