@@ -22,7 +22,8 @@ def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
     g = form.graph
 
     def function(*arguments: jax.Array) -> list[jax.Array]:
-        entries = [jnp.reshape(a, -1) for a in arguments]
+        # Barriers: XLA would work out all that an array needs again for each of its entries.
+        entries = lax.optimization_barrier([jnp.reshape(a, -1) for a in arguments])
         values: dict[int, jax.Array] = {}
 
         def array(nodes: Any, dtype: Any) -> jax.Array:
@@ -47,9 +48,8 @@ def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
                 values[i] = jnp.asarray(g.numbers[i], g.dtypes[i])
             else:
                 values[i] = operation.array(*(values[a] for a in g.arguments(i)))
-        # XLA would work out all that an array needs again for each of its entries.
         needed = sorted(set(form.flat))
         values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
-        return list(map(array, form.outputs, form.types))
+        return lax.optimization_barrier(list(map(array, form.outputs, form.types)))
 
     return function
