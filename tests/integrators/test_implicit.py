@@ -95,11 +95,19 @@ def fitted_order(method: tx.ImplicitRKMK, counts: tuple[int, ...]) -> float:
     return -np.polyfit(np.log(counts), np.log(errors), 1)[0]
 
 
-@pytest.mark.parametrize("tableau", IMPLICIT, ids=lambda tableau: tableau.name)
+#: Those of three stages see what those of two would.
+_LONG = (RADAU_IIA3, GAUSS_LEGENDRE4)
+
+
+@pytest.mark.parametrize(
+    "tableau",
+    [pytest.param(t, marks=[pytest.mark.slow] if t in _LONG else [], id=t.name) for t in IMPLICIT],
+)
 def test_the_order_is_what_the_tableau_says(tableau: CollocationTableau) -> None:
     assert fitted_order(tx.ImplicitRKMK(tableau), COUNTS[tableau.order]) == pytest.approx(tableau.order, abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_fit_sees_commutators_that_are_left_out() -> None:
     method = tx.ImplicitRKMK(RADAU_IIA5, tx.charts.Exponential(commutators=1))
     assert fitted_order(method, COUNTS[5]) < 4.5

@@ -110,6 +110,8 @@ def test_refuses(rates: Any, body: Any, message: str) -> None:
         (lambda: tx.Splitting(tx.tableaus.RK4, BODY), "a composition like tx.compositions.KAHAN_LI8"),
         (lambda: tx.Splitting(STRANG, []), "bodies like tx.FreeBody"),
         (lambda: tx.Splitting(STRANG, ["R"]), "bodies like tx.FreeBody"),
+        (lambda: tx.FreeParticle("p", 3), "states or their names, got 3"),
+        (lambda: tx.FreeBody(2.0 * w, "w", inertia=TENSOR), "states or their names"),
         (lambda: tx.FreeBody("R", inertia=TENSOR), "either velocity=... or momentum=..."),
         (lambda: tx.FreeBody("R", "w", momentum="L", inertia=TENSOR), "either velocity=... or momentum=..."),
         (lambda: tx.FreeBody("R", "w", inertia=J * w[0]), "an expression of parameters"),
@@ -125,17 +127,6 @@ def test_constructors_refuse(make: Any, message: str | None) -> None:
 def test_steps_chosen_by_tolerances_are_refused_with_the_way_out() -> None:
     with pytest.raises(tx.ModelError, match=r"does not estimate its error(.|\n)*fix: give dt or steps"):
         tx.integrate(compiled_top(), TOP_START, t1=1.0, rtol=1e-6, method=tx.Splitting(STRANG, TOP_BODY))
-
-
-def test_a_spatial_inertia_of_parameters_that_is_none_ends_the_flight() -> None:
-    """Nothing can be raised inside of a compiled flight."""
-    M = tx.Parameter("M", value=spatial_inertia())
-    dynamics, method = tx.compile(hung(matrix=M)), tx.Splitting(STRANG, tx.FreeBody("g", "V", inertia=M))
-    x0, wrong = {"g": np.eye(4), "V": np.ones(6)}, np.diag([1.0, 2.0, 3.0, 1.0, 1.0, 1.0])
-    assert tx.integrate(dynamics, x0, t1=1.0, steps=9, method=method).result == tx.Result.DONE
-    flight = tx.integrate(dynamics, x0, t1=1.0, steps=9, method=method, params={"M": wrong}, throw=False)
-    assert flight.result == tx.Result.NON_FINITE
-    assert flight.stats.accepted == 0
 
 
 def test_methods_are_values() -> None:

@@ -31,7 +31,7 @@ _FEW, _MANY = 8, 200
 #: What Newton's method may leave of the error allowed: steps are better than their estimate.
 _SHARE = 0.005
 #: Inverses serve again for steps that differ by no more than this share from the one they were made for,
-_ALIKE = 0.05
+_ALIKE = 0.2
 #: and as long as Newton's method converges this fast.
 _FAST = 0.03
 

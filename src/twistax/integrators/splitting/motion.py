@@ -7,6 +7,8 @@ from typing import Any
 
 import jax
 
+from ...errors import ModelError
+from ...expr import State
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ..charts.whole import Blocks, StoredState
@@ -73,5 +75,9 @@ class FreeMotion(ABC):
 
 
 def name_of(leaf: Any) -> str:
-    """The name of a state given as such or by its name."""
-    return leaf if isinstance(leaf, str) else str(leaf.name)
+    """The name of a state given as such or by its name. Raises ModelError for anything else."""
+    if isinstance(leaf, State):
+        return leaf.name
+    if not isinstance(leaf, str):
+        raise ModelError(f"a body expects its states or their names, got {leaf!r}")
+    return leaf
