@@ -15,7 +15,7 @@ from ..charts.stored import tightened
 from ..charts.whole import Blocks
 from .inertia import CenteredInertia, Inertia
 from .motion import Flows
-from .spin import arrays
+from .spin import arrays, conjugate
 from .sums import Sum, begun, increased, value
 
 __all__ = ["AttitudeFlows", "PoseFlows"]
@@ -45,7 +45,7 @@ class AttitudeFlows(Flows):
 
     def value(self, y: Blocks) -> Arrays:
         pose, momenta = y[self.position], value(y[self.velocity])
-        own = self.out(_turned(_conjugate(pose[:4]), momenta))
+        own = self.out(_turned(conjugate(pose[:4]), momenta))
         return {self.position: self.part.value(self._from_center(pose)), self.velocity: self._array(own)}
 
     def at_rest(self, y: Blocks) -> Arrays:
@@ -117,10 +117,6 @@ class PoseFlows(AttitudeFlows):
     def _arm(self, pose: Components) -> Components:
         """From the origin of the frame to the centre of mass, in world axes."""
         return quaternions.rotate(pose[:4], arrays(self.center, pose[0]))
-
-
-def _conjugate(q: Components) -> Components:
-    return (q[0], *scale(-1.0, q[1:]))
 
 
 def _turned(q: Components, vectors: Components) -> Components:

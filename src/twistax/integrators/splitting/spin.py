@@ -14,7 +14,7 @@ import numpy as np
 from ...groups import quaternions
 from ...groups.components import Components, cross, dot, matrix, scale, unpack, vector
 
-__all__ = ["Frame", "Number", "Rows", "Spin", "arrays", "times"]
+__all__ = ["Frame", "Number", "Rows", "Spin", "arrays", "conjugate", "times"]
 
 #: A constant, which costs nothing where it is zero, or a traced number.
 Number: TypeAlias = jax.Array | float
@@ -35,6 +35,11 @@ def times(rows: Rows, v: Components) -> Components:
 def arrays(numbers: Sequence[Number], like: jax.Array) -> Components:
     """The numbers as scalars of the precision of `like`."""
     return tuple(jnp.asarray(number, like.dtype) for number in numbers)
+
+
+def conjugate(q: Components) -> Components:
+    """The unit quaternion of the inverse rotation."""
+    return (q[0], *scale(-1.0, q[1:]))
 
 
 def _weighted(row: Sequence[Number], v: Components) -> jax.Array:
@@ -81,7 +86,7 @@ class _Axis:
 
     def flow(self, q: Components, L: Components, dt: jax.Array) -> Components:
         """The attitude dt later; L is the momentum in world axes."""
-        own = quaternions.rotate(_conjugate(q), L)
+        own = quaternions.rotate(conjugate(q), L)
         half = 0.5 * dt * self.strength * _weighted(self.n, own)
         return quaternions.product(q, (jnp.cos(half), *scale(jnp.sin(half), arrays(self.n, half))))
 
@@ -174,10 +179,6 @@ class Spin:
             return _Axis(unpack(entry[0]), entry[1]).flow(q, L, dt), None
 
         return jax.lax.scan(turn, q, (directions, strengths), reverse=backwards)[0]
-
-
-def _conjugate(q: Components) -> Components:
-    return (q[0], *scale(-1.0, q[1:]))
 
 
 def _diagonal(entries: Sequence[Number]) -> Rows:
