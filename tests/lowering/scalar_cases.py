@@ -157,10 +157,7 @@ def _compare_jacobian(case: Case, expected: Sequence[Any], same: Any) -> None:
     program, along = case.program, case.along()
     entries = jacobian(program, case.active)
     vector = np.concatenate([a.reshape(-1) for a in along]) if along else np.zeros(0)
-    nodes = np.array(list(entries.values()), np.int64)
-    one = ScalarProgram(program.graph, program.inputs, tuple(nodes[k] for k in range(nodes.size)), ())
-    types = tuple(program.graph.dtypes[i] for i in nodes.tolist())
-    values = evaluate(dataclasses.replace(one, outputs=tuple(np.array(i) for i in nodes), types=types), *case.arrays)
+    values = evaluate(program.restricted([np.array(node) for node in entries.values()]), *case.arrays)
     found = np.zeros(len(program.flat), np.result_type(vector))
     for (row, column), value in zip(entries, values, strict=True):
         found[row] += value * vector[column]
