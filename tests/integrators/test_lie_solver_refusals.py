@@ -56,6 +56,8 @@ def test_solvers_that_are_no_runge_kutta_methods(unchecked: None) -> None:
     for solver in (diffrax.ReversibleHeun(), diffrax.LeapfrogMidpoint(), diffrax.SPaRK(), TSIT5, "Tsit5"):
         with pytest.raises(tx.ModelError, match="LieSolver wraps Runge-Kutta solvers, got"):
             tx.diffrax.LieSolver(solver, top())
+    with pytest.raises(tx.ModelError, match=r"got its class.\n  fix: Tsit5\(\)"):
+        tx.diffrax.LieSolver(diffrax.Tsit5, top())
     with pytest.raises(tx.ModelError, match=r"expects tx.compile\(system\)"):
         tx.diffrax.LieSolver(diffrax.Tsit5(), top().system)
     with pytest.raises(tx.ModelError, match=r"expects tx.compile\(system\)"):

@@ -153,10 +153,10 @@ class AdaptiveCourse(Course):
         packed, read = ravel_pytree(y)
         carry, read_carry = ravel_pytree(stepper.method.begin(stepper.dynamics, y, rate))
         packing = _Packing(read, read_carry)
-        zero = jnp.zeros((), int)
+        zero, first = jnp.zeros((), int), jnp.where(self.first > 0.0, self.first, chosen)
         now = _Now(
             t=self.t0,
-            h=jnp.where(self.first > 0.0, self.first, chosen),
+            h=first,
             y=packed,
             carry=carry,
             errors=Errors.none(self.t0.dtype),
@@ -168,7 +168,7 @@ class AdaptiveCourse(Course):
             last=None if stops.place is None else (self.t0, packed),
             path=self._empty_path() if record or self.dense else None,
             every=put(rows(packed, self.bound + 1), 0, packed) if self.dense else None,
-            watched=None if self.watch is None else self.watch.begin(stepper, self.t0, guess, y),
+            watched=None if self.watch is None else self.watch.begin(stepper, self.t0, first, y),
         )
 
         def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
@@ -228,7 +228,8 @@ class AdaptiveCourse(Course):
         code = jnp.where(failed, trouble, now.code)
         halted, watched = failed, None
         if now.watched is not None:
-            watched = self.watch.after(stepper, now.t, step, found.y, now.watched, now.accepted == 0)
+            ends = t == self.stops.limits[-1]
+            watched = self.watch.after(stepper, now.t, step, found.y, now.watched, now.accepted == 0, ends)
             hit = good & watched.hits.any()
             # The flight halts before the step with the event.
             good, halted, code = good & ~hit, failed | hit, jnp.where(hit, Result.EVENT.value, code)

@@ -19,7 +19,8 @@ from .stepper import Stepper
 
 __all__ = ["Event", "Watch", "Watched", "watch_of"]
 
-#: A value at the start that is this many units of round-off, or less, of the one a step later counts as zero.
+#: A value at the start or the end of a flight that is this many units of round-off, or less, of the one at the other
+#: end of the step counts as zero.
 _HAIR = 1e3
 
 
@@ -29,12 +30,14 @@ class Event:
 
     A step during which the sign of the condition changes is flown again up to the root, in its group and to round-off
     of the time. Two roots within one step are not seen: `tx.StepControl(dtmax=...)` or dt must be shorter than the time
-    between them. A condition that is zero at the start, up to round-off, is no event until it has been something else.
+    between them. A condition that is zero at the start, up to round-off, is no event until it has been something else;
+    one that is zero at the end, up to round-off, is. Where it is not a number it has no sign.
 
     Attributes:
         condition: an expression of shape (), or a traceable function f(t, x, u, params) -> (). A function is part of
             the compiled program: another one compiles again.
-        direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls.
+        direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls. The
+            number 0, which other programs read as any root, is refused.
 
     Raises:
         ModelError: a condition that is neither, or of another shape; another direction.
@@ -52,8 +55,11 @@ class Event:
             raise ModelError(
                 f"Event expects an expression or a function f(t, x, u, params), got {type(self.condition).__name__}"
             )
-        if not (self.direction is None or self.direction in (True, False, 1, -1)):
-            raise ModelError(f"Event: direction must be None, True (rising) or False (falling), got {self.direction!r}")
+        known = self.direction is None or isinstance(self.direction, bool) or self.direction in (1, -1)
+        if not known:
+            raise ModelError(
+                f"Event: direction must be None (any), True (rising) or False (falling), got {self.direction!r}"
+            )
 
     @property
     def sense(self) -> int:
@@ -115,17 +121,29 @@ class Watch:
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
 
     def begin(self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks) -> Watched:
-        """At the start of a flight whose first step is about h."""
-        values = self.values(stepper, t, h, t, y)
+        """At the start of a flight whose first step is about h.
+
+        The sign that counts is the one just after: where a flight goes on from an event, that at the start is noise.
+        """
+        eps = float(jnp.finfo(t.dtype).eps)
+        s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
+        now, soon = self.values(stepper, t, h, t, y), self.values(stepper, t, h, t + s, stepper.advance(t, y, s))
+        values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
         return Watched(values, jnp.zeros(values.shape, bool))
 
     def after(
-        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: jax.Array
+        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: Any, last: Any
     ) -> Watched:
-        """At the end y of a step from t: values there, and which became zero on the way. Zero at the end counts."""
+        """At the end y of a step from t: values there, and which became zero on the way. Zero at the end counts.
+
+        Args:
+            first, last: whether the flight begins or ends with this step.
+        """
         now = self.values(stepper, t, h, t + h, y)
         hair = _HAIR * float(jnp.finfo(now.dtype).eps)
-        old = jnp.where(first & (jnp.abs(before.values) <= hair * jnp.abs(now)), 0.0, before.values)
+        sizes = jnp.abs(before.values), jnp.abs(now)
+        old = jnp.where(first & (sizes[0] <= hair * sizes[1]), 0.0, before.values)
+        now = jnp.where(last & (sizes[1] <= hair * sizes[0]), 0.0, now)
         wanted = jnp.asarray(self.senses)
         falls, rises = (old > 0.0) & (now <= 0.0), (old < 0.0) & (now >= 0.0)
         hits = (falls & (wanted <= 0)) | (rises & (wanted >= 0))

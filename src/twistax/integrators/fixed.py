@@ -99,7 +99,8 @@ class FixedCourse(Course):
             watched = None
             if now.watched is not None:
                 t = self._time(now.steps)
-                watched = self.watch.after(stepper, t, self.h, found.y, now.watched, now.steps == 0)
+                first, last = now.steps == 0, now.steps + 1 == self.steps
+                watched = self.watch.after(stepper, t, self.h, found.y, now.watched, first, last)
                 hit = good & watched.hits.any()
                 watched = watched._replace(values=jnp.where(hit, now.watched.values, watched.values))
                 code, good = jnp.where(hit, Result.EVENT.value, code), good & ~hit

@@ -29,26 +29,33 @@ def bracketed_root(
 ) -> tuple[jax.Array, jax.Array]:
     """The root between low and high, to `finest`, and the number of evaluations. Traceable.
 
-    Halves the bracket, or interpolates where that is known to be safe. Where the signs at the two ends are the same,
+    Halves the bracket, or interpolates where that is known to be safe. A zero counts as past the root, what is not a
+    number as before it, so of many zeros in a row the first is found. Where the signs at the two ends are the same,
     because of round-off, the root is at the end with the smaller value; where at_low is zero it is low.
 
     Source: Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
     without using derivatives (1997).
     """
-    at_high = function(high)
+    past = -jnp.sign(at_low) * float(jnp.finfo(at_low.dtype).tiny)
+
+    def signed(x: jax.Array) -> jax.Array:
+        value = function(x)
+        return jnp.where(jnp.isnan(value), at_low, jnp.where(value == 0.0, past, value))
+
+    at_high = signed(high)
 
     def best(now: _Bracket) -> tuple[jax.Array, jax.Array]:
         first = jnp.abs(now.a[1]) < jnp.abs(now.b[1])
         return jnp.where(first, now.a[0], now.b[0]), jnp.where(first, now.a[1], now.b[1])
 
     def unsolved(now: _Bracket) -> jax.Array:
-        apart = now.a[1] * now.b[1] < 0.0
+        apart = jnp.sign(now.a[1]) * jnp.sign(now.b[1]) < 0.0
         return apart & (jnp.abs(now.b[0] - now.a[0]) > 2.0 * finest) & (now.tries < _MOST)
 
     def narrow(now: _Bracket) -> _Bracket:
         (a, fa), (b, fb) = now.a, now.b
         x = a + now.share * (b - a)
-        fx = function(x)
+        fx = signed(x)
         same = jnp.sign(fx) == jnp.sign(fa)
         # What the new place replaces becomes the third one.
         c, fc = jnp.where(same, a, b), jnp.where(same, fa, fb)

@@ -267,6 +267,8 @@ def _terms_taken(solver: Any) -> int:
 def _check(solver: Any, dynamics: Any, chart: Any) -> None:
     if not isinstance(dynamics, Dynamics):
         raise ModelError(f"LieSolver expects tx.compile(system) second, got {type(dynamics).__name__}")
+    if isinstance(solver, type):
+        raise ModelError(f"LieSolver expects a solver, got its class.\n  fix: {solver.__name__}()")
     inner = solver.solver if type(solver) is diffrax.HalfSolver else solver
     known = (diffrax.AbstractRungeKutta, diffrax.Euler, diffrax.ImplicitEuler)
     if not isinstance(inner, known) or isinstance(inner, diffrax.AbstractWrappedSolver):
