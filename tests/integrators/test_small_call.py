@@ -82,8 +82,8 @@ def test_entries_set_at_one_place_are_inside() -> None:
 def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """A JAX that has lost it flies the same, only slower. Its inertia is baked: as an input it calls LAPACK."""
     body = tx.compile(forced_body(), bake={"M": spatial_inertia()})
-    known, seen = module._all_known, []
-    monkeypatch.setattr(module, "_all_known", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
+    known, seen = module.known_inside, []
+    monkeypatch.setattr(module, "known_inside", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
     for tableau in (RK4, DOP853):
         method = tx.RKMK(tableau)
         fast = tx.integrate(body, start(), t1=1.0, dt=0.05, method=method, save_at=[0.0, 0.32, 1.0])

@@ -12,8 +12,10 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from ..errors import ModelError
 from .scalar.graph import TooLarge
 from .scalar.numbering import ValueNumbering
+from .scalar.passes import emitted_form
 from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
+from .small_call import known_inside
 from .work import array_operations
 
 __all__ = ["XLA", "Arrays", "Emission", "Emitter"]
@@ -94,5 +96,9 @@ class XLA(Emitter):
             # What parameters alone determine XLA works out once, before a loop, as long as it is in arrays.
             kind = "change with time and state, " if fixed else ""
             return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
+        foreign = [c for c in emitted_form(program).calls if not known_inside(c.jaxpr.jaxpr)]
+        if foreign:
+            names = ", ".join(sorted({e.primitive.name for c in foreign for e in c.jaxpr.jaxpr.eqns}))
+            return Emission(arrays, None, f"arrays: it calls {names}, around which scalars would be slow")
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")

@@ -21,7 +21,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from .concrete import is_traced
 
-__all__ = ["fits", "inside_small_call", "small_call"]
+__all__ = ["fits", "inside_small_call", "known_inside", "small_call"]
 
 try:
     from jax.experimental.xla_metadata import set_xla_metadata
@@ -75,7 +75,7 @@ def inside_small_call() -> bool:
 
 def fits(function: Callable[..., Any], *arguments: Any) -> bool:
     """Whether function(*arguments) is made of operations known to compile as one small function."""
-    return _all_known(jax.make_jaxpr(function)(*arguments).jaxpr)
+    return known_inside(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 
 def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
@@ -107,7 +107,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         jaxpr = jax.make_jaxpr(flat)(*leaves)
     finally:
         _INSIDE.reset(outside)
-    if not trusted and not _all_known(jaxpr.jaxpr):
+    if not trusted and not known_inside(jaxpr.jaxpr):
         return function(*arguments)
     run, leaves = _opened(jaxpr, leaves)
     # Constants must not be moved inside either: an argument that is one then counts as never read.
@@ -147,7 +147,7 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
     return outlined
 
 
-def _all_known(jaxpr: Any) -> bool:
+def known_inside(jaxpr: Any) -> bool:
     """Whether every operation, also inside of loops and branches, is one that compiles inside a function."""
     for equation in jaxpr.eqns:
         name = equation.primitive.name
@@ -156,7 +156,7 @@ def _all_known(jaxpr: Any) -> bool:
         largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
         if name not in _MOVING and largest > (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY):
             return False
-        if not all(_all_known(inner) for inner in _inner(equation.params)):
+        if not all(known_inside(inner) for inner in _inner(equation.params)):
             return False
     return True
 

@@ -261,7 +261,9 @@ class Graph(Algebra):
     def sources(self, node: int) -> list[int]:
         """The nodes that a node is worked out from, those of a call included."""
         call = self.call_of(node)
-        return list(self.arguments(node)) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
+        return (
+            list(self.arguments(node)) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
+        )
 
     def call_of(self, node: int) -> Call | None:
         """The call whose result a node is."""

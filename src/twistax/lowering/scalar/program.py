@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from .graph import Graph, Nodes
+from .graph import Call, Graph, Nodes
 from .numbering import NumberedGraph, ValueNumbering
 from .reader import Reader, trace
 
@@ -45,18 +45,17 @@ class ScalarProgram:
         """The nodes that are needed, arguments first."""
         return self.graph.live(self.flat)
 
+    @functools.cached_property
+    def calls(self) -> list[Call]:
+        """The calls that are needed."""
+        return list({id(c): c for i in self.live if (c := self.graph.call_of(i)) is not None}.values())
+
     def counts(self) -> dict[str, int]:
         """Operations by name; a function with a derivative of its own counts as one."""
-        g = self.graph
-        found: Counter[str] = Counter()
-        calls = set()
-        for i in self.live:
-            operation, call = g.operation(i), g.call_of(i)
-            if operation is not None:
-                found[operation.name] += 1
-            elif call is not None and id(call) not in calls:
-                calls.add(id(call))
-                found["call"] += 1
+        operations = (self.graph.operation(i) for i in self.live)
+        found = Counter(operation.name for operation in operations if operation is not None)
+        if self.calls:
+            found["call"] = len(self.calls)
         return dict(sorted(found.items()))
 
     @property
