@@ -150,8 +150,8 @@ def test_a_batch_is_its_members(capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_backwards_and_forwards_is_home_again() -> None:
     dynamics, control = top(), tx.diffrax.controller(1e-10)
-    solver = tx.diffrax.LieSolver(diffrax.Dopri8(), dynamics)
-    there = last(fly(diffrax.Dopri8(), 1.0, stepsize_controller=control))
+    solver = tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics)
+    there = last(fly(diffrax.Tsit5(), 1.0, stepsize_controller=control))
     back = diffrax.diffeqsolve(
         tx.diffrax.lie_term(dynamics), solver, 1.0, 0.0, None, there, stepsize_controller=control
     )
