@@ -406,5 +406,5 @@ def test_explain_of_one_entry() -> None:
     assert baked.explain("v[1]").value == 0.0
     assert str(baked.explain("v[1]")) == "v[1] is 0 always"
     for wrong in ("w", "v[2]", "v[1"):
-        with pytest.raises(tx.InputError, match="explain expects|no entry"):
+        with pytest.raises(tx.InputError, match=r"explain expects|no entry"):
             dynamics.explain(wrong)
