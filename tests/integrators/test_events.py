@@ -40,7 +40,7 @@ def fly(event: Any, height: Any = 5.0, speed: Any = 0.0, t1: float = 6.0, **how:
     return tx.integrate(falling(), start(height, speed), t1=t1, event=event, **how)
 
 
-@pytest.mark.parametrize("how", [FIXED, CHOSEN], ids=["fixed", "chosen"])
+@pytest.mark.parametrize("how", [pytest.param(FIXED, marks=pytest.mark.slow), CHOSEN], ids=["fixed", "chosen"])
 def test_the_first_of_several_events_stops_the_flight_at_its_exact_time(how: dict) -> None:
     """The same program for all heights: from low ones the ground comes first, from high ones the quarter of a turn."""
     events = [GROUND, QUARTER, RISING]
@@ -77,7 +77,7 @@ def test_without_an_event_on_the_way_the_end_is_reached() -> None:
     assert flight.stats == plain.stats
 
 
-@pytest.mark.parametrize("how", [FIXED, CHOSEN], ids=["fixed", "chosen"])
+@pytest.mark.parametrize("how", [FIXED, pytest.param(CHOSEN, marks=pytest.mark.slow)], ids=["fixed", "chosen"])
 def test_saved_times_before_the_event_and_the_event(how: dict) -> None:
     """Also those within the last step; later ones are cut, and the last row is the event. Dense output ends there."""
     exact = np.sqrt(2.0 * 5.0 / WEIGHT)
@@ -138,7 +138,7 @@ def _gap(t: Any, x: Any, u: Any, params: Any) -> Any:
     return jnp.where((t > 0.33) & (t < 0.6), jnp.nan, 0.6 - t)
 
 
-@pytest.mark.parametrize("how", [{"steps": 8}, CHOSEN], ids=["fixed", "chosen"])
+@pytest.mark.parametrize("how", [pytest.param({"steps": 8}, marks=pytest.mark.slow), CHOSEN], ids=["fixed", "chosen"])
 @pytest.mark.parametrize(
     ("condition", "exact"),
     [
@@ -203,6 +203,7 @@ def test_a_batch_stops_each_member_at_its_own_event() -> None:
     np.testing.assert_allclose(flights.xs["g"][:2, -1, 2, 3], 0.0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_conditions_may_read_time_controls_and_parameters() -> None:
     x, F, k = tx.State("x"), tx.Control("F"), tx.Parameter("k", value=2.0)
     motor = tx.compile(tx.System(rates={x: k * F}))
@@ -247,6 +248,7 @@ def test_refusals(unchecked: None) -> None:
         fly(tx.Event(g[2, 3] - tx.Parameter("other", value=1.0)), **FIXED)
 
 
+@pytest.mark.slow
 def test_the_same_condition_does_not_compile_again() -> None:
     from twistax.integrators.flight import fly as compiled
 

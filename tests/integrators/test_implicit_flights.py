@@ -105,6 +105,7 @@ def test_saved_times_change_no_step_and_are_as_accurate_as_the_flight() -> None:
     assert np.abs(orthogonal).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_steps_that_learn_from_the_last_one_end_where_steps_alone_do() -> None:
     """With fixed steps both are solved to round-off: a flight of twenty steps is twenty flights of one."""
     options = {"params": SCENE.params, "method": RADAU}
@@ -183,6 +184,7 @@ def test_derivatives_on_a_group(options: dict[str, Any]) -> None:
     check_gradient(cost, jnp.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.3]))
 
 
+@pytest.mark.slow
 def test_second_derivatives() -> None:
     x, k = tx.State("x"), tx.Parameter("k")
     dynamics = tx.compile(tx.System(rates={x: -k * x**3}))
@@ -244,6 +246,7 @@ def test_methods_are_values() -> None:
     assert "Radau IIA 5" in RADAU.name
 
 
+@pytest.mark.slow
 def test_another_flight_does_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
     def fly(k: float, **options: float) -> None:
         tx.integrate(actuator(), {"p": 0.3, "w": 0.4}, params={"k": k}, method=tx.ImplicitRKMK(RADAU_IIA5), **options)

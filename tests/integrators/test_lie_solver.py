@@ -122,6 +122,7 @@ def tumbling(order: tx.Order) -> tx.System:
     return tx.System(rates={g: V, V: -tx.lie.AdjointDual(V, inertia * V, order=order) / inertia})
 
 
+@pytest.mark.slow
 def test_chosen_steps_are_nearly_those_of_integrate_in_either_order() -> None:
     """Nearly: diffrax never shortens a step right after one that was kept. The order does not matter at all."""
     steps = []
@@ -154,6 +155,7 @@ def test_rotations_stay_in_their_group() -> None:
     assert defect(sol.ys["R"][1:]) < 2e-15
 
 
+@pytest.mark.slow
 def test_a_plain_controller_works_too() -> None:
     control = diffrax.PIDController(rtol=1e-8, atol=1e-8)
     sol = fly(diffrax.Tsit5(), 1.0, 0.01, stepsize_controller=control)

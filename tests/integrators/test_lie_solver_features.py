@@ -102,6 +102,7 @@ def cost(z: jax.Array, adjoint: Any) -> jax.Array:
     return jnp.sum(jnp.sin(sol.ys["R"][-1] @ sol.ys["w"][-1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "adjoint", [diffrax.RecursiveCheckpointAdjoint(), pytest.param(diffrax.DirectAdjoint(), marks=pytest.mark.slow)]
 )
@@ -148,6 +149,7 @@ def test_a_batch_is_its_members(capfd: pytest.CaptureFixture[str]) -> None:
     assert "100" in capfd.readouterr().out
 
 
+@pytest.mark.slow
 def test_backwards_and_forwards_is_home_again() -> None:
     dynamics, control = top(), tx.diffrax.controller(1e-10)
     solver = tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics)
@@ -158,6 +160,7 @@ def test_backwards_and_forwards_is_home_again() -> None:
     assert apart(last(back), start()) < 1e-8
 
 
+@pytest.mark.slow
 def test_jumps_of_tables_and_functions() -> None:
     """A table that jumps at the end of a step is read on the right side by every step; a function with jump_ts too."""
     x, F = tx.State("x"), tx.Control("F")

@@ -68,7 +68,9 @@ def test_order_of_an_asymmetric_top_in_a_field_that_changes(
     assert abs(order - composition.order) < 0.25
 
 
-@pytest.mark.parametrize("composition", ALL, ids=lambda c: c.name)
+@pytest.mark.parametrize(
+    "composition", [pytest.param(c, marks=[pytest.mark.slow] if c.order > 4 else []) for c in ALL], ids=lambda c: c.name
+)
 def test_order_of_a_body_with_offset_centre_of_mass_on_a_spring(
     composition: tx.compositions.Composition, hung_end: State
 ) -> None:
@@ -136,6 +138,7 @@ def test_inertia_given_at_run_time(top_end: State) -> None:
     assert distance(sol, top_end) < 2e-10
 
 
+@pytest.mark.slow
 def test_moments_given_at_run_time_are_those_of_a_constant() -> None:
     moments, J = MOMENTS, tx.Parameter("J", value=[1.1, 1.0, 0.5])
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
@@ -156,6 +159,7 @@ def test_moments_given_at_run_time_are_those_of_a_constant() -> None:
         np.testing.assert_allclose(ends[0].xs[name], ends[1].xs[name], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_point_and_an_attitude_together() -> None:
     """A satellite under the gravity gradient: the torque reads the position, which moves as a particle."""
     scene = SCENES["low-orbit"]
@@ -267,6 +271,7 @@ def driven() -> tx.Dynamics:
     return tx.compile(tx.System(rates={R: w, w: tx.linalg.Solve(TENSOR, tx.Cross(TENSOR @ w, w) + R.T @ F)}))
 
 
+@pytest.mark.slow
 def test_controls_that_jump_at_steps_cost_no_order() -> None:
     dynamics, rows = driven(), np.random.default_rng(4).normal(size=(4, 3))
     u = {"F": tx.Held(ts=[0.0, 0.5, 1.0, 1.5], values=rows)}
@@ -280,6 +285,7 @@ def test_controls_that_jump_at_steps_cost_no_order() -> None:
     assert np.log2(errors[0] / errors[1]) > 5.6
 
 
+@pytest.mark.slow
 def test_saved_times_and_dense_output(top_end: State) -> None:
     method = tx.Splitting(KAHAN_LI8, TOP_BODY)
     sol = tx.integrate(
@@ -360,6 +366,7 @@ def test_a_batch_flies_as_each_alone() -> None:
     np.testing.assert_allclose(together, [end(V) for V in twists], rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_single_precision(hung_end: State) -> None:
     x0 = {name: np.asarray(value, np.float32) for name, value in start().items()}
     sol = tx.integrate(compiled_hung(), x0, t1=END, steps=60, method=tx.Splitting(KAHAN_LI6, HUNG_BODY))
