@@ -138,6 +138,7 @@ def _gap(t: Any, x: Any, u: Any, params: Any) -> Any:
     return jnp.where((t > 0.33) & (t < 0.6), jnp.nan, 0.6 - t)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [pytest.param({"steps": 8}, marks=pytest.mark.slow), CHOSEN], ids=["fixed", "chosen"])
 @pytest.mark.parametrize(
     ("condition", "exact"),
@@ -179,6 +180,7 @@ def test_derivatives_of_the_time_and_the_state(how: dict) -> None:
         np.testing.assert_allclose(found, jax.jacfwd(exact)(z), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_derivatives_with_respect_to_what_a_condition_closes_over() -> None:
     """A function as condition, under jit; a level 1 m up is met earlier by 1/v for every metre."""
     z = jnp.array([5.0, WEIGHT])
@@ -217,6 +219,7 @@ def test_conditions_may_read_time_controls_and_parameters() -> None:
     np.testing.assert_allclose(late.ts, [0.75], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "how"),
     [

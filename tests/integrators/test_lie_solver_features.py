@@ -115,6 +115,7 @@ def test_reverse_derivatives(adjoint: Any) -> None:
         np.testing.assert_allclose(slope @ direction, numeric, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_forward_derivatives() -> None:
     z = jnp.asarray(np.random.default_rng(5).normal(size=9) * 0.1)
     direction = jnp.ones(9)

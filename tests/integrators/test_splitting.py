@@ -112,6 +112,7 @@ def test_variants_fly_the_same_body(name: str, hung_end: State) -> None:
     assert distance(sol, of(hung_end)) < 2e-10
 
 
+@pytest.mark.slow
 def test_a_spatial_inertia_that_is_a_parameter(hung_end: State) -> None:
     """A matrix that is none ends the flight: nothing can be raised inside of a compiled one."""
     M = tx.Parameter("M", value=spatial_inertia())
@@ -327,6 +328,7 @@ def stepped() -> Any:
     return jax.jit(lambda z, direction: jax.jvp(end, (z,), (direction,)))
 
 
+@pytest.mark.slow
 def test_derivatives_of_steps() -> None:
     """With respect to the start, the moments and a control; those in reverse are with the flights."""
     rng, step = np.random.default_rng(2), 1e-5

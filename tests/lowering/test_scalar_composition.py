@@ -174,6 +174,7 @@ def end(dynamics: tx.Dynamics, v: Any, **how: Any) -> Any:
     return tx.integrate(dynamics, START | {"w": v}, t1=0.5, u=U, throw=False, **how).xs
 
 
+@pytest.mark.slow
 def test_a_flight_and_its_gradient() -> None:
     def every(dynamics: tx.Dynamics) -> Any:
         return jax.value_and_grad(lambda v: end(dynamics, v, dt=0.1)["R"][..., 0, 1].sum())(jnp.asarray(START["w"]))
