@@ -57,6 +57,7 @@ def test_the_first_of_several_events_stops_the_flight_at_its_exact_time(how: dic
     assert "event" in str(tx.Result.EVENT)
 
 
+@pytest.mark.slow
 def test_directions() -> None:
     """Thrown up through 6 m at rising and falling heights; each direction stops at its own crossing."""
     rise, fall = (20.0 - np.sqrt(400.0 - 2.0 * WEIGHT)) / WEIGHT, (20.0 + np.sqrt(400.0 - 2.0 * WEIGHT)) / WEIGHT

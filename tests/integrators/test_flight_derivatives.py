@@ -132,6 +132,7 @@ def oscillator() -> tx.Dynamics:
     return tx.compile(tx.System(rates={x: tx.Concat(x[1], F - k * tx.Sin(x[0]))}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["chosen", "equal"])
 def test_second_derivatives(how: str) -> None:
     """Forward over reverse against differences of the gradient, in start, parameter, jump and end."""
@@ -189,6 +190,7 @@ def test_derivatives_at_no_turn_and_at_a_half_turn(chart: object) -> None:
         np.testing.assert_allclose(one, other, rtol=0.0, atol=2e-8)
 
 
+@pytest.mark.slow
 def test_lanes_of_a_batch_are_single_flights_and_so_are_their_derivatives() -> None:
     """Lanes need different numbers of steps: each has its own."""
     dynamics = oscillator()

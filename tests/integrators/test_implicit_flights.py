@@ -87,6 +87,7 @@ def test_what_is_no_tableau_or_chart_is_refused(unchecked: None) -> None:
 # ---- saved times -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_saved_times_change_no_step_and_are_as_accurate_as_the_flight() -> None:
     start = {"R": tx.lie.so3.exp(jnp.array([0.3, -0.2, 0.5])), "w": jnp.asarray(0.4)}
     options = {"params": {"k": 1e5}, "atol": 1e-8, "method": RADAU}

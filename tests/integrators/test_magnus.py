@@ -139,6 +139,7 @@ def test_a_constant_twist_is_exact_in_one_step(group: Group, order: int) -> None
     np.testing.assert_allclose(sol.xs["g"][0], expm(3.0 * hat(group, rate)), atol=2e-14)
 
 
+@pytest.mark.slow
 def test_methods_agree_on_fine_steps() -> None:
     methods = [tx.Magnus(), tx.Magnus(6), tx.CommutatorFree(), tx.RKMK(DOP853)]
     ends = [
@@ -228,6 +229,7 @@ def test_precision_follows_the_start(order: int) -> None:
         np.testing.assert_allclose(single[name], double[name].astype(np.float32), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_derivatives_agree() -> None:
     """Of one step by start and parameter. Loops over steps are the same for every method."""
     R, w, J = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Parameter("J", shape=(3,))
