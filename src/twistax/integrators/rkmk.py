@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts import Chart, Exponential
+from .charts import Chart, Exponential, chart_of
 from .charts.whole import Blocks, StateCoordinates, coordinates_of
 from .method import Attempt, Carry, ControlsAt, Method
 from .stages import stage_slopes
@@ -45,10 +45,8 @@ class RKMK(Method):
     def __post_init__(self) -> None:
         if not isinstance(self.tableau, ButcherTableau):
             raise ModelError(f"RKMK expects a tableau like tx.tableaus.RK4, got {self.tableau!r}")
-        if self.chart is None:
-            object.__setattr__(self, "chart", Exponential(commutators=max(1, self.tableau.order - 2)))
-        if not isinstance(self.chart, Chart):
-            raise ModelError(f"RKMK expects a chart like tx.charts.Exponential(), got {self.chart!r}")
+        default = Exponential(commutators=max(1, self.tableau.order - 2))
+        object.__setattr__(self, "chart", chart_of("RKMK", self.chart, default))
 
     @property
     def name(self) -> str:

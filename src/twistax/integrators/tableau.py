@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from .coefficients import coefficients
 
 __all__ = ["ButcherTableau", "Rows", "lower_triangle"]
 
@@ -57,7 +58,7 @@ class ButcherTableau:
 
     def __post_init__(self) -> None:
         for field in ("a", "b", "c"):
-            object.__setattr__(self, field, self._array(field))
+            object.__setattr__(self, field, coefficients(field, getattr(self, field), self._error))
         if self.b.ndim != 1 or not self.b.size:
             raise self._error(f"b must be a vector, got shape {self.b.shape}")
         s = self.b.size
@@ -131,7 +132,7 @@ class ButcherTableau:
         if getattr(self, weights) is None:
             return
         self._check_order(order)
-        array = self._array(weights)
+        array = coefficients(weights, getattr(self, weights), self._error)
         object.__setattr__(self, weights, array)
         if array.shape != self.b.shape:
             raise self._error(f"{weights} must have shape {self.b.shape}, got {array.shape}")
@@ -141,17 +142,6 @@ class ButcherTableau:
         order = getattr(self, field)
         if not isinstance(order, int) or order < 1:
             raise self._error(f"{field} must be a positive whole number, got {order!r}")
-
-    def _array(self, field: str) -> np.ndarray:
-        given: Sequence[Any] = getattr(self, field)
-        try:
-            array = np.array(given, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise self._error(f"{field} is not an array of numbers: {error}") from None
-        if not np.isfinite(array).all():
-            raise self._error(f"{field} has entries that are not finite")
-        array.setflags(write=False)
-        return array
 
     def _check_weights(self, field: str, weights: np.ndarray) -> None:
         if abs(weights.sum() - 1.0) > _TOLERANCE:

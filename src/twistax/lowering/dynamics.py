@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..errors import InputError, ModelError
 from ..expr import (
@@ -27,11 +25,10 @@ from ..expr import (
 )
 from ..system import System
 from .emitters import XLA, Emission, Emitter
-from .explain import Dependence, Explanation, count_equations, distinct_nodes, entry_names, written_nodes
+from .explain import Dependence, Explanation
+from .explainer import Explainer
 from .inputs import Values, prepare
 from .jacobian import RateJacobian
-from .scalar.program import scalarize
-from .work import array_operations
 
 Arrays = dict[str, jax.Array]
 
@@ -48,6 +45,7 @@ class Dynamics:
         group: the product group of the state; its `slices` say where each state sits in a tangent vector.
         dimension: length of a tangent vector.
         emitter: how its functions become JAX programs.
+        baked: the names of parameters folded into the code.
     """
 
     def __init__(
@@ -57,7 +55,7 @@ class Dynamics:
         self.emitter = emitter
         self._emissions: dict[Any, tuple[Emission, Any]] = {}
         self._jacobians: dict[Any, RateJacobian] = {}
-        self._baked = tuple(bake)
+        self.baked = tuple(bake)
         narrowed = _narrow(system.outputs, outputs)
         constants = _constants(system.parameters, bake)
         self._rates = _canonical(system.rates, constants)
@@ -112,7 +110,7 @@ class Dynamics:
         Raises:
             InputError: as a call of the dynamics; an unknown entry in wrt.
         """
-        found, arrays = self._jacobian(self.prepare(t, x, u, params), tuple(wrt))
+        found, arrays = self.rate_jacobian(self.prepare(t, x, u, params), tuple(wrt))
         return found(*arrays)
 
     def retract(self, x: Values, d: Any) -> Arrays:
@@ -126,97 +124,23 @@ class Dynamics:
         other = {name: value.astype(inputs.dtype) for name, value in self.prepare(0.0, y, reads=()).x.items()}
         return self.group.difference(inputs.x, other)
 
+    @overload
+    def explain(self) -> Explanation: ...
+
+    @overload
+    def explain(self, of: str) -> Dependence: ...
+
     def explain(self, of: str | None = None) -> Explanation | Dependence:
-        """What is computed, what was left out, and the counts before and after.
+        """What is computed, what was left out, and the counts before and after. Compiles the rates once to time it.
 
         Args:
             of: a rate or an output, "V", or one entry of it, "V[3]", "speed": what it depends on instead.
         Raises:
             InputError: no rate and no output of that name, or no such entry.
+            ModelError: too many scalars to count.
         """
-        return self._explanation() if of is None else self._dependence(of)
-
-    def _explanation(self) -> Explanation:
-        roots = list(self._rates.values())
-        every = [*roots, *self._outputs.values(), *self._inequalities.values(), *self._equalities.values()]
-        read, read_anywhere = _names(roots), _names(every)
-        unused = []
-        for leaf in (*self.controls, *self.parameters):
-            kind = type(leaf).__name__
-            if leaf.name not in read_anywhere:
-                unused.append(f"{kind} {leaf.name!r} is not used: nothing depends on it")
-            elif leaf.name not in read:
-                unused.append(f"{kind} {leaf.name!r} is not used by any rate")
-        kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
-        inputs = self._zeros()
-        jacobian, _ = self._jacobian(inputs, ("x", "u", "params"))
-        rates = jacobian.rates
-        entries = [name for state in self.states for name in entry_names(state.name, self._rates[state.name].shape)]
-        numbers = [rates.graph.numbers[i] for i in rates.flat]
-        leaves, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
-        emission, _ = self.emission("rates", structure, tuple((a.shape, a.dtype) for a in leaves))
-        before = time.perf_counter()
-        jax.jit(self.vector_field).lower(inputs.t, inputs.x, inputs.u, inputs.params).compile()
-        seconds = time.perf_counter() - before
-        written = list(self.system.rates.values())
-        return Explanation(
-            leaves={kind: [leaf.name for leaf in leaves] for kind, leaves in kinds},
-            unused=unused,
-            baked=list(self._baked),
-            nodes=(written_nodes(written), distinct_nodes(roots)),
-            equations=(count_equations(self._jaxpr(written)), count_equations(self._jaxpr(roots))),
-            operations=(dict(sorted(array_operations(self._jaxpr(written)).items())), rates.counts()),
-            constants={name: n for name, n in zip(entries, numbers, strict=True) if n is not None},
-            patterns=jacobian.pattern,
-            emitter=emission.reason,
-            compile_seconds=seconds,
-        )
-
-    def _dependence(self, of: str) -> Dependence:
-        name, _, rest = of.partition("[")
-        rates = {state.name: self._rates[state.name].shape for state in self.states}
-        shapes = {**rates, **{output: expr.shape for output, expr in self._outputs.items()}}
-        if name not in shapes:
-            raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {', '.join(shapes)}")
-        inputs, family = self._zeros(), "rates" if name in rates else "outputs"
-        arrays = {"t": inputs.t, **inputs.x, **inputs.u, **inputs.params}
-
-        def function(*values: jax.Array) -> list[jax.Array]:
-            at = dict(zip(arrays, values, strict=True))
-            groups = [{key: at[key] for key in group} for group in (inputs.x, inputs.u, inputs.params)]
-            return [self._as_written(family, at["t"], *groups)[name]]
-
-        program = scalarize(function, *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays.values()))
-        if rest:
-            entries = entry_names(name, shapes[name])
-            wanted = of.replace(" ", "").replace(",", ", ")
-            if wanted not in entries:
-                raise InputError(f"{name} has no entry {of!r}; it has {entries[0]} to {entries[-1]}")
-            (nodes,) = program.outputs
-            program = program.restricted([nodes.reshape(-1)[[entries.index(wanted)]]])
-        return Dependence.of(of, program, list(arrays))
-
-    def _zeros(self) -> Inputs:
-        """Arguments of the right shapes: all states, and what anything reads."""
-        every = set().union(*self._reads.values())
-        own = {leaf.name: np.zeros(leaf.shape) for leaf in self._leaves}
-        x = {state.name: own[state.name] for state in self.states}
-        u = {control.name: own[control.name] for control in self.controls if control.name in every}
-        params = {parameter.name: own[parameter.name] for parameter in self.parameters if parameter.name in every}
-        return self.prepare(0.0, x, u, params, reads=())
-
-    def _jaxpr(self, roots: list[Expr]) -> Any:
-        """What the roots amount to in arrays, of all leaves that they read."""
-        dtype = jax.dtypes.canonicalize_dtype(float)
-        leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
-        inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
-
-        def function(values: Arrays) -> list[jax.Array]:
-            return evaluate_all(roots, lambda leaf: values[leaf.key()] if leaf.key() in leaves else leaf.read(inputs))
-
-        return jax.make_jaxpr(function)(
-            {k: jax.ShapeDtypeStruct(leaf.shape, dtype) for k, leaf in leaves.items()}
-        ).jaxpr
+        explainer = Explainer(self)
+        return explainer.everything() if of is None else explainer.one(of)
 
     # ---- what the floors above call ----------------------------------------------------------------------------
 
@@ -238,15 +162,13 @@ class Dynamics:
         """
         required = {state.name for state in self.states}
         for family in reads:
-            required |= self._reads[family]
+            required |= self.reads[family]
         return prepare(self._leaves, required, t, x, u, params)
 
     def evaluate(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """Rates, outputs or constraints from prepared arguments: traceable, unchecked, not jitted."""
         leaves, structure = jax.tree.flatten((t, x, u, params))
         emission, shape = self.emission(family, structure, tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves))
-        if emission.program is None:
-            return self._as_written(family, t, x, u, params)
         return jax.tree.unflatten(shape, emission.function(*leaves))
 
     def emission(
@@ -258,7 +180,7 @@ class Dynamics:
             shapes: list[Any] = []
 
             def function(*leaves: jax.Array) -> list[jax.Array]:
-                results, shape = jax.tree.flatten(self._as_written(family, *jax.tree.unflatten(structure, leaves)))
+                results, shape = jax.tree.flatten(self.as_written(family, *jax.tree.unflatten(structure, leaves)))
                 shapes.append(shape)
                 return results
 
@@ -267,7 +189,7 @@ class Dynamics:
             self._emissions[key] = (self.emitter.emit(closed, jax.tree.leaves(places[3])), shapes[0])
         return self._emissions[key]
 
-    def _jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
+    def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
         """The program of the Jacobian for arguments of these types, and the arguments."""
         for kind in wrt:
             if kind not in ("x", "u", "params"):
@@ -287,16 +209,16 @@ class Dynamics:
                 values: dict[str, Arrays] = {"x": {}, "u": {}, "params": {}}
                 for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
                     values[kind][name] = array
-                rates = self._as_written("rates", arrays[0], *values.values())
+                rates = self.as_written("rates", arrays[0], *values.values())
                 return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
 
             closed = jax.make_jaxpr(flat_rates)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays))
             self._jacobians[key] = RateJacobian(closed, places, self.group, wrt)
         return self._jacobians[key], arrays
 
-    def _as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+    def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The same in arrays, node by node."""
-        roots = self._families[family]
+        roots = self.families[family]
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
         flat = [expr for exprs in roots.values() for expr in exprs]
@@ -328,7 +250,8 @@ class Dynamics:
         return self._evaluate(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     @functools.cached_property
-    def _families(self) -> dict[str, dict[str, list[Expr]]]:
+    def families(self) -> dict[str, dict[str, list[Expr]]]:
+        """The simplified expressions of rates, outputs and constraints, by name."""
         constraints = {"inequality": list(self._inequalities.values()), "equality": list(self._equalities.values())}
         return {
             "rates": {name: [expr] for name, expr in self._rates.items()},
@@ -337,9 +260,10 @@ class Dynamics:
         }
 
     @functools.cached_property
-    def _reads(self) -> dict[str, set[str]]:
+    def reads(self) -> dict[str, set[str]]:
+        """The names of the leaves that each family reads."""
         return {
-            family: _names([e for exprs in roots.values() for e in exprs]) for family, roots in self._families.items()
+            family: _names([e for exprs in roots.values() for e in exprs]) for family, roots in self.families.items()
         }
 
 

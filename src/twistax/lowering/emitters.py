@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 
 import jax
+import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ..errors import ModelError
@@ -53,7 +54,7 @@ class Arrays(Emitter):
     """As written, in small arrays."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        return Emission(jaxpr_as_fun(closed), None, "arrays were asked for")
+        return Emission(_as_arrays(closed), None, "arrays were asked for")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +69,7 @@ class XLA(Emitter):
         numbering: merge scalars that are equal by value, a `tx.ValueNumbering`; its risk is stated there.
         least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
             them XLA finds as much by itself.
-        largest: functions of more scalars run as arrays: their compilation would take minutes.
+        largest: functions of more scalars run as arrays: the compiler would take long.
 
     Raises:
         ModelError: checked and numbering together.
@@ -84,14 +85,15 @@ class XLA(Emitter):
             raise ModelError("XLA expects checked or numbering, not both: merged scalars are not kept as written")
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        arrays = jaxpr_as_fun(closed)
+        arrays = _as_arrays(closed)
         if array_operations(closed.jaxpr).total() < self.least:
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
         try:
             program = scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
         except TooLarge:
             return Emission(arrays, None, f"arrays: more than {self.largest} scalars")
-        count = len(program.depending([k for k in range(len(program.inputs)) if k not in fixed]))
+        changing = program.depending([k for k in range(len(program.inputs)) if k not in fixed])
+        count = sum(program.graph.input_of(i) is None for i in changing)
         if count < self.least:
             # What parameters alone determine XLA works out once, before a loop, as long as it is in arrays.
             kind = "change with time and state, " if fixed else ""
@@ -102,3 +104,9 @@ class XLA(Emitter):
             return Emission(arrays, None, f"arrays: it calls {names}, around which scalars would be slow")
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
+
+
+def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
+    run = jaxpr_as_fun(closed)
+    # An output that is a number in the jaxpr comes back as NumPy's.
+    return lambda *leaves: [jnp.asarray(value) for value in run(*leaves)]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
+from ...errors import ModelError
 from ...groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
 from .coordinates import Coordinates, FlatCoordinates
 from .generic import GroupCoordinates
 
-__all__ = ["Chart"]
+__all__ = ["Chart", "chart_of"]
 
 
 class Chart(ABC):
@@ -35,3 +37,12 @@ class Chart(ABC):
     @abstractmethod
     def for_pose(self, group: SpecialEuclidean) -> Coordinates:
         """Coordinates around a pose whose twists have the order of `group`."""
+
+
+def chart_of(owner: str, given: Any, default: Chart) -> Chart:
+    """The chart that was given to a method, or the default one. Raises ModelError where it is none."""
+    if given is None:
+        return default
+    if not isinstance(given, Chart):
+        raise ModelError(f"{owner} expects a chart like tx.charts.Exponential(), got {given!r}")
+    return given

@@ -18,7 +18,7 @@ from ...errors import InputError, ModelError
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ..arguments import Arguments, read_arguments
-from ..charts import Chart, Exponential, SplitExponential
+from ..charts import Chart, Exponential, SplitExponential, chart_of
 from ..charts.whole import Blocks
 from ..controls import ByName
 from .chart_step import ChartStep, Frame
@@ -277,8 +277,7 @@ def _check(solver: Any, dynamics: Any, chart: Any) -> None:
             "around one start.\n"
             "  fix: take diffrax.Tsit5(), diffrax.Dopri8(), diffrax.Kvaerno5() or another Runge-Kutta solver"
         )
-    if chart is not None and not isinstance(chart, Chart):
-        raise ModelError(f"LieSolver expects a chart like tx.charts.Exponential(), got {chart!r}")
+    chart_of("LieSolver", chart, Exponential())
     tangents = isinstance(chart, Exponential) and not isinstance(chart, SplitExponential)
     if chart is not None and not tangents and not _is_explicit(solver):
         raise ModelError(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
+from ..coefficients import coefficients
 
 __all__ = ["CollocationTableau"]
 
@@ -47,7 +48,7 @@ class CollocationTableau:
 
     def __post_init__(self) -> None:
         for field in ("a", "b", "c"):
-            object.__setattr__(self, field, self._array(field))
+            object.__setattr__(self, field, coefficients(field, getattr(self, field), self._error))
         s = self.c.size
         if self.c.ndim != 1 or not s or not (np.diff(self.c, prepend=0.0) > 0.0).all() or self.c[-1] > 1.0:
             raise self._error(f"c must be a vector that grows from above 0 to at most 1, got {self.c}")
@@ -168,16 +169,6 @@ class CollocationTableau:
 
     def __repr__(self) -> str:
         return f"CollocationTableau({self.name}, order {self.order}, {self.stages} stages)"
-
-    def _array(self, field: str) -> NDArray[Any]:
-        try:
-            array = np.array(getattr(self, field), dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise self._error(f"{field} is not an array of numbers: {error}") from None
-        if not np.isfinite(array).all():
-            raise self._error(f"{field} has entries that are not finite")
-        array.setflags(write=False)
-        return array
 
     def _error(self, sentence: str) -> ModelError:
         return ModelError(f"tableau {self.name!r}: {sentence}")

@@ -14,7 +14,7 @@ from ...errors import ModelError
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ...lowering.small_call import small_call
-from ..charts import Chart, Exponential
+from ..charts import Chart, Exponential, chart_of
 from ..charts.whole import Blocks, StateCoordinates, coordinates_of
 from ..finite import all_finite
 from ..method import Attempt, Carry, ControlsAt, Method
@@ -103,10 +103,7 @@ class ImplicitRKMK(Method):
             raise ModelError(
                 f"ImplicitRKMK expects an implicit tableau like tx.tableaus.RADAU_IIA5, got {self.tableau!r}"
             )
-        if self.chart is None:
-            object.__setattr__(self, "chart", Exponential())
-        if not isinstance(self.chart, Chart):
-            raise ModelError(f"ImplicitRKMK expects a chart like tx.charts.Exponential(), got {self.chart!r}")
+        object.__setattr__(self, "chart", chart_of("ImplicitRKMK", self.chart, Exponential()))
 
     @property
     def name(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ModelError
+from ..coefficients import coefficients
 
 __all__ = ["Composition"]
 
@@ -40,12 +41,9 @@ class Composition:
     def __post_init__(self) -> None:
         if not isinstance(self.order, int) or self.order < 2 or self.order % 2:
             raise self._error(f"order must be an even whole number, got {self.order!r}")
-        try:
-            weights = np.array(self.weights, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise self._error(f"weights are not an array of numbers: {error}") from None
-        if weights.ndim != 1 or not weights.size or not np.isfinite(weights).all():
-            raise self._error(f"weights must be finite numbers with shape (s,), got {self.weights!r}")
+        weights = coefficients("weights", self.weights, self._error)
+        if weights.ndim != 1 or not weights.size:
+            raise self._error(f"weights must have shape (s,), got {weights.shape}")
         if not np.array_equal(weights, weights[::-1]):
             raise self._error("weights must read the same backwards")
         for power in range(1, self.order, 2):
@@ -54,7 +52,6 @@ class Composition:
             if abs(total - wanted) > _TOLERANCE * np.abs(weights**power).sum():
                 what = "weights" if power == 1 else f"powers {power} of the weights"
                 raise self._error(f"{what} must sum to {wanted:g} for order {self.order}, they sum to {total:.16g}")
-        weights.setflags(write=False)
         object.__setattr__(self, "weights", weights)
 
     @property

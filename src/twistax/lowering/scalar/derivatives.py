@@ -46,7 +46,7 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
         inputs.append(cotangents)
         for i, c in zip(nodes.reshape(-1).tolist(), cotangents.reshape(-1).tolist(), strict=True):
             _accumulate(g, found, i, c)
-    _pulled(g, program.live, found, _depending(g, program, active))
+    _pulled(g, program.live, found, program.depending(active))
     outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
     return ScalarProgram(g, tuple(inputs), outputs, tuple(_dtype(g, program.inputs[k]) for k in active))
 
@@ -215,17 +215,6 @@ def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int])
         for i, c in zip(call.arguments[k].reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True):
             if i in depending:
                 _accumulate(g, found, i, c)
-
-
-def _depending(g: Graph, program: ScalarProgram, active: Sequence[int]) -> set[int]:
-    """The live nodes that depend on the active inputs, these included."""
-    found = {i for k in active for i in program.inputs[k].reshape(-1).tolist()}
-    for i in program.live:
-        call = g.call_of(i)
-        sources = g.arguments(i) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
-        if any(j in found for j in sources):
-            found.add(i)
-    return found
 
 
 # ---- small things ----------------------------------------------------------------------------------------------------

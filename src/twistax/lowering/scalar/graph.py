@@ -296,8 +296,7 @@ class Graph(Algebra):
             if i in found:
                 continue
             found.add(i)
-            call = self.call_of(i)
-            todo += self.arguments(i) if call is None else [int(j) for a in call.arguments for j in a.reshape(-1)]
+            todo += self.sources(i)
         return sorted(found)
 
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:

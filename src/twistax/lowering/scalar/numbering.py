@@ -34,9 +34,10 @@ class ValueNumbering:
     Each scalar is worked out at random points; two that agree at all of them become one, and sums that vanish become
     zero. What was merged is verified at other points in extended precision; if a single one fails, none is merged.
 
-    The risk: two different functions may agree at all points to within the tolerance by accident, about once in 1e70
-    pairs, or nearly agree everywhere, as x and x + 1e-14 do; the program is then wrong by as little as the tolerance
-    says. Rounding differs from the program as written. Functions with kinks or branches are never merged.
+    The risk: two different functions may agree to within the tolerance at all points, by an accident that each further
+    point makes rarer by about that factor, or because they nearly agree everywhere, as x and x + 1e-14 do; the program
+    is then wrong by as little as the tolerance says. Rounding differs from the program as written. Functions with kinks
+    or branches are never merged.
 
     Attributes:
         points: how many random points; at least 2.

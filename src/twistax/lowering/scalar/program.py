@@ -64,14 +64,12 @@ class ScalarProgram:
         return sum(self.counts().values())
 
     def depending(self, arguments: Sequence[int]) -> set[int]:
-        """The operations and calls that depend on some of the arguments, as nodes."""
-        g = self.graph
+        """The nodes that are needed and depend on some of the arguments, and the arguments' own."""
         found = {i for k in arguments for i in self.inputs[k].reshape(-1).tolist()}
-        own = set(found)
         for i in self.live:
-            if any(j in found for j in g.sources(i)):
+            if any(j in found for j in self.graph.sources(i)):
                 found.add(i)
-        return found - own
+        return found
 
     def restricted(self, outputs: Sequence[Nodes]) -> ScalarProgram:
         """The same inputs with other outputs."""
