@@ -27,13 +27,15 @@ from ..system import System
 from .emitters import XLA, Emission, Emitter
 from .explain import Dependence, Explanation
 from .explainer import Explainer
+from .export.methods import Exports
 from .inputs import Values, prepare
 from .jacobian import RateJacobian
+from .scalar.primitive import Derived, call_program
 
 Arrays = dict[str, jax.Array]
 
 
-class Dynamics:
+class Dynamics(Exports):
     """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
 
     x, u and params are dicts by leaf name. u and params may be left out; a missing parameter takes its own value.
@@ -54,6 +56,7 @@ class Dynamics:
         self.system = system
         self.emitter = emitter
         self._emissions: dict[Any, tuple[Emission, Any]] = {}
+        self._called: dict[RateJacobian, Derived] = {}
         self._jacobians: dict[Any, RateJacobian] = {}
         self.baked = tuple(bake)
         narrowed = _narrow(system.outputs, outputs)
@@ -70,7 +73,7 @@ class Dynamics:
         self.group = system.group
         self.dimension = self.group.dimension
         self._leaves = (*self.states, *self.controls, *self.parameters)
-        self._evaluate = jax.jit(self.evaluate, static_argnums=0)
+        self._evaluate = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
 
     # ---- what a user calls -------------------------------------------------------------------------------------
 
@@ -111,7 +114,9 @@ class Dynamics:
             InputError: as a call of the dynamics; an unknown entry in wrt.
         """
         found, arrays = self.rate_jacobian(self.prepare(t, x, u, params), tuple(wrt))
-        return found(*arrays)
+        if found not in self._called:
+            self._called[found] = self.emitter.derived(found.program)
+        return dict(zip(found.blocks, call_program(self._called[found], *arrays), strict=True))
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""
@@ -165,17 +170,25 @@ class Dynamics:
             required |= self.reads[family]
         return prepare(self._leaves, required, t, x, u, params)
 
-    def evaluate(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
-        """Rates, outputs or constraints from prepared arguments: traceable, unchecked, not jitted."""
+    def evaluate(
+        self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True
+    ) -> Arrays:
+        """Rates, outputs or constraints from prepared arguments: traceable, unchecked, not jitted.
+
+        Args:
+            in_loop: in the form that suits an integrator's loop; else in the one for calls and batches.
+        """
         leaves, structure = jax.tree.flatten((t, x, u, params))
-        emission, shape = self.emission(family, structure, tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves))
+        types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
+        emission, shape = self.emission(family, structure, types, in_loop=in_loop)
         return jax.tree.unflatten(shape, emission.function(*leaves))
 
     def emission(
-        self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...]
+        self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
     ) -> tuple[Emission, Any]:
         """How a family of functions runs on arguments of these (shape, type), and the structure of its results."""
-        key = (family, structure, types)
+        emitter = self.emitter.in_loops() if in_loop else self.emitter
+        key = (emitter, family, structure, types)
         if key not in self._emissions:
             shapes: list[Any] = []
 
@@ -186,7 +199,7 @@ class Dynamics:
 
             closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(*each) for each in types))
             places = jax.tree.unflatten(structure, range(len(types)))
-            self._emissions[key] = (self.emitter.emit(closed, jax.tree.leaves(places[3])), shapes[0])
+            self._emissions[key] = (emitter.emit(closed, jax.tree.leaves(places[3])), shapes[0])
         return self._emissions[key]
 
     def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:

@@ -19,13 +19,16 @@ from ...errors import ModelError
 from .algebra import Algebra
 from .operations import Operation, by_primitive
 
-__all__ = ["Call", "Graph", "Nodes", "TooLarge"]
+__all__ = ["PIVOTED", "Call", "Graph", "Nodes", "TooLarge"]
 
 #: An array of nodes.
 Nodes = NDArray[Any]
 
 _ADD, _SUB, _MUL, _DIV = (by_primitive[name] for name in ("add", "sub", "mul", "div"))
 _NEG, _SELECT, _NOT = (by_primitive[name] for name in ("neg", "select", "not"))
+
+#: The largest matrix whose LU with pivots is written out: for larger ones the compiler's time outweighs the gain.
+PIVOTED = 4
 
 #: First entries of nodes that are no operations: a number, an input, a result of a call.
 _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
@@ -65,12 +68,14 @@ class Graph(Algebra):
             division. By default they are zero, also where x is infinite or not a number. The sign of a zero is not
             kept in either mode.
         largest: refuse to grow beyond this many nodes.
+        pivoted: LU with pivots is written out up to this size; choosing them takes more than the elimination itself.
     """
 
-    def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000) -> None:
+    def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000, pivoted: int = PIVOTED) -> None:
         self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.checked = checked
         self.largest = largest
+        self.pivoted = pivoted
         self.nodes: list[tuple[Any, ...]] = []
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.

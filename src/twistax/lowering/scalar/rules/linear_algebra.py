@@ -14,8 +14,6 @@ __all__ = ["LINEAR_ALGEBRA"]
 
 #: Larger matrices call the library.
 _LARGEST = 12
-#: The same with pivots: choosing them takes more than the elimination itself, and the compiler's time.
-_LARGEST_PIVOTED = 4
 
 
 def _cholesky(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
@@ -41,7 +39,7 @@ def _lu(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
     The first of the largest entries on or below the diagonal becomes the pivot; entries that are structurally zero are
     never compared.
     """
-    if a.ndim != 2 or a.shape[0] != a.shape[1] or a.shape[0] > _LARGEST_PIVOTED:
+    if a.ndim != 2 or a.shape[0] != a.shape[1] or a.shape[0] > g.pivoted:
         return None
     n, A = a.shape[0], a.copy()
     index = np.dtype(eqn.outvars[1].aval.dtype)

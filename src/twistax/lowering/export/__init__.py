@@ -1,0 +1,1 @@
+"""Compiled systems for other programs: C99, CasADi, files."""

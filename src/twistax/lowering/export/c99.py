@@ -1,0 +1,144 @@
+"""C99 code of a compiled system: header, source, and a test main."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import InputError, ModelError
+from .c_body import body
+from .c_header import MARK, declaration, defaults, header
+from .c_names import checked_name, identifiers
+from .c_test import Point, drawn_points, test_main
+from .c_types import CType, c_type
+from .functions import ExportedFunction, Exporter, Port
+from .version import version
+
+if TYPE_CHECKING:
+    from ..dynamics import Dynamics
+
+__all__ = ["CFiles", "write_c"]
+
+#: Of references at which the test main gives up, relative to the largest one of a function.
+_TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
+
+
+@dataclasses.dataclass(frozen=True)
+class CFiles:
+    """Where C code was written.
+
+    Attributes:
+        header, source: what a program includes and links.
+        test: a program that compares both with reference values, and ends with 0 where they agree.
+    """
+
+    header: Path
+    source: Path
+    test: Path
+
+
+def write_c(
+    dynamics: Any,
+    directory: str | Path,
+    *,
+    name: str,
+    dtype: Any,
+    jacobian: Sequence[str],
+    checked: bool,
+    points: Sequence[Sequence[Any]] | None,
+    tolerance: float | None,
+) -> CFiles:
+    """What `Dynamics.to_c` does; it says what the arguments are."""
+    name, real = checked_name(name), _real(dtype)
+    exporter = Exporter(dynamics, real.dtype, checked)
+    functions = _functions(exporter, jacobian)
+    names = identifiers([*exporter.arguments, *dict.fromkeys(port for f in functions for port in f.results)])
+    given = drawn_points(exporter) if points is None else [_point(exporter, each) for each in points]
+    allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
+    folder = Path(directory)
+    files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
+    texts = {
+        files.header: header(name, exporter, functions, names, real),
+        files.source: _source(name, exporter, functions, names, real),
+        files.test: test_main(name, exporter, functions, names, real, given, allowed),
+    }
+    _write(folder, texts)
+    return files
+
+
+def _real(dtype: Any) -> CType:
+    found = np.dtype(dtype)
+    if found.name not in _TOLERANCES:
+        raise InputError(f"dtype expects float64 or float32, got {found.name}")
+    return c_type(found)
+
+
+def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunction]:
+    dynamics: Dynamics = exporter.dynamics
+    wanted = [family for family in ("rates", "outputs", "constraints") if any(dynamics.families[family].values())]
+    found = [exporter.family(family) for family in wanted]
+    if jacobian:
+        if isinstance(jacobian, str):
+            raise InputError(f"jacobian expects a sequence like ('x', 'u'), got {jacobian!r}")
+        found.append(exporter.jacobian(jacobian))
+    found = [function for function in found if function.results]
+    if not found:
+        raise ModelError("there is nothing to write: no result has an entry")
+    return found
+
+
+def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
+    """(t, x, u, params) as arrays in the order of the arguments; parameters may be left out."""
+    given: list[Any] = [*point, *([{}] * (4 - len(point)))]
+    t, x, u, params = given
+    inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))
+    values = {"x": inputs.x, "u": inputs.u, "p": inputs.params}
+    raw = {"x": x, "u": u or {}, "p": params or {}}
+    found = [np.asarray(t, np.float64)]
+    for port in exporter.arguments[1:]:
+        value = raw[port.kind].get(port.name, values[port.kind].get(port.name))
+        found.append(np.zeros(port.shape) if value is None else np.asarray(value, np.float64).reshape(port.shape))
+    return found
+
+
+def _source(
+    name: str, exporter: Exporter, functions: Sequence[ExportedFunction], names: dict[Port, str], real: CType
+) -> str:
+    helpers: dict[str, str] = {}
+    bodies = []
+    for function in functions:
+        text, own = body(function, exporter.arguments, names)
+        helpers.update(own)
+        head = declaration(name, function, exporter.arguments, names, real)
+        bodies.append(f"{head}\n{{\n{text}}}\n")
+    constants = []
+    for port, values in defaults(exporter):
+        entries = ", ".join(real.literal(real.dtype.type(v)) for v in values)
+        constants.append(f"const {real.name} {name}_default_{names[port]}[{port.size}] = {{{entries}}};\n")
+    parts = [
+        f'{MARK} {version()}. The call convention stands in {name}.h. */\n#include "{name}.h"\n\n'
+        "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
+        "".join(constants),
+        *helpers.values(),
+        *bodies,
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _write(folder: Path, texts: dict[Path, str]) -> None:
+    """Files of an earlier call are replaced; others are left alone, and told."""
+    try:
+        for path in texts:
+            if path.exists() and not path.read_text(errors="replace").startswith(MARK):
+                raise InputError(
+                    f"{str(path)!r} exists and was not written by twistax.\n  fix: move it, or give another name="
+                )
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, text in texts.items():
+            path.write_text(text, encoding="ascii")
+    except OSError as error:
+        raise InputError(f"cannot write C code to {str(folder)!r}: {error}") from None

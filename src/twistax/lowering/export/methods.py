@@ -1,0 +1,60 @@
+"""What a compiled system can be written as: the methods of `Dynamics` that do so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .c99 import CFiles, write_c
+
+__all__ = ["Exports"]
+
+
+class Exports:
+    """Base of `Dynamics`: C99, CasADi, files."""
+
+    def to_c(
+        self,
+        directory: str | Path,
+        *,
+        name: str = "dynamics",
+        dtype: Any = np.float64,
+        jacobian: Sequence[str] = ("x", "u"),
+        checked: bool = False,
+        points: Sequence[Sequence[Any]] | None = None,
+        tolerance: float | None = None,
+    ) -> CFiles:
+        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+
+        The rates, and the outputs and constraints where there are any, are functions `name_rates`, `name_outputs`,
+        `name_constraints`; `name_jacobian` gives the derivatives of the rates as `jacobian` does. They allocate nothing
+        and need libm only. Files of those names that an earlier call wrote are replaced.
+
+        Args:
+            directory: where to; made if it is not there.
+            name: of the files, and what the names of all functions begin with.
+            dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
+            jacobian: which of "x", "u", "params" to differentiate by; () for no derivatives.
+            checked: keep 0 x, 0 / x and x - x in the values, as `tx.XLA(checked=True)` does.
+            points: where the test main compares: (t, x, u, params) each; drawn at random if left out.
+            tolerance: of that comparison, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
+        Returns:
+            The paths: `header`, `source`, `test`.
+        Raises:
+            ModelError: a part has no form in scalars, or two names become one in C.
+            InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
+                those names.
+        """
+        return write_c(
+            self,
+            directory,
+            name=name,
+            dtype=dtype,
+            jacobian=jacobian,
+            checked=checked,
+            points=points,
+            tolerance=tolerance,
+        )
