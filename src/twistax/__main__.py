@@ -55,6 +55,10 @@ def _report(given: argparse.Namespace) -> int:
         from .report.stability.command import run as run_stability
 
         return run_stability(given)
+    if given.speed:
+        from .report.speed.command import run as run_speed
+
+        return run_speed(given)
     from .report.work_precision.command import run
 
     return run(given)

@@ -15,6 +15,7 @@ import pytest
 
 import twistax as tx
 from twistax.__main__ import main
+from twistax.report.turns import time_in_turn
 from twistax.report.work_precision import command, flights
 from twistax.report.work_precision.contender import Contender, Counts, Program
 from twistax.report.work_precision.contenders import CONTENDERS
@@ -23,6 +24,7 @@ from twistax.report.work_precision.flights import measure_scene
 from twistax.report.work_precision.ladder import Ladder, Tolerances
 from twistax.report.work_precision.origin import Origin
 from twistax.report.work_precision.progress import Progress
+from twistax.report.work_precision.row import Row
 from twistax.report.work_precision.store import Store
 from twistax.scenes import SCENES, Scene
 
@@ -125,7 +127,7 @@ def test_a_wrong_answer_ends_in_status_1(
 
 
 def test_rows_say_what_happened(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.jsonl", ORIGIN)
+    store = Store(tmp_path / "rows.jsonl", ORIGIN, Row.of)
     assert measure_scene(TOP, [Pretended()], SHORT, store, quiet) == []
     rows = {row.setting: row for row in store}
     assert list(rows) == [1e-6, 1e-7, 1e-8, 1e-9]
@@ -136,15 +138,15 @@ def test_rows_say_what_happened(tmp_path: Path) -> None:
     assert np.isnan(rows[1e-9].error)
     assert np.isnan(rows[1e-9].seconds)
     assert rows[1e-9].result == "did not reach the end"
-    again = Store(tmp_path / "rows.jsonl", ORIGIN)
+    again = Store(tmp_path / "rows.jsonl", ORIGIN, Row.of)
     assert [row.record() for row in again] == [row.record() for row in store]
 
 
 def test_rows_of_other_versions_are_dropped(tmp_path: Path) -> None:
-    store = Store(tmp_path / "rows.jsonl", ORIGIN)
+    store = Store(tmp_path / "rows.jsonl", ORIGIN, Row.of)
     measure_scene(TOP, [Pretended()], SHORT, store, quiet)
     for change in ({"versions": {"jax": "2"}}, {"code": "abd"}, {"machine": "another"}, {"effort": {"rounds": 5}}):
-        other = Store(tmp_path / "rows.jsonl", dataclasses.replace(ORIGIN, **change))
+        other = Store(tmp_path / "rows.jsonl", dataclasses.replace(ORIGIN, **change), Row.of)
         assert (len(other), other.dropped) == (0, 4)
         other.add(store)
 
@@ -154,7 +156,7 @@ def test_a_method_that_cannot_fly_a_scene_is_named(tmp_path: Path) -> None:
         def build(self, scene: Scene) -> Program:
             raise tx.ModelError("the rate depends on the pose\n  fix: another method")
 
-    (refused,) = measure_scene(TOP, [Refusing()], SHORT, Store(tmp_path / "rows.jsonl", ORIGIN), quiet)
+    (refused,) = measure_scene(TOP, [Refusing()], SHORT, Store(tmp_path / "rows.jsonl", ORIGIN, Row.of), quiet)
     assert (refused.scene, refused.reason) == ("euler-top", "the rate depends on the pose")
 
 
@@ -168,7 +170,7 @@ def test_flights_take_turns() -> None:
 
     effort = dataclasses.replace(QUICK, rounds=6, least=3, share=0.05)
     taking = [flight("a", 1.0), flight("b", 1.0), flight("c", 6e-3), flight("d", 1e-3)]
-    flights._time_in_turn(taking, effort, quiet)
+    time_in_turn(taking, effort, quiet)
     assert "".join(order) == 3 * "cddddabcdddd"
     assert [len(each.samples) for each in taking] == [3, 3, 6, 18]
 

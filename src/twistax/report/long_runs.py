@@ -33,6 +33,7 @@ from .work_precision.ladder import Ladder, Steps
 from .work_precision.origin import origin_of
 from .work_precision.own import FixedSteps
 from .work_precision.progress import Progress
+from .work_precision.row import Row
 from .work_precision.store import Store
 
 __all__ = ["BARS", "Kept", "Motion", "flown", "main", "motions", "rivals"]
@@ -148,7 +149,7 @@ def rivals(effort: Any = FULL) -> dict[str, float]:
     progress = Progress(sys.stderr, 1, shown=True)
     progress.start(scene.title)
     with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(folder) / "rows.jsonl", origin_of(effort))
+        store = Store(Path(folder) / "rows.jsonl", origin_of(effort), Row.of)
         measure_scene(scene, contenders, effort, store, progress.tell)
         progress.end()
         empty = empty_call_seconds()

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from ...scenes import SCENES
+from ..speed.case import CASES
 from .contenders import CONTENDERS
 
 __all__ = ["add_options"]
@@ -38,6 +39,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="another report: what happens at the edges, stiff, long, extreme or wrong; --scene and --method do not "
         "apply, and --quick leaves out what takes long",
+    )
+    parser.add_argument(
+        "--speed",
+        action="store_true",
+        help="another report: what one evaluation of dynamics costs, ours and others'; --case picks functions",
+    )
+    parser.add_argument(
+        "--case",
+        type=_one_of("case", CASES),
+        action="append",
+        metavar="NAME",
+        help=f"with --speed, only this function; may be given again. There are {', '.join(CASES)}",
     )
     parser.add_argument(
         "--out",

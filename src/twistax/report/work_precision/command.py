@@ -20,7 +20,7 @@ from .flights import Refused, empty_call_seconds, measure_scene
 from .origin import Origin, origin_of
 from .page import TITLE, page
 from .progress import Progress
-from .row import COLUMNS
+from .row import COLUMNS, Row
 from .store import Store, save_csv, save_json
 
 __all__ = ["run"]
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = arguments.scene or [name for name in SCENES if name not in left_out]
     scenes = {name: SCENES[name] for name in SCENES if name in asked}
     origin = origin_of(effort)
-    store = Store(folder / "rows.jsonl", origin)
+    store = Store(folder / "rows.jsonl", origin, Row.of)
     print(f"machine   {origin.machine}", flush=True)
     if store.dropped:
         print(f"rows      {store.dropped} of other versions, code, machine or effort dropped", flush=True)
@@ -89,7 +89,7 @@ def _save(
     folder: Path, findings: Findings, bars: list[Outcome], refused: list[Refused], origin: Origin, command: str
 ) -> list[str]:
     """Tables, figures and pages; a line for each."""
-    save_csv(folder / "report.csv", findings.rows)
+    save_csv(folder / "report.csv", COLUMNS, findings.rows)
     save_json(folder / "report.json", _document(findings, bars, origin))
     figures: dict[str, bytes] = {}
     said = [str(folder / name) for name in ("report.csv", "report.json", "report.md", "report.html")]

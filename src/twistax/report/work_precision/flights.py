@@ -17,18 +17,13 @@ import numpy as np
 import twistax as tx
 
 from ...scenes import Scene
+from ..turns import SHORT, Tell, seconds_of, time_in_turn
 from .contender import Contender, Counts, Program
 from .effort import Effort
 from .row import Row
 from .store import Store
 
 __all__ = ["Refused", "empty_call_seconds", "measure_scene"]
-
-#: Called with what is going on, and how much of it is done, 0 to 1.
-Tell = Callable[[str, float], None]
-
-#: Timed calls in a row on each visit of a flight, after one that is not timed; a longer flight is called once.
-_CALLS, _SHORT = 3, 5e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +52,7 @@ class _Flight:
 
 
 def measure_scene(
-    scene: Scene, contenders: Iterable[Contender], effort: Effort, store: Store, tell: Tell
+    scene: Scene, contenders: Iterable[Contender], effort: Effort, store: Store[Row], tell: Tell
 ) -> list[Refused]:
     """Fly what is not in the store yet, time it in turn, and keep the rows.
 
@@ -76,12 +71,12 @@ def measure_scene(
             flights += _climb(scene, contender, effort, store, sitting)
         except tx.TwistaxError as error:
             refused.append(Refused(scene.name, contender.name, str(error).splitlines()[0]))
-    _time_in_turn([flight for flight in flights if flight.row.done], effort, tell)
+    time_in_turn([flight for flight in flights if flight.row.done], effort, tell)
     store.add(flight.timed() for flight in flights)
     return refused
 
 
-def _climb(scene: Scene, contender: Contender, effort: Effort, store: Store, sitting: str) -> Iterator[_Flight]:
+def _climb(scene: Scene, contender: Contender, effort: Effort, store: Store[Row], sitting: str) -> Iterator[_Flight]:
     """Flights from coarse to fine, one each, except for rows that are there."""
     ladder = contender.ladder(effort)
     setting: float | None = ladder.first
@@ -114,7 +109,7 @@ class _Launch:
         jax.block_until_ready(run(start, argument))
         first = time.perf_counter() - begin
         if not self.program.one_for_all or math.isnan(self.compile_seconds):
-            self.compile_seconds = first - _seconds(lambda: run(start, argument))
+            self.compile_seconds = first - seconds_of(lambda: run(start, argument))
         return lambda: run(start, argument)
 
 
@@ -127,9 +122,9 @@ def _first_flight(
     try:
         call = launch.call(setting)
         end, counts = call()
-        rough = _seconds(call)
-        if rough < _SHORT:
-            rough = min(rough, _seconds(call))
+        rough = seconds_of(call)
+        if rough < SHORT:
+            rough = min(rough, seconds_of(call))
     except (RuntimeError, ValueError) as error:  # diffrax raises where it gives up, from a callback
         said = [line for line in str(error).splitlines() if "RuntimeError" in line] or str(error).strip().splitlines()
         if isinstance(error, ValueError) and "callback" not in str(error):
@@ -149,33 +144,9 @@ def _first_flight(
     return _Flight(row, call, rough)
 
 
-def _time_in_turn(flights: list[_Flight], effort: Effort, tell: Tell) -> None:
-    """Rounds over all flights; a long flight takes part in some of them, evenly spread."""
-    visits = [_visits(flight.rough, effort) for flight in flights]
-    for number in range(effort.rounds):
-        tell("timing", 0.5 + 0.5 * number / effort.rounds)
-        for flight, wanted in zip(flights, visits, strict=True):
-            if (number + 1) * wanted // effort.rounds > number * wanted // effort.rounds:
-                short = flight.rough < _SHORT
-                if short:
-                    jax.block_until_ready(flight.call())
-                flight.samples += [_seconds(flight.call) for _ in range(_CALLS if short else 1)]
-
-
-def _visits(rough: float, effort: Effort) -> int:
-    visit = rough * (1 + _CALLS if rough < _SHORT else 1)
-    return min(effort.rounds, max(effort.least, int(effort.share / max(visit, 1e-9))))
-
-
-def _seconds(call: Callable[[], Any]) -> float:
-    begin = time.perf_counter()
-    jax.block_until_ready(call())
-    return time.perf_counter() - begin
-
-
 def empty_call_seconds() -> float:
     """What calling a compiled function costs that does nothing: part of every time."""
     call = jax.jit(lambda x, setting: (x, setting))
     x, setting = {"R": jnp.eye(3), "w": jnp.ones(3)}, jnp.asarray(1.0)
     jax.block_until_ready(call(x, setting))
-    return median(_seconds(lambda: call(x, setting)) for _ in range(201))
+    return median(seconds_of(lambda: call(x, setting)) for _ in range(201))

@@ -5,17 +5,22 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import twistax
 
+from .. import turns
 from ..machine import machine
-from .effort import Effort
 
 __all__ = ["Origin", "origin_of"]
 
+#: How the report of flights measures.
+_FLYING = tuple(
+    Path(__file__).with_name(f"{name}.py") for name in ("own", "rivals", "contenders", "flights", "command")
+)
 _VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
 
 
@@ -41,17 +46,23 @@ class Origin:
         return _digest(json.dumps(dataclasses.asdict(self), sort_keys=True).encode())
 
 
-def origin_of(effort: Effort) -> Origin:
-    """Of rows measured now."""
-    versions = {name: metadata.version(name) for name in _VERSIONED}
-    return Origin(versions, _code(), machine(), dataclasses.asdict(effort))
+def origin_of(effort: Any, measuring: Iterable[Path] = _FLYING, others: Mapping[str, str] | None = None) -> Origin:
+    """Of rows measured now.
+
+    Args:
+        effort: a dataclass of plain values.
+        measuring: files of the report that may change an error or a time.
+        others: versions of other packages in use.
+    """
+    versions = {name: metadata.version(name) for name in _VERSIONED} | dict(others or {})
+    return Origin(versions, _code(measuring), machine(), dataclasses.asdict(effort))
 
 
-def _code() -> str:
-    """Of all that may change an error or a time: not the reports and the demo, but how this report flies."""
+def _code(measuring: Iterable[Path]) -> str:
+    """Of all that may change an error or a time: not the reports and the demo, but how this report measures."""
     root = Path(twistax.__file__).parent
     files = [path for path in root.rglob("*.py") if path.relative_to(root).parts[0] not in ("report", "demo")]
-    files += [Path(__file__).with_name(f"{name}.py") for name in ("own", "rivals", "contenders", "flights", "command")]
+    files += [Path(turns.__file__), *measuring]
     return _digest(b"".join(path.read_bytes() for path in sorted(files)))
 
 

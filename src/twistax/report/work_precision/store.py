@@ -4,26 +4,37 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from .origin import Origin
-from .row import COLUMNS, Row
 
-__all__ = ["Store", "save_csv", "save_json"]
+__all__ = ["Kept", "Store", "save_csv", "save_json"]
 
 
-class Store:
+@runtime_checkable
+class Kept(Protocol):
+    """A row that can be kept: plain values by column, and what tells it from others."""
+
+    @property
+    def key(self) -> Hashable: ...
+    def record(self) -> dict[str, Any]: ...
+
+
+R = TypeVar("R", bound=Kept)
+
+
+class Store(Generic[R]):
     """Rows of one origin in a file of JSON lines, each written as soon as it is measured.
 
-    Rows of another origin (other versions, machine or effort) and lines that were cut off are dropped when the file
-    is opened; `dropped` counts them.
+    `of` makes a row of its record. Rows of another origin (other versions, machine or effort) and lines that were cut
+    off are dropped when the file is opened; `dropped` counts them.
     """
 
-    def __init__(self, path: Path, origin: Origin) -> None:
-        self._path, self._digest = path, origin.digest
-        self._rows: dict[tuple[str, str, float], Row] = {}
+    def __init__(self, path: Path, origin: Origin, of: Callable[[Mapping[str, Any]], R]) -> None:
+        self._path, self._digest, self._of = path, origin.digest, of
+        self._rows: dict[Hashable, R] = {}
         lines = path.read_text().splitlines() if path.exists() else []
         kept = [line for line in lines if self._read(line)]
         self.dropped = len(lines) - len(kept)
@@ -33,7 +44,7 @@ class Store:
     def _read(self, line: str) -> bool:
         try:
             record = json.loads(line)
-            row = Row.of(record)
+            row = self._of(record)
         except (ValueError, KeyError, TypeError):
             return False
         if record.get("origin") != self._digest:
@@ -41,28 +52,28 @@ class Store:
         self._rows[row.key] = row
         return True
 
-    def get(self, scene: str, method: str, setting: float) -> Row | None:
-        """The row that is there, or None."""
-        return self._rows.get((scene, method, setting))
+    def get(self, *key: Hashable) -> R | None:
+        """The row of that key that is there, or None."""
+        return self._rows.get(key)
 
-    def add(self, rows: Iterable[Row]) -> None:
+    def add(self, rows: Iterable[R]) -> None:
         """Keep rows, on disk too."""
         with self._path.open("a") as file:
             for row in rows:
                 self._rows[row.key] = row
                 file.write(json.dumps({**row.record(), "origin": self._digest}) + "\n")
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[R]:
         return iter(self._rows.values())
 
     def __len__(self) -> int:
         return len(self._rows)
 
 
-def save_csv(path: Path, rows: Iterable[Row]) -> None:
+def save_csv(path: Path, columns: Sequence[str], rows: Iterable[Kept]) -> None:
     """One row a line under the names of the columns."""
     with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table = csv.DictWriter(file, columns, lineterminator="\n")
         table.writeheader()
         for row in rows:
             table.writerow({name: _short(value) for name, value in row.record().items()})

@@ -1,0 +1,91 @@
+"""This package, with each of its emitters."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import twistax as tx
+
+from ...lowering.emitters import Emitter
+from ...lowering.scalar.graph import TooLarge
+from .case import Case
+from .contender import Contender
+from .quantity import JACOBIAN, Quantity
+from .task import JaxTask, Task
+
+__all__ = ["Arrays", "Native", "Scalars"]
+
+
+class _Own(Contender):
+    @abstractmethod
+    def emitter(self) -> Emitter: ...
+
+    def task(self, case: Case, quantity: Quantity) -> Task:
+        return JaxTask(case, lambda: self._function(case, quantity))
+
+    def _function(self, case: Case, quantity: Quantity) -> Callable[..., Any]:
+        dynamics = tx.compile(case.system(), emitter=self.emitter())
+        if quantity is JACOBIAN and self._writes_out(dynamics, case):
+
+            def slopes(a: Any, b: Any, c: Any) -> jax.Array:
+                blocks = dynamics.jacobian(0.0, *case.inputs(a, b, c), wrt=case.by)
+                return jnp.concatenate([blocks[kind] for kind in case.by], axis=1)
+
+            return slopes
+
+        def function(a: Any, b: Any, c: Any) -> jax.Array:
+            rates = dynamics(0.0, *case.inputs(a, b, c))
+            return jnp.concatenate([rates[name] for name in case.rates])
+
+        return quantity.by_jax(function)
+
+    def _writes_out(self, dynamics: tx.Dynamics, case: Case) -> bool:
+        """Whether `dynamics.jacobian` is of use: it writes all scalars out, which takes a compiler long beyond some."""
+        arguments = [points[0] for points in case.points(1)]
+        try:
+            found, _ = dynamics.rate_jacobian(dynamics.prepare(0.0, *case.inputs(*arguments)), case.by)
+        except TooLarge:
+            return False
+        return found.program.operations <= tx.XLA().largest
+
+
+class Scalars(_Own):
+    name, colour = "twistax, XLA", "C0"
+    how = (
+        "`tx.compile(system, emitter=tx.XLA())`: scalars where it writes functions out, arrays below. Jacobians by "
+        "`dynamics.jacobian` up to 30,000 operations, by `jax.jacfwd` beyond; gradients by `jax.grad`."
+    )
+
+    def emitter(self) -> Emitter:
+        return tx.XLA()
+
+
+class Arrays(_Own):
+    name, colour = "twistax, arrays", "C9"
+    how = "`tx.compile(system, emitter=tx.Arrays())`: small arrays as they are written. Derivatives by JAX."
+
+    def emitter(self) -> Emitter:
+        return tx.Arrays()
+
+    def _writes_out(self, dynamics: tx.Dynamics, case: Case) -> bool:
+        return False
+
+
+class Native(_Own):
+    """Looked for by name: older versions have none."""
+
+    name, colour = "twistax, native", "C3"
+    how = "`tx.compile(system, emitter=tx.Native())`: kernels compiled in process. Derivatives as with XLA."
+    packages = (("llvmlite", "llvmlite"),)
+
+    def absent(self) -> str | None:
+        return super().absent() or (None if hasattr(tx, "Native") else "this version has no tx.Native")
+
+    def emitter(self) -> Emitter:
+        found: Emitter = getattr(tx, "Native")()  # noqa: B009
+        return found

@@ -1,0 +1,1 @@
+"""What others do, each as its own users would."""
