@@ -48,6 +48,14 @@ class Emitter(ABC):
             fixed: arguments that stay the same where the function is called again and again, as parameters do.
         """
 
+    def derived(self, program: ScalarProgram) -> Derived:
+        """A program with its derivatives, to be called."""
+        return Derived(program)
+
+    def in_loops(self) -> Emitter:
+        """The emitter of functions that an integrator puts into its loop."""
+        return self
+
 
 @dataclasses.dataclass(frozen=True)
 class Arrays(Emitter):
@@ -89,7 +97,7 @@ class XLA(Emitter):
         if array_operations(closed.jaxpr).total() < self.least:
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
         try:
-            program = scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
+            program = self.written_out(closed)
         except TooLarge:
             return Emission(arrays, None, f"arrays: more than {self.largest} scalars")
         changing = program.depending([k for k in range(len(program.inputs)) if k not in fixed])
@@ -104,6 +112,14 @@ class XLA(Emitter):
             return Emission(arrays, None, f"arrays: it calls {names}, around which scalars would be slow")
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
+
+    def written_out(self, closed: ClosedJaxpr) -> ScalarProgram:
+        """The scalars of a jaxpr.
+
+        Raises:
+            TooLarge: there are more than `largest`.
+        """
+        return scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
 
 
 def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -48,7 +49,8 @@ class Explainer:
         leaves, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
         emission, _ = dynamics.emission("rates", structure, tuple((a.shape, a.dtype) for a in leaves))
         start = time.perf_counter()
-        jax.jit(dynamics.vector_field).lower(inputs.t, inputs.x, inputs.u, inputs.params).compile()
+        called = functools.partial(dynamics.evaluate, "rates", in_loop=False)
+        jax.jit(called).lower(inputs.t, inputs.x, inputs.u, inputs.params).compile()
         return Explanation(
             leaves={kind: [leaf.name for leaf in own] for kind, own in kinds},
             unused=self._unused(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
@@ -18,11 +19,26 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
-__all__ = ["Derived", "call_program", "program_p"]
+__all__ = ["Backend", "Derived", "call_program", "native_p", "program_p"]
 
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
+
+
+class Backend(ABC):
+    """What runs programs on the CPU in another way than by XLA."""
+
+    @abstractmethod
+    def worthwhile(self, program: ScalarProgram, rows: int) -> bool:
+        """Whether that is faster for so many bodies at once."""
+
+    @abstractmethod
+    def prepare(self, program: ScalarProgram) -> Callable[..., list[jax.Array]] | None:
+        """The program as a function of the number of rows and of arguments (rows, *shape); None: XLA runs it.
+
+        Asked once for each program.
+        """
 
 
 class Derived:
@@ -30,10 +46,17 @@ class Derived:
 
     Args:
         program: the program; or what makes it, with the shapes and types of its results.
+        backend: what runs it and its derivatives on the CPU; XLA if None.
     """
 
-    def __init__(self, program: ScalarProgram | Callable[[], ScalarProgram], results: Shapes | None = None) -> None:
+    def __init__(
+        self,
+        program: ScalarProgram | Callable[[], ScalarProgram],
+        results: Shapes | None = None,
+        backend: Backend | None = None,
+    ) -> None:
         self._program = program
+        self.backend = backend
         self._results = results
         self._tangents: dict[tuple[int, ...], Derived] = {}
         self._cotangents: dict[tuple[int, ...], Derived] = {}
@@ -54,6 +77,15 @@ class Derived:
     def function(self) -> Any:
         return as_function(self.program)
 
+    @functools.cached_property
+    def _prepared(self) -> Callable[..., list[jax.Array]] | None:
+        return None if self.backend is None else self.backend.prepare(self.program)
+
+    def native(self, rows: int) -> Callable[..., list[jax.Array]] | None:
+        """What the backend runs for so many rows; None: XLA runs it."""
+        worthwhile = self.backend is not None and self.backend.worthwhile(self.program, rows)
+        return self._prepared if worthwhile else None
+
     @property
     def real(self) -> list[int]:
         """The results that have derivatives."""
@@ -62,19 +94,22 @@ class Derived:
     def tangent(self, active: tuple[int, ...]) -> Derived:
         if active not in self._tangents:
             # Made when it runs: what is only transposed need not have a forward derivative at all.
-            found = Derived(lambda: tangent_program(self.program, active), [self.results[k] for k in self.real])
+            results = [self.results[k] for k in self.real]
+            found = Derived(lambda: tangent_program(self.program, active), results, self.backend)
             found.origin = (self, active)
             self._tangents[active] = found
         return self._tangents[active]
 
     def cotangent(self, active: tuple[int, ...]) -> Derived:
         if active not in self._cotangents:
-            self._cotangents[active] = Derived(cotangent_program(self.program, active))
+            self._cotangents[active] = Derived(cotangent_program(self.program, active), None, self.backend)
         return self._cotangents[active]
 
 
+#: A program that XLA runs; it may be part of a small call.
 program_p = Primitive("scalar_program")
-program_p.multiple_results = True
+#: One that another backend runs where that is faster. Under a name of its own: it must not become part of a small call.
+native_p = Primitive("native_program")
 
 
 def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
@@ -84,7 +119,9 @@ def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
 
 def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
     # A loop that is compiled as one small function needs no other one inside.
-    return program_p.bind(*arguments, derived=derived, depth=depth, inside=inside_small_call())
+    inside = inside_small_call()
+    primitive = program_p if inside or derived.backend is None else native_p
+    return primitive.bind(*arguments, derived=derived, depth=depth, inside=inside)
 
 
 def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
@@ -102,6 +139,17 @@ def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[ja
         return jax.lax.map(lambda row: derived.function(*row), flat)
 
     return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in small_call(each, *flat)]
+
+
+def _run_native(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
+    """On the CPU, by the backend; where it does not, by XLA."""
+    shape = jnp.shape(arguments[0])[:depth] if arguments else ()
+    rows = math.prod(shape)
+    native = derived.native(rows) if rows else None
+    if native is None:
+        return _run(*arguments, derived=derived, depth=depth, inside=inside)
+    flat = [jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments]
+    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in native(rows, *flat)]
 
 
 def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
@@ -144,21 +192,31 @@ def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived, dep
 
 
 def _batched(
-    arguments: Sequence[Any], axes: Sequence[Any], *, derived: Derived, depth: int, inside: bool
+    primitive: Primitive, arguments: Sequence[Any], axes: Sequence[Any], *, derived: Derived, depth: int, inside: bool
 ) -> tuple[list[Any], list[int]]:
     size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
     moved = [
         jnp.broadcast_to(a, (size, *jnp.shape(a))) if d is None else jnp.moveaxis(a, d, 0)
         for a, d in zip(arguments, axes, strict=True)
     ]
-    results = program_p.bind(*moved, derived=derived, depth=depth + 1, inside=False)
+    results = primitive.bind(*moved, derived=derived, depth=depth + 1, inside=False)
     return results, [0] * len(results)
 
 
-program_p.def_impl(jax.jit(_run, static_argnames=("derived", "depth", "inside")))
-program_p.def_abstract_eval(_abstract)
-ad.primitive_jvps[program_p] = _jvp
-ad.primitive_transposes[program_p] = _transpose
-batching.primitive_batchers[program_p] = _batched
-mlir.register_lowering(program_p, mlir.lower_fun(_run_wide, multiple_results=True))
-mlir.register_lowering(program_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")
+def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
+    @functools.partial(jax.jit, static_argnames=("derived", "depth", "inside"))
+    def evaluate(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
+        return primitive.bind(*arguments, **parameters)
+
+    primitive.multiple_results = True
+    primitive.def_impl(evaluate)
+    primitive.def_abstract_eval(_abstract)
+    ad.primitive_jvps[primitive] = _jvp
+    ad.primitive_transposes[primitive] = _transpose
+    batching.primitive_batchers[primitive] = functools.partial(_batched, primitive)
+    mlir.register_lowering(primitive, mlir.lower_fun(_run_wide, multiple_results=True))
+    mlir.register_lowering(primitive, mlir.lower_fun(on_cpu, multiple_results=True), platform="cpu")
+
+
+_define(program_p, _run)
+_define(native_p, _run_native)

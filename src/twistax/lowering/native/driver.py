@@ -1,0 +1,232 @@
+"""From one vector of bodies to a batch: a loop, and threads that share its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .code import Module
+from .rows import Array
+
+__all__ = ["write_driver"]
+
+
+def write_driver(module: Module, arrays: Sequence[Array], names: Sequence[str], lanes: int, chunk: int) -> None:
+    """Adds functions on a table of pointers to arrays.
+
+    `run(table, first, end)` works out rows `first` to `end` - 1, at least one. `start(frame, table, rows, most)` works
+    out all of them by at most so many threads of XLA's pool, `chunk` rows at a time.
+
+    Args:
+        arrays: arguments and results, in the order of the table.
+        names: of what the tile calls them.
+        lanes: rows of a tile.
+        chunk: a multiple of `lanes`.
+    """
+    module.functions["run"] = _run(arrays, names, lanes)
+    module.declarations |= {
+        "declare ptr @malloc(i64)",
+        "declare void @free(ptr)",
+        "declare i32 @sched_yield()",
+        "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
+        "declare i64 @llvm.umin.i64(i64, i64)",
+    }
+    module.library |= {"malloc", "free", "sched_yield"}
+    module.functions["threads"] = _THREADS.format(chunk=chunk, table=8 * len(arrays), job=_HEAD + 8 * len(arrays))
+
+
+def _run(arrays: Sequence[Array], names: Sequence[str], lanes: int) -> str:
+    lines, moved = [], []
+    for k, name in enumerate(names):
+        lines += [f"%p{k} = getelementptr ptr, ptr %table, i64 {k}", f"%{name} = load ptr, ptr %p{k}"]
+    for array, name in zip(arrays, names, strict=True):
+        moved += [
+            f"%{name}.place = mul i64 %row, {array.size}",
+            f"%{name}.row = getelementptr {array.stored}, ptr %{name}, i64 %{name}.place",
+        ]
+    pointers = "".join(f", ptr %{name}.row" for name in names)
+    return "\n".join(
+        [
+            "define void @run(ptr %table, i64 %first, i64 %end) #0 {",
+            "entry:",
+            *lines,
+            "%final = sub i64 %end, 1",
+            "br label %loop",
+            "loop:",
+            "%row = phi i64 [ %first, %entry ], [ %next, %loop ]",
+            "%last = sub i64 %final, %row",
+            *moved,
+            f"call void @tile(i64 %last{pointers})",
+            f"%next = add i64 %row, {lanes}",
+            "%more = icmp ult i64 %next, %end",
+            "br i1 %more, label %loop, label %done",
+            "done:",
+            "ret void",
+            "}",
+        ]
+    )
+
+
+#: Of a job: the next row that nobody has taken, all rows, rows that are done, holders; then its table.
+_HEAD = 32
+
+# Whoever comes takes chunks of rows until none is left. The thread that started waits only for chunks that others work
+# on at that moment, never for tasks that the pool has not begun: these find nothing to do, and the last one frees the
+# job. So the pool cannot be blocked, however many kernels run in it.
+# Offsets are those of XLA's c_api.h, version 0.3.
+_THREADS = """
+define internal void @work(ptr %job) #0 {{
+entry:
+%rows.at = getelementptr i64, ptr %job, i64 1
+%rows = load i64, ptr %rows.at
+%done.at = getelementptr i64, ptr %job, i64 2
+%table = getelementptr i64, ptr %job, i64 4
+br label %take
+take:
+%first = atomicrmw add ptr %job, i64 {chunk} acq_rel
+%left = icmp ult i64 %first, %rows
+br i1 %left, label %some, label %none
+some:
+%full = add i64 %first, {chunk}
+%end = call i64 @llvm.umin.i64(i64 %full, i64 %rows)
+call void @run(ptr %table, i64 %first, i64 %end)
+%count = sub i64 %end, %first
+%before = atomicrmw add ptr %done.at, i64 %count acq_rel
+br label %take
+none:
+ret void
+}}
+define internal void @release(ptr %job, i64 %holders) #0 {{
+entry:
+%holders.at = getelementptr i64, ptr %job, i64 3
+%before = atomicrmw sub ptr %holders.at, i64 %holders acq_rel
+%last = icmp eq i64 %before, %holders
+br i1 %last, label %end, label %others
+end:
+call void @free(ptr %job)
+ret void
+others:
+ret void
+}}
+define internal void @task(ptr %job) #0 {{
+call void @work(ptr %job)
+call void @release(ptr %job, i64 1)
+ret void
+}}
+define internal void @dropped(ptr %api, ptr %error) #0 {{
+%arguments = alloca [3 x i64]
+store i64 24, ptr %arguments
+%extension = getelementptr i64, ptr %arguments, i64 1
+store i64 0, ptr %extension
+%error.at = getelementptr i64, ptr %arguments, i64 2
+store ptr %error, ptr %error.at
+%destroy.at = getelementptr i8, ptr %api, i64 64
+%destroy = load ptr, ptr %destroy.at
+call void %destroy(ptr %arguments)
+ret void
+}}
+define internal i64 @threads(ptr %api, ptr %context) #0 {{
+entry:
+%count = alloca i64
+store i64 1, ptr %count
+%arguments = alloca [4 x i64]
+store i64 32, ptr %arguments
+%extension = getelementptr i64, ptr %arguments, i64 1
+store i64 0, ptr %extension
+%context.at = getelementptr i64, ptr %arguments, i64 2
+store ptr %context, ptr %context.at
+%count.at = getelementptr i64, ptr %arguments, i64 3
+store ptr %count, ptr %count.at
+%function.at = getelementptr i8, ptr %api, i64 144
+%function = load ptr, ptr %function.at
+%error = call ptr %function(ptr %arguments)
+%failed = icmp ne ptr %error, null
+br i1 %failed, label %none, label %known
+none:
+call void @dropped(ptr %api, ptr %error)
+ret i64 1
+known:
+%found = load i64, ptr %count
+ret i64 %found
+}}
+define internal void @start(ptr %frame, ptr %table, i64 %rows, i64 %most) #0 {{
+entry:
+%small = icmp ule i64 %rows, {chunk}
+%single = icmp ule i64 %most, 1
+%either = or i1 %small, %single
+br i1 %either, label %alone, label %many
+alone:
+call void @run(ptr %table, i64 0, i64 %rows)
+ret void
+many:
+%api.at = getelementptr i8, ptr %frame, i64 16
+%api = load ptr, ptr %api.at
+%context.at = getelementptr i8, ptr %frame, i64 24
+%context = load ptr, ptr %context.at
+%found = call i64 @threads(ptr %api, ptr %context)
+%allowed = call i64 @llvm.umin.i64(i64 %found, i64 %most)
+%up = add i64 %rows, {chunk}
+%up1 = sub i64 %up, 1
+%chunks = udiv i64 %up1, {chunk}
+%holders = call i64 @llvm.umin.i64(i64 %allowed, i64 %chunks)
+%helped = icmp ugt i64 %holders, 1
+br i1 %helped, label %share, label %alone
+share:
+%job = call ptr @malloc(i64 {job})
+%missing = icmp eq ptr %job, null
+br i1 %missing, label %alone, label %filled
+filled:
+store i64 0, ptr %job
+%rows.at = getelementptr i64, ptr %job, i64 1
+store i64 %rows, ptr %rows.at
+%done.at = getelementptr i64, ptr %job, i64 2
+store i64 0, ptr %done.at
+%holders.at = getelementptr i64, ptr %job, i64 3
+store i64 %holders, ptr %holders.at
+%own = getelementptr i64, ptr %job, i64 4
+call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %table, i64 {table}, i1 false)
+%arguments = alloca [5 x i64]
+store i64 40, ptr %arguments
+%extension = getelementptr i64, ptr %arguments, i64 1
+store i64 0, ptr %extension
+%argument.context = getelementptr i64, ptr %arguments, i64 2
+store ptr %context, ptr %argument.context
+%argument.task = getelementptr i64, ptr %arguments, i64 3
+store ptr @task, ptr %argument.task
+%argument.job = getelementptr i64, ptr %arguments, i64 4
+store ptr %job, ptr %argument.job
+%schedule.at = getelementptr i8, ptr %api, i64 136
+%schedule = load ptr, ptr %schedule.at
+br label %call
+call:
+%begun = phi i64 [ 1, %filled ], [ %next, %called ]
+%missed = phi i1 [ false, %filled ], [ %failed, %called ]
+%all = icmp eq i64 %begun, %holders
+br i1 %all, label %join, label %one
+one:
+%error = call ptr %schedule(ptr %arguments)
+%failed = icmp ne ptr %error, null
+br i1 %failed, label %refused, label %called
+called:
+%next = add i64 %begun, 1
+br label %call
+refused:
+call void @dropped(ptr %api, ptr %error)
+br label %join
+join:
+%running = phi i64 [ %holders, %call ], [ %begun, %refused ]
+call void @work(ptr %job)
+br label %wait
+wait:
+%done = load atomic i64, ptr %done.at acquire, align 8
+%finished = icmp eq i64 %done, %rows
+br i1 %finished, label %leave, label %yield
+yield:
+%ignored = call i32 @sched_yield()
+br label %wait
+leave:
+%absent = sub i64 %holders, %running
+%mine = add i64 %absent, 1
+call void @release(ptr %job, i64 %mine)
+ret void
+}}
+"""

@@ -1,0 +1,150 @@
+"""Sine and cosine of vectors.
+
+x = k pi/2 + r with |r| <= pi/4 (W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980): products
+of k with pieces of pi/2 are subtracted one after the other, so that what cancels is exact. Polynomials in r as in
+FDLIBM (Sun Microsystems, 1993; k_sin.c, k_cos.c). Below 2 units in the last place up to `LARGEST`; beyond, and for what
+is not finite, the C library is called. Float32 is worked out in float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+
+from .code import Code
+
+__all__ = ["LARGEST", "sines_and_cosines"]
+
+#: In radians.
+LARGEST = 1e9
+
+_SINE = (
+    -1.66666666666666324348e-01,
+    8.33333333332248946124e-03,
+    -1.98412698298579493134e-04,
+    2.75573137070700676789e-06,
+    -2.50507602534068634195e-08,
+    1.58969099521155010221e-10,
+)
+_COSINE = (
+    4.16666666666666019037e-02,
+    -1.38888888888741095749e-03,
+    2.48015872894767294178e-05,
+    -2.75573143513906633035e-07,
+    2.08757232129817482790e-09,
+    -1.13596475577881948265e-11,
+)
+
+#: pi / 2, 188 bits behind the point.
+_QUARTER_TURN = Fraction(0x1921FB54442D18469898CC51701B839A252049C1114CF98E, 2**188)
+
+#: 1.5 * 2^52: added to a number it leaves the nearest integer in the lowest bits.
+_ROUNDING = 6755399441055744.0
+
+
+def _pieces(count: int, bits: int) -> list[float]:
+    """Numbers of so many bits whose sum is pi / 2."""
+    rest, found = _QUARTER_TURN, []
+    for _ in range(count):
+        unit = Fraction(2) ** (math.frexp(float(rest))[1] - bits)
+        found.append(float(round(rest / unit) * unit))
+        rest -= Fraction(found[-1])
+    return found
+
+
+#: With one rounding in a b + c, k times a piece need not be exact.
+_FUSED = _pieces(3, 53)
+#: Without, k of up to 30 bits times a piece of 23 is.
+_EXACT = _pieces(6, 23)
+
+
+def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tuple[str, ...]]:
+    """The values of sin x and cos x of several angles: one branch for all, in case that one of them is far."""
+    own = code.vector(kind)
+    near: list[tuple[str, ...]] = []
+    far: list[str] = []
+    for x in angles:
+        # Not "greater": so that what is not a number is among them.
+        far.append(code.emit(f"fcmp ugt {own} {code.call('fabs', kind, x)}, {code.constant(kind, LARGEST)}"))
+        pair = _near(code, x if kind == "double" else code.convert("fpext", kind, "double", x))
+        if kind != "double":
+            pair = tuple(code.convert("fptrunc", "double", kind, value) for value in pair)
+        near.append(pair)
+    return _with_far(code, kind, angles, near, far)
+
+
+def _near(code: Code, x: str) -> tuple[str, ...]:
+    d = "double"
+    shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), code.constant(d, _ROUNDING))
+    k = code.binary("fsub", d, shifted, code.constant(d, _ROUNDING))
+    quadrant = code.convert("bitcast", d, "i64", shifted)
+    r = x
+    for piece in _FUSED if code.module.processor.fma else _EXACT:
+        r = code.multiply_add(d, k, code.constant(d, -piece), r)
+    square = code.binary("fmul", d, r, r)
+    cube = code.binary("fmul", d, r, square)
+    sine = code.multiply_add(d, cube, code.polynomial(d, square, _SINE), r)
+    sine = code.call("copysign", d, sine, r)  # of zero
+    # 1 - r^2 / 2 with what its rounding leaves.
+    one, minus_half = code.constant(d, 1.0), code.constant(d, -0.5)
+    high = code.multiply_add(d, square, minus_half, one)
+    low = code.multiply_add(d, square, minus_half, code.binary("fsub", d, one, high))
+    fourth = code.binary("fmul", d, square, square)
+    low = code.multiply_add(d, fourth, code.polynomial(d, square, _COSINE), low)
+    cosine = code.binary("fadd", d, high, low)
+    one_bit = code.constant("i64", 1)
+    odd = code.emit(f"icmp ne {code.vector('i64')} {code.binary('and', 'i64', quadrant, one_bit)}, zeroinitializer")
+    return (
+        _signed(code, code.select(d, odd, cosine, sine), quadrant),
+        _signed(code, code.select(d, odd, sine, cosine), code.binary("add", "i64", quadrant, one_bit)),
+    )
+
+
+def _signed(code: Code, value: str, quadrant: str) -> str:
+    """The opposite in quadrants 2 and 3."""
+    sign = code.binary("and", "i64", quadrant, code.constant("i64", 2))
+    sign = code.binary("shl", "i64", sign, code.constant("i64", 62))
+    bits = code.convert("bitcast", "double", "i64", value)
+    return code.convert("bitcast", "i64", "double", code.binary("xor", "i64", bits, sign))
+
+
+def _with_far(
+    code: Code, kind: str, angles: Sequence[str], near: Sequence[tuple[str, ...]], far: Sequence[str]
+) -> list[tuple[str, ...]]:
+    """In lanes that are far the values of the C library, in a branch that is hardly ever taken."""
+    mask = code.vector("i1")
+    some = far[0]
+    for other in far[1:]:
+        some = code.binary("or", "i1", some, other)
+    reduce = f"llvm.vector.reduce.or.v{code.lanes}i1"
+    code.module.declarations.add(f"declare i1 @{reduce}({mask})")
+    taken = code.emit(f"call i1 @{reduce}({mask} {some})")
+    here, beyond, after = code.label(), code.label(), code.label()
+    code.lines += [f"br label %{here}", f"{here}:", f"br i1 {taken}, label %{beyond}, label %{after}, !prof !0"]
+    code.lines.append(f"{beyond}:")
+    exact = [_library(code, kind, *given) for given in zip(angles, near, far, strict=True)]
+    code.lines += [f"br label %{after}", f"{after}:"]
+    own = code.vector(kind)
+    return [
+        tuple(
+            code.emit(f"phi {own} [ {value}, %{here} ], [ {other}, %{beyond} ]")
+            for value, other in zip(values, others, strict=True)
+        )
+        for values, others in zip(near, exact, strict=True)
+    ]
+
+
+def _library(code: Code, kind: str, x: str, near: Sequence[str], far: str) -> list[str]:
+    name, own, mask = "far_sine_and_cosine", code.vector(kind), code.vector("i1")
+    pair = f"{{ {own}, {own} }}"
+    if name not in code.module.functions:
+        inner = Code(code.module, code.lanes)
+        result = "poison"
+        for place, (function, value) in enumerate((("sin", "%s"), ("cos", "%c"))):
+            chosen = inner.select(kind, "%far", inner.lane_by_lane(function, kind, ["%x"]), value)
+            result = inner.emit(f"insertvalue {pair} {result}, {own} {chosen}, {place}")
+        head = f"internal {pair} @{name}({own} %x, {own} %s, {own} %c, {mask} %far)"
+        code.module.functions[name] = inner.function(head, f"ret {pair} {result}")
+    both = code.emit(f"call {pair} @{name}({own} {x}, {own} {near[0]}, {own} {near[1]}, {mask} {far}) #1")
+    return [code.emit(f"extractvalue {pair} {both}, {place}") for place in (0, 1)]
