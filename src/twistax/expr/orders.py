@@ -102,7 +102,7 @@ class _Flow:
     def __init__(self) -> None:
         self._classes = _Classes()
         self._free: dict[_Token, bool] = {}
-        self._operators: dict[_Token, str] = {}
+        self._operators: dict[_Token, tuple[str, Expr]] = {}
 
     def read(self, name: str, root: Expr) -> None:
         """Everything below a root, children first, bodies of Vmaps too."""
@@ -117,7 +117,7 @@ class _Flow:
                 self._classes.link([self._slot(scope, node, value, axis) for value, axis in six])
             for value in [*node.children(), node]:
                 if len(_axes(value)) == 2:
-                    self._operators.setdefault(self._slot(scope, node, value, -1)[0], f"{name}: {_short(value)}")
+                    self._operators.setdefault(self._slot(scope, node, value, -1)[0], (name, value))
 
     def read_rate(self, state: State, rate: Expr) -> None:
         """The rate of a pose has the order of its group, another state that of its rate."""
@@ -134,9 +134,11 @@ class _Flow:
 
     def check_operators(self) -> None:
         """A 6x6 matrix takes and gives one order, where both its sides are known to be six-vectors."""
-        for token, text in self._operators.items():
+        for token, (name, value) in self._operators.items():
             known, place = (self._classes.place_of((token, axis)) for axis in (-1, -2))
-            _agree(known, place, f" on the two sides of {text}")
+            # Writing a value out takes as long as all the rest.
+            if known and place and known.order != place.order:
+                _agree(known, place, f" on the two sides of {name}: {_short(value)}")
 
     def _below(self, root: Expr) -> Iterator[tuple[_Scope, Expr]]:
         """Children before parents, each once in all roots."""
