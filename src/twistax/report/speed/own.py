@@ -26,10 +26,11 @@ class _Own(Contender):
     def emitter(self) -> Emitter: ...
 
     def task(self, case: Case, quantity: Quantity) -> Task:
-        return JaxTask(case, lambda: self._function(case, quantity))
+        system = case.system()
+        return JaxTask(case, lambda: self._function(system, case, quantity))
 
-    def _function(self, case: Case, quantity: Quantity) -> Callable[..., Any]:
-        dynamics = tx.compile(case.system(), emitter=self.emitter())
+    def _function(self, system: tx.System, case: Case, quantity: Quantity) -> Callable[..., Any]:
+        dynamics = tx.compile(system, emitter=self.emitter())
         if quantity is JACOBIAN and self._writes_out(dynamics, case):
 
             def slopes(a: Any, b: Any, c: Any) -> jax.Array:

@@ -101,9 +101,9 @@ class _CasadiTask(Task):
         # Kept as long as the library is loaded.
         self._folder = tempfile.TemporaryDirectory()
         folder = Path(self._folder.name)
-        begin = time.perf_counter()
         arguments = [ca.SX.sym(name, size) for name, size in zip("abc", case.sizes, strict=True)]
         result = case.by_hand(_SxAlgebra(ca), *arguments)
+        begin = time.perf_counter()
         result = _derived(ca, quantity)(result, ca.vertcat(*arguments[:2]))
         function = ca.Function("evaluated", arguments, [ca.densify(result)])
         generator = ca.CodeGenerator("evaluated.c")
