@@ -34,7 +34,7 @@ from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Pro
 from .integrators import RKMK, CommutatorFree, Event, Held, Linear, Magnus, Result, Solution, StepControl, integrate
 from .integrators.implicit import ImplicitRKMK
 from .integrators.splitting import FreeBody, FreeParticle, Splitting
-from .lowering import XLA, Arrays, Dynamics, Native, ValueNumbering, compile, lower
+from .lowering import XLA, Arrays, Dynamics, Native, ValueNumbering, compile, load, lower
 from .system import System
 
 if TYPE_CHECKING:
@@ -87,6 +87,7 @@ __all__ = [
     "integrate",
     "lie",
     "linalg",
+    "load",
     "lower",
     "mechanics",
     "pose",

@@ -3,9 +3,20 @@
 from .dynamics import Dynamics, compile
 from .emitters import XLA, Arrays, Emitter
 from .explain import Explanation
-from .export.saved import load
+from .export.loaded import load
 from .lower import lower
 from .native.emitter import Native
 from .scalar.numbering import ValueNumbering
 
-__all__ = ["XLA", "Arrays", "Dynamics", "Emitter", "Explanation", "Native", "ValueNumbering", "compile", "load", "lower"]
+__all__ = [
+    "XLA",
+    "Arrays",
+    "Dynamics",
+    "Emitter",
+    "Explanation",
+    "Native",
+    "ValueNumbering",
+    "compile",
+    "load",
+    "lower",
+]

@@ -47,7 +47,7 @@ class Dynamics(Exports):
         group: the product group of the state; its `slices` say where each state sits in a tangent vector.
         dimension: length of a tangent vector.
         emitter: how its functions become JAX programs.
-        baked: the names of parameters folded into the code.
+        bake, baked: the values of parameters folded into the code by name; their names.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class Dynamics(Exports):
         self.baked = tuple(bake)
         narrowed = _narrow(system.outputs, outputs)
         constants = _constants(system.parameters, bake)
+        self.bake = {p.name: constants[p.key()].value for p in system.parameters if p.name in bake}
         self._rates = _canonical(system.rates, constants)
         self._outputs = _canonical(narrowed, constants)
         residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
@@ -318,10 +319,10 @@ def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[st
     return {name: outputs[name] for name in names}
 
 
-def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Expr]:
+def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Constant]:
     """The baked parameters: key of the leaf -> constant."""
     known = {p.name: p for p in parameters}
-    constants: dict[str, Expr] = {}
+    constants: dict[str, Constant] = {}
     for name, value in bake.items():
         if name not in known:
             raise ModelError(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .c99 import CFiles, write_c
+from .saved import save
 
 __all__ = ["Exports"]
 
@@ -58,3 +59,14 @@ class Exports:
             points=points,
             tolerance=tolerance,
         )
+
+    def save(self, path: str | Path) -> None:
+        """Write the system to a file, from which `tx.load` gives it back, compiled as it was.
+
+        Saved are the expressions, the leaves with their bounds, guesses and values, and the options of `tx.compile`.
+
+        Raises:
+            ModelError: a node has a field that is no number, text, array or value of twistax.
+            InputError: the file cannot be written.
+        """
+        save(self, path)
