@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .c99 import CFiles, write_c
+from .casadi_function import to_casadi
 from .saved import save
 
 __all__ = ["Exports"]
@@ -59,6 +60,27 @@ class Exports:
             points=points,
             tolerance=tolerance,
         )
+
+    def to_casadi(
+        self, families: str | Sequence[str] = "rates", *, name: str = "dynamics", checked: bool = False
+    ) -> Any:
+        """A `casadi.Function` in SX: t, then states, controls and parameters by name -> `rate_` and the state's name.
+
+        Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries row by row; what
+        is structurally zero is so for CasADi too. Arguments that a call leaves out are not-a-number, except a scalar
+        parameter with a value of its own; bake the others to have them inside. CasADi differentiates by entries: of a
+        pose by its 16, not by tangents. Its max and min do not pass not-a-number on.
+
+        Args:
+            families: one or more of "rates", "outputs" and "constraints"; results of the latter two are called as in the system,
+                and "inequality" and "equality".
+            name: of the function.
+            checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
+        Raises:
+            ModelError: CasADi is not installed (extra `twistax[casadi]`); a part has no form in scalars; two arrays of
+                one name.
+        """
+        return to_casadi(self, families, name, checked)
 
     def save(self, path: str | Path) -> None:
         """Write the system to a file, from which `tx.load` gives it back, compiled as it was.

@@ -1,0 +1,95 @@
+"""A compiled system as a CasADi function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import ModelError
+from .casadi_forms import CasadiForms
+from .functions import ExportedFunction, Exporter, Port
+
+__all__ = ["to_casadi"]
+
+
+def to_casadi(dynamics: Any, families: str | Sequence[str], name: str, checked: bool) -> Any:
+    """What `Dynamics.to_casadi` does; it says what the arguments are."""
+    casadi = _casadi()
+    exporter = Exporter(dynamics, np.float64, checked)
+    families = [families] if isinstance(families, str) else list(families)
+    for family in families:
+        if family not in dynamics.families:
+            raise ModelError(f"to_casadi expects families among {', '.join(dynamics.families)}, got {family!r}")
+    names = [_name(port) for port in exporter.arguments]
+    symbols = [casadi.SX.sym(name, *_matrix(port.shape)) for name, port in zip(names, exporter.arguments, strict=True)]
+    results, result_names = [], []
+    for function in map(exporter.family, families):
+        results += _results(casadi, function, exporter.arguments, symbols)
+        result_names += [_name(port) for port in function.results]
+    _check_distinct([*names, *result_names])
+    # CasADi takes zero for what is not given: a mass of zero would go unnoticed, not-a-number does not.
+    own = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
+    defaults = [own.get(port.name, np.nan) if port.kind == "p" else np.nan for port in exporter.arguments]
+    return casadi.Function(name, symbols, results, names, result_names, {"default_in": defaults})
+
+
+def _casadi() -> Any:
+    try:
+        import casadi
+    except ImportError as error:
+        raise ModelError(f"to_casadi needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'") from None
+    return casadi
+
+
+def _name(port: Port) -> str:
+    """As the leaf or the result is called; of a rate, with that word before."""
+    return "t" if port.kind == "t" else f"rate_{port.name}" if port.kind == "rate" else port.name
+
+
+def _check_distinct(names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ModelError(
+            f"a CasADi function names each of its arguments and results differently; {twice[0]!r} stands for two.\n"
+            "  fix: rename one, or ask for fewer families"
+        )
+
+
+def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
+    """The rows and columns of CasADi's matrix: vectors are columns, arrays of more axes a column row by row."""
+    if len(shape) == 2:
+        return (shape[0], shape[1])
+    size = 1
+    for n in shape:
+        size *= n
+    return (size, 1)
+
+
+def _place(shape: tuple[int, ...], place: int) -> tuple[int, int]:
+    """Where the entry number `place`, counted row by row, stands in that matrix."""
+    return divmod(place, shape[1]) if len(shape) == 2 else (place, 0)
+
+
+def _results(casadi: Any, function: ExportedFunction, arguments: Sequence[Port], symbols: Sequence[Any]) -> list[Any]:
+    """The results as matrices of expressions in the symbols."""
+    g, forms = function.program.graph, CasadiForms(casadi)
+    values: dict[int, Any] = {}
+    for i in function.program.live:
+        place, operation = g.input_of(i), g.operation(i)
+        if place is not None:
+            values[i] = symbols[place[0]][_place(arguments[place[0]].shape, place[1])]
+        elif operation is None:
+            values[i] = casadi.SX(float(g.numbers[i]))
+        else:
+            read = g.arguments(i)
+            values[i] = forms(operation, g.dtypes[i], [g.dtypes[a] for a in read], *(values[a] for a in read))
+    found = []
+    for port, nodes in zip(function.results, function.program.outputs, strict=True):
+        result = casadi.SX(*_matrix(port.shape))  # what is structurally zero stays so
+        for entry, i in enumerate(nodes.reshape(-1).tolist()):
+            if i != g.zero:
+                result[_place(port.shape, entry)] = values[i]
+        found.append(result)
+    return found
