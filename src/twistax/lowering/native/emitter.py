@@ -20,7 +20,7 @@ from .kernel import Kernel
 from .machine_code import BuildError
 from .processor import Processor
 from .self_test import check_kernel
-from .tile import native_form
+from .tile import Straight, native_form
 
 __all__ = ["Native", "installed"]
 
@@ -57,7 +57,7 @@ class Native(Emitter, Backend):
 
     def __post_init__(self) -> None:
         if self.threads is not None and self.threads < 1:
-            raise ModelError(f"Native expects at least one thread, or None for all, got {self.threads}")
+            raise ModelError(f"Native expects threads of at least 1, or None for all, got {self.threads}")
         if self.least < 0:
             raise ModelError(f"Native expects least not below zero, got {self.least}")
 
@@ -101,7 +101,8 @@ class Native(Emitter, Backend):
 
     def prepare(self, program: ScalarProgram) -> Callable[..., list[jax.Array]] | None:
         try:
-            kernel = Kernel(native_form(program), Processor.host(), self.threads)
+            form, processor = native_form(program), Processor.host()
+            kernel = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor, self.threads)
             check_kernel(kernel)
         except NotNative:
             return None

@@ -1,4 +1,4 @@
-"""A scalar program as a compiled function that JAX can call."""
+"""A tile as a compiled function of batches that JAX can call."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scalar.program import ScalarProgram
 from .code import Module
 from .driver import write_driver
 from .handler import API, write_handler
 from .machine_code import load
 from .processor import Processor
 from .rows import Array
-from .tile import Signature, signature, write_tile
+from .tile import Signature, Tile
 
 __all__ = ["Kernel"]
-
-#: Operations on scalars that a thread takes at a time, some 5 us.
-_CHUNK = 250_000
 
 #: "As many threads as there are".
 _ALL = 2**31
@@ -34,10 +30,10 @@ _REGISTERED: dict[str, dict[str, int]] = {}
 
 
 class Kernel:
-    """A program in machine code.
+    """A tile in machine code.
 
     Args:
-        form: from `native_form`.
+        tile: what works out some rows.
         processor: the one to write for.
         threads: the most to use; all if None.
     Raises:
@@ -45,15 +41,12 @@ class Kernel:
         BuildError: no machine code came of it.
     """
 
-    def __init__(self, form: ScalarProgram, processor: Processor, threads: int | None = None) -> None:
-        self.form = form
-        self.signature: Signature = signature(form)
-        self.lanes = processor.lanes(form.graph.dtype)
+    def __init__(self, tile: Tile, processor: Processor, threads: int | None = None) -> None:
+        self.tile = tile
+        self.signature: Signature = tile.signature
         module = Module(processor)
-        write_tile(module, form, self.signature)
-        work = max(form.operations, 1) * self.lanes
-        chunk = max(1, _CHUNK // work) * self.lanes
-        write_driver(module, self.signature.arrays, self.signature.names, self.lanes, chunk)
+        tile.write(module)
+        write_driver(module, self.signature.arrays, self.signature.names, tile.lanes, tile.chunk)
         arguments, results = list(self.signature.arguments.values()), list(self.signature.results.values())
         write_handler(module, arguments, results, threads or _ALL)
         text = module.text()
@@ -67,13 +60,13 @@ class Kernel:
         self._run = _REGISTERED[self.target]["run"]
 
     def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:
-        """The results for rows of the program's arguments, (rows, *shape) each; traceable."""
+        """The results for rows of arguments, (rows, *shape) each; traceable."""
         given = [jnp.reshape(arguments[k], (rows, array.size)) for k, array in self.signature.arguments.items()]
         types = [jax.ShapeDtypeStruct((rows, array.size), array.dtype) for array in self.signature.results.values()]
         found = dict(zip(self.signature.results, jax.ffi.ffi_call(self.target, types)(*given), strict=True))
         return [
-            jnp.reshape(found[k], (rows, *nodes.shape)) if k in found else jnp.zeros((rows, *nodes.shape), dtype)
-            for k, (nodes, dtype) in enumerate(zip(self.form.outputs, self.form.types, strict=True))
+            jnp.reshape(found[k], (rows, *shape)) if k in found else jnp.zeros((rows, *shape), dtype)
+            for k, (shape, dtype) in enumerate(self.tile.results)
         ]
 
     def run(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:

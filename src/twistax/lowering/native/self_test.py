@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from .kernel import Kernel
 from .machine_code import BuildError
-from .plain import work_out
 
 __all__ = ["check_kernel"]
 
@@ -28,11 +28,11 @@ def check_kernel(kernel: Kernel) -> None:
         BuildError: they differ.
     """
     random = np.random.default_rng(0)
-    form, rows = kernel.form, kernel.lanes + 1
-    arguments = [_drawn(random, rows, nodes.size, _dtype(form, nodes)) for nodes in form.inputs]
+    tile, rows = kernel.tile, kernel.tile.lanes + 1
+    arguments = [_drawn(random, rows, math.prod(shape), dtype) for shape, dtype in tile.arguments]
     given = [arguments[k] for k in kernel.signature.arguments]
-    expected = _needed(kernel, work_out(form, arguments))
-    beside = _needed(kernel, work_out(form, [_moved(a) for a in arguments]))
+    expected = _needed(kernel, tile.plain(arguments))
+    beside = _needed(kernel, tile.plain([_moved(a) for a in arguments]))
     found = kernel.run(given)
     for own, other, near in zip(found, expected, beside, strict=True):
         if not _agree(own, other, near):
@@ -40,7 +40,7 @@ def check_kernel(kernel: Kernel) -> None:
     global _CALLED
     if not _CALLED:
         with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend="cpu")[0]):
-            shaped = [a.reshape(rows, *nodes.shape) for a, nodes in zip(arguments, form.inputs, strict=True)]
+            shaped = [a.reshape(rows, *shape) for a, (shape, _) in zip(arguments, tile.arguments, strict=True)]
             called = jax.jit(lambda *values: kernel(rows, *values))(*shaped)
         for k, own in zip(kernel.signature.results, found, strict=True):
             if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
@@ -50,10 +50,6 @@ def check_kernel(kernel: Kernel) -> None:
 
 def _needed(kernel: Kernel, results: list[NDArray[Any]]) -> list[NDArray[Any]]:
     return [results[k] for k in kernel.signature.results]
-
-
-def _dtype(form: Any, nodes: NDArray[Any]) -> np.dtype[Any]:
-    return form.graph.dtypes[int(nodes.reshape(-1)[0])] if nodes.size else form.graph.dtype
 
 
 def _drawn(random: np.random.Generator, rows: int, size: int, dtype: np.dtype[Any]) -> NDArray[Any]:

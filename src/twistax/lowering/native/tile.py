@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..scalar.passes import emitted_form
 from ..scalar.program import ScalarProgram
 from .code import NAMES, Code, Module, NotNative
-from .operations import TURNING, check, instructions
+from .operations import check
+from .plain import work_out
 from .rows import Array, Rows
-from .trigonometry import sines_and_cosines
+from .scalars import Scalars
 
-__all__ = ["Signature", "native_form", "signature", "write_tile"]
+__all__ = ["Shape", "Signature", "Straight", "Tile", "native_form", "rows_of", "shapes_of"]
+
+#: The shape of one row of an array, and its type.
+Shape = tuple[tuple[int, ...], np.dtype[Any]]
 
 
 @dataclasses.dataclass(frozen=True)
 class Signature:
-    """Which arguments and results of a program its kernel reads and writes: those that are needed and not empty.
+    """Which arguments and results a kernel reads and writes: those that are needed and not empty.
 
     Attributes:
-        arguments, results: place among those of the program -> rows of it.
+        arguments, results: place among all of them -> rows of it.
     """
 
     arguments: dict[int, Array]
@@ -37,6 +44,77 @@ class Signature:
     def names(self) -> list[str]:
         """What kernels call them."""
         return [*(f"a{k}" for k in self.arguments), *(f"r{k}" for k in self.results)]
+
+
+class Tile(ABC):
+    """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
+
+    Attributes:
+        lanes: rows worked out side by side.
+        arguments, results: all of them, of one row.
+        signature: those that are read and written.
+        chunk: rows that a thread takes at a time, a multiple of the lanes.
+    """
+
+    lanes: int
+    arguments: list[Shape]
+    results: list[Shape]
+    signature: Signature
+    chunk: int
+
+    @abstractmethod
+    def write(self, module: Module) -> None:
+        """Adds the function, and what it calls."""
+
+    @abstractmethod
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        """All results by NumPy, for all arguments, (rows, entries) each."""
+
+    def begin(self, module: Module) -> tuple[Code, dict[int, Rows], dict[int, Rows]]:
+        """The code of the function, how it reads its arguments, and how it writes its results."""
+        code = Code(module, self.lanes)
+        places = [_place(code, lane) for lane in range(self.lanes)]
+        reads = {k: Rows(code, array, f"%a{k}", places) for k, array in self.signature.arguments.items()}
+        writes = {k: Rows(code, array, f"%r{k}", places) for k, array in self.signature.results.items()}
+        return code, reads, writes
+
+    def end(self, code: Code) -> None:
+        """Adds the function to the module of its code."""
+        heads = "".join(f", ptr noalias %{name}" for name in self.signature.names)
+        code.module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
+
+
+class Straight(Tile):
+    """A program, from its arguments to its results.
+
+    Args:
+        form: from `native_form`.
+    """
+
+    #: Operations on scalars that a thread takes at a time, some 5 us.
+    _CHUNK = 250_000
+
+    def __init__(self, form: ScalarProgram, lanes: int) -> None:
+        g = form.graph
+        self.form = form
+        self.lanes = lanes
+        self.arguments = shapes_of(form)
+        self.results = [(nodes.shape, dtype) for nodes, dtype in zip(form.outputs, form.types, strict=True)]
+        read = {place[0] for i in form.live if (place := g.input_of(i)) is not None}
+        self.signature = Signature(rows_of(self.arguments, read), rows_of(self.results))
+        self.chunk = max(1, self._CHUNK // (max(form.operations, 1) * lanes)) * lanes
+
+    def write(self, module: Module) -> None:
+        form = self.form
+        code, reads, writes = self.begin(module)
+        scalars = Scalars(code, form, lambda argument, entry: reads[argument].read(entry))
+        scalars.work_out(form.live)
+        for k, rows in writes.items():
+            rows.write(scalars.work_out(form.outputs[k].reshape(-1).tolist()))
+        self.end(code)
+
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        return work_out(self.form, arguments)
 
 
 def native_form(program: ScalarProgram) -> ScalarProgram:
@@ -61,65 +139,19 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
     return form
 
 
-def signature(form: ScalarProgram) -> Signature:
-    """The arrays of a kernel."""
+def shapes_of(form: ScalarProgram) -> list[Shape]:
+    """The arguments of a program."""
     g = form.graph
-    read = {place[0] for i in form.live if (place := g.input_of(i)) is not None}
-    return Signature(
-        {k: Array(a.size, g.dtypes[int(a.reshape(-1)[0])]) for k, a in enumerate(form.inputs) if k in read},
-        {k: Array(a.size, t) for k, (a, t) in enumerate(zip(form.outputs, form.types, strict=True)) if a.size},
-    )
+    return [(a.shape, g.dtypes[int(a.reshape(-1)[0])] if a.size else g.dtype) for a in form.inputs]
 
 
-def write_tile(module: Module, form: ScalarProgram, arrays: Signature) -> None:
-    """`tile(last, arguments, results)`: rows 0 to `last` of arrays at these pointers, at most as many as lanes."""
-    g = form.graph
-    code = Code(module, module.processor.lanes(g.dtype))
-    places = [_place(code, lane) for lane in range(code.lanes)]
-    readers = {k: Rows(code, array, f"%a{k}", places) for k, array in arrays.arguments.items()}
-    values: dict[int, str] = {}
-    turned: dict[int, tuple[str, ...]] = {}
-
-    def work_out(nodes: Sequence[int]) -> None:
-        for i in nodes:
-            if i in values:
-                continue
-            place, operation, arguments = g.input_of(i), g.operation(i), g.arguments(i)
-            if place is not None:
-                values[i] = readers[place[0]].read(place[1])
-            elif operation is None:
-                values[i] = code.constant(NAMES[g.dtypes[i]], g.numbers[i])
-            elif operation in TURNING:
-                values[i] = turned[arguments[0]][TURNING.index(operation)]
-            else:
-                kinds = [NAMES[g.dtypes[a]] for a in arguments]
-                values[i] = instructions(code, operation, kinds, [values[a] for a in arguments])
-
-    for angles in _angles(form):
-        work_out(g.live(angles))
-        found = sines_and_cosines(code, NAMES[g.dtype], [values[i] for i in angles])
-        turned.update(zip(angles, found, strict=True))
-    work_out(form.live)
-    for k, array in arrays.results.items():
-        Rows(code, array, f"%r{k}", places).write([values[i] for i in form.outputs[k].reshape(-1).tolist()])
-    heads = "".join(f", ptr noalias %{name}" for name in arrays.names)
-    module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
-
-
-def _angles(form: ScalarProgram) -> list[list[int]]:
-    """The angles of all sines and cosines: first those that depend on no other sine or cosine, and so on."""
-    g = form.graph
-    depth: dict[int, int] = {}
-    found: dict[int, list[int]] = {}
-    for i in form.live:
-        arguments = g.arguments(i)
-        depth[i] = max((depth[a] for a in arguments), default=0)
-        if g.operation(i) in TURNING:
-            angles = found.setdefault(depth[i], [])
-            if arguments[0] not in angles:
-                angles.append(arguments[0])
-            depth[i] += 1
-    return [found[k] for k in sorted(found)]
+def rows_of(shapes: Sequence[Shape], read: set[int] | None = None) -> dict[int, Array]:
+    """Those that are not empty, and needed."""
+    return {
+        k: Array(int(np.prod(shape)), dtype)
+        for k, (shape, dtype) in enumerate(shapes)
+        if np.prod(shape) and (read is None or k in read)
+    }
 
 
 def _place(code: Code, lane: int) -> str:
