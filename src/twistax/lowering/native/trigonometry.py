@@ -44,11 +44,11 @@ _ROUNDING = 6755399441055744.0
 
 
 def _pieces(count: int, bits: int) -> list[float]:
-    """Numbers of so many bits whose sum is pi / 2."""
+    """Numbers of so many bits whose sum is pi / 2. None is negative, or sin(-0.0) would lose its sign."""
     rest, found = _QUARTER_TURN, []
     for _ in range(count):
         unit = Fraction(2) ** (math.frexp(float(rest))[1] - bits)
-        found.append(float(round(rest / unit) * unit))
+        found.append(float(rest // unit * unit))
         rest -= Fraction(found[-1])
     return found
 

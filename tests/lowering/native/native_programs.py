@@ -1,0 +1,50 @@
+"""Scalar programs of one operation each, and processors to write kernels for."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twistax.lowering.native.kernel import Kernel
+from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.tile import Straight, native_form
+from twistax.lowering.scalar.graph import Graph
+from twistax.lowering.scalar.program import ScalarProgram
+
+pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+
+
+def program_of(operations: Sequence[Any], dtype: Any, arguments: int) -> ScalarProgram:
+    """All operations on the same scalars, each argument one entry; the results in one row for each type."""
+    dtype = np.dtype(dtype)
+    real = dtype if dtype.kind == "f" else np.dtype(np.float64)
+    graph = Graph(real, checked=True)
+    nodes = [graph.input(k, 0, dtype) for k in range(arguments)]
+    found = [graph.node(operation, *nodes) for operation in operations]
+    outputs = tuple(np.array([i], np.int64) for i in found)
+    return ScalarProgram(
+        graph, tuple(np.array([i], np.int64) for i in nodes), outputs, tuple(graph.dtypes[i] for i in found)
+    )
+
+
+def run(program: ScalarProgram, processor: Processor, *columns: Any) -> list[np.ndarray]:
+    """The results, one column each."""
+    form = native_form(program)
+    kernel = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
+    rows = np.broadcast_arrays(*columns)
+    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.signature.arguments])]
+
+
+def processors() -> list[Processor]:
+    """The host, and the same with narrower vectors, without masks, without fused products."""
+    host = Processor.host()
+    found = [host]
+    for bits, fma in ((256, True), (128, True), (128, False)):
+        if bits <= host.bits and (host.fma or not fma):
+            features = host.features if fma else f"{host.features},-fma,-avx512f,-avx2,-fma4"
+            found.append(dataclasses.replace(host, features=features, bits=bits, fma=fma, masks=False))
+    return found

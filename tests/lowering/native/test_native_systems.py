@@ -1,0 +1,255 @@
+"""Compiled systems with kernels: what they give, what they say, and what happens where there is none."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+
+import twistax as tx
+from twistax.lowering.native import emitter, machine_code, operations, self_test
+from twistax.lowering.native.code import Module
+from twistax.lowering.native.kernel import Kernel
+from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.tile import Straight, native_form
+from twistax.lowering.scalar.operations import by_primitive
+from twistax.lowering.scalar.program import scalarize
+
+w, mass, R = tx.State("w", (3,)), tx.State("mass"), tx.State("R", group=tx.SO3)
+J, F = tx.Parameter("J", value=np.diag([1.0, 2.0, 3.0])), tx.Control("F", (3,))
+BODY = tx.System(
+    rates={w: tx.linalg.Solve(J, F - tx.linalg.Cross(w, J @ w)), R: w, mass: -tx.linalg.Norm(F)},
+    outputs={"energy": 0.5 * tx.linalg.Dot(w, J @ w)},
+    controls=[F],
+    parameters=[J],
+)
+NATIVE, ARRAYS = tx.compile(BODY, emitter=tx.Native(least=0)), tx.compile(BODY, emitter=tx.Arrays())
+START = {"w": np.array([0.4, -0.5, 0.6]), "R": np.eye(3), "mass": np.float64(4.0)}
+U = {"F": np.array([0.1, -0.2, 0.3])}
+s = tx.State("s", (3,))
+SMALL = tx.System(rates={s: tx.Sin(s) * s}, outputs={"length": tx.linalg.Norm(s)})
+AT = {"s": np.array([0.4, -0.5, 0.6])}
+RATES, SLOPES = np.sin(AT["s"]) * AT["s"], np.diag(np.sin(AT["s"]) + np.cos(AT["s"]) * AT["s"])
+WS = np.random.default_rng(0).normal(size=(11, 3))
+
+
+@pytest.fixture(autouse=True)
+def first_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No message was given yet."""
+    monkeypatch.setattr(emitter, "_SAID", set())
+
+
+def _near(own: Any, other: Any) -> None:
+    assert jax.tree.structure(own) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(own), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13)
+
+
+def test_as_in_arrays() -> None:
+    """Rates, outputs, Jacobian; batched with parameters that are the same for all."""
+
+    def every(dynamics: tx.Dynamics) -> Any:
+        def one(own: Any) -> Any:
+            x = {**START, "w": own}
+            return dynamics(0.0, x, U), dynamics.outputs(0.0, x, U), dynamics.jacobian(0.0, x, U)
+
+        return one(START["w"]), jax.vmap(one)(WS)
+
+    own, other = every(NATIVE), jax.jit(lambda: every(ARRAYS))()
+    _near(own, other)
+    lowered = jax.jit(jax.vmap(lambda own: NATIVE.jacobian(0.0, {**START, "w": own}, U))).lower(WS).as_text()
+    assert "custom_call" in lowered
+    assert "twistax_" in lowered
+
+
+def test_loops_keep_what_xla_makes() -> None:
+    """A kernel cannot be part of the small functions that loops are compiled as."""
+    flights = [tx.integrate(d, START, t1=0.5, method=tx.RKMK(tx.tableaus.RK4), steps=5, u=U) for d in (NATIVE, ARRAYS)]
+    _near(flights[0].xs, flights[1].xs)
+    inputs = NATIVE.prepare(0.0, START, U)
+    loop = jax.jit(NATIVE.vector_field).lower(inputs.t, inputs.x, inputs.u, inputs.params).as_text()
+    assert "twistax_" not in loop
+
+
+def test_explained() -> None:
+    assert tx.compile(SMALL, emitter=tx.Native(least=0)).explain().emitter.startswith("native: ")
+    r = tx.State("r", (5,))
+    solved = tx.System(rates={r: tx.linalg.Solve(tx.Parameter("A", value=5.0 * np.eye(5)) + tx.linalg.Diag(r), r)})
+    explained = tx.compile(solved, emitter=tx.Native(least=0)).explain().emitter
+    assert "not native: " in explained
+    assert "has no native form" in explained
+
+
+def test_without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> None:
+    """XLA instead, and one message that names the extra."""
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "llvmlite" else found(name, *a))
+    dynamics = tx.compile(SMALL, emitter=tx.Native(least=0))
+    with pytest.warns(RuntimeWarning, match=r"twistax\[native\]") as messages:
+        rates = dynamics(0.0, AT)
+    assert len(messages) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dynamics.outputs(0.0, AT)
+        slopes = dynamics.jacobian(0.0, AT)["x"]
+    np.testing.assert_allclose(rates["s"], RATES, rtol=1e-14)
+    np.testing.assert_allclose(slopes, SLOPES, rtol=1e-14)
+    assert "llvmlite is not installed" in dynamics.explain().emitter
+
+
+def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products that are sums: the first call finds out, XLA runs instead."""
+    wrong = operations._OF_REALS | {by_primitive["mul"]: operations._OF_REALS[by_primitive["add"]]}
+    monkeypatch.setattr(operations, "_OF_REALS", wrong)
+    dynamics = tx.compile(SMALL, emitter=tx.Native(least=0))
+    with pytest.warns(RuntimeWarning, match="its results differ from those of NumPy") as messages:
+        rates = dynamics(0.0, AT)["s"]
+    assert len(messages) == 1
+    np.testing.assert_allclose(rates, RATES, rtol=1e-14)
+    np.testing.assert_allclose(dynamics.jacobian(0.0, AT)["x"], SLOPES, rtol=1e-14)
+
+
+def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if XLA's interface had changed."""
+    monkeypatch.setattr(self_test, "_CALLED", False)
+    monkeypatch.setattr(Kernel, "__call__", lambda self, rows, *a: [jnp.zeros((rows, 3))])
+    with pytest.warns(RuntimeWarning, match="JAX calls it otherwise"):
+        rates = tx.compile(SMALL, emitter=tx.Native(least=0))(0.0, AT)["s"]
+    np.testing.assert_allclose(rates, RATES, rtol=1e-14)
+
+
+def test_llvm_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Module, "text", lambda self: "this is no program")
+    with pytest.warns(RuntimeWarning, match="LLVM refuses it"):
+        rates = tx.compile(SMALL, emitter=tx.Native(least=0))(0.0, AT)["s"]
+    np.testing.assert_allclose(rates, RATES, rtol=1e-14)
+
+
+def test_a_library_without_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM would end the process."""
+    monkeypatch.setattr(machine_code.ctypes, "CDLL", lambda name: object())
+    with pytest.warns(RuntimeWarning, match="the C library has no"):
+        rates = tx.compile(SMALL, emitter=tx.Native(least=0, threads=7))(0.0, AT)["s"]
+    np.testing.assert_allclose(rates, RATES, rtol=1e-14)
+
+
+def test_least() -> None:
+    """Small calls stay XLA's, batches of the same function are native."""
+    dynamics = tx.compile(BODY, emitter=tx.Native(least=500))
+    one = jax.jit(lambda own: dynamics(0.0, {**START, "w": own}, U))
+    assert "twistax_" not in one.lower(WS[0]).as_text()
+    assert "twistax_" in jax.jit(jax.vmap(one)).lower(np.zeros((64, 3))).as_text()
+
+
+@pytest.mark.parametrize("options", [{"threads": 0}, {"least": -1}])
+def test_options_that_are_none(options: dict[str, int]) -> None:
+    with pytest.raises(tx.ModelError, match=next(iter(options))):
+        tx.Native(**options)
+
+
+def test_emitters_are_values() -> None:
+    assert tx.Native() == tx.Native()
+    assert hash(tx.Native(threads=2)) == hash(tx.Native(threads=2))
+    assert tx.Native(threads=2) != tx.Native()
+
+
+# ---- the function that XLA calls -------------------------------------------------------------------------------------
+
+
+def _kernel() -> Kernel:
+    shape = jax.ShapeDtypeStruct((3,), float)
+    processor = Processor.host()
+    form = native_form(scalarize(lambda x, y: [x * y, x.sum()], shape, shape))
+    return Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "results", "message"),
+    [
+        ([(4, 3), (4, 3)], [((4, 3), np.float32), ((4, 1), np.float64)], "result 0"),
+        ([(4, 3), (4, 2)], [((4, 3), np.float64), ((4, 1), np.float64)], "argument 1"),
+        ([(4, 3), (5, 3)], [((4, 3), np.float64), ((4, 1), np.float64)], "argument 1"),
+        ([(4, 3), (2, 2, 3)], [((4, 3), np.float64), ((4, 1), np.float64)], "argument 1"),
+        ([(4, 3)], [((4, 3), np.float64), ((4, 1), np.float64)], "takes 2 arguments"),
+        ([(4, 3), (4, 3)], [((4, 3), np.float64)], "gives 2 results"),
+    ],
+)
+def test_wrong_types_and_shapes_are_refused(shapes: Any, results: Any, message: str) -> None:
+    call = jax.ffi.ffi_call(_kernel().target, [jax.ShapeDtypeStruct(*r) for r in results])
+    with pytest.raises(jax.errors.JaxRuntimeError, match=message):
+        jax.block_until_ready(jax.jit(call)(*(np.zeros(s) for s in shapes)))
+
+
+def test_the_same_program_has_the_same_target() -> None:
+    assert _kernel().target == _kernel().target
+    assert _kernel().target.startswith("twistax_")
+
+
+# ---- other processes -------------------------------------------------------------------------------------------------
+
+_PROCESS = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+found = []
+jax.monitoring.register_event_listener(lambda event, **_: found.append(event))
+import numpy as np, twistax as tx
+x = tx.State("x", (4,))
+dynamics = tx.compile(tx.System(rates={x: tx.Sin(x) * x}), emitter=tx.Native(least=0))
+value = jax.jit(jax.vmap(lambda v: dynamics(0.0, {"x": v})["x"]))
+rows = np.arange(20.0).reshape(5, 4)
+np.testing.assert_allclose(value(rows), np.sin(rows) * rows, rtol=1e-13)
+print("hits", sum(event.endswith("/cache_hits") for event in found))
+"""
+
+
+def test_processes_share_a_cache(tmp_path: Path) -> None:
+    """The second loads what the first compiled, and its own kernel answers."""
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    hits = []
+    for _ in range(2):
+        ran = subprocess.run(
+            [sys.executable, "-c", _PROCESS, str(tmp_path)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ran.returncode == 0, ran.stderr
+        hits.append(int(ran.stdout.split()[-1]))
+    assert hits[0] == 0
+    assert hits[1] >= 1
+
+
+def test_export() -> None:
+    """A program that was exported runs where the same system was compiled, if its call is allowed by name."""
+    function = jax.jit(jax.vmap(lambda own: NATIVE(0.0, {**START, "w": own}, U)["w"]))
+    (target,) = set(re.findall(r"twistax_\w+", function.lower(WS).as_text()))
+    allowed = [jax.export.DisabledSafetyCheck.custom_call(target)]
+    exported = jax.export.export(function, disabled_checks=allowed)(WS)
+    if importlib.util.find_spec("flatbuffers"):
+        exported = jax.export.deserialize(exported.serialize())
+    _near(exported.call(WS), function(WS))
+    with pytest.raises(ValueError, match="custom call"):
+        jax.export.export(function)(WS)
+
+
+def test_no_warning_by_default() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tx.compile(BODY)(0.0, START, U)
