@@ -78,15 +78,9 @@ class Arrays(_Own):
 
 
 class Native(_Own):
-    """Looked for by name: older versions have none."""
-
     name, colour = "twistax, native", "C3"
     how = "`tx.compile(system, emitter=tx.Native())`: kernels compiled in process. Derivatives as with XLA."
     packages = (("llvmlite", "llvmlite"),)
 
-    def absent(self) -> str | None:
-        return super().absent() or (None if hasattr(tx, "Native") else "this version has no tx.Native")
-
     def emitter(self) -> Emitter:
-        found: Emitter = getattr(tx, "Native")()  # noqa: B009
-        return found
+        return tx.Native()

@@ -91,6 +91,25 @@ def _derived(ca: Any, quantity: Quantity) -> Callable[[Any, Any], Any]:
     }[quantity]
 
 
+def _compiled(ca: Any, function: Any, folder: Path, case: Case, results: int) -> Path:
+    """The shared library of a function and of `loop.c`. Raises Lacks where gcc takes too long."""
+    generator = ca.CodeGenerator("evaluated.c")
+    generator.add(function)
+    generator.generate(f"{folder}/")
+    sizes = dict(zip(("SIZE_A", "SIZE_B", "SIZE_C"), case.sizes, strict=True))
+    sizes |= {"SZ_ARG": function.sz_arg(), "SZ_RES": function.sz_res(), "SZ_IW": function.sz_iw()}
+    sizes |= {"SZ_W": function.sz_w(), "SIZE_OUT": results}
+    defined = [f"-D{name}={value}" for name, value in sizes.items()]
+    defined += ["-DNAME=evaluated", f'-DSOURCE="{folder / "evaluated.c"}"']
+    target = folder / "evaluated.so"
+    words = ["gcc", *_FLAGS, *defined, "-o", str(target), str(_LOOP), "-lm"]
+    try:
+        subprocess.run(words, check=True, capture_output=True, timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:
+        raise Lacks(f"gcc was stopped after {_PATIENCE:g} s on {function.n_instructions():,} operations") from None
+    return target
+
+
 class _CasadiTask(Task):
     """Written and compiled once for all uses."""
 
@@ -98,38 +117,20 @@ class _CasadiTask(Task):
         import casadi as ca
 
         self._case, self._shape = case, quantity.shape(case)
-        # Kept as long as the library is loaded.
-        self._folder = tempfile.TemporaryDirectory()
-        folder = Path(self._folder.name)
         arguments = [ca.SX.sym(name, size) for name, size in zip("abc", case.sizes, strict=True)]
         result = case.by_hand(_SxAlgebra(ca), *arguments)
         begin = time.perf_counter()
         result = _derived(ca, quantity)(result, ca.vertcat(*arguments[:2]))
         function = ca.Function("evaluated", arguments, [ca.densify(result)])
-        generator = ca.CodeGenerator("evaluated.c")
-        generator.add(function)
-        generator.generate(f"{folder}/")
-        sizes = dict(zip(("SIZE_A", "SIZE_B", "SIZE_C"), case.sizes, strict=True))
-        sizes |= {"SZ_ARG": function.sz_arg(), "SZ_RES": function.sz_res(), "SZ_IW": function.sz_iw()}
-        sizes |= {"SZ_W": function.sz_w(), "SIZE_OUT": int(np.prod(self._shape))}
-        target = folder / "evaluated.so"
-        defined = [f"-D{name}={value}" for name, value in sizes.items()]
-        defined += ["-DNAME=evaluated", f'-DSOURCE="{folder / "evaluated.c"}"']
-        try:
-            subprocess.run(
-                ["gcc", *_FLAGS, *defined, "-o", str(target), str(_LOOP), "-lm"],
-                check=True,
-                capture_output=True,
-                timeout=_PATIENCE,
-            )
-        except subprocess.TimeoutExpired:
-            raise Lacks(f"gcc was stopped after {_PATIENCE:g} s on {function.n_instructions():,} operations") from None
+        # What is loaded stays when its file is gone.
+        with tempfile.TemporaryDirectory() as folder:
+            target = _compiled(ca, function, Path(folder), case, int(np.prod(self._shape)))
+            self._library = ctypes.CDLL(str(target))
+            self._external = ca.external("evaluated", str(target))
         self._seconds = time.perf_counter() - begin
-        self._library = ctypes.CDLL(str(target))
         self._library.twistax_batch.argtypes = [ctypes.c_long, *[_VECTOR] * 4]
         self._library.twistax_loop.argtypes = [ctypes.c_long, ctypes.c_double, *[_VECTOR] * 4]
         self._library.twistax_batch.restype = self._library.twistax_loop.restype = None
-        self._external = ca.external("evaluated", str(target))
 
     def single(self) -> Program:
         import casadi as ca
