@@ -15,6 +15,7 @@ from .course import Course, Flown, Outcome, Part, Saved
 from .events import Watch, Watched
 from .finite import all_finite
 from .grid import Grid, Saves
+from .kernel_steps import KernelSteps, kernel_steps
 from .method import Carry
 from .result import Result
 from .rows import put, rows
@@ -110,14 +111,31 @@ class FixedCourse(Course):
             return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, watched)
 
         def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
-            now = jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.DONE.value), advance, now)
+            if kernel is None:
+                now = jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.DONE.value), advance, now)
+            else:
+                now = self._by_kernel(kernel, stepper, now, stop)
             return now, None if self.at is None else (now.y, now.code == Result.DONE.value)
 
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
         watched = None if self.watch is None else self.watch.begin(stepper, self.t0, self.h, y)
         now = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
+        kernel = None
+        if every is None and watched is None:
+            kernel = kernel_steps(stepper, self.t0, self.h, none, y, carry)
         return jax.lax.scan(to_stop, now, stops)
+
+    def _by_kernel(self, kernel: KernelSteps, stepper: Stepper, now: _Now, stop: jax.Array) -> _Now:
+        """All steps up to a stop at once; a flight that halted already stays as it is."""
+        stop = jnp.where(now.code == Result.DONE.value, stop, now.steps)
+        y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
+        halted = steps < stop
+        tried = steps - now.steps + halted.astype(steps.dtype)
+        code = jnp.where(halted, Result.NON_FINITE.value, now.code)
+        return now._replace(
+            steps=steps, y=y, carry=carry, evaluations=now.evaluations + tried * kernel.evaluations, code=code
+        )
 
     def steps_of(self, path: None) -> Part:
         k = jnp.arange(self.bound)

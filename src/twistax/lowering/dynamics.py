@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, overload
@@ -24,12 +25,13 @@ from ..expr import (
     substitute,
 )
 from ..system import System
-from .emitters import XLA, Emission, Emitter
+from .emitters import Emission, Emitter
 from .explain import Dependence, Explanation
 from .explainer import Explainer
 from .export.methods import Exports
 from .inputs import Values, prepare
 from .jacobian import RateJacobian
+from .native.emitter import default_emitter
 from .scalar.primitive import Derived, call_program
 
 Arrays = dict[str, jax.Array]
@@ -56,6 +58,8 @@ class Dynamics(Exports):
         self.system = system
         self.emitter = emitter
         self._emissions: dict[Any, tuple[Emission, Any]] = {}
+        #: What floors above made of this system, by keys of their own.
+        self.made: dict[Any, Any] = {}
         self._called: dict[RateJacobian, Derived] = {}
         self._jacobians: dict[Any, RateJacobian] = {}
         self.baked = tuple(bake)
@@ -203,6 +207,12 @@ class Dynamics(Exports):
             self._emissions[key] = (emitter.emit(closed, jax.tree.leaves(places[3])), shapes[0])
         return self._emissions[key]
 
+    def emitted_by(self, emitter: Emitter) -> Dynamics:
+        """The same system, its functions run by another emitter."""
+        found = copy.copy(self)
+        found.emitter = emitter
+        return found
+
     def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
         """The program of the Jacobian for arguments of these types, and the arguments."""
         for kind in wrt:
@@ -295,7 +305,8 @@ def compile(
     Args:
         outputs: names of the outputs to keep; all if left out.
         bake: parameters to fold into the code, name -> value; they are no inputs any more.
-        emitter: how functions become JAX programs; `XLA()` if left out, which writes large ones out as scalars.
+        emitter: how functions become JAX programs. If left out, `XLA()`, which writes large ones out as scalars; where
+            llvmlite is installed these run as native kernels when they are called, `Native(only_large=True)`.
     Raises:
         ModelError: an unknown output or parameter; no emitter.
         ShapeError: a baked value of the wrong shape.
@@ -306,7 +317,7 @@ def compile(
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
     if emitter is not None and not isinstance(emitter, Emitter):
         raise ModelError(f"emitter must be an object like tx.XLA() or tx.Arrays(), got {emitter!r}")
-    return Dynamics(system, outputs, dict(bake or {}), XLA() if emitter is None else emitter)
+    return Dynamics(system, outputs, dict(bake or {}), default_emitter() if emitter is None else emitter)
 
 
 def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from .scalar.numbering import ValueNumbering
 from .scalar.passes import emitted_form
 from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
+from .scalar.repeated import Repeated
 from .small_call import known_inside
 from .work import array_operations
 
@@ -55,6 +56,17 @@ class Emitter(ABC):
     def in_loops(self) -> Emitter:
         """The emitter of functions that an integrator puts into its loop."""
         return self
+
+    def repeated(
+        self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
+    ) -> Repeated | None:
+        """A step (k, *fixed, *state) -> (*state) that is taken again and again by one kernel; None: an ordinary loop.
+
+        Args:
+            shapes: of its arguments.
+            state: how many arguments are the state.
+        """
+        return None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 
 import jax
 from jax.extend.core import ClosedJaxpr
@@ -15,14 +15,17 @@ from ..emitters import XLA, Emission, Emitter
 from ..scalar.graph import TooLarge
 from ..scalar.primitive import Backend, Derived, call_program
 from ..scalar.program import ScalarProgram
+from ..scalar.reader import trace
+from ..scalar.repeated import Repeated
 from .code import NotNative
 from .kernel import Kernel
 from .machine_code import BuildError
 from .processor import Processor
 from .self_test import check_kernel
-from .tile import Straight, native_form
+from .tile import Straight, Tile, native_form
+from .turns import Turns
 
-__all__ = ["Native", "installed"]
+__all__ = ["Native", "default_emitter", "installed"]
 
 _XLA = XLA()
 
@@ -35,6 +38,11 @@ def installed() -> bool:
     return importlib.util.find_spec("llvmlite") is not None
 
 
+def default_emitter() -> Emitter:
+    """Native for large functions where llvmlite is installed, else XLA."""
+    return Native(only_large=True) if installed() else _XLA
+
+
 @dataclasses.dataclass(frozen=True)
 class Native(Emitter, Backend):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
@@ -43,9 +51,12 @@ class Native(Emitter, Backend):
     loops of integrators, other devices, and whatever has no native form run as `scalars` does.
 
     Attributes:
-        scalars: how functions are written out, and what runs them where no kernel does. Its `least` does not count.
+        scalars: how functions are written out, and what runs them where no kernel does.
         threads: the most that a large batch is shared between; None: as many as XLA has.
-        least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them.
+        least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them: in a loop a
+            kernel costs some 100 ns by itself.
+        only_large: only calls of functions that `scalars` would write out as well, which is what `tx.compile` does by
+            default; small functions and integrations stay as they are.
 
     Raises:
         ModelError: threads or least is not positive.
@@ -53,7 +64,8 @@ class Native(Emitter, Backend):
 
     scalars: XLA = _XLA
     threads: int | None = None
-    least: int = 0
+    least: int = 500
+    only_large: bool = False
 
     def __post_init__(self) -> None:
         if self.threads is not None and self.threads < 1:
@@ -64,20 +76,36 @@ class Native(Emitter, Backend):
     # ---- the emitter ---------------------------------------------------------------------------------------------
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        if self.only_large:
+            found = self.scalars.emit(closed, fixed)
+            return found if found.program is None else self._native(found.program, lambda: found)
         try:
             program = self.scalars.written_out(closed)
-        except TooLarge as error:
-            return self._otherwise(closed, fixed, str(error).splitlines()[0])
-        derived, reason = self._kernels(program)
-        if derived is None:
-            return self._otherwise(closed, fixed, reason)
-        return Emission(lambda *a: call_program(derived, *a), program, reason)
+        except TooLarge:
+            return self.scalars.emit(closed, fixed)
+        return self._native(program, lambda: self.scalars.emit(closed, fixed))
 
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
 
     def in_loops(self) -> Emitter:
         return self.scalars
+
+    def repeated(
+        self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
+    ) -> Repeated | None:
+        if self.only_large or not installed():
+            return None
+        try:
+            form = native_form(self.scalars.written_out(trace(step, *shapes)))
+        except (NotNative, TooLarge):
+            return None
+        processor = Processor.host()
+
+        def kernel(single: bool) -> Kernel | None:
+            return self._built(Turns(form, state, 1 if single else processor.lanes(form.graph.dtype)), processor)
+
+        return Repeated(form, state, kernel)
 
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
         """The program with what runs it, and why."""
@@ -88,24 +116,34 @@ class Native(Emitter, Backend):
             form = native_form(program)
         except NotNative as error:
             return None, str(error)
-        return Derived(program, None, self), f"native: {form.operations} operations"
+        size = f"{form.operations} operations"
+        return Derived(program, None, self), f"native: {size}; as XLA has them where a call has fewer than {self.least}"
 
-    def _otherwise(self, closed: ClosedJaxpr, fixed: Collection[int], reason: str) -> Emission:
-        found = self.scalars.emit(closed, fixed)
-        return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
+    def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
+        derived, reason = self._kernels(program)
+        if derived is None:
+            found = otherwise()
+            return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
+        return Emission(lambda *a: call_program(derived, *a), program, reason)
 
     # ---- the backend ---------------------------------------------------------------------------------------------
 
     def worthwhile(self, program: ScalarProgram, rows: int) -> bool:
         return program.operations * rows >= self.least
 
-    def prepare(self, program: ScalarProgram) -> Callable[..., list[jax.Array]] | None:
+    def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
+        processor = Processor.host()
         try:
-            form, processor = native_form(program), Processor.host()
-            kernel = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor, self.threads)
-            check_kernel(kernel)
+            form = native_form(program)
         except NotNative:
             return None
+        return self._built(Straight(form, 1 if single else processor.lanes(form.graph.dtype)), processor)
+
+    def _built(self, tile: Tile, processor: Processor) -> Kernel | None:
+        """A kernel that was seen to be right; None, with a message, where none can be had."""
+        try:
+            kernel = Kernel(tile, processor, self.threads)
+            check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             _say(f"no native kernel, XLA compiles the function instead: {error}")
             return None

@@ -34,10 +34,11 @@ class Backend(ABC):
         """Whether that is faster for so many bodies at once."""
 
     @abstractmethod
-    def prepare(self, program: ScalarProgram) -> Callable[..., list[jax.Array]] | None:
+    def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
         """The program as a function of the number of rows and of arguments (rows, *shape); None: XLA runs it.
 
-        Asked once for each program.
+        Args:
+            single: for one row; else for many. Asked once for each program.
         """
 
 
@@ -60,6 +61,7 @@ class Derived:
         self._results = results
         self._tangents: dict[tuple[int, ...], Derived] = {}
         self._cotangents: dict[tuple[int, ...], Derived] = {}
+        self._prepared: dict[bool, Callable[..., list[jax.Array]] | None] = {}
         #: Of a program made by `tangent`: which one it is a derivative of, and along which arguments.
         self.origin: tuple[Derived, tuple[int, ...]] | None = None
 
@@ -77,14 +79,14 @@ class Derived:
     def function(self) -> Any:
         return as_function(self.program)
 
-    @functools.cached_property
-    def _prepared(self) -> Callable[..., list[jax.Array]] | None:
-        return None if self.backend is None else self.backend.prepare(self.program)
-
     def native(self, rows: int) -> Callable[..., list[jax.Array]] | None:
         """What the backend runs for so many rows; None: XLA runs it."""
-        worthwhile = self.backend is not None and self.backend.worthwhile(self.program, rows)
-        return self._prepared if worthwhile else None
+        if self.backend is None or not self.backend.worthwhile(self.program, rows):
+            return None
+        single = rows == 1
+        if single not in self._prepared:
+            self._prepared[single] = self.backend.prepare(self.program, single)
+        return self._prepared[single]
 
     @property
     def real(self) -> list[int]:

@@ -1,0 +1,75 @@
+"""Fixed steps in one kernel, where the system's emitter makes kernels and a step has a form for them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..lowering.emitters import Arrays, Emitter
+from ..lowering.scalar.repeated import Repeated, repeat
+from .charts.whole import Blocks
+from .method import Attempt, Carry
+from .stepper import Stepper
+
+__all__ = ["KernelSteps", "kernel_steps"]
+
+
+@dataclasses.dataclass(frozen=True)
+class KernelSteps:
+    """Steps of a method on a system, with inputs of some types, all in one call.
+
+    Attributes:
+        repeated: the step on flat arrays.
+        evaluations: of the right-hand side in a step.
+    """
+
+    repeated: Repeated
+    evaluations: int
+
+    def run(
+        self, stepper: Stepper, t0: jax.Array, h: jax.Array, first: jax.Array, stop: jax.Array, y: Blocks, carry: Carry
+    ) -> tuple[Blocks, Carry, jax.Array]:
+        """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step.
+
+        Traceable, batched by vmap, not differentiable.
+        """
+        state, structure = jax.tree.flatten((y, carry))
+        found, turn = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
+        y, carry = jax.tree.unflatten(structure, found)
+        return y, carry, turn
+
+
+def kernel_steps(
+    stepper: Stepper, t0: jax.Array, h: jax.Array, number: jax.Array, y: Blocks, carry: Carry
+) -> KernelSteps | None:
+    """Steps in one kernel; None where there is none: the emitter makes no kernels, or the step has no form for it.
+
+    Args:
+        number: of a step, for its type.
+    """
+    inputs = (number, (t0, h, stepper), (y, carry))
+    leaves, structure = jax.tree.flatten(inputs)
+    types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+    made = stepper.dynamics.made
+    if (structure, types) not in made:
+        made[structure, types] = _made(stepper.dynamics.emitter, structure, types, len(jax.tree.leaves((y, carry))))
+    return made[structure, types]
+
+
+def _made(emitter: Emitter, structure: Any, types: Any, state: int) -> KernelSteps | None:
+    made: list[Attempt] = []
+
+    def step(*leaves: jax.Array) -> list[jax.Array]:
+        k, (t0, h, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
+        plain = dataclasses.replace(stepper, dynamics=stepper.dynamics.emitted_by(Arrays()))
+        made.append(plain.follow(t0 + k.astype(t0.dtype) * h, y, carry, h))
+        return jax.tree.leaves((made[-1].y, made[-1].carry))
+
+    repeated = emitter.repeated(step, [jax.ShapeDtypeStruct(*each) for each in types], state)
+    # A step that solves equations may fail, which a kernel does not see.
+    if repeated is None or made[-1].solved is not None or not isinstance(made[-1].evaluations, int):
+        return None
+    return KernelSteps(repeated, made[-1].evaluations)

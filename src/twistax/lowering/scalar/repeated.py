@@ -1,0 +1,121 @@
+"""A step that is taken again and again, as one equation of JAX: one kernel on the CPU, a loop elsewhere."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import batching, mlir
+
+from .emitter import as_function
+from .program import ScalarProgram
+
+__all__ = ["Repeated", "repeat"]
+
+#: From rows and their number to results.
+Rows = Callable[..., list[jax.Array]]
+
+
+class Repeated:
+    """A step and the kernels that take it. Compared and hashed by identity.
+
+    Args:
+        step: takes (k, *fixed, *state), gives (*state).
+        state: how many arguments are the state.
+        kernel: makes the kernel, for one body (True) or for many; None where there is none.
+    """
+
+    def __init__(self, step: ScalarProgram, state: int, kernel: Callable[[bool], Rows | None]) -> None:
+        self.step = step
+        self.state = state
+        self.kernel = functools.lru_cache(kernel)
+
+    @functools.cached_property
+    def function(self) -> Any:
+        return as_function(self.step)
+
+
+repeat_p = Primitive("repeated_step")
+repeat_p.multiple_results = True
+
+
+def repeat(
+    repeated: Repeated, first: jax.Array, stop: jax.Array, fixed: Sequence[jax.Array], state: Sequence[jax.Array]
+) -> tuple[list[jax.Array], jax.Array]:
+    """state = step(k, fixed, state) for k = first, ..., stop - 1, or until the new state would not be finite.
+
+    Traceable, batched by vmap, not differentiable.
+
+    Returns:
+        The last finite state, and the number of the turn that comes next: stop, unless a state was not finite.
+    """
+    *found, turn = repeat_p.bind(first, stop, *fixed, *state, repeated=repeated, depth=0)
+    return found, turn
+
+
+def _run(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
+    """On the CPU: one kernel for all bodies."""
+    shape = jnp.shape(arguments[0])[:depth]
+    rows = math.prod(shape)
+    kernel = repeated.kernel(rows == 1) if rows else None
+    if kernel is None:
+        return _run_wide(*arguments, repeated=repeated, depth=depth)
+    flat = [jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments]
+    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in kernel(rows, *flat)]
+
+
+def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
+    """On accelerators: all bodies at once, in a loop."""
+
+    def one(first: jax.Array, stop: jax.Array, *rest: jax.Array) -> list[jax.Array]:
+        fixed, state = rest[: len(rest) - repeated.state], rest[len(rest) - repeated.state :]
+
+        def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
+            return carried[1] & (carried[0] < stop)
+
+        def turn(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
+            k, _, state = carried
+            found = repeated.function(k, *fixed, *state)
+            good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
+            kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
+            return k + good.astype(k.dtype), good, kept
+
+        k, _, found = jax.lax.while_loop(going, turn, (first, jnp.asarray(True), list(state)))
+        return [*found, k]
+
+    function: Any = one
+    for _ in range(depth):
+        function = jax.vmap(function)
+    return function(*arguments)
+
+
+def _abstract(*arguments: Any, repeated: Repeated, depth: int) -> list[Any]:
+    ends = (*arguments[len(arguments) - repeated.state :], arguments[0])
+    return [jax.core.ShapedArray(np.shape(a), a.dtype) for a in ends]
+
+
+def _batched(
+    arguments: Sequence[Any], axes: Sequence[Any], *, repeated: Repeated, depth: int
+) -> tuple[list[Any], list[int]]:
+    size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
+    moved = [batching.bdim_at_front(a, d, size) for a, d in zip(arguments, axes, strict=True)]
+    results = repeat_p.bind(*moved, repeated=repeated, depth=depth + 1)
+    return results, [0] * len(results)
+
+
+@functools.partial(jax.jit, static_argnames=("repeated", "depth"))
+def _evaluate(*arguments: jax.Array, repeated: Repeated, depth: int) -> list[jax.Array]:
+    return repeat_p.bind(*arguments, repeated=repeated, depth=depth)
+
+
+repeat_p.def_impl(_evaluate)
+repeat_p.def_abstract_eval(_abstract)
+batching.primitive_batchers[repeat_p] = _batched
+mlir.register_lowering(repeat_p, mlir.lower_fun(_run_wide, multiple_results=True))
+mlir.register_lowering(repeat_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")
