@@ -128,7 +128,7 @@ def _references(function: ExportedFunction, points: Sequence[Point]) -> list[lis
         # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
         run = jax.jit(jax.vmap(function.arrays), compiler_options={"xla_backend_optimization_level": 0})
         found = [np.asarray(r) for r in run(*stacked)]
-    return [[result[k] for result in found] for k in range(len(points))]
+    return [[np.asarray(result[k]) for result in found] for k in range(len(points))]
 
 
 def _array(name: str, values: NDArray[Any], real: CType) -> str:

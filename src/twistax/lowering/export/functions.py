@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Inputs, Leaf
+from ..scalar.graph import Limits
 from ..scalar.passes import emitted_form
 from ..scalar.program import ScalarProgram, scalarize
 
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ExportedFunction", "Exporter", "Port"]
 
-#: LU with pivots is written out up to this size, as Cholesky is.
-_PIVOTED = 12
+#: LU with pivots is written out up to the size that Cholesky is.
+_LIMITS = Limits(pivoted=12, table=256)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,13 +151,14 @@ class Exporter:
 
     def _alone(self, name: str, program: ScalarProgram) -> ScalarProgram:
         """The program with every call written out."""
-        form = emitted_form(program, pivoted=_PIVOTED)
+        form = emitted_form(program, limits=_LIMITS)
         if form.calls:
             unread = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})
             raise ModelError(
                 f"the {name} call {', '.join(unread)}, which {'has' if len(unread) == 1 else 'have'} no form in "
                 "scalars.\n  fix: bake the parameters it works on, write it with other nodes, or leave this function "
-                f"out; solves are written out up to {_PIVOTED} x {_PIVOTED}"
+                f"out; solves are written out up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to "
+                f"{_LIMITS.table} entries along one axis"
             )
         return form
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def load(path: str | Path, *, emitter: Emitter | None = None) -> Dynamics:
         raise InputError(f"cannot load {place!r}: {error}") from None
     except TwistaxError:
         raise
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError) as error:
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError) as error:
         raise InputError(f"{place!r} is not a whole file of a saved system: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, NotImplementedError, RuntimeError) as error:
         raise InputError(f"{place!r} is no saved system, or damaged: {type(error).__name__}: {error}") from None

@@ -72,8 +72,8 @@ class Exports:
         pose by its 16, not by tangents. Its max and min do not pass not-a-number on.
 
         Args:
-            families: one or more of "rates", "outputs" and "constraints"; results of the latter two are called as in the system,
-                and "inequality" and "equality".
+            families: one or more of "rates", "outputs", "constraints"; results of the latter two are called as in
+                the system, and "inequality" and "equality".
             name: of the function.
             checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -10,46 +11,124 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
+from .graph import Call, Graph
 from .passes import emitted_form
 from .program import ScalarProgram
 
 __all__ = ["as_function"]
+
+#: Operations that become a function of their own. XLA works out what several results need again for each of them, but
+#: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
+_PIECE = 100
+
+
+@dataclasses.dataclass(eq=False)
+class _Piece:
+    """Operations in a row, as a function of the scalars they need from before.
+
+    Attributes:
+        nodes: the operations in order.
+        needs: scalars from before that are no constants.
+        gives: what later ones or the results need.
+    """
+
+    graph: Graph
+    nodes: list[int]
+    needs: list[int]
+    gives: list[int]
+
+    def __call__(self, *needed: jax.Array) -> list[jax.Array]:
+        g = self.graph
+        values = dict(zip(self.needs, needed, strict=True))
+        for i in self.nodes:
+            operation = g.operation(i)
+            for a in g.arguments(i):
+                if a not in values:
+                    values[a] = _constant(g, a)
+            if operation is not None:
+                values[i] = operation.array(*(values[a] for a in g.arguments(i)))
+        return [values[i] for i in self.gives]
 
 
 def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
     """The program as a function of arrays, one body at a time; pure and traceable."""
     form = emitted_form(program)
     g = form.graph
+    steps = _steps(form)
 
     def function(*arguments: jax.Array) -> list[jax.Array]:
         # Barriers: XLA would work out all that an array needs again for each of its entries.
         entries = lax.optimization_barrier([jnp.reshape(a, -1) for a in arguments])
         values: dict[int, jax.Array] = {}
+        for i in form.live:
+            place = g.input_of(i)
+            if place is not None:
+                values[i] = lax.index_in_dim(entries[place[0]], place[1], keepdims=False)
+            elif _is_constant(g, i):
+                values[i] = _constant(g, i)
 
         def array(nodes: Any, dtype: Any) -> jax.Array:
             if not nodes.size:
                 return jnp.zeros(nodes.shape, dtype)
             return jnp.stack([values[i] for i in nodes.reshape(-1).tolist()]).reshape(nodes.shape)
 
-        done: set[int] = set()
-        for i in form.live:
-            place, call, operation = g.input_of(i), g.call_of(i), g.operation(i)
-            if place is not None:
-                values[i] = lax.index_in_dim(entries[place[0]], place[1], keepdims=False)
-            elif call is not None:
-                if id(call) not in done:
-                    done.add(id(call))
-                    types = [v.aval.dtype for v in call.jaxpr.jaxpr.invars]
-                    results = jaxpr_as_fun(call.jaxpr)(*map(array, call.arguments, types))
-                    for nodes, result in zip(call.results, results, strict=True):
-                        flat = jnp.reshape(result, -1)
-                        values.update({j: flat[k] for k, j in enumerate(nodes.reshape(-1).tolist())})
-            elif operation is None:
-                values[i] = jnp.asarray(g.numbers[i], g.dtypes[i])
+        for step in steps:
+            if isinstance(step, _Piece):
+                run = jax.jit(step, inline=False) if len(steps) > 1 else step
+                values.update(zip(step.gives, run(*(values[i] for i in step.needs)), strict=True))
             else:
-                values[i] = operation.array(*(values[a] for a in g.arguments(i)))
+                types = [v.aval.dtype for v in step.jaxpr.jaxpr.invars]
+                results = jaxpr_as_fun(step.jaxpr)(*map(array, step.arguments, types))
+                for nodes, result in zip(step.results, results, strict=True):
+                    flat = jnp.reshape(result, -1)
+                    values.update({j: flat[k] for k, j in enumerate(nodes.reshape(-1).tolist())})
         needed = sorted(set(form.flat))
         values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
         return lax.optimization_barrier(list(map(array, form.outputs, form.types)))
 
     return function
+
+
+def _steps(form: ScalarProgram) -> list[_Piece | Call]:
+    """The program in order: pieces, and what it calls."""
+    g = form.graph
+    steps: list[_Piece | Call] = []
+    maker: dict[int, int] = {}
+    called: set[int] = set()
+    for i in form.live:
+        call, operation = g.call_of(i), g.operation(i)
+        if call is not None and id(call) not in called:
+            called.add(id(call))
+            steps.append(call)
+        elif operation is not None:
+            last = steps[-1] if steps else None
+            if not isinstance(last, _Piece) or len(last.nodes) == _PIECE:
+                last = _Piece(g, [], [], [])
+                steps.append(last)
+            last.nodes.append(i)
+            maker[i] = len(steps) - 1
+    _join(form, steps, maker)
+    return steps
+
+
+def _join(form: ScalarProgram, steps: list[_Piece | Call], maker: dict[int, int]) -> None:
+    """Fill in what pieces need and give. `maker` says which step an operation is part of."""
+    g = form.graph
+    wanted = set(form.flat)
+    for number in reversed(range(len(steps))):
+        step = steps[number]
+        if isinstance(step, _Piece):
+            step.gives = [i for i in step.nodes if i in wanted]
+            outside = {a: None for i in step.nodes for a in g.arguments(i) if maker.get(a) != number}
+            step.needs = [a for a in outside if not _is_constant(g, a)]
+            wanted.update(step.needs)
+        else:
+            wanted.update(i for nodes in step.arguments for i in nodes.reshape(-1).tolist())
+
+
+def _is_constant(g: Graph, node: int) -> bool:
+    return g.input_of(node) is None and g.call_of(node) is None and g.operation(node) is None
+
+
+def _constant(g: Graph, node: int) -> jax.Array:
+    return jnp.asarray(g.numbers[node], g.dtypes[node])

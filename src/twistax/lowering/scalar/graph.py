@@ -19,16 +19,13 @@ from ...errors import ModelError
 from .algebra import Algebra
 from .operations import Operation, by_primitive
 
-__all__ = ["PIVOTED", "Call", "Graph", "Nodes", "TooLarge"]
+__all__ = ["LIMITS", "Call", "Graph", "Limits", "Nodes", "TooLarge"]
 
 #: An array of nodes.
 Nodes = NDArray[Any]
 
 _ADD, _SUB, _MUL, _DIV = (by_primitive[name] for name in ("add", "sub", "mul", "div"))
 _NEG, _SELECT, _NOT = (by_primitive[name] for name in ("neg", "select", "not"))
-
-#: The largest matrix whose LU with pivots is written out: for larger ones the compiler's time outweighs the gain.
-PIVOTED = 4
 
 #: First entries of nodes that are no operations: a number, an input, a result of a call.
 _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
@@ -59,6 +56,22 @@ class Call:
     tangents: dict[tuple[int, ...], ClosedJaxpr] = dataclasses.field(default_factory=dict)
 
 
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Up to which size parts are written out that a library does as well: beyond, the compiler's time outweighs it.
+
+    Attributes:
+        pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
+        table: tables read at a place known only at run time, by comparing with each place.
+    """
+
+    pivoted: int = 4
+    table: int = 16
+
+
+LIMITS = Limits()
+
+
 class Graph(Algebra):
     """A growing graph of scalars.
 
@@ -68,14 +81,14 @@ class Graph(Algebra):
             division. By default they are zero, also where x is infinite or not a number. The sign of a zero is not
             kept in either mode.
         largest: refuse to grow beyond this many nodes.
-        pivoted: LU with pivots is written out up to this size; choosing them takes more than the elimination itself.
+        limits: up to which size parts are written out that a library does as well.
     """
 
-    def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000, pivoted: int = PIVOTED) -> None:
+    def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000, limits: Limits = LIMITS) -> None:
         self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.checked = checked
         self.largest = largest
-        self.pivoted = pivoted
+        self.limits = limits
         self.nodes: list[tuple[Any, ...]] = []
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.

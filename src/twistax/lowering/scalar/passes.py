@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .graph import PIVOTED, Call, Graph, Nodes
+from .graph import LIMITS, Call, Graph, Limits, Nodes
 from .operations import by_primitive
 from .program import ScalarProgram
 from .reader import Reader
@@ -25,22 +25,22 @@ _ALGEBRA: dict[object, Callable[..., int]] = {
 _DIV = by_primitive["div"]
 
 
-def emitted_form(program: ScalarProgram, pivoted: int = PIVOTED) -> ScalarProgram:
+def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgram:
     """The program that an emitter writes: calls that are functions of scalars are written out, and x / d, y / d, ...
     become products with one 1 / d, unless the program is checked.
 
     A shared reciprocal costs one more rounding, half a unit in the last place.
 
     Args:
-        pivoted: write out LU with pivots up to this size, for emitters that cannot call a library.
+        limits: up to which size parts are written out; larger for emitters that cannot call a library.
     """
-    expanded = _rebuilt(program, {}, whole=False, pivoted=pivoted)
+    expanded = _rebuilt(program, {}, whole=False, limits=limits)
     if program.graph.checked:
         return expanded
     g = expanded.graph
     uses = Counter(g.arguments(i)[1] for i in expanded.live if g.operation(i) is _DIV and g.dtypes[i] == g.dtype)
     shared = {divisor for divisor, count in uses.items() if count > 1}
-    return _rebuilt(expanded, {_DIV: shared}, whole=False, pivoted=pivoted) if shared else expanded
+    return _rebuilt(expanded, {_DIV: shared}, whole=False, limits=limits) if shared else expanded
 
 
 def substituted(program: ScalarProgram, graph: Graph, arguments: tuple[Nodes, ...]) -> list[Nodes]:
@@ -53,10 +53,10 @@ def substituted(program: ScalarProgram, graph: Graph, arguments: tuple[Nodes, ..
     return _copied(program, graph, known, set(), whole=True)
 
 
-def _rebuilt(program: ScalarProgram, divisors: dict[object, set[int]], whole: bool, pivoted: int) -> ScalarProgram:
+def _rebuilt(program: ScalarProgram, divisors: dict[object, set[int]], whole: bool, limits: Limits) -> ScalarProgram:
     """The program in a graph of its own."""
     old = program.graph
-    new = Graph(old.dtype, old.checked, old.largest, pivoted)
+    new = Graph(old.dtype, old.checked, old.largest, limits)
     inputs: list[Nodes] = []
     known: dict[int, int] = {}
     for k, nodes in enumerate(program.inputs):
@@ -101,7 +101,7 @@ def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], wh
         np.array([known[i] for i in a.reshape(-1).tolist()], np.int64).reshape(a.shape) for a in call.arguments
     ]
     # What was a call for its size may fit a graph that writes out more.
-    if not whole and (call.inline or new.pivoted > PIVOTED):
+    if not whole and (call.inline or new.limits != LIMITS):
         results = reader.read(call.jaxpr, arguments)
     else:
         results = list(new.call(call.jaxpr, call.key, arguments, call.inline).results)

@@ -107,8 +107,21 @@ def _stop_gradient(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
     return [each(g, lambda x: x if g.numbers[x] is not None else g.node(stop, x), a)]
 
 
-def _boolean(name: str) -> Rule:
-    """and, or: of truth values only, with what is known left out."""
+def _ordered(name: str) -> Rule:
+    """le_to, lt_to: the order of all numbers, not-a-number behind them and equal to itself."""
+    less, other = by_primitive[name], by_primitive["ne"]
+
+    def compare(g: Graph, a: int, b: int) -> int:
+        behind = g.node(other, b, b)
+        if name == "lt":
+            behind = _pair("and")(g, behind, g.node(by_primitive["eq"], a, a))
+        return _pair("or")(g, g.node(less, a, b), behind)
+
+    return lambda g, eqn, *arrays: [each(g, lambda *a: compare(g, *a), *arrays)]
+
+
+def _pair(name: str) -> Callable[[Graph, int, int], int]:
+    """and, or of two truth values, with what is known left out."""
     absorbing = name == "or"
 
     def pair(g: Graph, a: int, b: int) -> int:
@@ -117,6 +130,13 @@ def _boolean(name: str) -> Rule:
             if known is not None:
                 return x if bool(known) is absorbing else y
         return a if a == b else g.node(by_primitive[name], a, b)
+
+    return pair
+
+
+def _boolean(name: str) -> Rule:
+    """and, or: of truth values, or bit by bit."""
+    pair = _pair(name)
 
     def rule(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes]:
         if a.size and g.dtypes[a.reshape(-1)[0]] != np.dtype(bool):
@@ -129,6 +149,8 @@ def _boolean(name: str) -> Rule:
 _SPECIAL: dict[str, Callable[..., Any]] = {
     **{name: _method(name) for name in ("add", "sub", "mul", "div", "neg")},
     "add_any": _method("add"),
+    "le_to": _ordered("le"),
+    "lt_to": _ordered("lt"),
     "and": _boolean("and"),
     "or": _boolean("or"),
     "square": _square,

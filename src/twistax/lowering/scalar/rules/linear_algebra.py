@@ -39,7 +39,7 @@ def _lu(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
     The first of the largest entries on or below the diagonal becomes the pivot; entries that are structurally zero are
     never compared.
     """
-    if a.ndim != 2 or a.shape[0] != a.shape[1] or a.shape[0] > g.pivoted:
+    if a.ndim != 2 or a.shape[0] != a.shape[1] or a.shape[0] > g.limits.pivoted:
         return None
     n, A = a.shape[0], a.copy()
     index = np.dtype(eqn.outvars[1].aval.dtype)

@@ -13,8 +13,8 @@ from .rule import Rule, nodes
 
 __all__ = ["MOVEMENT"]
 
-#: Tables up to this length are read at a place known only at run time by comparing with each place.
-_LONGEST_LOOKUP = 16
+#: Vectors up to this length are sorted by exchanges of neighbours.
+_LONGEST_SORTED = 16
 
 
 def _reshape(g: Graph, eqn: Any, a: Nodes) -> list[Nodes]:
@@ -95,7 +95,7 @@ def _dynamic_slice(g: Graph, eqn: Any, a: Nodes, *indices: Nodes) -> list[Nodes]
     starts = _starts(g, indices, [n - m for n, m in zip(a.shape, sizes, strict=True)])
     if starts is not None:
         return [a[tuple(slice(s, s + m) for s, m in zip(starts, sizes, strict=True))]]
-    if a.ndim == 1 and sizes[0] == 1 and a.size <= _LONGEST_LOOKUP:
+    if a.ndim == 1 and sizes[0] == 1 and a.size <= g.limits.table:
         return [nodes([_lookup(g, a.tolist(), int(indices[0]))], (1,))]
     return None
 
@@ -155,7 +155,7 @@ def _taken(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
         return None
     (axis,) = numbers.start_index_map
     rest = [n for i, n in enumerate(a.shape) if i != axis]
-    if a.shape[axis] > _LONGEST_LOOKUP or [m for i, m in enumerate(sizes) if i != axis] != rest:
+    if a.shape[axis] > g.limits.table or [m for i, m in enumerate(sizes) if i != axis] != rest:
         return None
     columns = np.moveaxis(a, axis, -1).reshape(-1, a.shape[axis]).tolist()
     places = indices.reshape(-1).tolist()
@@ -169,7 +169,7 @@ def _taken(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
 def _sort(g: Graph, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     """Short vectors in the order of the first one, by exchanges of neighbours: equals keep their order."""
     n = arrays[0].size
-    if arrays[0].ndim != 1 or n > _LONGEST_LOOKUP or eqn.params["num_keys"] != 1:
+    if arrays[0].ndim != 1 or n > _LONGEST_SORTED or eqn.params["num_keys"] != 1:
         return None
     if g.dtypes[int(arrays[0][0])] == g.dtype if n else False:
         return None  # not-a-number has a place of its own among real numbers

@@ -1,0 +1,90 @@
+"""Systems to write out, and C code compiled and called from here."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+
+#: What the code must be clean under, and more than is promised.
+STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror")
+STRICTER = ("-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes")
+
+COMPILERS = [c for c in ("gcc", "clang") if shutil.which(c)]
+needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler: neither gcc nor clang is installed")
+
+MASS = np.array(
+    [
+        [2.0, 0.0, 0.0, 0.0, 0.1, -0.2],
+        [0.0, 2.0, 0.0, -0.1, 0.0, 0.3],
+        [0.0, 0.0, 2.0, 0.2, -0.3, 0.0],
+        [0.0, -0.1, 0.2, 0.5, 0.01, 0.0],
+        [0.1, 0.0, -0.3, 0.01, 0.4, 0.02],
+        [-0.2, 0.3, 0.0, 0.0, 0.02, 0.6],
+    ]
+)
+
+
+@functools.cache
+def body() -> tx.Dynamics:
+    """A body with a solve, a table, outputs and constraints; names whose order is not that of the alphabet."""
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    F, b = tx.Control("wrench", shape=(6,)), tx.Control("b.rake", shape=())
+    M, k = tx.Parameter("M", value=MASS), tx.Parameter("gain", value=1.5)
+    drag = tx.Linterp(V[0], np.array([-1.0, 0.0, 2.0]), np.array([1.0, 0.1, 0.7])) * b
+    rate = tx.linalg.Solve(M, k * F - tx.lie.AdjointDual(V, M @ V) - drag * V)
+    return tx.compile(
+        tx.System(
+            rates={g: V, V: rate},
+            outputs={"turn": g[:3, :3] @ tx.SSM(V[3:]), "speed": tx.linalg.Norm(V[:3])},
+            constraints={"most": F <= 3.0, "level": g[2, 3] == 1.0},
+        )
+    )
+
+
+def point(seed: int = 0) -> tuple[Any, ...]:
+    """(t, x, u, params) of the body."""
+    rng = np.random.default_rng(seed)
+    g = np.asarray(tx.lie.se3.exp(0.7 * rng.normal(size=6)))
+    x = {"g": g, "V": rng.normal(size=6)}
+    return 0.3, x, {"wrench": rng.normal(size=6), "b.rake": rng.uniform()}, {"M": MASS + 0.1 * np.eye(6), "gain": 0.8}
+
+
+def flat(given: tuple[Any, ...]) -> list[Any]:
+    """The arguments in the order of the call convention."""
+    t, *dicts = given
+    return [t, *(np.asarray(v) for values in dicts for v in values.values())]
+
+
+class Library:
+    """C code as a shared library."""
+
+    def __init__(self, source: Path, dtype: Any = np.float64, compiler: str = "gcc", level: str = "-O1") -> None:
+        target = source.with_suffix(f".{compiler}.so")
+        command = [compiler, *STRICT, *STRICTER, level, "-shared", "-fPIC", str(source), "-lm", "-o", str(target)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        self.library, self.dtype = ctypes.CDLL(str(target)), np.dtype(dtype)
+
+    def call(self, function: str, arguments: Sequence[Any], shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
+        """The results of a function, the first argument a number, all others arrays."""
+        time, *arrays = arguments
+        given = [np.ascontiguousarray(a, self.dtype) for a in arrays]
+        results = [np.full(shape, 777.0, self.dtype) for shape in shapes]
+        real = ctypes.c_float if self.dtype == np.float32 else ctypes.c_double
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (*given, *results)]
+        getattr(self.library, function)(real(time), *pointers)
+        return results
+
+
+def run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(list(command), capture_output=True, text=True)

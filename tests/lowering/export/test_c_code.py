@@ -1,0 +1,179 @@
+"""C code of whole systems: compiled without a warning, run, and compared with the dynamics by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from export_systems import COMPILERS, MASS, STRICT, STRICTER, Library, body, flat, needs_compiler, point, run
+
+import twistax as tx
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the code of the body, in double precision."""
+    folder = tmp_path_factory.mktemp("c") / "made" / "for it"
+    body().to_c(folder, name="body", points=[point(1), point(2)])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected() -> dict[str, dict[str, jax.Array]]:
+    """All functions of the body at a point, by name and in arrays, as JAX has them."""
+    dynamics, (t, x, u, params) = body(), point(5)
+
+    def moved(x: Any, u: Any) -> jax.Array:
+        rates = dynamics.as_written("rates", jnp.asarray(t), x, u, params)
+        return jnp.concatenate([rates["g"], rates["V"]])
+
+    def by_x(d: jax.Array) -> jax.Array:
+        return moved({"g": x["g"] @ tx.lie.se3.exp(d[:6]), "V": x["V"] + d[6:]}, u)
+
+    def by_u(d: jax.Array) -> jax.Array:
+        return moved(x, {"wrench": u["wrench"] + d[:6], "b.rake": u["b.rake"] + d[6]})
+
+    def everything(x: Any, u: Any, params: Any) -> Any:
+        families = ("rates", "outputs", "constraints")
+        found = {family: dynamics.as_written(family, jnp.asarray(t), x, u, params) for family in families}
+        return found | {"jacobian": {"x": jax.jacfwd(by_x)(jnp.zeros(12)), "u": jax.jacfwd(by_u)(jnp.zeros(7))}}
+
+    x, u, params = jax.tree.map(jnp.asarray, (x, u, params))
+    return jax.jit(everything, compiler_options={"xla_backend_optimization_level": 0})(x, u, params)
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_functions_give_what_the_dynamics_give(
+    written: Path, expected: dict[str, dict[str, jax.Array]], compiler: str
+) -> None:
+    library, given = Library(written / "body.c", compiler=compiler), flat(point(5))
+    results = {
+        "rates": {"g": (6,), "V": (6,)},
+        "outputs": {"turn": (3, 3), "speed": ()},
+        "constraints": {"inequality": (6,), "equality": (1,)},
+        "jacobian": {"x": (12, 12), "u": (12, 7)},
+    }
+    for function, shapes in results.items():
+        found = library.call(f"body_{function}", given, list(shapes.values()))
+        for name, own in zip(shapes, found, strict=True):
+            message = f"{function} {name}"
+            np.testing.assert_allclose(own, expected[function][name], rtol=1e-12, atol=1e-13, err_msg=message)
+
+
+@needs_compiler
+def test_the_test_main_passes_and_sees_an_error(written: Path) -> None:
+    test, source = written / "body_test.c", written / "body.c"
+    command = [COMPILERS[0], *STRICT, *STRICTER, "-O1", "-I", str(written)]
+    done = run([*command, str(source), str(test), "-lm", "-o", str(written / "good")])
+    assert done.returncode == 0, done.stderr
+    good = run([str(written / "good")])
+    assert good.returncode == 0, good.stdout
+    assert "all agree" in good.stdout
+
+    head, mark, tail = source.read_text().rpartition("rate_V[5] = ")
+    wrong = written / "wrong.c"
+    wrong.write_text(f"{head}{mark}0.5 + {tail}")
+    assert run([*command, str(wrong), str(test), "-lm", "-o", str(written / "bad")]).returncode == 0
+    bad = run([str(written / "bad")])
+    assert bad.returncode == 1
+    assert "WRONG" in bad.stdout
+
+
+@needs_compiler
+def test_single_precision(tmp_path: Path, expected: dict[str, dict[str, jax.Array]]) -> None:
+    files = body().to_c(tmp_path, name="single", dtype=np.float32, jacobian=(), points=[point(1)])
+    assert "double" not in files.header.read_text() + files.source.read_text()
+    found = Library(files.source, np.float32).call("single_rates", flat(point(5)), [(6,), (6,)])
+    for name, own in zip(("g", "V"), found, strict=True):
+        np.testing.assert_allclose(own, expected["rates"][name], rtol=1e-5, atol=1e-6)
+    command = [COMPILERS[0], *STRICT, *STRICTER, str(files.source), str(files.test), "-lm", "-o", str(tmp_path / "run")]
+    assert run(command).returncode == 0
+    assert run([str(tmp_path / "run")]).returncode == 0
+
+
+@needs_compiler
+def test_double_code_without_the_x64_switch(tmp_path: Path) -> None:
+    x, third = tx.State("x"), 1.0 / 3.0
+    with jax.enable_x64(False):
+        files = tx.compile(tx.System(rates={x: third * x})).to_c(tmp_path)
+    assert third.hex() in files.source.read_text()
+    assert Library(files.source).call("dynamics_rates", [0.0, np.ones(1)], [()])[0] == third
+
+
+@needs_compiler
+def test_parameters_own_values_and_names(tmp_path: Path) -> None:
+    x, y, u = tx.State("double", shape=(2,)), tx.State("1 st.?*/"), tx.Control("ω")
+    p, time = tx.Parameter("p", value=[0.1, np.pi]), tx.Time()
+    system = tx.System(rates={x: p * y * u, y: tx.Sin(x[0]) * time})
+    files = tx.compile(system).to_c(tmp_path, jacobian=("params",))
+    library = Library(files.source)
+    values = np.ctypeslib.as_array((np.ctypeslib.ctypes.c_double * 2).in_dll(library.library, "dynamics_default_p_p"))
+    assert values.tolist() == [0.1, np.pi]
+    found = library.call("dynamics_rates", [2.0, [0.3, 0.0], 2.0, 3.0, [1.0, 2.0]], [(2,), ()])
+    np.testing.assert_allclose(found[0], [6.0, 12.0])
+    np.testing.assert_allclose(found[1], 2.0 * np.sin(0.3), rtol=1e-15)
+    text = files.header.read_text()
+    assert "x_double" in text
+    assert "x_1_st___" in text
+    assert "u_u03c9" in text
+
+
+def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
+    x, y = tx.State("a.b"), tx.State("a b")
+    with pytest.raises(tx.ModelError, match=r"'a\.b' and 'a b' would both be called x_a_b"):
+        tx.compile(tx.System(rates={x: y, y: x})).to_c(tmp_path)
+
+
+def test_what_has_no_scalars_is_named(tmp_path: Path) -> None:
+    x, A = tx.State("x", shape=(13,)), tx.Parameter("A", value=np.eye(13))
+    with pytest.raises(tx.ModelError, match=r"the rates call lu, triangular_solve,[\s\S]* up to 12 x 12"):
+        tx.compile(tx.System(rates={x: tx.linalg.Solve(A, x)})).to_c(tmp_path)
+
+
+def test_arguments_that_are_wrong(tmp_path: Path) -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}))
+    with pytest.raises(tx.InputError, match="name expects a letter"):
+        dynamics.to_c(tmp_path, name="two words")
+    with pytest.raises(tx.InputError, match="float64 or float32, got float16"):
+        dynamics.to_c(tmp_path, dtype=np.float16)
+    with pytest.raises(tx.InputError, match="'z'; it takes"):
+        dynamics.to_c(tmp_path, jacobian=("z",))
+    with pytest.raises(tx.InputError, match="a sequence like"):
+        dynamics.to_c(tmp_path, jacobian="x")
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}))
+    first = dynamics.to_c(tmp_path).source.read_text()
+    assert dynamics.to_c(tmp_path).source.read_text() == first  # its own are replaced
+    (tmp_path / "dynamics.h").write_text("mine")
+    with pytest.raises(tx.InputError, match=r"dynamics\.h' exists and was not written by twistax"):
+        dynamics.to_c(tmp_path)
+    assert (tmp_path / "dynamics.h").read_text() == "mine"
+    with pytest.raises(tx.InputError, match="cannot write C code to"):
+        dynamics.to_c(tmp_path / "dynamics.h" / "below")
+
+
+def test_a_solve_is_pivoted(tmp_path: Path) -> None:
+    """A matrix whose leading entries are zero."""
+    if not COMPILERS:
+        pytest.skip("no C compiler")
+    A = MASS[::-1].copy()
+    x, M = tx.State("x", shape=(6,)), tx.Parameter("A", shape=(6, 6))
+    files = tx.compile(tx.System(rates={x: tx.linalg.Solve(M, x)})).to_c(tmp_path, jacobian=("x",))
+    given = np.arange(1.0, 7.0)
+    library = Library(files.source)
+    np.testing.assert_allclose(
+        library.call("dynamics_rates", [0.0, given, A], [(6,)])[0], np.linalg.solve(A, given), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        library.call("dynamics_jacobian", [0.0, given, A], [(6, 6)])[0], np.linalg.inv(A), rtol=1e-11, atol=1e-13
+    )

@@ -1,0 +1,132 @@
+"""Compiled systems as CasADi functions: values, shapes, names, and derivatives by CasADi itself."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from export_systems import MASS, body, point
+
+import twistax as tx
+from twistax.lowering.export.casadi_forms import CasadiForms
+from twistax.lowering.scalar.operations import by_primitive, convert
+
+
+@pytest.fixture
+def casadi() -> Any:
+    return pytest.importorskip("casadi", reason="casadi is not installed (extra twistax[casadi])")
+
+
+def named(given: tuple[Any, ...]) -> dict[str, Any]:
+    t, *dicts = given
+    return {"t": t, **{name: np.asarray(v) for values in dicts for name, v in values.items()}}
+
+
+def test_values_names_and_shapes(casadi: Any) -> None:
+    dynamics, given = body(), point(3)
+    function = dynamics.to_casadi(("rates", "outputs", "constraints"), name="body")
+    assert function.name() == "body"
+    assert function.name_in() == ["t", "g", "V", "wrench", "b.rake", "M", "gain"]
+    assert function.name_out() == ["rate_g", "rate_V", "turn", "speed", "inequality", "equality"]
+    assert function.size_in("g") == (4, 4)
+    assert function.size_out("turn") == (3, 3)
+    found = {name: np.array(value) for name, value in function(**named(given)).items()}
+    t, x, u, params = given
+    arrays = [{name: jnp.asarray(v) for name, v in values.items()} for values in (x, u, params)]
+    expected: dict[str, Any] = {}
+    for family in ("rates", "outputs", "constraints"):
+        expected |= dynamics.as_written(family, jnp.asarray(t), *arrays)
+    for name, value in found.items():
+        own = np.asarray(expected[name.removeprefix("rate_")])
+        own = own if own.ndim == 2 else own.reshape(-1, 1)
+        np.testing.assert_allclose(value, own, rtol=1e-12, atol=1e-13, err_msg=name)
+
+
+def test_derivatives_of_casadi(casadi: Any) -> None:
+    """By entries, brought to tangents, beside `Dynamics.jacobian`'s."""
+    R, w, u = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("u", shape=(2,))
+    J = np.array([1.0, 2.0, 3.5])
+    torque = R.T @ np.array([0.2, -0.1, 0.4]) + tx.Concat(u, tx.Sin(u[0] * w[1])) - tx.Cross(w, J * w)
+    dynamics = tx.compile(tx.System(rates={R: w, w: torque / J}))
+    x = {"R": np.asarray(tx.lie.so3.exp(np.array([0.3, -1.0, 0.5]))), "w": np.array([0.4, -0.3, 1.2])}
+    given = {**x, "u": np.array([0.7, -0.2])}
+
+    function = dynamics.to_casadi()
+    partials = function.jacobian()(**given, t=0.0, **{f"out_{name}": 0 for name in function.name_out()})
+    by_R, by_w, by_u = (np.array(partials[f"jac_rate_w_{name}"]) for name in ("R", "w", "u"))
+    expected = dynamics.jacobian(0.0, x, {"u": given["u"]})
+    same = {"rtol": 1e-13, "atol": 1e-14}
+    np.testing.assert_allclose(by_w, expected["x"][3:, 3:], **same)
+    np.testing.assert_allclose(by_u, expected["u"][3:], **same)
+    # The entries of a matrix count column by column in CasADi.
+    along = np.stack([(x["R"] @ np.asarray(tx.lie.so3.hat(e))).T.reshape(-1) for e in np.eye(3)], axis=1)
+    np.testing.assert_allclose(by_R @ along, expected["x"][3:, :3], **same)
+
+
+def test_what_is_left_out_is_not_a_number(casadi: Any) -> None:
+    dynamics, given = body(), named(point(3))
+    function = dynamics.to_casadi()
+    with_own = function(**{name: value for name, value in given.items() if name != "gain"})
+    np.testing.assert_array_equal(with_own["rate_V"], function(**(given | {"gain": 1.5}))["rate_V"])
+    without = function(**{name: value for name, value in given.items() if name != "M"})
+    assert np.isnan(np.array(without["rate_V"])).all()
+    assert np.isfinite(np.array(function(**(given | {"M": MASS}))["rate_V"])).all()
+
+
+def test_structural_zeros_stay(casadi: Any) -> None:
+    x = tx.State("x", shape=(3,))
+    function = tx.compile(tx.System(rates={x: tx.Concat(0.0, x[0] * x[1], 2.0)})).to_casadi()
+    assert function.sparsity_out("rate_x").nnz() == 2
+
+
+def test_operations(casadi: Any) -> None:
+    """Those that CasADi has not by one name, and branches, tables and conversions."""
+    forms, points = (
+        CasadiForms(casadi),
+        np.array([[0.3, -0.7, 0.2], [-2.5, 1.5, 3.0], [4.0, 2.0, -1.0], [1.0, 1.0, 1.0]]),
+    )
+    real, truth, whole = np.dtype(float), np.dtype(bool), np.dtype("int64")
+    symbols = [casadi.SX.sym(n) for n in "abc"]
+    rows, expected = [], []
+    with np.errstate(all="ignore"):
+        for operation in by_primitive.values():
+            n = {"clamp": 3, "logistic": 1}.get(operation.name) or getattr(operation.number, "nin", 3)
+            bits = operation.name in ("and", "or", "xor", "not")
+            given = [s > 0.5 for s in symbols[:n]] if bits else list(symbols[:n])
+            values = [p > 0.5 for p in points.T[:n]] if bits else list(points.T[:n])
+            types = [truth if bits else real] * n
+            if operation.name == "select":
+                given[0], values[0], types[0] = given[0] > 0.5, values[0] > 0.5, truth
+            rows.append(forms(operation, operation.result or types[-1], types, *given))
+            expected.append(np.asarray(operation.number(*values)).astype(float))
+    rows.append(forms(convert(whole), whole, [real], symbols[0]))
+    expected.append(np.trunc(points[:, 0]))
+    rows.append(forms(by_primitive["div"], whole, [whole, whole], casadi.SX(-7), casadi.SX(2)))
+    expected.append(np.full(4, -3.0))
+    found = casadi.Function("f", symbols, [casadi.vertcat(*rows)])
+    names = [o.name for o in by_primitive.values()] + ["whole", "divided"]
+    for k, row in enumerate(points):
+        for name, own, other in zip(names, np.array(found(*row)).reshape(-1), expected, strict=True):
+            np.testing.assert_allclose(own, other[k], rtol=1e-14, atol=1e-15, err_msg=f"{name} at {row}")
+    with pytest.raises(tx.ModelError, match="CasADi has no and of int64"):
+        forms(by_primitive["and"], whole, [whole, whole], *symbols[:2])
+
+
+def test_names_that_meet_are_refused(casadi: Any) -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}, outputs={"x": 2.0 * x}))
+    assert dynamics.to_casadi().name_out() == ["rate_x"]
+    with pytest.raises(tx.ModelError, match="'x' stands for two"):
+        dynamics.to_casadi("outputs")
+    with pytest.raises(tx.ModelError, match="families among rates, outputs, constraints, got 'rate'"):
+        dynamics.to_casadi("rate")
+
+
+def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    x = tx.State("x")
+    with pytest.raises(tx.ModelError, match=r"pip install 'twistax\[casadi\]'"):
+        tx.compile(tx.System(rates={x: -x})).to_casadi()

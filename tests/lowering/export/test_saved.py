@@ -1,0 +1,247 @@
+"""Compiled systems in files and out of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+import twistax.mechanics
+from twistax.expr import Example, Expr, all_nodes, leaves_of
+from twistax.expr.fields import Operand
+from twistax.expr.node import Shape
+from twistax.groups.special import SpecialOrthogonal
+from twistax.lowering.export.tree import read_nodes, write_nodes
+
+
+def again(dynamics: tx.Dynamics, folder: Path) -> tx.Dynamics:
+    dynamics.save(folder / "system.twistax")
+    return tx.load(folder / "system.twistax")
+
+
+def full() -> tx.System:
+    """A system in which everything has a value that is not the usual one."""
+    g = tx.State("g", group=tx.SE3, order=tx.ANGULAR_FIRST, initial=np.eye(4), scale=2.0)
+    w = tx.State("w", shape=(6,), min=-3.0, max=[1.0, 2.0, 3.0, 4.0, 5.0, np.inf], guess=np.linspace(0.0, 1.0, 6))
+    u, unused = tx.Control("u", shape=(3,), min=-1.0, guess=[0.1, 0.2, 0.3]), tx.Control("unused")
+    k, J = tx.Parameter("k", value=1.0 / 3.0), tx.Parameter("J", shape=(3, 3))
+    rate = tx.Concat(J @ w[:3] * k - tx.Cross(u, w[3:]), tx.Where(tx.Time() >= 1.0, w[:3], -w[3:]))
+    table = tx.Cinterp(w[0], [0.0, 1.0, 3.0, 4.0], [1.0, -1.0, 2.0, 2.5], method="akima")
+    return tx.System(
+        rates={w: rate, g: w},
+        outputs={"table": table, "height": g[2, 3], "all": tx.Vmap(lambda p: p @ w[:3], batch=np.eye(3) * k)},
+        constraints={"box": u <= 3.0, "level": g[2, 3] == 1.0, "kept": w >= -1e300},
+        controls=[unused, u],
+        parameters=[J, k],
+    )
+
+
+def test_a_system_comes_back(tmp_path: Path) -> None:
+    dynamics = tx.compile(
+        full(), outputs=["height", "table"], bake={"J": np.diag([0.1, 0.2, 0.7])}, emitter=tx.Arrays()
+    )
+    loaded = again(dynamics, tmp_path)
+    old, new = dynamics.system, loaded.system
+    for kind in ("rates", "outputs", "constraints"):
+        pairs = zip(getattr(old, kind).items(), getattr(new, kind).items(), strict=True)
+        assert all(a == b and one.key() == other.key() for (a, one), (b, other) in pairs), kind
+    for kind in ("states", "controls", "parameters"):
+        for one, other in zip(getattr(old, kind), getattr(new, kind), strict=True):
+            assert type(one) is type(other)
+            fields = {name: value for name, value in one.__dict__.items() if name != "_sealed"}
+            for name, value in fields.items():
+                np.testing.assert_array_equal(getattr(other, name, None), value, err_msg=f"{one.name}.{name}")
+    assert new.states[1].order is tx.ANGULAR_FIRST
+    assert loaded.baked == ("J",)
+    assert [p.name for p in loaded.parameters] == ["k"]
+    assert list(loaded.families["outputs"]) == ["height", "table"]
+    assert loaded.emitter == tx.Arrays()
+    assert loaded.group == dynamics.group
+
+    rng = np.random.default_rng(0)
+    x = {"g": np.asarray(tx.lie.se3.exp(rng.normal(size=6))), "w": rng.normal(size=6)}
+    u = {"u": rng.normal(size=3)}
+    for family in ("__call__", "outputs", "constraints"):
+        one, other = (getattr(d, family)(0.3, x, u) for d in (dynamics, loaded))
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_values_that_change_after_compiling_are_not_saved(tmp_path: Path) -> None:
+    J = np.eye(3)
+    dynamics = tx.compile(full(), bake={"J": J})
+    J[0, 0] = 5.0
+    assert again(dynamics, tmp_path).bake["J"][0, 0] == 1.0
+
+
+def test_the_emitter_comes_back_or_is_chosen(tmp_path: Path) -> None:
+    chosen = tx.XLA(numbering=tx.ValueNumbering(points=4, tolerance=1e-10), least=7)
+    dynamics = tx.compile(full(), emitter=chosen)
+    assert again(dynamics, tmp_path).emitter == chosen
+    assert tx.load(tmp_path / "system.twistax", emitter=tx.Arrays()).emitter == tx.Arrays()
+
+
+def copied(roots: list[Expr]) -> list[Expr]:
+    """The roots, written and read."""
+    arrays: list[Any] = []
+    written, places = write_nodes(roots, arrays)
+    nodes = read_nodes(json.loads(json.dumps(written, allow_nan=False)), arrays)
+    return [nodes[places[id(root)]] for root in roots]
+
+
+def test_every_node_comes_back() -> None:
+    """The examples of all node classes."""
+    assert twistax.mechanics  # its nodes are among them
+    roots = [example.expr for node in all_nodes() for example in node.example()]
+    assert len(roots) > 200
+    for root, loaded in zip(roots, copied(roots), strict=True):
+        assert loaded.key() == root.key(), root
+        assert loaded.shape == root.shape
+        assert len(list(leaves_of(loaded))) == len(list(leaves_of(root)))  # what is shared stays so
+
+
+def test_a_folded_matrix_keeps_its_structure() -> None:
+    x = tx.State("x", shape=(6,))
+    matrix = tx.lie.SE3Adjoint(tx.pose(position=[1.0, 2.0, 3.0], euler=[0.1, 0.2, 0.3])).canonicalize()
+    assert isinstance(matrix, tx.Constant)
+    assert matrix.folded_from is not None
+    product = matrix @ x
+    (loaded,) = copied([product])
+    assert loaded.canonicalize().key() == product.canonicalize().key() != product.key()
+
+
+def test_deep_trees() -> None:
+    node: Expr = tx.State("x")
+    for _ in range(700):
+        node = tx.Sin(node) + node
+    (loaded,) = copied([node])
+    assert loaded.key() == node.key()
+
+
+def test_equal_systems_give_equal_files_without_pickles(tmp_path: Path) -> None:
+    tx.compile(full()).save(tmp_path / "a")
+    tx.compile(full()).save(tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    with zipfile.ZipFile(tmp_path / "a") as archive:
+        kinds = {Path(name).suffix for name in archive.namelist()}
+    assert kinds == {".json", ".npy"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+# ---- files that are not as they should be ----------------------------------------------------------------------------
+
+
+def edited(path: Path, change: Any) -> Path:
+    """The file with its JSON changed."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    content = json.loads(members["system.json"])
+    change(content)
+    members["system.json"] = json.dumps(content).encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return path
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    x = tx.State("x", shape=(2,))
+    tx.compile(tx.System(rates={x: tx.Sin(x) * [1.0, 2.0]})).save(tmp_path / "s")
+    return tmp_path / "s"
+
+
+def test_another_format_is_refused(file: Path) -> None:
+    edited(file, lambda content: content.update(format=2, twistax="9.9.9"))
+    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 2; this is twistax .* format 1"):
+        tx.load(file)
+
+
+def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
+    whole = file.read_bytes()
+    for part in (b"", whole[: len(whole) // 2], whole[:-5], b"no archive at all", whole[:60] + b"\xff" + whole[61:]):
+        file.write_bytes(part)
+        with pytest.raises(tx.InputError, match=r"'.*s' is "):
+            tx.load(file)
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("system.json", b'{"format": 1, "twistax": "0"}')
+    with pytest.raises(tx.InputError, match="no saved system, or damaged"):
+        tx.load(file)
+    with pytest.raises(tx.InputError, match="there is no file"):
+        tx.load(tmp_path / "nowhere")
+    with pytest.raises(tx.InputError, match="cannot save to"):
+        tx.compile(full()).save(tmp_path / "no" / "folder")
+
+
+def test_a_changed_tree_is_refused(file: Path) -> None:
+    def swap(content: Any) -> None:
+        for node in content["nodes"]:
+            node[0] = node[0].replace(":Sin", ":Cos")
+
+    edited(file, swap)
+    with pytest.raises(tx.ModelError, match="read back as others"):
+        tx.load(file)
+
+
+@pytest.mark.parametrize(
+    "named", ["twistax.expr.arithmetic:Nothing", "twistax.nowhere:Sin", "os:system", "subprocess:Popen"]
+)
+def test_unknown_classes_are_named_and_nothing_runs(file: Path, named: str) -> None:
+    edited(file, lambda content: content["nodes"][1].__setitem__(0, named))
+    with pytest.raises(tx.ModelError, match=f"a {named.partition(':')[2]} of the module '{named.partition(':')[0]}'"):
+        tx.load(file)
+
+
+def test_fields_that_changed_are_told(file: Path) -> None:
+    edited(file, lambda content: content["nodes"][1][1].update(more=1.0))
+    with pytest.raises(tx.ModelError, match="has the fields"):
+        tx.load(file)
+
+
+# ---- classes of a user's ---------------------------------------------------------------------------------------------
+
+
+class Doubled(Expr):
+    """2 x of one's own."""
+
+    x: Operand
+    by: Any = 2.0
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return shapes[0]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return self.by * values[0]
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return []
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnRotations(SpecialOrthogonal):
+    """SO(3) under another name."""
+
+    tag: str = "own"
+
+
+def test_nodes_and_groups_of_ones_own(tmp_path: Path) -> None:
+    x, R = tx.State("x"), tx.State("R", group=OwnRotations("mine"))
+    loaded = again(tx.compile(tx.System(rates={x: Doubled(x, by=3.0), R: tx.Constant(np.ones(3))})), tmp_path)
+    assert isinstance(loaded.system.rates["x"], Doubled)
+    assert loaded.system.states[1].group == OwnRotations("mine")
+    assert float(loaded(0.0, {"x": 2.0, "R": np.eye(3)})["x"]) == 6.0
+
+
+def test_code_is_not_saved(tmp_path: Path) -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: Doubled(x, by=np.sin)}))
+    with pytest.raises(tx.ModelError, match=r"Doubled\.by is .* cannot be saved"):
+        dynamics.save(tmp_path / "s")
+    assert not list(tmp_path.iterdir())
