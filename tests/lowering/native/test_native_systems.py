@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 import re
@@ -253,3 +254,14 @@ def test_no_warning_by_default() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tx.compile(BODY)(0.0, START, U)
+
+
+def test_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large functions are native where llvmlite is; small ones, and all without it, are as ever."""
+    large = tx.System(rates={s: functools.reduce(lambda x, k: tx.Sin(x) * s + k, range(120), s)})
+    assert tx.compile(large).emitter == tx.Native(only_large=True)
+    assert "twistax_" in jax.jit(tx.compile(large)).lower(0.0, AT).as_text()
+    assert "twistax_" not in jax.jit(tx.compile(SMALL)).lower(0.0, AT).as_text()
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "llvmlite" else found(name, *a))
+    assert tx.compile(large).emitter == tx.XLA()
