@@ -1,4 +1,4 @@
-"""All that take part, in the order of tables. The first is the reference that all others must agree with."""
+"""All that take part, in the order of tables. The first that has a task is what others must agree with."""
 
 from __future__ import annotations
 

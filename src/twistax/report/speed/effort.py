@@ -35,5 +35,5 @@ class Effort:
 
 FULL = Effort("full", (), (), 65536, longest=20.0, patience=150.0, rounds=41, least=5, share=1.0)
 QUICK = Effort(
-    "quick", ("free-body", "aba-7"), ("value",), 4096, longest=1.0, patience=20.0, rounds=15, least=3, share=0.1
+    "quick", ("free-body", "aba-7"), ("value",), 4096, longest=1.0, patience=60.0, rounds=15, least=3, share=0.1
 )

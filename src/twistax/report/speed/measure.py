@@ -62,7 +62,7 @@ def measure(
     """Rows of all uses, kept use by use; those that are there already are not measured again.
 
     Args:
-        contenders: all are on this machine; the first is the reference.
+        contenders: all are on this machine; the first that has the task is the reference.
     """
     tasks: dict[str, Task | str] = {}
     for number, use in enumerate(uses):
@@ -102,15 +102,16 @@ def _measure_use(
             continue
         if program.compile_seconds > effort.patience:
             tasks[contender.name] = f"compiling another use took {program.compile_seconds:.0f} s"
-        if reference is None and number == 0:
-            reference = values
-        row = dataclasses.replace(row, evaluations=program.evaluations, compile_seconds=program.compile_seconds)
-        if reference is not None:
-            difference = apart(values, reference, len(quantity.shape(case)))
-            row = dataclasses.replace(row, difference=difference)
-            if not difference <= AGREEMENT:
-                rows.append(dataclasses.replace(row, result=f"disagrees by {difference:.0e}"))
-                continue
+        reference = values if reference is None else reference
+        row = dataclasses.replace(
+            row,
+            difference=apart(values, reference, len(quantity.shape(case))),
+            evaluations=program.evaluations,
+            compile_seconds=program.compile_seconds,
+        )
+        if not row.difference <= AGREEMENT:
+            rows.append(dataclasses.replace(row, result=f"disagrees by {row.difference:.0e}"))
+            continue
         entries.append(_Entry(row, program, seconds_of(program.call)))
     for entry in entries:
         if entry.rough > effort.longest:

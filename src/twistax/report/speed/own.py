@@ -56,7 +56,7 @@ class _Own(Contender):
 
 
 class Scalars(_Own):
-    name, colour = "twistax, XLA", "C0"
+    name, colour = "twistax XLA", "C0"
     how = (
         "`tx.compile(system, emitter=tx.XLA())`: scalars where it writes functions out, arrays below. Jacobians by "
         "`dynamics.jacobian` up to 30,000 operations, by `jax.jacfwd` beyond; gradients by `jax.grad`."
@@ -67,7 +67,7 @@ class Scalars(_Own):
 
 
 class Arrays(_Own):
-    name, colour = "twistax, arrays", "C9"
+    name, colour = "twistax arrays", "C9"
     how = "`tx.compile(system, emitter=tx.Arrays())`: small arrays as they are written. Derivatives by JAX."
 
     def emitter(self) -> Emitter:
@@ -78,7 +78,7 @@ class Arrays(_Own):
 
 
 class Native(_Own):
-    name, colour = "twistax, native", "C3"
+    name, colour = "twistax native", "C3"
     how = "`tx.compile(system, emitter=tx.Native())`: kernels compiled in process. Derivatives as with XLA."
     packages = (("llvmlite", "llvmlite"),)
 

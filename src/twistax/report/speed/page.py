@@ -180,8 +180,8 @@ def _how(rows: Sequence[Row], origin: Origin, empty_call: float, command: str) -
         f"Versions: {versions}; code {origin.code}.",
         f"Run again: `{command}` ({effort['name']} run). All figures are in `speed.csv` and `speed.json`.",
         "Nothing is set for the process but JAX's x64 switch: no XLA flag, no compiler option.",
-        "The results of the very programs that are timed are compared with those of "
-        f"{CONTENDERS[0].name}, at random states, before anything is timed.",
+        "The results of the very programs that are timed are compared with those of the first contender in the tables, "
+        "at random states, before anything is timed.",
         f"Contenders take turns: up to {effort['rounds']} rounds of 3 calls after one that does not count (of long "
         f"calls fewer, at least {effort['least']}; a call over {effort['longest']:g} s counts alone). Every call is "
         "waited for. The table has medians and quartiles; the CSV the minimum too.",

@@ -31,7 +31,7 @@ _VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 
 
 class Casadi(Contender):
-    name, colour = "CasADi, C", "C1"
+    name, colour = "CasADi C", "C1"
     how = (
         "the same plain matrices as SX symbols, C written by `Function.generate`, compiled with "
         f"`gcc {' '.join(_FLAGS[:2])}`; loop and batch are loops in C on one core, a single call goes through its "
