@@ -10,7 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.integrators.implicit.inverses import inverse
-from twistax.tableaus import GAUSS_LEGENDRE4, IMPLICIT, RADAU_IIA3, RADAU_IIA5, CollocationTableau
+from twistax.tableaus import GAUSS_LEGENDRE4, IMPLICIT, RADAU_IIA3, RADAU_IIA5, RADAU_IIA9, CollocationTableau
 
 BY_NAME = pytest.mark.parametrize("tableau", IMPLICIT, ids=lambda tableau: tableau.name)
 
@@ -73,7 +73,7 @@ def test_the_end_is_a_sum_of_the_stages(tableau: CollocationTableau) -> None:
     assert tableau.end @ (tableau.a @ slopes) == pytest.approx(tableau.b @ slopes, abs=1e-14)
 
 
-@pytest.mark.parametrize("tableau", [RADAU_IIA3, RADAU_IIA5], ids=lambda tableau: tableau.name)
+@pytest.mark.parametrize("tableau", [RADAU_IIA3, RADAU_IIA5, RADAU_IIA9], ids=lambda tableau: tableau.name)
 def test_the_estimate_vanishes_for_polynomials_up_to_its_order(tableau: CollocationTableau) -> None:
     def estimate(power: int) -> float:
         """For y' = (p) t^(p - 1), a step of length one from zero."""
@@ -112,7 +112,7 @@ def test_what_is_no_tableau_is_refused(unchecked: None, changes: dict[str, Any],
 
 
 def test_tableaus_are_read_only_and_listed() -> None:
-    assert [tableau.order for tableau in IMPLICIT] == [3, 4, 5, 6]
+    assert [tableau.order for tableau in IMPLICIT] == [3, 4, 5, 6, 9]
     assert not set(map(id, IMPLICIT)) & set(map(id, tx.tableaus.ALL))
     with pytest.raises(ValueError, match="read-only"):
         RADAU_IIA5.a[0, 0] = 1.0

@@ -3,9 +3,10 @@
 `python -m twistax.report.stiff_speed` prints the tables. Exit status 1 if a bar is missed. `--quick` leaves out the
 gradient, which takes most of the time.
 
-The peer is diffrax's Kvaerno5 with a PI controller, on quaternions. Both run in one jit each, with the tolerance as
-input, and each at the tolerance of its ladder that reaches the error soonest. Ours is one small function (see
-docs/integrating.md); Kvaerno5 calls a library in every step, which no small function can, so it runs as it is.
+Ours are Radau IIA of three stages (order 5) and of five (order 9). The peer is diffrax's Kvaerno5 with a PI controller,
+on quaternions. All run in one jit each, with the tolerance as input, and each at the tolerance of its ladder that
+reaches the error soonest. Ours are one small function each (see docs/integrating.md); Kvaerno5 calls a library in every
+step, which no small function can, so it runs as it is.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 
 from ..diffrax import ambient_term
 from ..integrators import ImplicitRKMK, StepControl, integrate
-from ..integrators.implicit import RADAU_IIA5
+from ..integrators.implicit import RADAU_IIA5, RADAU_IIA9, CollocationTableau
 from ..lowering import Dynamics, compile
 from ..lowering.small_call import fits
 from ..scenes import stiff_attitude
@@ -45,6 +46,8 @@ _ROUNDS = 5
 _ROUND = 0.03
 _LADDER = tuple(10.0 ** (-2.0 - 0.25 * i) for i in range(29))
 _METHOD = ImplicitRKMK(RADAU_IIA5)
+#: Those in the race for time.
+_OURS, _PEER = (RADAU_IIA5, RADAU_IIA9), "Kvaerno5"
 
 #: tolerance -> (the end by name, the number of steps tried).
 Flight = Callable[[jax.Array], tuple[dict[str, jax.Array], jax.Array]]
@@ -71,17 +74,20 @@ def contenders(dynamics: Dynamics) -> dict[str, Flight]:
     term = ambient_term(dynamics)
     start = term.to_ambient(scene.start)
 
-    def ours(tolerance: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        sol = integrate(
-            dynamics,
-            scene.start,
-            t1=scene.duration,
-            rtol=tolerance,
-            atol=tolerance,
-            method=_METHOD,
-            params=scene.params,
-        )
-        return {name: value[-1] for name, value in sol.xs.items()}, sol.stats.steps
+    def ours(tableau: CollocationTableau) -> Flight:
+        def fly(tolerance: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+            sol = integrate(
+                dynamics,
+                scene.start,
+                t1=scene.duration,
+                rtol=tolerance,
+                atol=tolerance,
+                method=ImplicitRKMK(tableau),
+                params=scene.params,
+            )
+            return {name: value[-1] for name, value in sol.xs.items()}, sol.stats.steps
+
+        return fly
 
     def peer(tolerance: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         sol = diffrax.diffeqsolve(
@@ -99,7 +105,7 @@ def contenders(dynamics: Dynamics) -> dict[str, Flight]:
         ys: Any = sol.ys
         return term.from_ambient({name: value[-1] for name, value in ys.items()}), sol.stats["num_steps"]
 
-    return {"Radau IIA 5": ours, "Kvaerno5": peer}
+    return {**{tableau.name: ours(tableau) for tableau in _OURS}, _PEER: peer}
 
 
 def best(runs: list[Run], error: float) -> Run:
@@ -122,7 +128,7 @@ def _milliseconds(run: Callable[[jax.Array], Any], tolerance: jax.Array) -> floa
 def _speeds(dynamics: Dynamics) -> bool:
     reference = stiff_attitude.scene(_RATE).reference
     flights = contenders(dynamics)
-    print(f"the peer fits a small function: {fits(flights['Kvaerno5'], jnp.asarray(1e-6))}")
+    print(f"the peer fits a small function: {fits(flights[_PEER], jnp.asarray(1e-6))}")
     compiled: dict[str, Any] = {}
     runs: dict[str, list[Run]] = {}
     for name, flight in flights.items():
@@ -140,20 +146,22 @@ def _speeds(dynamics: Dynamics) -> bool:
         end, steps = compiled[name](jnp.asarray(tolerance))
         runs[name].append(Run(tolerance, error_of(end, reference), median(found), int(steps)))
     print(f"{'tolerance':<12}" + "".join(f"{name + ': error':>22}{'steps':>8}{'ms':>9}" for name in runs))
-    for pair in zip(*runs.values(), strict=True):
+    for row in zip(*runs.values(), strict=True):
         print(
-            f"{pair[0].tolerance:<12.1e}"
-            + "".join(f"{run.error:>22.1e}{run.steps:>8}{run.milliseconds:>9.3f}" for run in pair)
+            f"{row[0].tolerance:<12.1e}"
+            + "".join(f"{run.error:>22.1e}{run.steps:>8}{run.milliseconds:>9.3f}" for run in row)
         )
     good = True
     for error, bar in SPEED_BARS.items():
-        ours, peer = (best(found, error) for found in runs.values())
-        ratio = ours.milliseconds / peer.milliseconds
-        good = good and ratio < bar
-        print(
-            f"at error {error:g}: {ours.milliseconds:.3f} ms ({ours.steps} steps) against {peer.milliseconds:.3f} ms "
-            f"({peer.steps} steps): ratio {ratio:.3f}, bar {bar:g}"
-        )
+        peer = best(runs[_PEER], error)
+        print(f"at error {error:g}: {_PEER} {peer.milliseconds:.3f} ms ({peer.steps} steps)")
+        ratios = []
+        for name in (tableau.name for tableau in _OURS):
+            own = best(runs[name], error)
+            ratios.append(own.milliseconds / peer.milliseconds)
+            print(f"  {name}: {own.milliseconds:.3f} ms ({own.steps} steps), ratio {ratios[-1]:.3f}")
+        print(f"  the smaller ratio against its bar: {min(ratios):.3f}, {bar:g}")
+        good = good and min(ratios) < bar
     return good
 
 

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 
-__all__ = ["Parts", "inverse", "times"]
+__all__ = ["Parts", "applied", "inverse", "times"]
 
 #: A real array (a,), or a complex one as real and imaginary part (a, b): complex numbers do not compile everywhere.
 Parts: TypeAlias = tuple[jax.Array, ...]
@@ -25,31 +25,39 @@ def inverse(matrix: Parts) -> Parts:
 
     Source: Golub, Van Loan, Matrix Computations (2013), sections 3.4 and 3.5.
     """
-    size = matrix[0].shape[0]
-    if size > _LARGEST:
+    if matrix[0].shape[0] > _LARGEST:
         return _by_library(matrix)
-    places = jnp.arange(size)
+    places = jnp.arange(matrix[0].shape[0])
 
     def eliminate(k: jax.Array, now: tuple[Parts, jax.Array]) -> tuple[Parts, jax.Array]:
         parts, order = now
-        column = tuple(part[:, k] for part in parts)
+        column = tuple(jax.lax.dynamic_index_in_dim(part, k, 1, keepdims=False) for part in parts)
         largest = jnp.argmax(jnp.where(places >= k, sum(jnp.abs(entry) for entry in column), -1.0)).astype(order.dtype)
-        swapped = jnp.where(places == k, largest, jnp.where(places == largest, k, places))
-        parts = tuple(part[swapped] for part in parts)
-        here, off = places == k, places != k
-        pivot = _reciprocal(tuple(part[k, k] for part in parts))
-        column = tuple(jnp.where(off, part[:, k], 0.0) for part in parts)
-        row = times(pivot, tuple(jnp.where(here, one, part[k]) for one, part in zip((1.0, 0.0), parts, strict=False)))
+        here, upper = places == k, tuple(part[k] for part in parts)
+        pivot = _reciprocal(tuple(entry[largest] for entry in column))
+        row = times(
+            pivot, tuple(jnp.where(here, one, part[largest]) for one, part in zip((1.0, 0.0), parts, strict=False))
+        )
+        # Rows k and `largest` change places.
+        column = tuple(jnp.where(here, 0.0, jnp.where(places == largest, entry[k], entry)) for entry in column)
         outer = times(tuple(entry[:, None] for entry in column), tuple(entry[None, :] for entry in row))
-        return tuple(
-            jnp.where(here[:, None], own[None, :], jnp.where(off[None, :], part, 0.0) - gone)
+        parts = tuple(part.at[largest].set(own) for part, own in zip(parts, upper, strict=True))
+        parts = tuple(
+            (jnp.where(here[None, :], 0.0, part) - gone).at[k].set(own)
             for own, part, gone in zip(row, parts, outer, strict=True)
-        ), order[swapped]
+        )
+        return parts, order.at[largest].set(order[k]).at[k].set(order[largest])
 
-    parts, order = jax.lax.fori_loop(0, size, eliminate, (matrix, places))
+    parts, order = jax.lax.fori_loop(0, places.size, eliminate, (matrix, places))
     # Rows were swapped on the way: columns of the inverse are.
     back = jnp.argmax(order[:, None] == places[None, :], axis=0)
     return tuple(part[:, back] for part in parts)
+
+
+def applied(matrix: Parts, vector: Parts) -> Parts:
+    """The product of a matrix and a vector."""
+    products = times(matrix, tuple(entry[None, :] for entry in vector))
+    return tuple(jnp.sum(product, axis=1) for product in products)
 
 
 def times(a: Parts, b: Parts) -> Parts:

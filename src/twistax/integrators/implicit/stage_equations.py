@@ -13,7 +13,8 @@ from jax.flatten_util import ravel_pytree
 from ...lowering import Dynamics
 from ..charts.whole import Blocks, StateCoordinates
 from .collocation import CollocationTableau
-from .inverses import Parts, inverse, times
+from .in_scalars import in_scalars
+from .inverses import Parts, applied, inverse
 
 __all__ = ["Factors", "StageEquations", "combined", "zero_coordinates"]
 
@@ -75,7 +76,9 @@ class StageEquations:
             return jax.jvp(lambda z: self._slope(self.t, self.y, z), (self.zero,), (direction,))
 
         eye = jnp.eye(self.zero.size, dtype=self.zero.dtype)
-        return jax.vmap(along, out_axes=(None, 1))(eye)
+        # Most of it is zero, or the same in many columns: scalars leave that out.
+        slope, jacobian = in_scalars(lambda: list(jax.vmap(along, out_axes=(None, 1))(eye)))
+        return slope, jacobian
 
     def first_slope(self) -> jax.Array:
         """The slope at the start of the step (N,)."""
@@ -120,10 +123,10 @@ class Factors:
         """X (s, N)."""
         rows = combined(self.tableau.untransform, list(R))
         count = len(self.real)
-        found = [_applied(own, (row,))[0] for own, row in zip(self.real, rows[:count], strict=True)]
+        found = [applied(own, (row,))[0] for own, row in zip(self.real, rows[:count], strict=True)]
         for own, first, second in zip(self.pairs, rows[count::2], rows[count + 1 :: 2], strict=True):
             # The block [[p, q], [-q, p]] acts on (x, y) as p + iq on x - iy.
-            x, y = _applied(own, (first, -second))
+            x, y = applied(own, (first, -second))
             found += [x, -y]
         return jnp.stack(combined(self.tableau.transform, found))
 
@@ -139,13 +142,8 @@ class Factors:
         """
         if self.real:
             mu = self.tableau.real[0]
-            return _applied(self.real[0], (mu * _applied(self.real[0], (mu * e,))[0],))[0]
+            return applied(self.real[0], (mu * applied(self.real[0], (mu * e,))[0],))[0]
         mu_pair = self.tableau.pairs[0]
         # |mu|^2 / ((mu - x) (conj(mu) - x)) = -|mu|^2 Im(1 / (mu - x)) / Im(mu)
-        imaginary = _applied(self.pairs[0], (e, jnp.zeros_like(e)))[1]
+        imaginary = applied(self.pairs[0], (e, jnp.zeros_like(e)))[1]
         return (-(abs(mu_pair) ** 2) / mu_pair.imag) * imaginary
-
-
-def _applied(matrix: Parts, vector: Parts) -> Parts:
-    products = times(matrix, tuple(entry[None, :] for entry in vector))
-    return tuple(jnp.sum(product, axis=1) for product in products)
