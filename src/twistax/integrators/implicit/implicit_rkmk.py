@@ -69,8 +69,8 @@ class ImplicitRKMK(Method):
     Jacobian at the start of the step, one real and one complex inverse a step in the size of the tangent, from the
     polynomial of the step before carried on.
 
-    - `tx.tableaus.RADAU_IIA5` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm. They fly with
-      fixed steps, or choose their own.
+    - `tx.tableaus.RADAU_IIA5`, `RADAU_IIA9` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm.
+      They fly with fixed steps, or choose their own.
     - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are those around the
       middle of the step, half the way to its end: then the method is symmetric. Over 1e5 steps of 0.05 s the energy of
       a heavy top stays within 1e-6 with the first of them; around the starts of steps it drifts by ten times that. The
