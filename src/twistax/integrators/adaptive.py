@@ -173,11 +173,12 @@ class AdaptiveCourse(Course):
 
         def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
             t, leg = stop
-            # Rates may have jumped at the limit before; at saved times they do not.
-            ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
-            resumed = ravel_pytree(stepper.resume(now.t, read(now.y), read_carry(now.carry), ahead))[0]
-            carry = jnp.where(now.t == self._leg(leg)[0], resumed, now.carry)
-            now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
+            if stops.limits.size > 1:
+                # Rates may have jumped at the limit before; at saved times they do not.
+                ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
+                resumed = ravel_pytree(stepper.resume(now.t, read(now.y), read_carry(now.carry), ahead))[0]
+                carry = jnp.where(now.t == self._leg(leg)[0], resumed, now.carry)
+                now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
             now = jax.lax.while_loop(
                 lambda n: (n.t < t) & (n.code == 0) & (n.tried < self.bound),
                 lambda n: self._try(stepper, packing, n, leg),

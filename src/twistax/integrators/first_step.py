@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from .charts.whole import Blocks
+from .held import held
 from .stepper import Stepper
 from .tolerances import Tolerances
 
@@ -32,14 +33,14 @@ def first_step(
     def size(e: Blocks) -> jax.Array:
         return jnp.sqrt(tolerances.mean_square(local, e, y, y))
 
-    slope = local.first_slope(y, rate)
+    slope = held(local.first_slope(y, rate))
     reach, speed = tolerances.reach(local, y), size(slope)
     short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
     # Controls beyond the end may not be defined.
     short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
     z = jax.tree.map(lambda k: short * k, slope)
-    moved = local.move(y, z)
-    later = local.slope(z, moved, stepper.rate(t + short, moved, short))
+    moved = held(local.move(y, z))
+    later = local.slope(z, moved, held(stepper.rate(t + short, moved, short)))
     bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
     largest = jnp.maximum(speed, bend)
     h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))

@@ -12,6 +12,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Chart, Exponential, chart_of
 from .charts.whole import Blocks, StateCoordinates, coordinates_of
+from .held import held
 from .method import Attempt, Carry, ControlsAt, Method
 from .stages import stage_slopes
 from .tableau import ButcherTableau
@@ -78,8 +79,8 @@ class RKMK(Method):
         local = self.coordinates(dynamics)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
-            moved = local.move(y, z)
-            return local.slope(z, moved, self.rate(dynamics, time, moved, u_at, params)), None
+            moved = held(local.move(y, z))
+            return local.slope(z, moved, held(self.rate(dynamics, time, moved, u_at, params))), None
 
         first = local.first_slope(y, self.rate(dynamics, t, y, u_at, params))
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
@@ -98,21 +99,20 @@ class RKMK(Method):
     ) -> Attempt:
         """A step whose last stage is its end, so that the rate there, which it carries, serves the next step too."""
         local = self.coordinates(dynamics)
-        packed, read = ravel_pytree(carry)
+        (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(carry)
 
-        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, jax.Array]:
-            moved = local.move(y, z)
-            rate = self.rate(dynamics, time, moved, u_at, params)
+        def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[jax.Array, jax.Array]]:
+            moved = held(local.move(y, z))
+            rate = held(self.rate(dynamics, time, moved, u_at, params))
             # Packed: the loop would carry every scalar by itself.
-            return local.slope(z, moved, rate), ravel_pytree(rate)[0]
+            return local.slope(z, moved, rate), (ravel_pytree(moved)[0], ravel_pytree(rate)[0])
 
         tableau = self.tableau
         stages = tableau.to_the_end
-        slopes, last = stage_slopes(stages, slope, local.first_slope(y, carry), packed, t, h)
+        slopes, (moved, rate) = stage_slopes(stages, slope, local.first_slope(y, carry), (start, packed), t, h)
         embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
         errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
-        end = local.settle(local.move(y, slopes.combine(tableau.b, h)))
-        return Attempt(end, read(last), errors, len(stages.c) - 1)
+        return Attempt(local.settle(read_state(moved)), read_rate(rate), errors, len(stages.c) - 1)
 
     def increment(
         self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array

@@ -13,6 +13,7 @@ from ...errors import ModelError
 from ...groups import SpecialEuclidean, quaternions, se3, so3
 from ...groups.components import Components, add, dot, scale, vector
 from ...groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
+from ..held import held
 from .chart import Chart
 from .coordinates import Coordinates
 from .stored import StoredPose, StoredRotation, tightened
@@ -47,7 +48,7 @@ class _Closed(_Maps):
         return stumpff(3, x)
 
     def inverse(self, x: jax.Array) -> tuple[jax.Array | float, jax.Array | float]:
-        return inverse_coefficients(x)
+        return held(inverse_coefficients(x))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +67,8 @@ class _Series(_Maps):
 
     def inverse(self, x: jax.Array) -> tuple[jax.Array | float, jax.Array | float]:
         terms = self.commutators // 2
-        return inverse_polynomial(0, x, terms), inverse_polynomial(1, x, terms)
+        found = inverse_polynomial(0, x, terms), inverse_polynomial(1, x, terms)
+        return held(found) if terms > 2 else (held(found[0]), found[1])
 
 
 def _maps(commutators: int | None) -> _Maps:
@@ -79,10 +81,9 @@ def _maps(commutators: int | None) -> _Maps:
     return _Series(commutators)
 
 
-def _turned(maps: _Maps, q: Components, w: Components) -> tuple[Components, jax.Array]:
-    """The quaternion of R(q) Exp(w), and sin(t/2)/t."""
-    cosine, sine = maps.half_turn(dot(w, w))
-    return quaternions.product(q, (cosine, *scale(sine, w))), sine
+def _turned(q: Components, w: Components, cosine: jax.Array, sine: jax.Array) -> Components:
+    """The quaternion of R(q) Exp(w), from cos(t/2) and sin(t/2)/t."""
+    return quaternions.product(q, (cosine, *scale(sine, w)))
 
 
 class _Rotation(StoredRotation):
@@ -90,7 +91,7 @@ class _Rotation(StoredRotation):
         self.maps = maps
 
     def move(self, y: Components, z: Components) -> Components:
-        return _turned(self.maps, y, z)[0]
+        return _turned(y, z, *held(self.maps.half_turn(dot(z, z))))
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         return so3.pulled_back(z, omega, self.maps.inverse(dot(z, z))[0])
@@ -114,10 +115,11 @@ class _Pose(StoredPose):
 
     def move(self, y: Components, z: Components) -> Components:
         v, w = z[:3], z[3:]
-        q, sine = _turned(self.maps, y[:4], w)
+        x = dot(w, w)
+        cosine, sine, third = held((*self.maps.half_turn(x), self.maps.third(x)))
         # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2: the sine of the quaternion serves again.
-        shift = so3.swept(w, v, 2.0 * sine * sine, self.maps.third(dot(w, w)))
-        return (*q, *add(y[4:], quaternions.rotate(y[:4], shift)))
+        shift = held(so3.swept(w, v, 2.0 * sine * sine, third))
+        return (*_turned(y[:4], w, cosine, sine), *add(y[4:], quaternions.rotate(y[:4], shift)))
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         return se3.pulled_back(z, omega, *self.maps.inverse(dot(z[3:], z[3:])))
@@ -140,7 +142,8 @@ class _SplitPose(StoredPose):
         self.maps = maps
 
     def move(self, y: Components, z: Components) -> Components:
-        return (*_turned(self.maps, y[:4], z[3:])[0], *add(y[4:], z[:3]))
+        w = z[3:]
+        return (*_turned(y[:4], w, *held(self.maps.half_turn(dot(w, w)))), *add(y[4:], z[:3]))
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         w = z[3:]
