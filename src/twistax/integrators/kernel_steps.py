@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
@@ -59,7 +60,13 @@ def kernel_steps(
     return made[structure, types]
 
 
+#: States of more numbers are left to XLA, whose vectors run along them.
+_WIDEST = 400
+
+
 def _made(emitter: Emitter, structure: Any, types: Any, state: int) -> KernelSteps | None:
+    if sum(math.prod(shape) for shape, _ in types[len(types) - state :]) > _WIDEST:
+        return None
     made: list[Attempt] = []
 
     def step(*leaves: jax.Array) -> list[jax.Array]:

@@ -18,7 +18,7 @@ from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
 from .scalar.repeated import Repeated
 from .small_call import known_inside
-from .work import array_operations
+from .work import array_operations, largest_array
 
 __all__ = ["XLA", "Arrays", "Emission", "Emitter"]
 
@@ -90,6 +90,7 @@ class XLA(Emitter):
         least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
             them XLA finds as much by itself.
         largest: functions of more scalars run as arrays: the compiler would take long.
+        widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it.
 
     Raises:
         ModelError: checked and numbering together.
@@ -99,6 +100,7 @@ class XLA(Emitter):
     numbering: ValueNumbering | None = None
     least: int = 500
     largest: int = 30_000
+    widest: int = 128
 
     def __post_init__(self) -> None:
         if self.checked and self.numbering is not None:
@@ -110,8 +112,8 @@ class XLA(Emitter):
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
         try:
             program = self.written_out(closed)
-        except TooLarge:
-            return Emission(arrays, None, f"arrays: more than {self.largest} scalars")
+        except TooLarge as error:
+            return Emission(arrays, None, f"arrays: {str(error).splitlines()[0]}")
         changing = program.depending([k for k in range(len(program.inputs)) if k not in fixed])
         count = sum(program.graph.input_of(i) is None for i in changing)
         if count < self.least:
@@ -129,8 +131,10 @@ class XLA(Emitter):
         """The scalars of a jaxpr.
 
         Raises:
-            TooLarge: there are more than `largest`.
+            TooLarge: there are more than `largest`, or an array of more than `widest` entries.
         """
+        if largest_array(closed.jaxpr) > self.widest:
+            raise TooLarge(f"one of the arrays has more than {self.widest} entries")
         return scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-__all__ = ["array_operations"]
+__all__ = ["array_operations", "largest_array"]
 
 #: Operations that only move numbers, or hold others.
 _MOVING = frozenset(
@@ -47,6 +47,12 @@ def array_operations(jaxpr: Any) -> Counter[str]:
         elif name not in _MOVING:
             found[name] += out
     return +found
+
+
+def largest_array(jaxpr: Any) -> int:
+    """The number of entries of the largest array that is worked on."""
+    sizes = [v.aval.size for v in (*jaxpr.invars, *(v for eqn in jaxpr.eqns for v in eqn.outvars))]
+    return max(sizes, default=0)
 
 
 def _is_jaxpr(value: Any) -> bool:
