@@ -65,6 +65,23 @@ def test_functions_give_what_the_dynamics_give(
             np.testing.assert_allclose(own, expected[function][name], rtol=1e-12, atol=1e-13, err_msg=message)
 
 
+def test_the_header_names_arrays_in_their_order(written: Path) -> None:
+    prototype = (written / "body.h").read_text().partition("void body_rates(")[2].partition(");")[0]
+    names = [part.split()[-1].lstrip("*") for part in prototype.split(",")]
+    assert names == ["t", "x_g", "x_V", "u_wrench", "u_b_rake", "p_M", "p_gain", "rate_g", "rate_V"]
+
+
+@needs_compiler
+def test_long_tables(tmp_path: Path) -> None:
+    """Between, at and beyond a hundred breakpoints, and at what is no number."""
+    x, knots = tx.State("x"), np.linspace(0.0, 10.0, 100) ** 1.5
+    files = tx.compile(tx.System(rates={x: tx.Linterp(x, knots, np.sin(knots))})).to_c(tmp_path, jacobian=())
+    library = Library(files.source)
+    points = np.array([*knots[:3], knots[-1], -1.0, 99.0, 3.3, 17.2, np.inf, -np.inf, np.nan])
+    found = [library.call("dynamics_rates", [0.0, np.array([p])], [()])[0] for p in points]
+    np.testing.assert_allclose(found, np.interp(points, knots, np.sin(knots)), rtol=1e-12, atol=1e-13)
+
+
 @needs_compiler
 def test_the_test_main_passes_and_sees_an_error(written: Path) -> None:
     test, source = written / "body_test.c", written / "body.c"
