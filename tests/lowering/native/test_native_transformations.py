@@ -144,6 +144,18 @@ def test_threads(threads: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
             np.testing.assert_allclose(own, np.sum(np.sin(k * rows) * k * rows, 1), rtol=1e-12, atol=1e-13)
 
 
+def test_waits_for_the_slowest_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two chunks: who has worked out its own must not leave while the other is under way."""
+    monkeypatch.setattr(Straight, "_CHUNK", 10 * 50_000)
+    function = native(lambda x: jnp.tanh(x[0] * x[1]) * jnp.exp(x[1]) + jnp.sin(x[0]) / (2.0 + x[1]))
+    rows = RNG.normal(size=(100_000, 2))
+    batched = jax.jit(jax.vmap(function))
+    x, y = rows.T
+    for k in range(5):
+        expected = np.tanh((x + k) * y) * np.exp(y) + np.sin(x + k) / (2.0 + y)
+        np.testing.assert_allclose(batched(rows + np.array([k, 0.0])), expected, rtol=1e-11, atol=1e-11)
+
+
 def test_odd_arguments() -> None:
     """None at all, empty ones, ones that are not read, integers, truth values."""
     nothing = native(lambda: [jnp.arange(3.0), jnp.sin(jnp.ones(()))])
