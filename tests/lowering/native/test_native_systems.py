@@ -86,8 +86,8 @@ def test_loops_keep_what_xla_makes() -> None:
 
 def test_explained() -> None:
     assert tx.compile(SMALL, emitter=tx.Native(least=0)).explain().emitter.startswith("native: ")
-    r = tx.State("r", (5,))
-    solved = tx.System(rates={r: tx.linalg.Solve(tx.Parameter("A", value=5.0 * np.eye(5)) + tx.linalg.Diag(r), r)})
+    r = tx.State("r", (9,))
+    solved = tx.System(rates={r: tx.linalg.Solve(tx.Parameter("A", value=5.0 * np.eye(9)) + tx.linalg.Diag(r), r)})
     explained = tx.compile(solved, emitter=tx.Native(least=0)).explain().emitter
     assert "not native: " in explained
     assert "has no native form" in explained

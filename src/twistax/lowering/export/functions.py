@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["ExportedFunction", "Exporter", "Port"]
 
 #: LU with pivots is written out up to the size that Cholesky is.
-_LIMITS = Limits(pivoted=12, table=256)
+_LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 
 
 @dataclasses.dataclass(frozen=True)

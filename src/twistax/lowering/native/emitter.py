@@ -14,7 +14,7 @@ from ...errors import ModelError
 from ..emitters import XLA, Emission, Emitter
 from ..scalar.graph import TooLarge
 from ..scalar.primitive import Backend, Derived, call_program
-from ..scalar.program import ScalarProgram
+from ..scalar.program import ScalarProgram, scalarize
 from ..scalar.reader import trace
 from ..scalar.repeated import Repeated
 from .code import NotNative
@@ -22,7 +22,7 @@ from .kernel import Kernel
 from .machine_code import BuildError
 from .processor import Processor
 from .self_test import check_kernel
-from .tile import Straight, Tile, native_form
+from .tile import NATIVE_LIMITS, Straight, Tile, native_form
 from .turns import Turns
 
 __all__ = ["Native", "default_emitter", "installed"]
@@ -97,7 +97,9 @@ class Native(Emitter, Backend):
         if self.only_large or not installed():
             return None
         try:
-            form = native_form(self.scalars.written_out(trace(step, *shapes)))
+            own = self.scalars
+            closed = trace(step, *shapes)
+            form = native_form(scalarize(closed, checked=own.checked, numbering=own.numbering, limits=NATIVE_LIMITS))
         except (NotNative, TooLarge):
             return None
         processor = Processor.host()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scalar.graph import Limits
 from ..scalar.passes import emitted_form
 from ..scalar.program import ScalarProgram
 from .code import NAMES, Code, Module, NotNative
@@ -18,7 +19,10 @@ from .plain import work_out
 from .rows import Array, Rows
 from .scalars import Scalars
 
-__all__ = ["Shape", "Signature", "Straight", "Tile", "native_form", "rows_of", "shapes_of"]
+__all__ = ["NATIVE_LIMITS", "Shape", "Signature", "Straight", "Tile", "native_form", "rows_of", "shapes_of"]
+
+#: Kernels call no library: more is written out than for XLA.
+NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 
 #: The shape of one row of an array, and its type.
 Shape = tuple[tuple[int, ...], np.dtype[Any]]
@@ -123,7 +127,7 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
     Raises:
         NotNative: it calls functions, or has numbers or operations, that have no native form.
     """
-    form = emitted_form(program)
+    form = emitted_form(program, NATIVE_LIMITS)
     g = form.graph
     if form.calls:
         names = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})

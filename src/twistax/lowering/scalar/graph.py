@@ -63,10 +63,12 @@ class Limits:
     Attributes:
         pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
         table: tables read at a place known only at run time, by comparing with each place.
+        equations: loops, all turns together, and branches.
     """
 
     pivoted: int = 4
     table: int = 16
+    equations: int = 4000
 
 
 LIMITS = Limits()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from .graph import Graph
+from .graph import LIMITS, Graph, Limits
 from .operations import Operation, by_primitive
 
 __all__ = ["NumberedGraph", "ValueNumbering"]
@@ -63,13 +63,13 @@ class NumberedGraph(Graph):
         merged: (operation, its arguments, the node it was found equal to) of everything merged.
     """
 
-    def __init__(self, dtype: Any, largest: int, numbering: ValueNumbering) -> None:
+    def __init__(self, dtype: Any, largest: int, numbering: ValueNumbering, limits: Limits = LIMITS) -> None:
         self.numbering = numbering
         self.merged: list[tuple[Operation, tuple[int, ...], int]] = []
         self._random = np.random.default_rng(numbering.seed)
         self._values: list[NDArray[Any]] = []
         self._places: dict[int, list[int]] = {}
-        super().__init__(dtype, False, largest)
+        super().__init__(dtype, False, largest, limits)
 
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
         if key in self._known:

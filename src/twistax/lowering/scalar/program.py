@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from .graph import Call, Graph, Nodes
+from .graph import LIMITS, Call, Graph, Limits, Nodes
 from .numbering import NumberedGraph, ValueNumbering
 from .reader import Reader, trace
 
@@ -83,6 +83,7 @@ def scalarize(
     checked: bool = False,
     numbering: ValueNumbering | None = None,
     largest: int = 200_000,
+    limits: Limits = LIMITS,
 ) -> ScalarProgram:
     """A function of arrays, results a list of arrays, as a scalar program.
 
@@ -92,6 +93,7 @@ def scalarize(
         checked: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
         numbering: merge scalars that are equal by value; not with checked.
         largest: the most scalars there may be.
+        limits: up to which size parts are written out.
     Raises:
         TooLarge: more scalars than are good for a compiler.
     """
@@ -99,11 +101,11 @@ def scalarize(
     avals = [v.aval for v in closed.jaxpr.invars]
     dtype = _precision([*avals, *(v.aval for v in closed.jaxpr.outvars)])
     if numbering is not None:
-        numbered = NumberedGraph(dtype, largest, numbering)
+        numbered = NumberedGraph(dtype, largest, numbering, limits)
         program = _read(closed, numbered)
         if numbered.verified():
             return program
-    return _read(closed, Graph(dtype, checked, largest))
+    return _read(closed, Graph(dtype, checked, largest, limits))
 
 
 def _read(closed: ClosedJaxpr, graph: Graph) -> ScalarProgram:

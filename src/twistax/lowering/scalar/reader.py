@@ -34,9 +34,6 @@ _OWN_DERIVATIVE = ("custom_jvp_call", "custom_vjp_call", "custom_linear_solve")
 #: Rules that hold for numbers of any type.
 _ANY_TYPE = frozenset(MOVEMENT) | {"convert_element_type", "copy", "copy_p", "optimization_barrier"}
 
-#: Loops and branches with more equations than this, all turns together, are called as they are.
-_LONGEST = 4000
-
 
 def trace(function: Callable[..., Any], *shapes: Any) -> ClosedJaxpr:
     """The jaxpr of a function of arrays of these shapes."""
@@ -162,7 +159,7 @@ class Reader:
     def _scan(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes] | None:
         p = eqn.params
         body, length = p["jaxpr"], p["length"]
-        if length * _equations(body.jaxpr) > _LONGEST:
+        if length * _equations(body.jaxpr) > self.graph.limits.equations:
             return None
         fixed, carried = p["num_consts"], p["num_carry"]
         consts, carry, along = arrays[:fixed], arrays[fixed : fixed + carried], arrays[fixed + carried :]
@@ -184,7 +181,7 @@ class Reader:
         number = g.numbers[int(index)]
         if number is not None:
             return self.read(branches[int(np.clip(number, 0, len(branches) - 1))], operands)
-        if sum(_equations(b.jaxpr) for b in branches) > _LONGEST:
+        if sum(_equations(b.jaxpr) for b in branches) > self.graph.limits.equations:
             return None
         before = len(g.calls)
         cases = [self.read(branch, operands) for branch in branches]

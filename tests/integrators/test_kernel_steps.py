@@ -1,0 +1,137 @@
+"""Fixed steps in one kernel: the flight that XLA's loop makes, one body or a batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.integrators.kernel_steps import KernelSteps
+from twistax.lowering import Dynamics
+
+pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+
+START = {"g": np.eye(4), "V": np.array([1.0, 0.5, -0.3, 0.4, 1.2, -0.7]), "m": np.array(2.0)}
+
+
+def _system() -> tx.System:
+    """A body that loses mass, pushed by a control, in wind that changes with time."""
+    g, V, m = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.State("m")
+    F, J, t = tx.Control("F", shape=(3,)), tx.Parameter("J", shape=(3,), value=np.array([1.0, 2.0, 3.0])), tx.Time()
+    v, w = V[:3], V[3:]
+    push = (F + 0.1 * tx.Sin(3.0 * t) * v) / m
+    down = g[:3, :3].T @ np.array([0.0, 0.0, -9.81])
+    return tx.System(
+        rates={g: V, V: tx.Concat(push + down - tx.linalg.Cross(w, v), tx.linalg.Cross(J * w, w) / J), m: -0.05 * m}
+    )
+
+
+NATIVE, PLAIN = tx.compile(_system(), emitter=tx.Native()), tx.compile(_system(), emitter=tx.XLA())
+U = {"F": np.array([1.0, -2.0, 0.5])}
+METHODS = {
+    "classical": tx.RKMK(tx.tableaus.RK4),
+    "quaternion": tx.RKMK(tx.tableaus.TSIT5, chart=tx.charts.Ambient()),
+    "thirteen stages": tx.RKMK(tx.tableaus.DOP853),
+    "commutator-free": tx.CommutatorFree(),
+}
+
+
+def _taken(dynamics: Dynamics) -> list[Any]:
+    """The kernels that flights of a system were made with."""
+    return [made for made in dynamics.made.values() if isinstance(made, KernelSteps)]
+
+
+def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: float = 1e-13) -> None:
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=rtol, atol=rtol, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_flight_is_that_of_the_loop(name: str) -> None:
+    dynamics = tx.compile(_system(), emitter=tx.Native())
+    given: dict[str, Any] = {"t1": 0.7, "steps": 9, "u": U, "method": METHODS[name], "save_at": [0.0, 0.3, 0.35, 0.7]}
+    found, expected = (tx.integrate(d, START, **given) for d in (dynamics, PLAIN))
+    _near(found.xs, expected.xs)
+    assert found.stats == expected.stats
+    assert len(_taken(dynamics)) == 1
+
+
+def test_a_batch_is_each_flight_with_a_length_and_steps_of_its_own() -> None:
+    lengths, pushes = jnp.linspace(0.1, 0.9, 11), jnp.linspace(0.0, 5.0, 33).reshape(11, 3)
+
+    def end(dynamics: Dynamics, t1: jax.Array, push: jax.Array) -> dict[str, jax.Array]:
+        return tx.integrate(dynamics, START, t1=t1, steps=6, u={"F": push}).xs
+
+    found, expected = (
+        jax.jit(jax.vmap(lambda t1, push, d=d: end(d, t1, push)))(lengths, pushes) for d in (NATIVE, PLAIN)
+    )
+    _near(found, expected)
+
+
+def test_a_flight_that_fails_ends_where_the_loop_does() -> None:
+    """Lane by lane: the others go on."""
+    x = tx.State("x")
+    fast = tx.System(rates={x: x * x})
+    starts = jnp.array([0.5, 30.0, 0.1, 1e200, 4.0])
+    ends = []
+    for emitter in (tx.Native(), tx.XLA()):
+        dynamics = tx.compile(fast, emitter=emitter)
+        found = jax.vmap(lambda x0, d=dynamics: tx.integrate(d, {"x": x0}, t1=1.0, steps=40))(starts)
+        ends.append((found.xs["x"], found.result, found.stats.steps, found.stats.rhs_evaluations))
+        part = tx.integrate(dynamics, {"x": 30.0}, t1=1.0, steps=40, save_at=[0.0, 0.025, 0.5, 1.0], throw=False)
+        ends[-1] += (part.xs["x"], part.ts, jnp.asarray(part.result.value), jnp.asarray(part.stats.steps))
+        with pytest.raises(tx.IntegrationError, match="infinite or not a number"):
+            tx.integrate(dynamics, {"x": 1e200}, t1=1.0, steps=40)
+    for found, expected in zip(*ends, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+    assert len(set(np.asarray(ends[0][2]).tolist())) > 2
+
+
+def test_derivatives_are_those_of_the_steps() -> None:
+    def end(dynamics: Dynamics, V: jax.Array) -> jax.Array:
+        return tx.integrate(dynamics, {**START, "V": V}, t1=0.5, steps=5, u=U).xs["V"].sum()
+
+    V = jnp.asarray(START["V"])
+    found, expected = (jax.grad(lambda V, d=d: end(d, V))(V) for d in (NATIVE, PLAIN))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_controls_may_be_functions_of_time_and_tables() -> None:
+    times, values = np.array([0.0, 0.2, 0.5]), np.arange(9.0).reshape(3, 3)
+    controls = [lambda t: {"F": jnp.stack([t, jnp.sin(t), 1.0 - t])}, {"F": tx.Linear(times, values)}]
+    for u in controls:
+        found, expected = (tx.integrate(d, START, t1=0.5, steps=10, u=u) for d in (NATIVE, PLAIN))
+        _near(found.xs, expected.xs)
+
+
+def test_other_numbers_do_not_compile_again() -> None:
+    dynamics = tx.compile(_system(), emitter=tx.Native())
+    for steps, t1 in ((3, 0.1), (8, 0.5)):
+        tx.integrate(dynamics, START, t1=t1, steps=steps, u=U)
+    assert len(_taken(dynamics)) == 1
+
+
+def test_single_precision_stays_single() -> None:
+    start = {name: np.asarray(value, np.float32) for name, value in START.items()}
+    found, expected = (tx.integrate(d, start, t1=0.5, steps=10, u=U) for d in (NATIVE, PLAIN))
+    assert {value.dtype for value in found.xs.values()} == {np.dtype(np.float32)}
+    _near(found.xs, expected.xs, rtol=1e-5)
+
+
+def test_events_and_dense_output_are_as_ever() -> None:
+    event = tx.Event(tx.State("V", shape=(6,))[2] + 3.0)
+    for given in ({"event": event}, {"dense": True}):
+        found, expected = (tx.integrate(d, START, t1=0.5, steps=10, u=U, **given) for d in (NATIVE, PLAIN))
+        _near(found.xs, expected.xs)
+
+
+def test_wide_states_are_left_to_xla() -> None:
+    x = tx.State("x", shape=(500,))
+    dynamics = tx.compile(tx.System(rates={x: -x}), emitter=tx.Native())
+    found = tx.integrate(dynamics, {"x": np.ones(500)}, t1=1.0, steps=50).xs["x"]
+    np.testing.assert_allclose(found, np.exp(-1.0), rtol=1e-7)
+    assert not _taken(dynamics)
