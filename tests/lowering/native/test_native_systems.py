@@ -265,3 +265,14 @@ def test_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "llvmlite" else found(name, *a))
     assert tx.compile(large).emitter == tx.XLA()
+
+
+def test_other_devices_run_what_xla_makes() -> None:
+    """A kernel is for the CPU; a program for several kinds of device holds both."""
+    dynamics = tx.compile(SMALL, emitter=tx.Native(least=0))
+    traced = jax.jit(jax.vmap(lambda own: dynamics(0.0, {"s": own}))).trace(WS)
+    assert "twistax_" in traced.lower(lowering_platforms=("cpu",)).as_text()
+    assert "twistax_" not in traced.lower(lowering_platforms=("cuda",)).as_text()
+    both = traced.lower(lowering_platforms=("cpu", "cuda")).as_text()
+    assert "twistax_" in both
+    assert "stablehlo.sine" in both
