@@ -258,7 +258,7 @@ def test_no_warning_by_default() -> None:
 
 def test_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
     """Large functions are native where llvmlite is; small ones, and all without it, are as ever."""
-    large = tx.System(rates={s: functools.reduce(lambda x, k: tx.Sin(x) * s + k, range(120), s)})
+    large = tx.System(rates={s: functools.reduce(lambda x, k: tx.Sin(x) * s + k, range(60), s)})
     assert tx.compile(large).emitter == tx.Native(only_large=True)
     assert "twistax_" in jax.jit(tx.compile(large)).lower(0.0, AT).as_text()
     assert "twistax_" not in jax.jit(tx.compile(SMALL)).lower(0.0, AT).as_text()

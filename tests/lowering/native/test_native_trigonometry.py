@@ -57,7 +57,7 @@ def test_within_two_units(dtype: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_within_two_units_of_many(dtype: Any) -> None:
-    _check(30_000, dtype)
+    _check(5_000, dtype)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
