@@ -197,6 +197,14 @@ def test_c_of_casadi_gives_what_the_matrices_give() -> None:
         assert apart(task.single().values(), expected[0], len(quantity.shape(case))) < 1e-13
 
 
+def test_parts_of_a_result_are_joined_for_the_comparison_alone() -> None:
+    """What is timed gives the rates of the pose and of the twist as they are: no copy that others do not make."""
+    for contender in (Scalars(), PlainJax()):
+        program = contender.task(FreeBody(), VALUE).batch(3)
+        assert [part.shape for part in program.call()] == [(3, 7), (3, 6)]
+        assert program.values().shape == (3, 13)
+
+
 def test_an_unknown_case_ends_in_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["report", "--speed", "--case", "moon"])

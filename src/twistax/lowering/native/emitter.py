@@ -47,16 +47,17 @@ def default_emitter() -> Emitter:
 class Native(Emitter, Backend):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
-    Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU; the
-    loops of integrators, other devices, and whatever has no native form run as `scalars` does.
+    Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
+    fixed steps of explicit methods, all of them in one kernel; other loops of integrators, other devices, and whatever
+    has no native form run as `scalars` does.
 
     Attributes:
         scalars: how functions are written out, and what runs them where no kernel does.
         threads: the most that a large batch is shared between; None: as many as XLA has.
         least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them: in a loop a
             kernel costs some 100 ns by itself.
-        only_large: only calls of functions that `scalars` would write out as well, which is what `tx.compile` does by
-            default; small functions and integrations stay as they are.
+        only_large: of calls only those of functions that `scalars` would write out as well, which is what `tx.compile`
+            does by default.
 
     Raises:
         ModelError: threads or least is not positive.
@@ -94,7 +95,7 @@ class Native(Emitter, Backend):
     def repeated(
         self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
     ) -> Repeated | None:
-        if self.only_large or not installed():
+        if not installed():
             return None
         try:
             own = self.scalars

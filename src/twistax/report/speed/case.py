@@ -72,8 +72,8 @@ class Case(ABC):
         """What `dynamics.jacobian` takes derivatives by, in the order of the arguments."""
 
     @abstractmethod
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> Any:
-        """The result in plain matrices."""
+    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
+        """The result in plain matrices, in as many vectors as `rates` has names."""
 
 
 class FreeBody(Case):
@@ -115,7 +115,7 @@ class FreeBody(Case):
     def inputs(self, a: Any, b: Any, c: Any) -> Inputs:
         return {"y": a, "V": b}, {"F": c}, {}
 
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> Any:
+    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
         return recursions.free_body(algebra, self.inertia, self.mass_moment, a, b, c)
 
 
@@ -157,8 +157,8 @@ class InverseDynamics(OfChain):
     def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
         return inverse_dynamics(self.chain, q, qd, third)
 
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> Any:
-        return recursions.inverse_dynamics(algebra, self.links, a, b, c)
+    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
+        return [recursions.inverse_dynamics(algebra, self.links, a, b, c)]
 
 
 class ForwardDynamics(OfChain):
@@ -167,8 +167,8 @@ class ForwardDynamics(OfChain):
     def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
         return forward_dynamics(self.chain, q, qd, third)
 
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> Any:
-        return recursions.forward_dynamics(algebra, self.links, a, b, c)
+    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
+        return [recursions.forward_dynamics(algebra, self.links, a, b, c)]
 
 
 def numbers(value: Any) -> Array:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 import twistax as tx
 
@@ -33,15 +32,15 @@ class _Own(Contender):
         dynamics = tx.compile(system, emitter=self.emitter())
         if quantity is JACOBIAN and self._writes_out(dynamics, case):
 
-            def slopes(a: Any, b: Any, c: Any) -> jax.Array:
+            def slopes(a: Any, b: Any, c: Any) -> list[jax.Array]:
                 blocks = dynamics.jacobian(0.0, *case.inputs(a, b, c), wrt=case.by)
-                return jnp.concatenate([blocks[kind] for kind in case.by], axis=1)
+                return [blocks[kind] for kind in case.by]
 
             return slopes
 
-        def function(a: Any, b: Any, c: Any) -> jax.Array:
+        def function(a: Any, b: Any, c: Any) -> list[jax.Array]:
             rates = dynamics(0.0, *case.inputs(a, b, c))
-            return jnp.concatenate([rates[name] for name in case.rates])
+            return [rates[name] for name in case.rates]
 
         return quantity.by_jax(function)
 

