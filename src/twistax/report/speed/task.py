@@ -67,7 +67,7 @@ class Task(ABC):
 
 
 class JaxTask(Task):
-    """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives a list, the result's parts.
+    """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives the parts of the result.
 
     Args:
         make: makes the function anew, so that what it works out when it is traced counts as compiling.
