@@ -78,7 +78,9 @@ def declare_fields(cls: Any, base: Any) -> None:
         if "ClassVar" in str(annotation):
             continue
         default = cls.__dict__.get(name, _MISSING)
-        fields[name] = Field(name, annotation == "Operand", annotation == "Operands", default)
+        # A class, or its name where the module says `from __future__ import annotations`.
+        kind = annotation.rpartition(".")[2] if isinstance(annotation, str) else getattr(annotation, "__name__", "")
+        fields[name] = Field(name, kind == "Operand", kind == "Operands", default)
     cls._fields = tuple(fields.values())
     cls._signature = _signature(cls._fields)
     # What `help` shows, unless a class takes its arguments in another form than its fields.

@@ -218,6 +218,8 @@ class Dynamics(Exports):
         for kind in wrt:
             if kind not in ("x", "u", "params"):
                 raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
+        if len(set(wrt)) < len(wrt):
+            raise InputError(f"wrt names something twice: {wrt}")
         given = {
             "x": (self.states, inputs.x),
             "u": (self.controls, inputs.u),
