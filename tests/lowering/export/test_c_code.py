@@ -140,6 +140,32 @@ def test_parameters_own_values_and_names(tmp_path: Path) -> None:
     assert "u_u03c9" in text
 
 
+@needs_compiler
+def test_headers_of_names_that_differ_in_case_only(tmp_path: Path) -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}))
+    one, other = (dynamics.to_c(tmp_path / name, name=name, jacobian=()) for name in ("body", "Body"))
+    main = tmp_path / "main.c"
+    main.write_text(
+        f'#include "{one.header}"\n#include "{other.header}"\nint main(void) {{ return body_rates == Body_rates; }}\n'
+    )
+    command = [COMPILERS[0], *STRICT, str(main), str(one.source), str(other.source), "-o", str(tmp_path / "main")]
+    done = run(command)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_compiler
+def test_results_beyond_single_precision_do_not_hide_errors(tmp_path: Path) -> None:
+    """A value that is infinite in single precision is no measure of what is allowed elsewhere."""
+    x = tx.State("x", shape=(2,))
+    system = tx.System(rates={x: x * x})
+    files = tx.compile(system).to_c(tmp_path, dtype=np.float32, jacobian=(), points=[(0.0, {"x": [1e30, 2.0]})])
+    files.source.write_text(files.source.read_text().replace("rate_x[1] = ", "rate_x[1] = 1.0f + "))
+    command = [COMPILERS[0], *STRICT, str(files.source), str(files.test), "-lm", "-o", str(tmp_path / "run")]
+    assert run(command).returncode == 0
+    assert run([str(tmp_path / "run")]).returncode == 1
+
+
 def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
     x, y = tx.State("a.b"), tx.State("a b")
     with pytest.raises(tx.ModelError, match=r"'a\.b' and 'a b' would both be called x_a_b"):
@@ -163,6 +189,20 @@ def test_arguments_that_are_wrong(tmp_path: Path) -> None:
         dynamics.to_c(tmp_path, jacobian=("z",))
     with pytest.raises(tx.InputError, match="a sequence like"):
         dynamics.to_c(tmp_path, jacobian="x")
+    with pytest.raises(tx.InputError, match="names something twice"):
+        dynamics.to_c(tmp_path, jacobian=("x", "x"))
+    with pytest.raises(tx.InputError, match=r"math\.h is a header of C"):
+        dynamics.to_c(tmp_path, name="math")
+    with pytest.raises(tx.InputError, match="float64 or float32, got 'real'"):
+        dynamics.to_c(tmp_path, dtype="real")
+    for points in ([(0.0,)], [(0.0, {"x": 1.0}, {}, {}, {})]):
+        with pytest.raises(tx.InputError, match=r"points expects \(t, x, u, params\) each"):
+            dynamics.to_c(tmp_path, points=points)
+    with pytest.raises(tx.InputError, match="points expects at least one"):
+        dynamics.to_c(tmp_path, points=[])
+    for tolerance in (-1.0, np.nan, np.inf):
+        with pytest.raises(tx.InputError, match="tolerance expects"):
+            dynamics.to_c(tmp_path, tolerance=tolerance)
     assert not list(tmp_path.iterdir())
 
 

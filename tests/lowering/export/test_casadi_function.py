@@ -76,6 +76,14 @@ def test_what_is_left_out_is_not_a_number(casadi: Any) -> None:
     assert np.isfinite(np.array(function(**(given | {"M": MASS}))["rate_V"])).all()
 
 
+def test_derivatives_know_what_is_left_out_too(casadi: Any) -> None:
+    """CasADi's own default, zero, would make a slope zero without a word."""
+    x, k, v = tx.State("x", shape=(2,)), tx.Parameter("k", value=3.0), tx.Parameter("v", shape=(2,))
+    slopes = tx.compile(tx.System(rates={x: k * v * x})).to_casadi().jacobian()
+    np.testing.assert_array_equal(np.diag(np.array(slopes(x=[1, 2], v=[1, 1])["jac_rate_x_x"])), [3.0, 3.0])
+    assert np.isnan(np.diag(np.array(slopes(x=[1, 2])["jac_rate_x_x"]))).all()
+
+
 def test_structural_zeros_stay(casadi: Any) -> None:
     x = tx.State("x", shape=(3,))
     function = tx.compile(tx.System(rates={x: tx.Concat(0.0, x[0] * x[1], 2.0)})).to_casadi()
@@ -123,6 +131,8 @@ def test_names_that_meet_are_refused(casadi: Any) -> None:
         dynamics.to_casadi("outputs")
     with pytest.raises(tx.ModelError, match="families among rates, outputs, constraints, got 'rate'"):
         dynamics.to_casadi("rate")
+    with pytest.raises(tx.InputError, match=r"name expects what CasADi allows, .* got 'two words'"):
+        dynamics.to_casadi(name="two words")
 
 
 def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

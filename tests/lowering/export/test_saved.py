@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+import os
+import pickle
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -177,6 +180,39 @@ def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
         tx.load(tmp_path / "nowhere")
     with pytest.raises(tx.InputError, match="cannot save to"):
         tx.compile(full()).save(tmp_path / "no" / "folder")
+
+
+def with_array(path: Path, data: bytes) -> None:
+    """The file with the bytes of its first array changed."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    members["arrays/0.npy"] = data
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, own in members.items():
+            archive.writestr(name, own)
+
+
+class Runs:
+    """Makes a folder when it is read by pickle."""
+
+    def __init__(self, made: Path) -> None:
+        self.made = made
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.made),)
+
+
+def test_arrays_that_are_none_are_refused_and_nothing_runs(file: Path, tmp_path: Path) -> None:
+    made = tmp_path / "made"
+    objects, several, huge = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    np.save(objects, np.array([Runs(made)], object), allow_pickle=True)
+    np.savez(several, a=np.ones(2))
+    np.lib.format.write_array_header_1_0(huge, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    for data in (objects.getvalue(), pickle.dumps(Runs(made)), several.getvalue(), huge.getvalue(), b""):
+        with_array(file, data)
+        with pytest.raises(tx.InputError, match=r"damaged|not a whole file"):
+            tx.load(file)
+    assert not made.exists()
 
 
 def test_a_changed_tree_is_refused(file: Path) -> None:

@@ -58,7 +58,11 @@ def write_c(
     functions = _functions(exporter, jacobian)
     names = identifiers([*exporter.arguments, *dict.fromkeys(port for f in functions for port in f.results)])
     given = drawn_points(exporter) if points is None else [_point(exporter, each) for each in points]
+    if not given:
+        raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
     allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
+    if not 0.0 <= allowed < np.inf:
+        raise InputError(f"tolerance expects a number that is not negative, got {allowed}")
     folder = Path(directory)
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
     texts = {
@@ -71,7 +75,10 @@ def write_c(
 
 
 def _real(dtype: Any) -> CType:
-    found = np.dtype(dtype)
+    try:
+        found = np.dtype(dtype)
+    except TypeError:
+        raise InputError(f"dtype expects float64 or float32, got {dtype!r}") from None
     if found.name not in _TOLERANCES:
         raise InputError(f"dtype expects float64 or float32, got {found.name}")
     return c_type(found)
@@ -93,6 +100,8 @@ def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunc
 
 def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
     """(t, x, u, params) as arrays in the order of the arguments; parameters may be left out."""
+    if not isinstance(point, Sequence) or not 2 <= len(point) <= 4:
+        raise InputError(f"points expects (t, x, u, params) each, the last two may be left out, got {point!r}")
     given: list[Any] = [*point, *([{}] * (4 - len(point)))]
     t, x, u, params = given
     inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))

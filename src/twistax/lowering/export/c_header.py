@@ -25,7 +25,7 @@ def header(
     constants = "".join(
         f"extern const {real.name} {name}_default_{names[port]}[{port.size}];\n" for port, _ in defaults(exporter)
     )
-    guard = f"{name.upper()}_H"
+    guard = f"{name}_H"  # as written: in C, names that differ in case differ
     return f"""{MARK} {version()}. Do not edit: write it anew with to_c.
  *
  * x' = f(t, x, u, p) with numbers of type {real.name}: C99, no allocation, no state, nothing but libm.

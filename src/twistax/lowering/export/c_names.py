@@ -10,6 +10,15 @@ from .functions import Port
 
 __all__ = ["checked_name", "comment", "identifiers"]
 
+#: Headers of C99, which a header of that name would hide.
+_STANDARD = frozenset(
+    (
+        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646", "limits", "locale", "math"),
+        *("setjmp", "signal", "stdarg", "stdbool", "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time"),
+        *("wchar", "wctype"),
+    )
+)
+
 #: Of the names of arrays, by kind.
 _PREFIXES = {
     "x": "x_",
@@ -45,10 +54,12 @@ def checked_name(name: str) -> str:
     """A name of a user's, with which the names of files and functions begin.
 
     Raises:
-        InputError: C does not allow it.
+        InputError: C does not allow it, or has a header of that name.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
+    if name.lower() in _STANDARD:
+        raise InputError(f"name expects another one than {name!r}: {name.lower()}.h is a header of C itself")
     return name
 
 

@@ -53,14 +53,16 @@ def test_main(
     tolerance: float,
 ) -> str:
     """The text of a program that ends with 0 where all functions agree with their references."""
-    points = [[np.asarray(v, real.dtype) for v in point] for point in points]
+    points = [[_cast(v, real) for v in point] for point in points]
     data: list[str] = []
     steps: list[str] = []
     sizes = [port.size for function in functions for port in function.results]
     for function in functions:
         references = _references(function, points)
-        finite = np.concatenate([np.abs(r[np.isfinite(r)]) for result in references for r in result] or [np.zeros(1)])
-        allowed = real.literal(real.dtype.type(tolerance * float(finite.max(initial=0.0))))
+        # Brought to the code's numbers first: what is beyond their range is infinite there, and no measure.
+        references = [[_cast(r, real) for r in result] for result in references]
+        finite = np.concatenate([np.abs(r[np.isfinite(r)]) for result in references for r in result])
+        allowed = real.literal(_cast(tolerance * float(finite.max(initial=0.0)), real)[()])
         for k, point in enumerate(points):
             given = []
             for port, value in zip(exporter.arguments, point, strict=True):
@@ -121,8 +123,6 @@ int main(void)
 
 def _references(function: ExportedFunction, points: Sequence[Point]) -> list[list[NDArray[Any]]]:
     """The results at every point, in double precision."""
-    if not points:
-        return []
     with jax.enable_x64(True):
         stacked = [jnp.stack([jnp.asarray(p[k], np.float64) for p in points]) for k in range(len(points[0]))]
         # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
@@ -131,7 +131,13 @@ def _references(function: ExportedFunction, points: Sequence[Point]) -> list[lis
     return [[np.asarray(result[k]) for result in found] for k in range(len(points))]
 
 
+def _cast(values: Any, real: CType) -> NDArray[Any]:
+    """As numbers of the code."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values).astype(real.dtype)
+
+
 def _array(name: str, values: NDArray[Any], real: CType) -> str:
-    entries = [real.literal(real.dtype.type(v)) for v in np.asarray(values).reshape(-1)] or [real.literal(0.0)]
+    entries = [real.literal(v) for v in values.reshape(-1)]
     lines = [", ".join(entries[k : k + 6]) for k in range(0, len(entries), 6)]
     return f"static const {real.name} {name}[{len(entries)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import ModelError
+from ...errors import InputError, ModelError
 from .casadi_forms import CasadiForms
 from .functions import ExportedFunction, Exporter, Port
 
@@ -18,6 +18,8 @@ def to_casadi(dynamics: Any, families: str | Sequence[str], name: str, checked: 
     """What `Dynamics.to_casadi` does; it says what the arguments are."""
     casadi = _casadi()
     exporter = Exporter(dynamics, np.float64, checked)
+    if not casadi.Function.check_name(name):
+        raise InputError(f"name expects what CasADi allows, letters, digits and single underscores, got {name!r}")
     families = [families] if isinstance(families, str) else list(families)
     for family in families:
         if family not in dynamics.families:
@@ -32,7 +34,11 @@ def to_casadi(dynamics: Any, families: str | Sequence[str], name: str, checked: 
     # CasADi takes zero for what is not given: a mass of zero would go unnoticed, not-a-number does not.
     own = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
     defaults = [own.get(port.name, np.nan) if port.kind == "p" else np.nan for port in exporter.arguments]
-    return casadi.Function(name, symbols, results, names, result_names, {"default_in": defaults})
+    # A function that CasADi derives has zeros again, unless it is told; the results, which `jacobian` takes too, are
+    # not read.
+    derived = {"default_in": [*defaults, *(0.0 for _ in results)]}
+    options = {"default_in": defaults, "jacobian_options": derived}
+    return casadi.Function(name, symbols, results, names, result_names, options)
 
 
 def _casadi() -> Any:

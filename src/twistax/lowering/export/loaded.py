@@ -60,6 +60,8 @@ def load(path: str | Path, *, emitter: Emitter | None = None) -> Dynamics:
         raise InputError(f"cannot load {place!r}: {error}") from None
     except TwistaxError:
         raise
+    except MemoryError:
+        raise InputError(f"{place!r} is damaged, or too large for the memory there is") from None
     except (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError) as error:
         raise InputError(f"{place!r} is not a whole file of a saved system: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, NotImplementedError, RuntimeError) as error:
@@ -94,5 +96,5 @@ def _check_version(place: str, content: Any) -> None:
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    found: NDArray[Any] = np.load(io.BytesIO(data), allow_pickle=False)
+    found: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     return found

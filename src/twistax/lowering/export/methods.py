@@ -68,7 +68,8 @@ class Exports:
 
         Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries row by row; what
         is structurally zero is so for CasADi too. Arguments that a call leaves out are not-a-number, except a scalar
-        parameter with a value of its own; bake the others to have them inside. CasADi differentiates by entries: of a
+        parameter with a value of its own; bake the others to have them inside. The same holds for `jacobian()` of the
+        function; others that CasADi derives, by `factory` or twice, take zero. CasADi differentiates by entries: of a
         pose by its 16, not by tangents. Its max and min do not pass not-a-number on.
 
         Args:
@@ -79,6 +80,7 @@ class Exports:
         Raises:
             ModelError: CasADi is not installed (extra `twistax[casadi]`); a part has no form in scalars; two arrays of
                 one name.
+            InputError: a name that CasADi does not allow.
         """
         return to_casadi(self, families, name, checked)
 
