@@ -75,6 +75,16 @@ MOVES = [
         lambda a, k: (lax.dynamic_slice(a, (k + 9,), (1,)), lax.dynamic_slice(a, (k - 9,), (1,))),
         (V, K),
     ),
+    Case(
+        "dynamic slice, unknown along some axes",
+        lambda a, k: (
+            lax.dynamic_slice(a, (1, k), (2, 1)),
+            lax.dynamic_slice(a, (k - 9, 1), (1, 3)),
+            lax.dynamic_slice(a, (k - 1, k + 9), (1, 1)),
+            lax.dynamic_slice(a, (k, 0), (2, 1)),
+        ),
+        (M, K),
+    ),
     Case("dynamic update, known", lambda a, b: lax.dynamic_update_slice(a, b[:2], (3,)), (V, W)),
     Case("dynamic update, moved inside", lambda a, b: lax.dynamic_update_slice(a, b[:2], (9,)), (V, W)),
     Case("dynamic update, unknown", lambda a, b, k: lax.dynamic_update_slice(a, b[:2], (k,)), (V, W, K)),

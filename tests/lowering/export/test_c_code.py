@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from export_systems import COMPILERS, MASS, STRICT, STRICTER, Library, body, flat, needs_compiler, point, run
+from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 import twistax as tx
 
@@ -80,6 +81,23 @@ def test_long_tables(tmp_path: Path) -> None:
     points = np.array([*knots[:3], knots[-1], -1.0, 99.0, 3.3, 17.2, np.inf, -np.inf, np.nan])
     found = [library.call("dynamics_rates", [0.0, np.array([p])], [()])[0] for p in points]
     np.testing.assert_allclose(found, np.interp(points, knots, np.sin(knots)), rtol=1e-12, atol=1e-13)
+
+
+@needs_compiler
+def test_tables_of_other_kinds(tmp_path: Path) -> None:
+    """A cubic one, one over two axes, and the shortest one."""
+    x, y, knots, lines = tx.State("x"), tx.State("y"), np.array([0.0, 1.0, 2.5, 4.0]), np.array([0.0, 2.0])
+    values = np.arange(8.0).reshape(4, 2) ** 1.5
+    rates = {
+        x: tx.Cinterp(x, knots, np.sin(knots)),
+        y: tx.Bilerp(x, y, knots, lines, values) + tx.Linterp(x, lines, lines),
+    }
+    files = tx.compile(tx.System(rates=rates)).to_c(tmp_path, jacobian=())
+    library = Library(files.source)
+    cubic, plane = CubicSpline(knots, np.sin(knots)), RegularGridInterpolator((knots, lines), values)
+    for a, b in [(0.0, 0.0), (0.3, 1.9), (1.0, 2.0), (2.0, 0.5), (3.9, 1.0), (4.0, 2.0)]:
+        found = library.call("dynamics_rates", [0.0, np.array([a]), np.array([b])], [(), ()])
+        np.testing.assert_allclose(found, [cubic(a), plane((a, b)) + min(a, 2.0)], rtol=1e-12, atol=1e-13)
 
 
 @needs_compiler

@@ -158,7 +158,7 @@ class Exporter:
                 f"the {name} call {', '.join(unread)}, which {'has' if len(unread) == 1 else 'have'} no form in "
                 "scalars.\n  fix: bake the parameters it works on, write it with other nodes, or leave this function "
                 f"out; solves are written out up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to "
-                f"{_LIMITS.table} entries along one axis"
+                f"{_LIMITS.table} places"
             )
         return form
 

@@ -52,7 +52,7 @@ def save(dynamics: Any, path: str | Path) -> None:
         for k, array in enumerate(arrays):
             _add(archive, f"arrays/{k}.npy", _npy(array))
     target = Path(path)
-    beside = target.with_name(f"{target.name}.{os.getpid()}.part")
+    beside = target.parent / f"{target.name}.{os.getpid()}.part"
     try:
         # Written beside, then moved: a file is whole or not there.
         beside.write_bytes(buffer.getvalue())

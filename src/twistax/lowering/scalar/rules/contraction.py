@@ -41,13 +41,15 @@ def _gathered(a: Nodes, axes: tuple[int, ...]) -> tuple[list[list[int]], tuple[i
     return a.transpose([*kept, *axes]).reshape(math.prod(shape), count).tolist(), shape
 
 
-def _folded(function: Callable[[Graph, int, int], int]) -> Rule:
-    """A reduction by a function of two nodes."""
+def _folded(function: Callable[[Graph, int, int], int], empty: float | None = None) -> Rule:
+    """A reduction by a function of two nodes; `empty` is that of no entries."""
 
     def rule(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
         lists, shape = _gathered(a, tuple(map(int, eqn.params["axes"])))
         if not all(lists):
-            return None
+            if empty is None:
+                return None
+            return [np.full(shape, g.constant(empty, np.dtype(eqn.outvars[0].aval.dtype)), np.int64)]
         flat = []
         for entries in lists:
             total = entries[0]
@@ -108,7 +110,7 @@ def _mul(g: Graph, a: int, b: int) -> int:
 
 CONTRACTION: dict[str, Rule] = {
     "dot_general": _dot_general,
-    "reduce_sum": _folded(_add),
+    "reduce_sum": _folded(_add, 0.0),
     "reduce_prod": _folded(_mul),
     **{f"reduce_{name}": _folded(_of(name)) for name in ("max", "min", "and", "or", "xor")},
     "cumsum": _cumulative(_add),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any
 
 import numpy as np
@@ -91,13 +92,21 @@ def _starts(g: Graph, indices: tuple[Nodes, ...], room: list[int]) -> list[int] 
 
 
 def _dynamic_slice(g: Graph, eqn: Any, a: Nodes, *indices: Nodes) -> list[Nodes] | None:
-    sizes = eqn.params["slice_sizes"]
-    starts = _starts(g, indices, [n - m for n, m in zip(a.shape, sizes, strict=True)])
-    if starts is not None:
-        return [a[tuple(slice(s, s + m) for s, m in zip(starts, sizes, strict=True))]]
-    if a.ndim == 1 and sizes[0] == 1 and a.size <= g.limits.table:
-        return [nodes([_lookup(g, a.tolist(), int(indices[0]))], (1,))]
-    return None
+    """A window; where its place along an axis is known only at run time, of one entry along a short axis."""
+    found, sizes = a, eqn.params["slice_sizes"]
+    places = [g.numbers[int(i)] for i in indices]
+    unknown = [axis for axis, place in enumerate(places) if place is None]
+    if any(sizes[axis] != 1 for axis in unknown) or math.prod(a.shape[axis] for axis in unknown) > g.limits.table:
+        return None
+    for axis, place in enumerate(places):
+        if place is not None:
+            start = min(max(int(place), 0), a.shape[axis] - sizes[axis])
+            found = found.take(range(start, start + sizes[axis]), axis)
+    for axis in unknown:
+        columns = np.moveaxis(found, axis, -1)
+        picked = [_lookup(g, each, int(indices[axis])) for each in columns.reshape(-1, a.shape[axis]).tolist()]
+        found = np.expand_dims(nodes(picked, columns.shape[:-1]), axis)
+    return [found]
 
 
 def _dynamic_update_slice(g: Graph, eqn: Any, a: Nodes, update: Nodes, *indices: Nodes) -> list[Nodes] | None:
