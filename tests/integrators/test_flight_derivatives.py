@@ -35,6 +35,21 @@ def glider() -> tx.Dynamics:
 X0 = {"R": start()["g"][:3, :3], "v": np.array(0.8)}
 
 
+def test_of_a_batch_with_fixed_steps() -> None:
+    """What all lanes share, as the length of a step, must not confuse JAX."""
+    x, k = tx.State("x"), tx.Parameter("k", value=1.0)
+    dynamics = tx.compile(tx.System(rates={x: -k * x}), emitter=tx.Arrays())
+
+    def total(k: jax.Array) -> jax.Array:
+        def end(x0: jax.Array) -> jax.Array:
+            return tx.integrate(dynamics, {"x": x0}, t1=0.5, steps=20, params={"k": k}).xs["x"][0]
+
+        return jnp.sum(jax.vmap(end)(jnp.arange(3.0)))
+
+    slopes = jax.jit(lambda k: (jax.grad(total)(k), jax.jacfwd(total)(k)), compiler_options=QUICK)(2.0)
+    np.testing.assert_allclose(slopes, -1.5 * np.exp(-1.0), rtol=1e-6)
+
+
 def inputs() -> Inputs:
     rng = np.random.default_rng(1)
     return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -55,7 +56,17 @@ def fly(course: Course, stepper: Stepper, x: Arrays) -> Flight:
 @jax.custom_jvp
 def _flight(course: Course, stepper: Stepper, x: Arrays) -> Flight:
     # As a whole where it fits, else its loops: what stands outside costs as much as a short flight.
-    return small_call(_whole, course, stepper, x)
+    return _batched_alike(small_call(_whole, course, stepper, x), (course, stepper, x))
+
+
+def _batched_alike(flight: Flight, inputs: Any) -> Flight:
+    """The same flight, all of it batched where one of the inputs is.
+
+    JAX expects the batch axes of a function in those of its derivative too, but looks at the function alone.
+    """
+    firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
+    never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
+    return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), flight)
 
 
 def _whole(course: Course, stepper: Stepper, x: Arrays) -> Flight:
@@ -102,7 +113,7 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
 
     def again(values: list[Any]) -> Flight:
         course, stepper, x = jax.tree.unflatten(structure, _with(leaves, moving, values))
-        return _again(course, stepper, x, flown, known)
+        return _batched_alike(_again(course, stepper, x, flown, known), primals)
 
     return jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
 
