@@ -207,8 +207,13 @@ def _batched(
 
 def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
     @functools.partial(jax.jit, static_argnames=("derived", "depth", "inside"))
-    def evaluate(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
+    def compiled(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
         return primitive.bind(*arguments, **parameters)
+
+    def evaluate(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
+        # As every operation of JAX: compiled also where functions are not.
+        with jax.disable_jit(False):
+            return compiled(*arguments, **parameters)
 
     primitive.multiple_results = True
     primitive.def_impl(evaluate)

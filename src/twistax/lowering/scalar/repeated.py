@@ -110,8 +110,14 @@ def _batched(
 
 
 @functools.partial(jax.jit, static_argnames=("repeated", "depth"))
-def _evaluate(*arguments: jax.Array, repeated: Repeated, depth: int) -> list[jax.Array]:
+def _compiled(*arguments: jax.Array, repeated: Repeated, depth: int) -> list[jax.Array]:
     return repeat_p.bind(*arguments, repeated=repeated, depth=depth)
+
+
+def _evaluate(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
+    # As every operation of JAX: compiled also where functions are not.
+    with jax.disable_jit(False):
+        return _compiled(*arguments, **parameters)
 
 
 repeat_p.def_impl(_evaluate)
