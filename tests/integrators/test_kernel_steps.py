@@ -135,3 +135,37 @@ def test_wide_states_are_left_to_xla() -> None:
     found = tx.integrate(dynamics, {"x": np.ones(500)}, t1=1.0, steps=50).xs["x"]
     np.testing.assert_allclose(found, np.exp(-1.0), rtol=1e-7)
     assert not _taken(dynamics)
+
+
+@pytest.mark.parametrize("traced", [jnp.arange(3), jnp.arange(3.0)])
+def test_controls_may_close_over_traced_values(traced: jax.Array) -> None:
+    pushes = jnp.arange(9.0).reshape(3, 3)
+
+    def end(dynamics: Dynamics, i: jax.Array) -> jax.Array:
+        push = pushes[i] if i.dtype == int else i * pushes[1]
+        return tx.integrate(dynamics, START, t1=0.5, steps=5, u=lambda t: {"F": t * push}).xs["V"]
+
+    found, expected = (jax.vmap(lambda i, d=d: end(d, i))(traced) for d in (NATIVE, PLAIN))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_controls_may_print() -> None:
+    """What a control does besides its values is done at every stage."""
+    times: list[float] = []
+
+    def u(t: jax.Array) -> dict[str, jax.Array]:
+        jax.debug.callback(lambda s: times.append(float(s)), t)
+        return {"F": t * jnp.ones(3)}
+
+    tx.integrate(NATIVE, START, t1=0.5, steps=5, u=u)
+    jax.effects_barrier()
+    assert set(times) >= {0.0, 0.05, 0.1, 0.25, 0.5}
+
+
+def test_without_jit() -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}), emitter=tx.Native())
+    with jax.disable_jit():
+        found = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, steps=10)
+    np.testing.assert_allclose(found.xs["x"], np.exp(-0.5), rtol=1e-7)
+    assert _taken(dynamics)

@@ -211,6 +211,9 @@ class Dynamics(Exports):
         """The same system, its functions run by another emitter."""
         found = copy.copy(self)
         found.emitter = emitter
+        # These know the emitter; everything else is shared.
+        found._called = {}
+        found._evaluate = jax.jit(functools.partial(found.evaluate, in_loop=False), static_argnums=0)
         return found
 
     def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:

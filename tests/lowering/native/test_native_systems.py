@@ -43,6 +43,7 @@ s = tx.State("s", (3,))
 SMALL = tx.System(rates={s: tx.Sin(s) * s}, outputs={"length": tx.linalg.Norm(s)})
 AT = {"s": np.array([0.4, -0.5, 0.6])}
 RATES, SLOPES = np.sin(AT["s"]) * AT["s"], np.diag(np.sin(AT["s"]) + np.cos(AT["s"]) * AT["s"])
+KERNEL = tx.compile(SMALL, emitter=tx.Native(least=0))
 WS = np.random.default_rng(0).normal(size=(11, 3))
 
 
@@ -131,6 +132,22 @@ def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 
 
+def test_the_first_kernel_may_be_a_constant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It reads nothing, though the system has a state."""
+    monkeypatch.setattr(self_test, "_CALLED", False)
+    rates = tx.compile(tx.System(rates={s: tx.Constant(np.arange(3.0))}), emitter=tx.Native(least=0))(0.0, AT)["s"]
+    np.testing.assert_array_equal(rates, np.arange(3.0))
+
+
+def test_too_large_written_out() -> None:
+    """A solve is a call for XLA; written out for a kernel it takes more scalars than there may be."""
+    r = tx.State("r", (6,))
+    system = tx.System(rates={r: tx.linalg.Solve(tx.Parameter("A", value=5.0 * np.eye(6)) + tx.linalg.Diag(r), r)})
+    dynamics = tx.compile(system, emitter=tx.Native(scalars=tx.XLA(largest=300), least=0))
+    np.testing.assert_allclose(dynamics(0.0, {"r": np.ones(6)})["r"], 1.0 / 6.0, rtol=1e-13)
+    assert "not native: the function takes more than 300 scalars" in dynamics.explain().emitter
+
+
 def test_llvm_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Module, "text", lambda self: "this is no program")
     with pytest.warns(RuntimeWarning, match="LLVM refuses it"):
@@ -158,6 +175,13 @@ def test_least() -> None:
 def test_options_that_are_none(options: dict[str, int]) -> None:
     with pytest.raises(tx.ModelError, match=next(iter(options))):
         tx.Native(**options)
+
+
+def test_the_same_system_by_another_emitter() -> None:
+    """Calls too, not only what loops call."""
+    native, other = (jax.jit(d).lower(0.0, AT).as_text() for d in (KERNEL, KERNEL.emitted_by(tx.Arrays())))
+    assert "twistax_" in native
+    assert "twistax_" not in other
 
 
 def test_emitters_are_values() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -154,6 +157,29 @@ def test_waits_for_the_slowest_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(5):
         expected = np.tanh((x + k) * y) * np.exp(y) + np.sin(x + k) / (2.0 + y)
         np.testing.assert_allclose(batched(rows + np.array([k, 0.0])), expected, rtol=1e-11, atol=1e-11)
+
+
+def test_without_jit() -> None:
+    function = native(bent)
+    with jax.disable_jit():
+        found = function(X, A)
+    np.testing.assert_allclose(found, bent(X, A), rtol=1e-12)
+
+
+def test_threads_that_make_the_same_kernel() -> None:
+    """One of them makes it, none is refused."""
+    together = threading.Barrier(4)
+
+    def work(_: int) -> Any:
+        function = native(lambda x: jnp.sin(1.2345 * x) * x)
+        together.wait()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return function(X)
+
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(work, range(4)):
+            np.testing.assert_allclose(found, np.sin(1.2345 * X) * X, rtol=1e-13)
 
 
 def test_odd_arguments() -> None:

@@ -11,6 +11,7 @@ import jax
 from jax.extend.core import ClosedJaxpr
 
 from ...errors import ModelError
+from ..concrete import is_traced
 from ..emitters import XLA, Emission, Emitter
 from ..scalar.graph import TooLarge
 from ..scalar.primitive import Backend, Derived, call_program
@@ -100,6 +101,9 @@ class Native(Emitter, Backend):
         try:
             own = self.scalars
             closed = trace(step, *shapes)
+            # A control may close over a traced value, or print: a kernel would lose both.
+            if closed.effects or is_traced(closed.consts):
+                return None
             form = native_form(scalarize(closed, checked=own.checked, numbering=own.numbering, limits=NATIVE_LIMITS))
         except (NotNative, TooLarge):
             return None

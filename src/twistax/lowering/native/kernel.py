@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,6 +28,9 @@ _ALL = 2**31
 
 #: The kernels that XLA knows, by the name of their target.
 _REGISTERED: dict[str, dict[str, int]] = {}
+
+#: XLA takes a name once: threads that make the same kernel wait for the first.
+_LOCK = threading.Lock()
 
 
 class Kernel:
@@ -52,11 +56,12 @@ class Kernel:
         text = module.text()
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)
-        if self.target not in _REGISTERED:
-            found = load(text, module, ("run", "handler"))
-            handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(found["handler"])
-            jax.ffi.register_ffi_target(self.target, jax.ffi.pycapsule(handler), platform="cpu")
-            _REGISTERED[self.target] = found
+        with _LOCK:
+            if self.target not in _REGISTERED:
+                found = load(text, module, ("run", "handler"))
+                handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(found["handler"])
+                jax.ffi.register_ffi_target(self.target, jax.ffi.pycapsule(handler), platform="cpu")
+                _REGISTERED[self.target] = found
         self._run = _REGISTERED[self.target]["run"]
 
     def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:

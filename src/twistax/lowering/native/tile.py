@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scalar.graph import Limits
+from ..scalar.graph import Limits, TooLarge
 from ..scalar.passes import emitted_form
 from ..scalar.program import ScalarProgram
 from .code import NAMES, Code, Module, NotNative
@@ -125,9 +125,12 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
     """The program as kernels are written from it.
 
     Raises:
-        NotNative: it calls functions, or has numbers or operations, that have no native form.
+        NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
     """
-    form = emitted_form(program, NATIVE_LIMITS)
+    try:
+        form = emitted_form(program, NATIVE_LIMITS)
+    except TooLarge as error:
+        raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph
     if form.calls:
         names = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})
