@@ -185,6 +185,24 @@ def test_stiffness_that_ends_with_a_jump(k: float) -> None:
     np.testing.assert_allclose(sol.xs["x"][:2], 1.0 + 0.1 * np.sin([0.3, 1.0]), atol=1.0 / k)
 
 
+@pytest.mark.parametrize("tableau", [RADAU_IIA5, RADAU_IIA9], ids=lambda tableau: tableau.name)
+def test_stiffness_that_falls_smoothly_within_a_step(tableau: CollocationTableau) -> None:
+    """Inverses from the start of a step make updates small at its later stages: one alone says nothing there."""
+    x, w, t = tx.State("x"), tx.Parameter("w"), tx.Time()
+    rate = 1.0 + 500.0 * (1.0 - tx.Tanh((t - 2.0) / w))
+    dynamics = tx.compile(tx.System(rates={x: -rate * (x - tx.Cos(t))}))
+    tolerance = 1e-4
+    for width in (0.05, 0.01):
+
+        def slope(t: float, x: np.ndarray, width: float = width) -> np.ndarray:
+            return -(1.0 + 500.0 * (1.0 - np.tanh((t - 2.0) / width))) * (x - np.cos(t))
+
+        exact = solve_ivp(slope, (0.0, 4.0), [1.0], method="Radau", rtol=1e-9, atol=1e-10, max_step=0.1).y[0, -1]
+        options = {"rtol": tolerance, "atol": tolerance, "params": {"w": width}}
+        sol = tx.integrate(dynamics, {"x": 1.0}, t1=4.0, method=tx.ImplicitRKMK(tableau), **options)
+        assert abs(sol.xs["x"][-1] - exact) < tolerance
+
+
 def test_an_explicit_method_needs_steps_as_short_as_the_fastest_rate() -> None:
     scene = stiff_attitude.scene(1e5)
     control = tx.StepControl(max_steps=2000)

@@ -193,7 +193,8 @@ class ImplicitRKMK(Method):
         equations = self._equations(dynamics, t, y, u_at, params, h)
         local, read = equations.local, equations.read
         eps = float(jnp.finfo(h.dtype).eps)
-        share = jnp.maximum(10.0 * eps / tolerances.rtol, _SHARE)
+        rounding = 10.0 * eps / tolerances.rtol
+        share = jnp.maximum(rounding, _SHARE)
 
         def size(dZ: jax.Array) -> jax.Array:
             squares = jax.vmap(lambda dz: tolerances.mean_square(local, read(dz), y, y))(dZ)
@@ -207,7 +208,10 @@ class ImplicitRKMK(Method):
             renewed, lambda: Factors.found(self.tableau, equations.start()[1], h), lambda: known.inverses
         )
         factors = Factors(self.tableau, inverses)
-        found = self._found(equations, (start, inverses), factors, size, known.last, _FEW)
+        # Two updates, unless the first is nothing: where stiffness falls within the step, inverses from its start make
+        # any update small, and only the next one, as large, tells.
+        last = known.last._replace(contraction=jnp.ones_like(h) / eps)
+        found = self._found(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
         learned = _Learned(found.last, inverses, jnp.where(renewed, h, known.h))
         raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(found.last.Z))[0]
         errors = (read(factors.damped(raw)),)
@@ -252,11 +256,16 @@ class ImplicitRKMK(Method):
         size: Callable[[jax.Array], jax.Array],
         last: _Last,
         most: int,
+        rounding: jax.Array | float = 1.0,
     ) -> _Found:
         guess = self._guess(last, equations.h)
         # A step that may not be taken back gets a second guess.
         again = most == _MANY
-        solved = newton(lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most, again)
+
+        def update(Z: jax.Array) -> jax.Array:
+            return factors.solve(equations.residual(Z))
+
+        solved = newton(update, size, guess, last.contraction, most, again, rounding)
         evaluations = 1 + self.tableau.stages * solved.iterations
         # Where rates are no numbers to begin with it is not the equations that are at fault.
         good = solved.done | ~all_finite(given)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 __all__ = ["Solved", "newton"]
 
-#: Updates within this many times what is asked for count as solved when they stop falling: then it is round-off.
+#: Updates within this many times round-off count as solved when they stop falling.
 _STALLED = 1e3
 
 
@@ -47,17 +47,19 @@ def newton(
     contraction: jax.Array,
     most: int,
     again: bool,
+    rounding: jax.Array | float = 1.0,
 ) -> Solved:
     """Z <- Z - update(Z) from a guess, until what is left to come is below 1. Pure and traceable.
 
     It ends early where updates grow, are not finite, or `most` are made. Updates that stop falling while they are below
-    1e3 are round-off.
+    1e3 times round-off are solved as well as can be.
 
     Args:
         size: the size of an update, in units of what is asked for.
         contraction: what the last solution was left with, so that one update may do.
         most: how many updates there may be.
         again: start once more, from zero, where the guess leads nowhere.
+        rounding: about the size of an update that is round-off.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping.
     """
@@ -69,7 +71,7 @@ def newton(
         ratio = jnp.where(later, found / jnp.where(later, now.size, 1.0), 0.0)
         growing = ratio >= 1.0
         left = jnp.where(later, ratio / jnp.where(growing, 1.0, 1.0 - ratio), jnp.maximum(now.contraction, eps) ** 0.8)
-        done = (found == 0.0) | jnp.where(growing, found < _STALLED, left * found < 1.0)
+        done = (found == 0.0) | jnp.where(growing, found < _STALLED * rounding, left * found < 1.0)
         failed = ~jnp.isfinite(found) | (growing & ~done)
         Z = now.Z - step
         restart = failed & now.again
