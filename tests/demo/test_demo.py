@@ -26,6 +26,7 @@ def test_a_landing_from_start_to_files(tmp_path: Path, capsys: pytest.CaptureFix
     assert (tmp_path / "new" / "out" / "landing.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_a_start_without_a_landing_is_said_and_saved(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,9 @@ DOP853 = tx.RKMK(tx.tableaus.DOP853)
 TIMES = np.linspace(0.0, 20.0, 41) ** 2 / 20.0
 WAYS = {"fixed": {"steps": 400}, "chosen": {"rtol": 1e-11, "atol": 1e-11}}
 
+#: Both, the fixed one among the slow tests.
+CHOSEN_FIRST = ["chosen", pytest.param("fixed", marks=pytest.mark.slow)]
+
 
 def flown(**options: object) -> tx.Solution:
     return SCENE.fly(method=DOP853, dense=True, **options)
@@ -29,7 +32,7 @@ def test_every_state_is_the_true_one_and_a_rotation(way: str) -> None:
     assert max(errors) < 1e-9
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", CHOSEN_FIRST)
 def test_it_is_what_saving_gives_and_does_not_disturb_the_flight(way: str) -> None:
     dense, plain = flown(**WAYS[way]), SCENE.fly(method=DOP853, save_at=TIMES, **WAYS[way])
     assert dense.stats.accepted == plain.stats.accepted
@@ -40,7 +43,7 @@ def test_it_is_what_saving_gives_and_does_not_disturb_the_flight(way: str) -> No
     np.testing.assert_allclose(dense.evaluate(0.0)["w"], SCENE.start["w"], atol=1e-15)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", CHOSEN_FIRST)
 def test_the_slope_in_time_is_the_rate(way: str) -> None:
     sol = flown(**WAYS[way])
     state, slope = jax.jvp(lambda t: sol.evaluate(t)["w"], (jnp.asarray(3.3),), (jnp.asarray(1.0),))
@@ -49,6 +52,7 @@ def test_the_slope_in_time_is_the_rate(way: str) -> None:
     np.testing.assert_allclose(state, jax.jit(lambda s, t: s.evaluate(t)["w"])(sol, 3.3), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_its_derivative_with_respect_to_the_start_is_that_of_a_shorter_flight() -> None:
     x, k = tx.State("x"), tx.Parameter("k", value=0.5)
     decay = tx.compile(tx.System(rates={x: -k * x * x}))

@@ -21,6 +21,7 @@ def body() -> tx.Dynamics:
     return tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V))}))
 
 
+@pytest.mark.slow
 def test_forward_reverse_and_finite_differences_agree(body: tx.Dynamics) -> None:
     """All inputs at once: start (in tangent coordinates), controls, parameters, start and end time, saved times."""
     x0 = body.prepare(0.0, start(), reads=()).x

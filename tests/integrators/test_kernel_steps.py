@@ -91,6 +91,7 @@ def test_a_flight_that_fails_ends_where_the_loop_does() -> None:
     assert len(set(np.asarray(ends[0][2]).tolist())) > 2
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_steps() -> None:
     def end(dynamics: Dynamics, V: jax.Array) -> jax.Array:
         return tx.integrate(dynamics, {**START, "V": V}, t1=0.5, steps=5, u=U).xs["V"].sum()

@@ -79,6 +79,7 @@ def test_entries_set_at_one_place_are_inside() -> None:
     np.testing.assert_array_equal(small_call(sets, a), sets(a))
 
 
+@pytest.mark.slow
 def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """A JAX that has lost it flies the same, only slower. Its inertia is baked: as an input it calls LAPACK."""
     body = tx.compile(forced_body(), bake={"M": spatial_inertia()}, emitter=tx.XLA())

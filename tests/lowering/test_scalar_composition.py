@@ -77,7 +77,7 @@ def _agree(found: Any, expected: Any) -> None:
         np.testing.assert_allclose(own, other, rtol=0.0, atol=near * size, err_msg=str(path))
 
 
-@pytest.mark.parametrize("function", [solved, looped])
+@pytest.mark.parametrize("function", [pytest.param(solved, marks=pytest.mark.slow), looped])
 def test_under_transformations(function: Callable[..., jax.Array]) -> None:
     programs = {}
 

@@ -45,9 +45,11 @@ LOSSES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n == "spinning-satellite" else n for n in RATES]
-)
+#: Among the slow tests.
+LONG = ("spinning-satellite", "spring-bodies")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in RATES])
 def test_another_integrator_ends_there_too(name: str) -> None:
     scene = SCENES[name]
     end = scipy_flight(lambda t, y: RATES[name](t, {**scene.params, **y}), scene.start, 0.0, scene.duration)

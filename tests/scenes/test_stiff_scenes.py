@@ -26,7 +26,7 @@ JOINT = stiff_joint.STIFF_JOINT
     ("name", "steps", "bar"),
     [
         ("stiff-attitude", 25, 1e-15),
-        ("actuator-lag", 25, 1e-15),
+        pytest.param("actuator-lag", 25, 1e-15, marks=pytest.mark.slow),
         # The joint's stiffness makes more of round-off.
         pytest.param("stiff-joint", 200, 5e-14, marks=pytest.mark.slow),
     ],
@@ -183,6 +183,7 @@ def test_collocation_of_a_stiff_line() -> None:
         collocated(lambda t, y: 50 * np.cos(50 * y), np.zeros(1), 5.0, 5, 1.0)
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_scene(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     how = STIFF["stiff-attitude"]
     short = {"stiff-attitude": type(how)((stiff_attitude.scene(1e3),), how.rates, 20, how.fastest)}

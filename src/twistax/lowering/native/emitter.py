@@ -6,6 +6,7 @@ import dataclasses
 import importlib.util
 import warnings
 from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import jax
 from jax.extend.core import ClosedJaxpr
@@ -104,7 +105,8 @@ class Native(Emitter, Backend):
             # A control may close over a traced value, or print: a kernel would lose both.
             if closed.effects or is_traced(closed.consts):
                 return None
-            form = native_form(scalarize(closed, checked=own.checked, numbering=own.numbering, limits=NATIVE_LIMITS))
+            options: dict[str, Any] = {"checked": own.checked, "numbering": own.numbering, "largest": own.largest}
+            form = native_form(scalarize(closed, limits=NATIVE_LIMITS, **options))
         except (NotNative, TooLarge):
             return None
         processor = Processor.host()

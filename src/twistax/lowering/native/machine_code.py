@@ -39,12 +39,12 @@ def load(text: str, module: Module, names: tuple[str, ...]) -> dict[str, int]:
         try:
             parsed = llvm.parse_assembly(text)
             parsed.verify()
+            # JIT's own code model: the smaller one wants code and constants within 2 GB of each other, and in a process
+            # that has run for long free memory is farther apart than that.
             machine = llvm.Target.from_default_triple().create_target_machine(
-                cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="default", jit=True
+                cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="jitdefault", jit=True
             )
-            # Code and constants in one stretch of memory: they refer to each other within 2 GB, and in a process that
-            # has run for long free memory is farther apart than that.
-            engine = llvm.create_mcjit_compiler(parsed, machine, use_lmm=True)
+            engine = llvm.create_mcjit_compiler(parsed, machine)
             engine.finalize_object()
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
