@@ -13,6 +13,7 @@ from jax import lax
 from test_scalar_control import scaled_back, tilted
 
 import twistax as tx
+from transformations import agree, transformed
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
 from twistax.scenes import SCENES
@@ -35,48 +36,6 @@ def looped(x: jax.Array, a: jax.Array) -> jax.Array:
     return end + jnp.sort(rows)[0] * x
 
 
-def transformed(f: Callable[..., jax.Array]) -> Callable[..., dict[str, Any]]:
-    """What f gives under every transformation; as one function, to be compiled once."""
-
-    def total(x: Any, a: Any) -> Any:
-        return jnp.sum(jnp.sin(f(x, a)))
-
-    def rolled(x: Any, a: Any) -> Any:
-        return lax.scan(lambda c, _: (0.5 * f(c, a), c[0]), x, None, length=3)
-
-    def every(x: Any, a: Any, xs: Any, batch: Any) -> dict[str, Any]:
-        ones = jnp.ones(3)
-        value, push = jax.linearize(f, x, a)
-        return {
-            "value": f(x, a),
-            "grad": jax.grad(total, (0, 1))(x, a),
-            "jacfwd": jax.jacfwd(f, (0, 1))(x, a),
-            "hessian": jax.hessian(total)(x, a),
-            "vmap": jax.vmap(f)(xs, batch),
-            "vmap of one": jax.vmap(f, in_axes=(None, 2))(x, jnp.moveaxis(batch, 0, 2)),
-            "vmap of vmap": jax.vmap(jax.vmap(f, (0, None)), (None, 0))(xs, batch[:2]),
-            "vmap of grad": jax.vmap(jax.grad(total))(xs, batch),
-            "grad of vmap": jax.grad(lambda s: jax.vmap(total, (0, None))(s, a).sum())(xs),
-            "jvp of vmap": jax.jvp(lambda s: jax.vmap(f)(s, batch), (xs,), (jnp.cos(xs),)),
-            "grad of scan": jax.grad(lambda s: rolled(s, a)[1].sum() + rolled(s, a)[0].sum())(x),
-            "vmap of grad of scan": jax.vmap(jax.grad(lambda s, m: rolled(s, m)[0].sum()))(xs, batch),
-            "linearize": (value, push(ones, a)),
-            "checkpoint": jax.grad(lambda s: jax.checkpoint(total)(s, a))(x),
-            "float32": f(x.astype(np.float32), a.astype(np.float32)),
-        }
-
-    return every
-
-
-def _agree(found: Any, expected: Any) -> None:
-    assert jax.tree.structure(found) == jax.tree.structure(expected)
-    for (path, own), other in zip(jax.tree.leaves_with_path(found), jax.tree.leaves(expected), strict=True):
-        assert (own.shape, own.dtype) == (other.shape, other.dtype), path
-        size = max(1.0, float(np.abs(other).max(initial=0.0)))
-        near = 1e-12 if own.dtype == np.float64 else 1e-5
-        np.testing.assert_allclose(own, other, rtol=0.0, atol=near * size, err_msg=str(path))
-
-
 @pytest.mark.parametrize("function", [pytest.param(solved, marks=pytest.mark.slow), looped])
 def test_under_transformations(function: Callable[..., jax.Array]) -> None:
     programs = {}
@@ -91,7 +50,7 @@ def test_under_transformations(function: Callable[..., jax.Array]) -> None:
         lambda *arguments: [transformed(f)(*arguments) for f in (as_scalars, function)],
         compiler_options={"xla_backend_optimization_level": 0},
     )
-    _agree(*both(X, A, XS, AS))
+    agree(*both(X, A, XS, AS))
 
 
 def test_reverse_only_functions() -> None:
@@ -106,7 +65,7 @@ def test_reverse_only_functions() -> None:
         looping = jax.grad(lambda x: lax.scan(lambda c, _: (f(c), None), x, None, length=3)[0].sum())
         return jax.grad(lambda x: f(x).sum())(X), looping(jnp.asarray(X)), jax.vmap(looping)(jnp.asarray(XS))
 
-    _agree(*jax.jit(lambda: [every(lambda x: call_program(derived, x)[0]), every(function)])())
+    agree(*jax.jit(lambda: [every(lambda x: call_program(derived, x)[0]), every(function)])())
     with pytest.raises(TypeError, match="custom_vjp"):
         jax.jvp(lambda x: call_program(derived, x)[0], (X,), (X,))
 
@@ -127,7 +86,7 @@ def test_odd_arguments() -> None:
         slope = jax.vmap(jax.grad(lambda x, *rest: f(*rest, x)[3]))(arguments[3], *arguments[:3])
         return f(*(a[0] for a in arguments)), jax.vmap(f)(*arguments), jax.vmap(f)(*(a[:0] for a in arguments)), slope
 
-    _agree(*jax.jit(lambda: [every(lambda *a: call_program(derived, *a)), every(function)])())
+    agree(*jax.jit(lambda: [every(lambda *a: call_program(derived, *a)), every(function)])())
     only_empty = Derived(scalarize(lambda e: [e * 2.0], jax.ShapeDtypeStruct((0,), float)))
     assert call_program(only_empty, jnp.zeros(0))[0].shape == (0,)
     assert jax.vmap(lambda e: call_program(only_empty, e)[0])(jnp.zeros((3, 0))).shape == (3, 0)
@@ -167,7 +126,7 @@ def test_compiled_systems() -> None:
             "vmap of grad": jax.vmap(jax.grad(total, 2))(*batch),
         }
 
-    _agree(*jax.jit(lambda: [every(SCALARS), every(ARRAYS)], compiler_options={"xla_backend_optimization_level": 0})())
+    agree(*jax.jit(lambda: [every(SCALARS), every(ARRAYS)], compiler_options={"xla_backend_optimization_level": 0})())
 
 
 def end(dynamics: tx.Dynamics, v: Any, **how: Any) -> Any:
@@ -179,7 +138,7 @@ def test_a_flight_and_its_gradient() -> None:
     def every(dynamics: tx.Dynamics) -> Any:
         return jax.value_and_grad(lambda v: end(dynamics, v, dt=0.1)["R"][..., 0, 1].sum())(jnp.asarray(START["w"]))
 
-    _agree(every(SCALARS), every(ARRAYS))
+    agree(every(SCALARS), every(ARRAYS))
 
 
 @pytest.mark.slow
@@ -187,7 +146,7 @@ def test_adaptive_flights_in_a_batch() -> None:
     def every(dynamics: tx.Dynamics) -> Any:
         return jax.vmap(lambda s: end(dynamics, s * START["w"], rtol=1e-8, atol=1e-8))(jnp.array([0.5, 1.0]))
 
-    _agree(every(SCALARS), every(ARRAYS))
+    agree(every(SCALARS), every(ARRAYS))
 
 
 @pytest.mark.parametrize("name", ["heavy-top", "rocket", "offset-tumble", "stiff-attitude"])

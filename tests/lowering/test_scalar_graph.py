@@ -183,6 +183,15 @@ def test_emitters_choose_by_size() -> None:
     assert tx.Arrays().emit(small).program is None
 
 
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["plain", "inside a call"])
+def test_wide_arrays_stay_arrays(wrapped: Any) -> None:
+    """Written out they would compile for minutes and gain nothing; also where only an inner function sees them."""
+    function = wrapped(lambda v: jnp.sin(jnp.outer(v, v)).sum(0))
+    wide, narrow = (jax.make_jaxpr(lambda v: [function(v)])(jnp.ones(n)) for n in (12, 11))
+    assert tx.XLA(least=0).emit(wide).reason == "arrays: one of the arrays has more than 128 entries"
+    assert tx.XLA(least=0).emit(narrow).program is not None
+
+
 def test_the_emitted_function_is_the_program() -> None:
     """Each operation by XLA as by NumPy, calls and numbers among the results included."""
 

@@ -29,11 +29,11 @@ def array_operations(jaxpr: Any) -> Counter[str]:
     found: Counter[str] = Counter()
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        inner = [p for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+        inner = _inner(eqn)
         out = sum(v.aval.size for v in eqn.outvars)
         if inner:
             for each in inner:
-                for kind, count in array_operations(each.jaxpr if isinstance(each, ClosedJaxpr) else each).items():
+                for kind, count in array_operations(each).items():
                     found[kind] += count * eqn.params.get("length", 1)
         elif name == "dot_general":
             (contracted, _), _ = eqn.params["dimension_numbers"]
@@ -50,9 +50,15 @@ def array_operations(jaxpr: Any) -> Counter[str]:
 
 
 def largest_array(jaxpr: Any) -> int:
-    """The number of entries of the largest array that is worked on."""
+    """The number of entries of the largest array that is worked on, also inside of calls and loops."""
     sizes = [v.aval.size for v in (*jaxpr.invars, *(v for eqn in jaxpr.eqns for v in eqn.outvars))]
-    return max(sizes, default=0)
+    return max([*sizes, *(largest_array(inner) for eqn in jaxpr.eqns for inner in _inner(eqn))], default=0)
+
+
+def _inner(eqn: Any) -> list[Jaxpr]:
+    """The jaxprs that an equation calls."""
+    found = [p for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+    return [p.jaxpr if isinstance(p, ClosedJaxpr) else p for p in found]
 
 
 def _is_jaxpr(value: Any) -> bool:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import importlib.util
 import os
+import platform
 import re
+import struct
 import subprocess
 import sys
 import warnings
@@ -21,6 +23,7 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 import twistax as tx
 from twistax.lowering.native import emitter, machine_code, operations, self_test
+from twistax.lowering.native import kernel as kernel_module
 from twistax.lowering.native.code import Module
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.processor import Processor
@@ -220,6 +223,41 @@ def test_wrong_types_and_shapes_are_refused(shapes: Any, results: Any, message: 
 def test_the_same_program_has_the_same_target() -> None:
     assert _kernel().target == _kernel().target
     assert _kernel().target.startswith("twistax_")
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or sys.platform != "linux", reason="reads what LLVM writes for Linux on x86-64"
+)
+def test_code_and_constants_may_lie_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reference of 32 bits between them would end the process where memory is scattered."""
+    import llvmlite.binding as llvm
+
+    texts: list[str] = []
+    name = kernel_module._name
+    monkeypatch.setattr(kernel_module, "_name", lambda text, processor: texts.append(text) or name(text, processor))
+    _kernel()
+    written = machine_code.target_machine(Processor.host()).emit_object(llvm.parse_assembly(texts[0]))
+    assert not _NEAR & set(_relocations(written))
+
+
+#: Of the types of x86-64 relocations those of 32 bits between sections: PC32, PLT32, 32, 32S.
+_NEAR = {2, 4, 10, 11}
+
+
+def _relocations(written: bytes) -> list[int]:
+    """The types of all relocations of the code in an ELF file of 64 bits."""
+    table, size, count = (*struct.unpack_from("<Q", written, 40), *struct.unpack_from("<HH", written, 58))
+    found = []
+    for k in range(count):
+        _, kind, _, _, offset, length, _, target, _, entry = struct.unpack_from(
+            "<IIQQQQIIQQ", written, table + k * size
+        )
+        flags = struct.unpack_from("<Q", written, table + target * size + 8)[0] if target < count else 0
+        if kind == 4 and flags & 4:  # addends, for a section that is executed
+            found += [
+                struct.unpack_from("<Q", written, offset + i + 8)[0] & 0xFFFFFFFF for i in range(0, length, entry)
+            ]
+    return found
 
 
 # ---- other processes -------------------------------------------------------------------------------------------------

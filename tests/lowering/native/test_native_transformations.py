@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
+
+from transformations import agree, transformed
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -50,54 +51,13 @@ def native(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     return called
 
 
-def transformed(f: Callable[..., jax.Array]) -> Callable[..., dict[str, Any]]:
-    """What f gives under every transformation; as one function, to be compiled once."""
-
-    def total(x: Any, a: Any) -> Any:
-        return jnp.sum(jnp.sin(f(x, a)))
-
-    def rolled(x: Any, a: Any) -> Any:
-        return lax.scan(lambda c, _: (0.5 * f(c, a), c[0]), x, None, length=3)
-
-    def every(x: Any, a: Any, xs: Any, batch: Any) -> dict[str, Any]:
-        value, push = jax.linearize(f, x, a)
-        return {
-            "value": f(x, a),
-            "grad": jax.grad(total, (0, 1))(x, a),
-            "jacfwd": jax.jacfwd(f, (0, 1))(x, a),
-            "hessian": jax.hessian(total)(x, a),
-            "vmap": jax.vmap(f)(xs, batch),
-            "vmap of one": jax.vmap(f, in_axes=(None, 2))(x, jnp.moveaxis(batch, 0, 2)),
-            "vmap of vmap": jax.vmap(jax.vmap(f, (0, None)), (None, 0))(xs, batch[:2]),
-            "vmap of grad": jax.vmap(jax.grad(total))(xs, batch),
-            "grad of vmap": jax.grad(lambda s: jax.vmap(total, (0, None))(s, a).sum())(xs),
-            "jvp of vmap": jax.jvp(lambda s: jax.vmap(f)(s, batch), (xs,), (jnp.cos(xs),)),
-            "scan": rolled(x, a),
-            "grad of scan": jax.grad(lambda s: rolled(s, a)[1].sum() + rolled(s, a)[0].sum())(x),
-            "linearize": (value, push(jnp.ones(3), a)),
-            "float32": f(x.astype(np.float32), a.astype(np.float32)),
-            "grad in float32": jax.grad(total)(x.astype(np.float32), a.astype(np.float32)),
-        }
-
-    return every
-
-
-def _agree(found: Any, expected: Any) -> None:
-    assert jax.tree.structure(found) == jax.tree.structure(expected)
-    for (path, own), other in zip(jax.tree.leaves_with_path(found), jax.tree.leaves(expected), strict=True):
-        assert (own.shape, own.dtype) == (other.shape, other.dtype), path
-        size = max(1.0, float(np.abs(other).max(initial=0.0)))
-        near = 1e-12 if own.dtype == np.float64 else 1e-5
-        np.testing.assert_allclose(own, other, rtol=0.0, atol=near * size, err_msg=str(path))
-
-
 def test_under_transformations() -> None:
     function = native(bent)
     both = jax.jit(
         lambda *arguments: [transformed(f)(*arguments) for f in (function, bent)],
         compiler_options={"xla_backend_optimization_level": 0},
     )
-    _agree(*both(X, A, XS, AS))
+    agree(*both(X, A, XS, AS))
     jaxpr = str(jax.make_jaxpr(jax.vmap(jax.grad(lambda x: function(x, A).sum())))(XS))
     assert "native_program" in jaxpr
     assert "custom_call" in jax.jit(jax.vmap(jax.hessian(lambda x: function(x, A).sum()))).lower(XS).as_text()
@@ -205,4 +165,4 @@ def test_odd_arguments() -> None:
         )
         return f(*(a[0] for a in arguments)), jax.vmap(f)(*arguments), jax.vmap(f)(*(a[:0] for a in arguments)), slope
 
-    _agree(*jax.jit(lambda: [every(kernel), every(function)])())
+    agree(*jax.jit(lambda: [every(kernel), every(function)])())

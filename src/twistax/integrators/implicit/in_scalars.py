@@ -17,7 +17,10 @@ _LARGEST = 2000
 
 
 def in_scalars(function: Callable[[], list[jax.Array]]) -> list[jax.Array]:
-    """function(), zeros and repeated parts left out where it is small enough. It may close over traced values."""
+    """function(), zeros and repeated parts left out where it is small enough: no array has more than 128 entries.
+
+    It may close over traced values.
+    """
     closed = jax.make_jaxpr(function)()
     held = [i for i, value in enumerate(closed.consts) if is_traced(value)]
 

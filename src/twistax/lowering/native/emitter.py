@@ -62,7 +62,7 @@ class Native(Emitter, Backend):
             does by default.
 
     Raises:
-        ModelError: threads or least is not positive.
+        ModelError: threads below one, or least below zero.
     """
 
     scalars: XLA = _XLA

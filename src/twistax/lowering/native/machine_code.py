@@ -8,8 +8,9 @@ import threading
 from typing import Any
 
 from .code import Module
+from .processor import Processor
 
-__all__ = ["BuildError", "load"]
+__all__ = ["BuildError", "load", "target_machine"]
 
 _LOCK = threading.Lock()
 
@@ -19,6 +20,19 @@ _ENGINES: list[Any] = []
 
 class BuildError(Exception):
     """No machine code came of it; the message says why."""
+
+
+def target_machine(processor: Processor) -> Any:
+    """What LLVM writes for, in the code model of its JIT, where code and constants may lie anywhere.
+
+    The small one wants them within 2 GB of each other, and LLVM ends the process where they are not: in one that has
+    run for long free memory is farther apart than that.
+    """
+    import llvmlite.binding as llvm
+
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="jitdefault", jit=True
+    )
 
 
 def load(text: str, module: Module, names: tuple[str, ...]) -> dict[str, int]:
@@ -35,16 +49,10 @@ def load(text: str, module: Module, names: tuple[str, ...]) -> dict[str, int]:
         llvm.initialize_native_asmprinter()
         for symbol in sorted(module.library):
             llvm.add_symbol(symbol, _address(symbol))
-        processor = module.processor
         try:
             parsed = llvm.parse_assembly(text)
             parsed.verify()
-            # JIT's own code model: the smaller one wants code and constants within 2 GB of each other, and in a process
-            # that has run for long free memory is farther apart than that.
-            machine = llvm.Target.from_default_triple().create_target_machine(
-                cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="jitdefault", jit=True
-            )
-            engine = llvm.create_mcjit_compiler(parsed, machine)
+            engine = llvm.create_mcjit_compiler(parsed, target_machine(module.processor))
             engine.finalize_object()
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error

@@ -84,14 +84,9 @@ class Turns(Tile):
             comes_round(live, flags, going, going_on),
             *(comes_round(now[p], numbers, a, b) for p, a, b in zip(states, starts, after, strict=True)),
         ]
-        rest = iter(after)
+        ends = iter([*after, next_turn])
         for k, rows in writes.items():
-            own = (
-                [next_turn]
-                if k == len(self.results) - 1
-                else [next(rest) for _ in range(self.signature.results[k].size)]
-            )
-            rows.write(own)
+            rows.write([next(ends) for _ in range(self.signature.results[k].size)])
         self.end(code)
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
