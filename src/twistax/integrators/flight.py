@@ -16,6 +16,7 @@ from .course import Course, Flown, Outcome, Part, Trail
 from .event_end import Meeting, cut_at, locate, refined, saved_before
 from .finite import all_finite
 from .result import Result
+from .step_again import advance_again
 from .stepper import Stepper
 
 __all__ = ["Flight", "fly"]
@@ -136,7 +137,7 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown, known: Mee
     """A flight by taking its steps again."""
 
     def step(y: Blocks, part: Part) -> Blocks:
-        return stepper.advance(part.t, y, part.h)
+        return advance_again(stepper, part.t, y, part.h)
 
     start = stepper.stored.enter(x)
     recorded = course.dense or flown.saved is not None
@@ -158,7 +159,7 @@ def _again(course: Course, stepper: Stepper, x: Arrays, flown: Flown, known: Mee
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
     parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
     starts = jax.tree.map(lambda a: a[saved.steps], every)
-    ys = jax.vmap(lambda part, y: stepper.advance(part.t, y, part.h))(parts, starts)
+    ys = jax.vmap(lambda part, y: advance_again(stepper, part.t, y, part.h))(parts, starts)
     return _saved(stepper, flown, ys, parts, x, meeting)
 
 

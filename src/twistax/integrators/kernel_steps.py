@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import jax
@@ -15,7 +14,7 @@ from .charts.whole import Blocks
 from .method import Attempt, Carry
 from .stepper import Stepper
 
-__all__ = ["KernelSteps", "kernel_steps"]
+__all__ = ["KernelSteps", "kernel_steps", "too_wide"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +55,9 @@ def kernel_steps(
     types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
     made = stepper.dynamics.made
     if (structure, types) not in made:
-        made[structure, types] = _made(stepper.dynamics.emitter, structure, types, len(jax.tree.leaves((y, carry))))
+        state, emitter = inputs[-1], stepper.dynamics.emitter
+        none = too_wide(state)
+        made[structure, types] = None if none else _made(emitter, structure, types, len(jax.tree.leaves(state)))
     return made[structure, types]
 
 
@@ -64,9 +65,12 @@ def kernel_steps(
 _WIDEST = 400
 
 
+def too_wide(state: Any) -> bool:
+    """Whether a state has so many numbers that steps are better not written out as scalars."""
+    return sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST
+
+
 def _made(emitter: Emitter, structure: Any, types: Any, state: int) -> KernelSteps | None:
-    if sum(math.prod(shape) for shape, _ in types[len(types) - state :]) > _WIDEST:
-        return None
     made: list[Attempt] = []
 
     def step(*leaves: jax.Array) -> list[jax.Array]:

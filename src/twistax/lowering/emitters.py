@@ -8,19 +8,26 @@ from collections.abc import Callable, Collection, Sequence
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 
 from ..errors import ModelError
-from .scalar.graph import TooLarge
+from .concrete import is_traced
+from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.numbering import ValueNumbering
 from .scalar.passes import emitted_form
 from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
+from .scalar.reader import trace
 from .scalar.repeated import Repeated
 from .small_call import known_inside
-from .work import array_operations, largest_array
+from .work import array_operations, largest_array, primitives
 
-__all__ = ["XLA", "Arrays", "Emission", "Emitter"]
+__all__ = ["ANY_SIZE", "XLA", "Arrays", "Emission", "Emitter", "pure"]
+
+#: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
+_LARGEST_STEP = 10_000
+#: A step has derivatives of any order, and nothing else to fall back on.
+ANY_SIZE = 10**9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +73,10 @@ class Emitter(ABC):
             shapes: of its arguments.
             state: how many arguments are the state.
         """
+        return None
+
+    def step(self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> Derived | None:
+        """A step of arrays to arrays as one program, to be differentiated in a loop; None: it runs as it is."""
         return None
 
 
@@ -127,6 +138,16 @@ class XLA(Emitter):
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
 
+    def step(self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> Derived | None:
+        closed = pure(step, shapes)
+        if closed is None or array_operations(closed.jaxpr).total() > _LARGEST_STEP:
+            return None
+        # The slopes of all stages make an array that may be wider.
+        if max(v.aval.size for v in closed.jaxpr.invars) > self.widest:
+            return None
+        program = self.scalars(closed, ANY_SIZE)
+        return Derived(program) if all(_steady(call.jaxpr.jaxpr) for call in program.calls) else None
+
     def written_out(self, closed: ClosedJaxpr) -> ScalarProgram:
         """The scalars of a jaxpr.
 
@@ -135,7 +156,22 @@ class XLA(Emitter):
         """
         if largest_array(closed.jaxpr) > self.widest:
             raise TooLarge(f"one of the arrays has more than {self.widest} entries")
-        return scalarize(closed, checked=self.checked, numbering=self.numbering, largest=self.largest)
+        return self.scalars(closed, self.largest)
+
+    def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
+        """A jaxpr as a scalar program, of at most so many scalars, derivatives included."""
+        return scalarize(closed, checked=self.checked, numbering=self.numbering, largest=largest, limits=limits)
+
+
+def pure(function: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> ClosedJaxpr | None:
+    """The jaxpr of a function; None where it closes over traced values or has effects, which programs would lose."""
+    closed = trace(function, *shapes)
+    return None if closed.effects or is_traced(closed.consts) else closed
+
+
+def _steady(jaxpr: Jaxpr) -> bool:
+    """Whether a call runs inside of a small function and has a derivative in reverse: none of its loops is open."""
+    return known_inside(jaxpr) and "while" not in primitives(jaxpr)
 
 
 def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:

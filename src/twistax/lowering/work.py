@@ -9,7 +9,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-__all__ = ["array_operations", "largest_array"]
+__all__ = ["array_operations", "largest_array", "primitives"]
 
 #: Operations that only move numbers, or hold others.
 _MOVING = frozenset(
@@ -53,6 +53,12 @@ def largest_array(jaxpr: Any) -> int:
     """The number of entries of the largest array that is worked on, also inside of calls and loops."""
     sizes = [v.aval.size for v in (*jaxpr.invars, *(v for eqn in jaxpr.eqns for v in eqn.outvars))]
     return max([*sizes, *(largest_array(inner) for eqn in jaxpr.eqns for inner in _inner(eqn))], default=0)
+
+
+def primitives(jaxpr: Any) -> set[str]:
+    """The names of all operations, also inside of calls and loops."""
+    inside = [primitives(inner) for eqn in jaxpr.eqns for inner in _inner(eqn)]
+    return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*inside)
 
 
 def _inner(eqn: Any) -> list[Jaxpr]:

@@ -6,18 +6,15 @@ import dataclasses
 import importlib.util
 import warnings
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
 
 import jax
 from jax.extend.core import ClosedJaxpr
 
 from ...errors import ModelError
-from ..concrete import is_traced
-from ..emitters import XLA, Emission, Emitter
+from ..emitters import ANY_SIZE, XLA, Emission, Emitter, pure
 from ..scalar.graph import TooLarge
 from ..scalar.primitive import Backend, Derived, call_program
-from ..scalar.program import ScalarProgram, scalarize
-from ..scalar.reader import trace
+from ..scalar.program import ScalarProgram
 from ..scalar.repeated import Repeated
 from .code import NotNative
 from .kernel import Kernel
@@ -50,8 +47,8 @@ class Native(Emitter, Backend):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
     Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
-    fixed steps of explicit methods, all of them in one kernel; other loops of integrators, other devices, and whatever
-    has no native form run as `scalars` does.
+    fixed steps of explicit methods, all of them in one kernel, and the derivatives of their steps; other loops of
+    integrators, other devices, and whatever has no native form run as `scalars` does.
 
     Attributes:
         scalars: how functions are written out, and what runs them where no kernel does.
@@ -97,24 +94,39 @@ class Native(Emitter, Backend):
     def repeated(
         self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
     ) -> Repeated | None:
-        if not installed():
+        program = self._whole_step(step, shapes)
+        if program is None:
             return None
-        try:
-            own = self.scalars
-            closed = trace(step, *shapes)
-            # A control may close over a traced value, or print: a kernel would lose both.
-            if closed.effects or is_traced(closed.consts):
-                return None
-            options: dict[str, Any] = {"checked": own.checked, "numbering": own.numbering, "largest": own.largest}
-            form = native_form(scalarize(closed, limits=NATIVE_LIMITS, **options))
-        except (NotNative, TooLarge):
-            return None
+        form = native_form(program)
         processor = Processor.host()
 
         def kernel(single: bool) -> Kernel | None:
             return self._built(Turns(form, state, 1 if single else processor.lanes(form.graph.dtype)), processor)
 
         return Repeated(form, state, kernel)
+
+    def step(self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> Derived | None:
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return self.scalars.step(step, shapes)
+        program.graph.largest = ANY_SIZE  # for derivatives of any order, which nothing else could run
+        return Derived(program, None, self)
+
+    def _whole_step(
+        self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]
+    ) -> ScalarProgram | None:
+        """A step that has a native form, all of its stages written out; None: it has none, or runs elsewhere."""
+        if not installed() or jax.default_backend() != "cpu":
+            return None
+        closed = pure(step, shapes)
+        if closed is None:
+            return None
+        try:
+            program = self.scalars.scalars(closed, self.scalars.largest, NATIVE_LIMITS)
+            native_form(program)
+        except (NotNative, TooLarge):
+            return None
+        return program
 
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
         """The program with what runs it, and why."""

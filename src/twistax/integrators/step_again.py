@@ -1,0 +1,38 @@
+"""A step that is taken again for its derivatives: as one program, where the system's emitter writes one."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..lowering.emitters import Arrays, Emitter
+from ..lowering.scalar.primitive import Derived, call_program
+from .charts.whole import Blocks
+from .kernel_steps import too_wide
+from .stepper import Stepper
+
+__all__ = ["advance_again"]
+
+
+def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+    """`stepper.advance`, for loops that are differentiated: a program is compiled faster, and runs as one function."""
+    leaves, structure = jax.tree.flatten((stepper, t, y, h))
+    types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+    made, key = stepper.dynamics.made, (advance_again, structure, types)
+    if key not in made:
+        made[key] = None if too_wide(y) else _program(stepper.dynamics.emitter, structure, types)
+    if made[key] is None:
+        return stepper.advance(t, y, h)
+    return jax.tree.unflatten(jax.tree.structure(y), call_program(made[key], *leaves))
+
+
+def _program(emitter: Emitter, structure: Any, types: Any) -> Derived | None:
+    def step(*leaves: jax.Array) -> list[jax.Array]:
+        stepper, t, y, h = jax.tree.unflatten(structure, leaves)
+        plain = dataclasses.replace(stepper, dynamics=stepper.dynamics.emitted_by(Arrays()))
+        return jax.tree.leaves(plain.advance(t, y, h))
+
+    return emitter.step(step, [jax.ShapeDtypeStruct(*each) for each in types])

@@ -1,0 +1,134 @@
+"""Steps that are differentiated as programs: the derivatives of arrays, and where there is no program."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from integrator_bodies import start
+
+import twistax as tx
+from twistax.lowering.scalar.primitive import Derived
+from twistax.scenes.rocket import ROCKET
+
+Cost = Callable[[jax.Array], jax.Array]
+#: Programs that run once need not be fast.
+QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+EMITTERS = {"XLA": tx.XLA(), "native": tx.Native(), "no scalars": tx.Arrays()}
+
+
+def programs(dynamics: tx.Dynamics) -> list[Derived]:
+    """The programs that differentiated steps of a system were made with."""
+    return [made for made in dynamics.made.values() if isinstance(made, Derived)]
+
+
+def top() -> tx.System:
+    """An asymmetric body that turns under drag, its weight and a torque that changes with time."""
+    R, w, t = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Time()
+    J = tx.Parameter("J", shape=(3,), value=np.array([1.0, 2.0, 3.5]))
+    torque = tx.Concat(tx.Sin(2.0 * t), 0.3, 0.0) - 0.1 * w + tx.linalg.Cross(np.array([0.0, 0.2, 0.5]), R[2, :])
+    return tx.System(rates={R: w, w: (torque - tx.linalg.Cross(w, J * w)) / J})
+
+
+def flown(dynamics: tx.Dynamics, **options: Any) -> Cost:
+    """A cost of the end as a function of what is added to the rate at the start."""
+    rotation, rate = start()["g"][:3, :3], np.array([0.4, 2.0, -0.7])
+
+    def cost(z: jax.Array) -> jax.Array:
+        end = tx.integrate(dynamics, {"R": rotation, "w": rate + z}, t1=0.5, **options).xs
+        return (end["w"][-1] ** 2).sum() + end["R"][-1][:, 1:].sum()
+
+    return cost
+
+
+@functools.cache
+def in_arrays(derivative: Callable[[Cost], Cost]) -> np.ndarray:
+    """A derivative by JAX alone."""
+    return run(derivative(flown(tx.compile(top(), emitter=tx.Arrays()), steps=3)))
+
+
+def run(function: Cost) -> np.ndarray:
+    z = jnp.linspace(-0.2, 0.3, 3)
+    return np.asarray(jax.jit(function).lower(z).compile(QUICK)(z))
+
+
+@pytest.mark.parametrize("name", EMITTERS)
+@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, pytest.param(jax.hessian, marks=pytest.mark.slow)])
+def test_derivatives_are_those_of_arrays(name: str, derivative: Callable[[Cost], Cost]) -> None:
+    if name == "native":
+        pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+    dynamics = tx.compile(top(), emitter=EMITTERS[name])
+    found = run(derivative(flown(dynamics, steps=3)))
+    np.testing.assert_allclose(found, in_arrays(derivative), rtol=1e-11, atol=1e-12)
+    assert len(programs(dynamics)) == (name != "no scalars")
+
+
+def test_a_long_loop_of_stages_stays_a_loop_for_xla() -> None:
+    """All thirteen stages as scalars would take XLA half a minute."""
+    dynamics = tx.compile(ROCKET.system, emitter=tx.XLA())
+    options = {"t1": 1.0, "steps": 3, "u": ROCKET.u, "method": tx.RKMK(tx.tableaus.DOP853)}
+
+    def end(push: jax.Array) -> jax.Array:
+        start = {name: value + push for name, value in ROCKET.start.items()}
+        return tx.integrate(dynamics, start, params=ROCKET.params, **options).xs[dynamics.states[0].name]
+
+    jax.make_jaxpr(jax.jacfwd(end))(jnp.asarray(0.0))
+    (program,) = (found.program for found in programs(dynamics))
+    assert len(program.calls) == 1
+    assert program.operations < 1000
+
+
+def test_derivatives_may_be_larger_than_a_function_is_allowed_to_be() -> None:
+    pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+    dynamics = tx.compile(top(), emitter=tx.Native(scalars=tx.XLA(largest=1200)))
+    found = run(jax.grad(flown(dynamics, steps=3)))
+    np.testing.assert_allclose(found, in_arrays(jax.grad), rtol=1e-11, atol=1e-12)
+    (program,) = (found.program for found in programs(dynamics))
+    assert len(program.graph.numbers) > 1200
+
+
+def test_steps_that_solve_equations_stay_as_they_are() -> None:
+    dynamics = tx.compile(top())
+    cost = flown(dynamics, steps=2, method=tx.ImplicitRKMK(tx.tableaus.GAUSS_LEGENDRE4))
+    jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
+    assert not programs(dynamics)
+
+
+def test_wide_states_stay_arrays() -> None:
+    x = tx.State("x", shape=(500,))
+    dynamics = tx.compile(tx.System(rates={x: -x}), emitter=tx.Native())
+
+    def cost(x0: jax.Array) -> jax.Array:
+        return tx.integrate(dynamics, {"x": x0}, t1=1.0, steps=50).xs["x"][-1].sum()
+
+    np.testing.assert_allclose(jax.grad(cost)(jnp.ones(500)), np.exp(-1.0), rtol=1e-7)
+    assert not programs(dynamics)
+
+
+def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There a step written out whole would compile for long and run no faster."""
+    pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+    dynamics = tx.compile(top(), emitter=tx.Native())
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    cost = flown(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
+    jax.make_jaxpr(cost)(jnp.zeros(3))
+    jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
+    assert [made for made in dynamics.made.values() if made is not None] == programs(dynamics)
+    assert all(found.backend is None for found in programs(dynamics))
+
+
+def test_a_control_that_closes_over_a_traced_value_keeps_its_derivative() -> None:
+    x, F = tx.State("x"), tx.Control("F")
+    dynamics = tx.compile(tx.System(rates={x: F - x}))
+
+    def cost(k: jax.Array) -> jax.Array:
+        sol = tx.integrate(dynamics, {"x": 1.0}, t1=1.0, steps=100, u=lambda t: {"F": k * jnp.cos(0.0 * t)})
+        return sol.xs["x"][-1]
+
+    found = jax.grad(cost)(jnp.asarray(0.3))
+    np.testing.assert_allclose(found, 1.0 - np.exp(-1.0), rtol=1e-9)
