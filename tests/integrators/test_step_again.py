@@ -132,3 +132,28 @@ def test_a_control_that_closes_over_a_traced_value_keeps_its_derivative() -> Non
 
     found = jax.grad(cost)(jnp.asarray(0.3))
     np.testing.assert_allclose(found, 1.0 - np.exp(-1.0), rtol=1e-9)
+
+
+def noise_of(key: jax.Array) -> Callable[[jax.Array], dict[str, jax.Array]]:
+    return lambda t: {"F": t * jax.random.normal(key, dtype=t.dtype)}
+
+
+TABLE = jnp.linspace(0.0, 1.0, 5000)
+CONTROLS = {
+    "a random key": noise_of(jax.random.key(3)),
+    "a legacy random key": noise_of(jax.random.PRNGKey(3)),
+    "a long table": lambda t: {"F": TABLE[(4999.0 * t).astype(int)]},
+}
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_controls_that_no_program_holds_stay_as_they_are(name: str) -> None:
+    """Keys are no numbers; a table that is closed over would become scalars one by one, which takes minutes."""
+    x, F = tx.State("x"), tx.Control("F")
+    dynamics = tx.compile(tx.System(rates={x: F - x}))
+
+    def cost(x0: jax.Array) -> jax.Array:
+        return tx.integrate(dynamics, {"x": x0}, t1=1.0, steps=100, u=CONTROLS[name]).xs["x"][-1]
+
+    np.testing.assert_allclose(jax.grad(cost)(jnp.asarray(0.3)), np.exp(-1.0), rtol=1e-8)
+    assert not programs(dynamics)

@@ -20,12 +20,14 @@ from .scalar.program import ScalarProgram, scalarize
 from .scalar.reader import trace
 from .scalar.repeated import Repeated
 from .small_call import known_inside
-from .work import array_operations, largest_array, primitives
+from .work import array_operations, has_keys, largest_array, primitives
 
 __all__ = ["ANY_SIZE", "XLA", "Arrays", "Emission", "Emitter", "pure"]
 
 #: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
 _LARGEST_STEP = 10_000
+#: Numbers that a step closes over become scalars one by one: reading a longer table takes minutes.
+_MOST_CONSTANTS = 1000
 #: A step has derivatives of any order, and nothing else to fall back on.
 ANY_SIZE = 10**9
 
@@ -164,9 +166,15 @@ class XLA(Emitter):
 
 
 def pure(function: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> ClosedJaxpr | None:
-    """The jaxpr of a function; None where it closes over traced values or has effects, which programs would lose."""
+    """The jaxpr of a function; None where it has no good program.
+
+    Programs would lose effects and traced values that it closes over. They have no random keys. Long tables that it
+    closes over take minutes to read.
+    """
     closed = trace(function, *shapes)
-    return None if closed.effects or is_traced(closed.consts) else closed
+    if closed.effects or is_traced(closed.consts) or has_keys(closed.jaxpr):
+        return None
+    return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
 
 
 def _steady(jaxpr: Jaxpr) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-__all__ = ["array_operations", "largest_array", "primitives"]
+__all__ = ["array_operations", "has_keys", "largest_array", "primitives"]
 
 #: Operations that only move numbers, or hold others.
 _MOVING = frozenset(
@@ -59,6 +59,13 @@ def primitives(jaxpr: Any) -> set[str]:
     """The names of all operations, also inside of calls and loops."""
     inside = [primitives(inner) for eqn in jaxpr.eqns for inner in _inner(eqn)]
     return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*inside)
+
+
+def has_keys(jaxpr: Any) -> bool:
+    """Whether random keys, or anything else that is no array of numbers, occur, also inside of calls and loops."""
+    variables = [*jaxpr.constvars, *jaxpr.invars, *(v for eqn in jaxpr.eqns for v in eqn.outvars)]
+    own = any(jax.dtypes.issubdtype(v.aval.dtype, jax.dtypes.extended) for v in variables if hasattr(v.aval, "dtype"))
+    return own or any(has_keys(inner) for eqn in jaxpr.eqns for inner in _inner(eqn))
 
 
 def _inner(eqn: Any) -> list[Jaxpr]:
