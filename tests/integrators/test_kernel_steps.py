@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from windy_body import START, windy_body
 
 import twistax as tx
 from twistax.integrators.kernel_steps import KernelSteps
@@ -15,22 +16,7 @@ from twistax.lowering import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
-START = {"g": np.eye(4), "V": np.array([1.0, 0.5, -0.3, 0.4, 1.2, -0.7]), "m": np.array(2.0)}
-
-
-def _system() -> tx.System:
-    """A body that loses mass, pushed by a control, in wind that changes with time."""
-    g, V, m = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.State("m")
-    F, J, t = tx.Control("F", shape=(3,)), tx.Parameter("J", shape=(3,), value=np.array([1.0, 2.0, 3.0])), tx.Time()
-    v, w = V[:3], V[3:]
-    push = (F + 0.1 * tx.Sin(3.0 * t) * v) / m
-    down = g[:3, :3].T @ np.array([0.0, 0.0, -9.81])
-    return tx.System(
-        rates={g: V, V: tx.Concat(push + down - tx.linalg.Cross(w, v), tx.linalg.Cross(J * w, w) / J), m: -0.05 * m}
-    )
-
-
-NATIVE, PLAIN = tx.compile(_system(), emitter=tx.Native()), tx.compile(_system(), emitter=tx.XLA())
+NATIVE, PLAIN = tx.compile(windy_body(), emitter=tx.Native()), tx.compile(windy_body(), emitter=tx.XLA())
 U = {"F": np.array([1.0, -2.0, 0.5])}
 METHODS = {
     "classical": tx.RKMK(tx.tableaus.RK4),
@@ -52,7 +38,7 @@ def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: flo
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_flight_is_that_of_the_loop(name: str) -> None:
-    dynamics = tx.compile(_system(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), emitter=tx.Native())
     given: dict[str, Any] = {"t1": 0.7, "steps": 9, "u": U, "method": METHODS[name], "save_at": [0.0, 0.3, 0.35, 0.7]}
     found, expected = (tx.integrate(d, START, **given) for d in (dynamics, PLAIN))
     _near(found.xs, expected.xs)
@@ -96,7 +82,7 @@ def test_derivatives_are_those_of_the_steps() -> None:
     def end(dynamics: Dynamics, V: jax.Array) -> jax.Array:
         return tx.integrate(dynamics, {**START, "V": V}, t1=0.5, steps=5, u=U).xs["V"].sum()
 
-    V, arrays = jnp.asarray(START["V"]), tx.compile(_system(), emitter=tx.Arrays())
+    V, arrays = jnp.asarray(START["V"]), tx.compile(windy_body(), emitter=tx.Arrays())
     found, expected = (jax.grad(lambda V, d=d: end(d, V))(V) for d in (NATIVE, arrays))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
@@ -110,7 +96,7 @@ def test_controls_may_be_functions_of_time_and_tables() -> None:
 
 
 def test_other_numbers_do_not_compile_again() -> None:
-    dynamics = tx.compile(_system(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), emitter=tx.Native())
     for steps, t1 in ((3, 0.1), (8, 0.5)):
         tx.integrate(dynamics, START, t1=t1, steps=steps, u=U)
     assert len(_taken(dynamics)) == 1

@@ -17,6 +17,7 @@ from .course import Course, Flown, Outcome, Part, Saved
 from .events import Watched
 from .finite import all_finite
 from .first_step import first_step
+from .kernel_tries import kernel_tries
 from .method import Carry
 from .result import Result
 from .rows import put, rows
@@ -146,14 +147,10 @@ class AdaptiveCourse(Course):
     def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         stops = self.stops
-        room = stops.limits[-1] - self.t0
-        guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
-        rate = stepper.rate(self.t0, y, guess)
-        chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
+        begun, first = small_call(AdaptiveCourse._begin, self, stepper, y)
         packed, read = ravel_pytree(y)
-        carry, read_carry = ravel_pytree(stepper.method.begin(stepper.dynamics, y, rate))
-        packing = _Packing(read, read_carry)
-        zero, first = jnp.zeros((), int), jnp.where(self.first > 0.0, self.first, chosen)
+        carry, read_carry = ravel_pytree(begun)
+        packing, zero = _Packing(read, read_carry), jnp.zeros((), int)
         now = _Now(
             t=self.t0,
             h=first,
@@ -179,11 +176,7 @@ class AdaptiveCourse(Course):
                 resumed = ravel_pytree(stepper.resume(now.t, read(now.y), read_carry(now.carry), ahead))[0]
                 carry = jnp.where(now.t == self._leg(leg)[0], resumed, now.carry)
                 now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
-            now = jax.lax.while_loop(
-                lambda n: (n.t < t) & (n.code == 0) & (n.tried < self.bound),
-                lambda n: self._try(stepper, packing, n, leg),
-                now,
-            )
+            now = self._to(t, leg, stepper, packing, now)
             if now.last is None:
                 return now, None
             # A saved time that is the end of a step needs no other one.
@@ -192,6 +185,41 @@ class AdaptiveCourse(Course):
             return now, (start, now.accepted - (~there).astype(int), now.t >= t)
 
         return jax.lax.scan(to_stop, now, (stops.ts, stops.leg))
+
+    def _begin(self, stepper: Stepper, y: Blocks) -> tuple[Carry, jax.Array]:
+        """What the method carries at the start, and the first step to try."""
+        room = self.stops.limits[-1] - self.t0
+        guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
+        rate = stepper.rate(self.t0, y, guess)
+        chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
+        begun = stepper.method.begin(stepper.dynamics, y, rate)
+        return begun, jnp.where(self.first > 0.0, self.first, chosen)
+
+    def _to(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Now:
+        """Steps to a stop at t, or beyond it up to the end of the leg."""
+
+        def going(now: _Now, t: jax.Array) -> jax.Array:
+            return (now.t < t) & (now.code == 0)
+
+        def one_try(
+            given: tuple[AdaptiveCourse, jax.Array, jax.Array], stepper: Stepper, now: _Now
+        ) -> tuple[_Now, jax.Array]:
+            course, t, leg = given
+            found = course._try(stepper, packing, now, leg)
+            return found, going(found, t)
+
+        kernel = None
+        if now.path is None and now.every is None and now.watched is None and self._countable(stepper):
+            kernel = kernel_tries(one_try, (self, t, leg), stepper, now)
+        if kernel is not None:
+            return kernel(now, now.tried, jnp.where(going(now, t), self.bound, now.tried))
+        return jax.lax.while_loop(
+            lambda n: going(n, t) & (n.tried < self.bound), lambda n: self._try(stepper, packing, n, leg), now
+        )
+
+    def _countable(self, stepper: Stepper) -> bool:
+        """Whether all evaluations can be counted in the precision of the flight, as kernels do."""
+        return self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1) < 2 ** jnp.finfo(self.t0.dtype).nmant
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
         """One step, taken or taken back."""

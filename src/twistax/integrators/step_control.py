@@ -90,7 +90,7 @@ class StepControl:
         p, i, d = self.pcoeff, self.icoeff, self.dcoeff
         exponent = -(p + i + d) * now + (p + 2.0 * d) * past.last - d * past.before
         factor = self.safety * jnp.exp(exponent / order)
-        most = jnp.where(rejected, 1.0, self.factormax).astype(square.dtype)
+        most = jnp.where(rejected, jnp.ones_like(square), self.factormax)
         return jnp.clip(factor, self.factormin, most), Errors(now, past.last)
 
     def shrunk(self, square: jax.Array, order: int) -> jax.Array:

@@ -47,8 +47,8 @@ class Native(Emitter, Backend):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
     Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
-    fixed steps of explicit methods, all of them in one kernel, and the derivatives of their steps; other loops of
-    integrators, other devices, and whatever has no native form run as `scalars` does.
+    steps of explicit methods, all of a flight in one kernel, and their derivatives; other loops of integrators, other
+    devices, and whatever has no native form run as `scalars` does.
 
     Attributes:
         scalars: how functions are written out, and what runs them where no kernel does.

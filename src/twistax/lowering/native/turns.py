@@ -21,13 +21,14 @@ _FIRST, _STOP = 0, 1
 
 
 class Turns(Tile):
-    """state = step(k, fixed, state) for k = first, first + 1, ..., until k = stop or the new state is not finite.
+    """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `Repeated` says.
 
-    Takes (first, stop, *fixed, *state), gives (*state, k): the last finite state, and the turn that comes next. Each
-    body has turns of its own. What does not change from turn to turn is worked out once.
+    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the turn that comes next. Each body has turns
+    of its own. What does not change from turn to turn is worked out once.
 
     Args:
-        step: from `native_form`; takes (k, *fixed, *state), gives (*state), all states of the program's precision.
+        step: from `native_form`; takes (k, *fixed, *state), gives (*state) or (*state, more), all states of the
+            program's precision.
         state: how many arguments are the state.
     """
 
@@ -43,6 +44,8 @@ class Turns(Tile):
         self.signature = Signature(rows_of(self.arguments, needed), rows_of(self.results))
         #: The first argument of the step that is state.
         self._first_state = len(rest) - state + 1
+        #: Whether the step says if another turn follows.
+        self._says = len(step.outputs) > state
         self.chunk = lanes  # many turns are much work
 
     def write(self, module: Module) -> None:
@@ -68,13 +71,16 @@ class Turns(Tile):
         # What comes round is known at the end of the loop.
         heads = len(code.lines)
         found = scalars.work_out(step.flat)
-        good = code.binary("and", "i1", live, _finite(code, kind, found))
+        more = found.pop() if self._says else _finite(code, kind, found)
+        good = live if self._says else code.binary("and", "i1", live, more)
         after = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
         next_turn = code.binary("add", counter, turn, code.convert("zext", "i1", counter, good))
-        going_on = code.binary("and", "i1", good, code.emit(f"icmp slt {counters} {next_turn}, {stop}"))
+        going_on = code.binary("and", "i1", code.emit(f"icmp slt {counters} {next_turn}, {stop}"), good)
+        if self._says:
+            going_on = code.binary("and", "i1", going_on, more)
         module.declarations.add(f"declare i1 @llvm.vector.reduce.or.v{code.lanes}i1({flags})")
-        more = code.emit(f"call i1 @llvm.vector.reduce.or.v{code.lanes}i1({flags} {going_on})")
-        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {more}, label %{loop}, label %{done}", f"{done}:"]
+        any_left = code.emit(f"call i1 @llvm.vector.reduce.or.v{code.lanes}i1({flags} {going_on})")
+        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {any_left}, label %{loop}, label %{done}", f"{done}:"]
 
         def comes_round(name: str, own: str, start: str, end: str) -> str:
             return f"{name} = phi {own} [ {start}, %{before} ], [ {end}, %{latch} ]"
@@ -96,11 +102,12 @@ class Turns(Tile):
         live = turn < stop
         while live.any():
             found = work_out(self.step, [turn, *fixed, *state])
-            for values in found:
+            more = found.pop() if self._says else live
+            for values in [] if self._says else found:
                 live = live & np.isfinite(values).all(1, keepdims=True)
             state = [np.where(live, new, old) for new, old in zip(found, state, strict=True)]
             turn = turn + live
-            live = live & (turn < stop)
+            live = live & more & (turn < stop)
         return [*state, turn]
 
 

@@ -26,7 +26,7 @@ class Repeated:
     """A step and the kernels that take it. Compared and hashed by identity.
 
     Args:
-        step: takes (k, *fixed, *state), gives (*state).
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another turn follows.
         state: how many arguments are the state.
         kernel: makes the kernel, for one body (True) or for many; None where there is none.
     """
@@ -48,12 +48,13 @@ repeat_p.multiple_results = True
 def repeat(
     repeated: Repeated, first: jax.Array, stop: jax.Array, fixed: Sequence[jax.Array], state: Sequence[jax.Array]
 ) -> tuple[list[jax.Array], jax.Array]:
-    """state = step(k, fixed, state) for k = first, ..., stop - 1, or until the new state would not be finite.
+    """state = step(k, fixed, state) for k = first, ..., stop - 1.
 
-    Traceable, batched by vmap, not differentiable.
+    A step that says whether another turn follows may end that early. One that does not ends it where the new state
+    would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
 
     Returns:
-        The last finite state, and the number of the turn that comes next: stop, unless a state was not finite.
+        The state, and the number of the turn that comes next.
     """
     *found, turn = repeat_p.bind(first, stop, *fixed, *state, repeated=repeated, depth=0)
     return found, turn
@@ -73,8 +74,10 @@ def _run(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
 def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
     """On accelerators: all bodies at once, in a loop."""
 
+    count = repeated.state
+
     def one(first: jax.Array, stop: jax.Array, *rest: jax.Array) -> list[jax.Array]:
-        fixed, state = rest[: len(rest) - repeated.state], rest[len(rest) - repeated.state :]
+        fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
 
         def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
             return carried[1] & (carried[0] < stop)
@@ -82,6 +85,8 @@ def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array
         def turn(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
             k, _, state = carried
             found = repeated.function(k, *fixed, *state)
+            if len(found) > count:
+                return k + 1, found[count], found[:count]
             good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
             kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
             return k + good.astype(k.dtype), good, kept

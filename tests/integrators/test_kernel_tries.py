@@ -1,0 +1,134 @@
+"""Steps chosen by tolerances in one kernel: the flight that XLA's loop makes, one body or a batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from windy_body import START, windy_body
+
+import twistax as tx
+from twistax.lowering.scalar.repeated import Repeated
+
+pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+
+NATIVE, PLAIN = tx.compile(windy_body(), emitter=tx.Native()), tx.compile(windy_body(), emitter=tx.XLA())
+U = {"F": np.array([1.0, -2.0, 0.5])}
+METHODS = {
+    "fifth order": tx.RKMK(tx.tableaus.TSIT5),
+    "quaternion": tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3, chart=tx.charts.Ambient()),
+    "two estimates": tx.RKMK(tx.tableaus.DOP853),
+}
+
+
+def kernels(dynamics: tx.Dynamics) -> list[Repeated]:
+    """The kernels that flights of a system were made with."""
+    return [made for made in dynamics.made.values() if isinstance(made, Repeated)]
+
+
+def near(found: tx.Solution, expected: tx.Solution, rtol: float = 1e-11) -> None:
+    """The same steps, and the same states to what rounding makes of them."""
+    assert found.stats == expected.stats
+    assert found.result == expected.result
+    np.testing.assert_allclose(found.ts, expected.ts, rtol=rtol)
+    for name, value in expected.xs.items():
+        np.testing.assert_allclose(found.xs[name], value, rtol=rtol, atol=rtol, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_flight_is_that_of_the_loop(name: str) -> None:
+    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    given: dict[str, Any] = {"t1": 0.7, "rtol": 1e-6, "u": U, "method": METHODS[name]}
+    near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
+    assert len(kernels(dynamics)) == 1
+
+
+def test_saved_times_limits_and_jumps() -> None:
+    table = tx.Held(np.array([0.0, 0.25, 0.5]), np.array([[1.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, -4.0]]))
+    given: dict[str, Any] = {
+        "t1": 0.7,
+        "rtol": 1e-8,
+        "u": {"F": table},
+        "save_at": [0.0, 0.1, 0.25, 0.3, 0.7],
+        "jumps": [0.6],
+        "control": tx.StepControl(dtmax=0.05, dcoeff=0.1),
+    }
+    near(tx.integrate(NATIVE, START, **given), tx.integrate(PLAIN, START, **given))
+
+
+def test_steps_are_taken_back_and_a_flight_without_length_has_none() -> None:
+    given: dict[str, Any] = {"rtol": 1e-9, "dt": 0.5, "u": U}
+    found, expected = (tx.integrate(d, START, t1=1.0, **given) for d in (NATIVE, PLAIN))
+    near(found, expected)
+    assert found.stats.rejected > 0
+    still = tx.integrate(NATIVE, START, t1=0.0, **given)
+    assert still.stats.steps == 0
+    np.testing.assert_array_equal(still.xs["V"][-1], START["V"])
+
+
+def test_failures_are_those_of_the_loop() -> None:
+    """Lane by lane: the others go on."""
+    y = tx.State("x")
+    fast = tx.System(rates={y: y * y})
+    starts = jnp.array([0.5, 30.0, 0.1, 1e200, 4.0])
+    ends = []
+    for emitter in (tx.Native(), tx.XLA()):
+        dynamics = tx.compile(fast, emitter=emitter)
+
+        def fly(x0: Any, throw: bool = True, steps: int = 900, dynamics: tx.Dynamics = dynamics) -> tx.Solution:
+            control = tx.StepControl(max_steps=steps)
+            return tx.integrate(dynamics, {"x": x0}, t1=1.0, rtol=1e-6, atol=1e-9, control=control, throw=throw)
+
+        found = jax.vmap(fly)(starts)
+        one, short = fly(30.0, throw=False), fly(0.5, throw=False, steps=3)
+        # Close to the pole rounding decides how large x is.
+        x = jnp.where(found.result == tx.Result.DONE.value, found.xs["x"][:, -1], 0.0)
+        ends.append((x, found.result, found.stats.steps, found.stats.rhs_evaluations))
+        ends[-1] += tuple(jnp.asarray(v) for s in (one, short) for v in (s.ts[-1], s.result.value, s.stats.rejected))
+        with pytest.raises(tx.IntegrationError, match="x"):
+            fly(1e200)
+    for found, expected in zip(*ends, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-7)
+    assert len(set(np.asarray(ends[0][1]).tolist())) > 1
+
+
+def test_a_batch_is_each_flight_with_tolerances_and_an_end_of_its_own() -> None:
+    ends, tolerances = jnp.linspace(0.1, 0.9, 11), 10.0 ** -jnp.linspace(4.0, 9.0, 11)
+
+    def end(dynamics: tx.Dynamics, t1: jax.Array, rtol: jax.Array) -> tx.Solution:
+        return tx.integrate(dynamics, START, t1=t1, rtol=rtol, u=U)
+
+    found, expected = (
+        jax.jit(jax.vmap(lambda t1, rtol, d=d: end(d, t1, rtol)))(ends, tolerances) for d in (NATIVE, PLAIN)
+    )
+    np.testing.assert_array_equal(found.stats.steps, expected.stats.steps)
+    for name, value in expected.xs.items():
+        np.testing.assert_allclose(found.xs[name], value, rtol=1e-11, atol=1e-11)
+
+
+def test_single_precision_stays_single() -> None:
+    start = {name: np.asarray(value, np.float32) for name, value in START.items()}
+    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    found, expected = (tx.integrate(d, start, t1=0.5, rtol=1e-4, u=U) for d in (dynamics, PLAIN))
+    assert len(kernels(dynamics)) == 1
+    assert {value.dtype for value in found.xs.values()} == {np.dtype(np.float32)}
+    for name, value in expected.xs.items():
+        np.testing.assert_allclose(found.xs[name], value, rtol=1e-4, atol=1e-4)
+
+
+def test_counts_that_single_precision_cannot_hold_are_left_to_the_loop() -> None:
+    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    start = {name: np.asarray(value, np.float32) for name, value in START.items()}
+    control = tx.StepControl(max_steps=2**23)
+    tx.integrate(dynamics, start, t1=0.1, rtol=1e-3, u=U, control=control)
+    assert not kernels(dynamics)
+
+
+def test_other_numbers_do_not_compile_again() -> None:
+    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    for rtol, t1 in ((1e-4, 0.1), (1e-7, 0.5)):
+        tx.integrate(dynamics, START, t1=t1, rtol=rtol, u=U)
+    assert len(kernels(dynamics)) == 1
