@@ -72,16 +72,26 @@ def test_a_method_that_stays_away_from_the_truth_disagrees() -> None:
     fine = flights("euler-top", "dop853", 1e-4, 8)
     by_name = {doubt.method: doubt for doubt in doubts([*stuck, *coming, *fine])}
     assert set(by_name) == {"tsit5", "rk4"}
-    assert not by_name["tsit5"].falling
-    assert by_name["rk4"].falling
+    assert by_name["tsit5"].disagrees
+    assert not by_name["rk4"].disagrees
     assert not Findings([*stuck, *fine], CONTENDERS).agreed
     assert Findings([*coming, *fine], CONTENDERS).agreed
 
 
 def test_more_steps_are_finer_and_smaller_tolerances_are() -> None:
     steps = [dataclasses.replace(row(e, 1e-3, setting=n), unit="steps") for n, e in ((64.0, 1e-2), (128.0, 1e-3))]
-    assert doubts(steps)[0].falling
-    assert not doubts([dataclasses.replace(r, unit="tolerance") for r in steps])[0].falling
+    assert not doubts(steps)[0].disagrees
+    tolerances = [dataclasses.replace(r, unit="tolerance", setting=1e-9 * r.setting) for r in steps]
+    assert doubts(tolerances)[0].disagrees
+
+
+def test_a_method_that_was_stopped_early_may_still_be_right() -> None:
+    slow = [row(error, 1e-3, method="tsit5", setting=s) for s, error in ((1e-5, 1.3e-6), (1e-6, 2.4e-6))]
+    never = [dataclasses.replace(row(math.nan, 1e-3, method="rk4", setting=1e-6), result="too many steps")]
+    found = doubts([*slow, *never])
+    assert [doubt.disagrees for doubt in found] == [False, False]
+    assert "as close as its tolerance asks" in found[0].sentence
+    assert "none of its flights was finished" in found[1].sentence
 
 
 def test_what_disagrees_is_not_compared() -> None:

@@ -12,6 +12,8 @@ __all__ = ["AGREED", "Doubt", "doubts"]
 
 #: A method agrees with the truth if one of its flights comes this close.
 AGREED = 1e-6
+#: Or if its finest flight comes within so many of its tolerances: then it was only not run finer.
+_TOLERANCES = 100.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,32 +22,45 @@ class Doubt:
 
     Attributes:
         best: its smallest error.
-        falling: whether its error was still falling with finer settings when it was stopped; then it was only not
-            run far enough.
+        excuse: why that need not mean that it disagrees; empty where there is none.
     """
 
     scene: str
     method: str
     best: float
-    falling: bool
+    excuse: str
+
+    @property
+    def disagrees(self) -> bool:
+        return not self.excuse
 
     @property
     def sentence(self) -> str:
-        end = "still falling where it was stopped" if self.falling else "and does not fall: IT DISAGREES"
-        return f"{self.method} on {self.scene}: smallest error {self.best:.1e}, {end}"
+        best = f"smallest error {self.best:.1e}, " if math.isfinite(self.best) else ""
+        return f"{self.method} on {self.scene}: {best}{self.excuse or 'and does not fall: IT DISAGREES'}"
 
 
 def doubts(rows: Iterable[Row]) -> list[Doubt]:
     """Methods whose errors do not get below `AGREED`."""
-    errors: dict[tuple[str, str], list[tuple[bool, float, float]]] = {}
+    flights: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        # From coarse to fine: tolerances fall, numbers of steps grow.
-        place = row.setting if row.unit == "steps" else -row.setting
-        errors.setdefault((row.scene, row.method), []).append((row.done, place, row.error))
+        flights.setdefault((row.scene, row.method), []).append(row)
     found = []
-    for (scene, method), flights in errors.items():
-        reached = [error for done, _, error in sorted(flights, key=lambda flight: flight[1]) if done]
-        best = min((error for error in reached if math.isfinite(error)), default=math.inf)
+    for (scene, method), own in flights.items():
+        # From coarse to fine: tolerances fall, numbers of steps grow.
+        done = [row for row in sorted(own, key=lambda r: r.setting if r.unit == "steps" else -r.setting) if row.done]
+        best = min((row.error for row in done if math.isfinite(row.error)), default=math.inf)
         if best > AGREED:
-            found.append(Doubt(scene, method, best, len(reached) > 1 and reached[-1] < 0.5 * reached[-2]))
+            found.append(Doubt(scene, method, best, _excuse(done)))
     return found
+
+
+def _excuse(done: list[Row]) -> str:
+    if not done:
+        return "none of its flights was finished"
+    last = done[-1]
+    if len(done) > 1 and last.error < 0.5 * done[-2].error:
+        return "still falling where it was stopped"
+    if last.unit == "tolerance" and last.error <= _TOLERANCES * last.setting:
+        return "as close as its tolerance asks where it was stopped"
+    return ""

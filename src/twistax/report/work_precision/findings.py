@@ -48,11 +48,11 @@ class Findings:
     @property
     def agreed(self) -> bool:
         """Whether every method that was run far enough finds the same answers."""
-        return all(doubt.falling for doubt in self.doubts)
+        return not any(doubt.disagrees for doubt in self.doubts)
 
     def rows_of(self, scene: str, line: Line) -> list[Row]:
         """The flights of a scene on a line, without methods that disagree."""
-        out = {doubt.method for doubt in self.doubts if doubt.scene == scene and not doubt.falling}
+        out = {doubt.method for doubt in self.doubts if doubt.scene == scene and doubt.disagrees}
         return [
             row
             for row in self.rows
