@@ -15,12 +15,14 @@ import twistax
 from .. import turns
 from ..machine import machine
 
-__all__ = ["Origin", "origin_of"]
+__all__ = ["ABSENT", "KERNELS", "Origin", "origin_of"]
 
 #: How the report of flights measures.
 _FLYING = tuple(
     Path(__file__).with_name(f"{name}.py") for name in ("own", "rivals", "contenders", "flights", "command")
 )
+#: What native kernels need, and what stands for its version where it is not there.
+KERNELS, ABSENT = "llvmlite", "absent"
 _VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
 
 
@@ -54,8 +56,15 @@ def origin_of(effort: Any, measuring: Iterable[Path] = _FLYING, others: Mapping[
         measuring: files of the report that may change an error or a time.
         others: versions of other packages in use.
     """
-    versions = {name: metadata.version(name) for name in _VERSIONED} | dict(others or {})
+    versions = {name: metadata.version(name) for name in _VERSIONED} | {KERNELS: _kernels()} | dict(others or {})
     return Origin(versions, _code(measuring), machine(), dataclasses.asdict(effort))
+
+
+def _kernels() -> str:
+    try:
+        return metadata.version(KERNELS)
+    except metadata.PackageNotFoundError:
+        return ABSENT
 
 
 def _code(measuring: Iterable[Path]) -> str:

@@ -13,7 +13,7 @@ from .contender import Side
 from .contenders import ONE_CALL, OURS, SHIPPED
 from .findings import TARGETS, Findings
 from .flights import Refused
-from .origin import Origin
+from .origin import ABSENT, KERNELS, Origin
 
 __all__ = ["TITLE", "page"]
 
@@ -158,9 +158,16 @@ def _how(
     effort = origin.effort
     versions = ", ".join(f"{name} {version}" for name, version in origin.versions.items())
     apart = [scene for scene in findings.scenes if findings.sittings(scene) > 1]
+    kernels = (
+        f"twistax runs flights without implicit methods in native kernels ({KERNELS}), which it does where "
+        f"{KERNELS} is installed; XLA compiles the others, and all of diffrax."
+    )
+    if origin.versions.get(KERNELS, ABSENT) == ABSENT:
+        kernels = f"{KERNELS} is not installed: XLA compiles the flights of twistax too, which then take longer."
     lines = [
         f"Machine: {origin.machine}. Double precision.",
         f"Versions: {versions}; code {origin.code}.",
+        kernels,
         f"Run again: `{command}` ({effort['name']} run). All flights are in `report.csv` and `report.json`.",
         "Every flight is one call of a jitted function of the start, waited for. All flights of a scene take turns, up "
         f"to {effort['rounds']} rounds of 3 calls after one that does not count (long flights fewer, at least "
