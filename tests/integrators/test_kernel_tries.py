@@ -11,6 +11,15 @@ import pytest
 from windy_body import START, windy_body
 
 import twistax as tx
+from twistax.lowering.native import operations
+from twistax.lowering.native.kernel import Kernel
+from twistax.lowering.native.machine_code import BuildError
+from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.self_test import check_kernel
+from twistax.lowering.native.tile import native_form
+from twistax.lowering.native.turns import Turns
+from twistax.lowering.scalar.operations import by_primitive
+from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.repeated import Repeated
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
@@ -138,6 +147,16 @@ def test_value_numbering_keeps_steps_on_their_side_of_a_jump() -> None:
     end = 100.0 + (np.exp(0.7 - 0.6) - 100.0) * np.exp(-0.7)
     np.testing.assert_allclose(found.xs["x"], [end], rtol=1e-6)
     assert kernels(dynamics)
+
+
+def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels are checked in turns that they take: here products are sums."""
+    wrong = operations._OF_REALS | {by_primitive["mul"]: operations._OF_REALS[by_primitive["add"]]}
+    monkeypatch.setattr(operations, "_OF_REALS", wrong)
+    number, x = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((3,), float)
+    step = native_form(scalarize(lambda k, x: [0.5 * x, (x > 0.0).all()], number, x))
+    with pytest.raises(BuildError, match="differ"):
+        check_kernel(Kernel(Turns(step, 1, 1), Processor.host()))
 
 
 def test_other_numbers_do_not_compile_again() -> None:

@@ -30,7 +30,7 @@ def check_kernel(kernel: Kernel) -> None:
     random = np.random.default_rng(0)
     # What reads no arguments gives one row by itself.
     tile, rows = kernel.tile, kernel.tile.lanes + 1 if kernel.signature.arguments else 1
-    arguments = [_drawn(random, rows, math.prod(shape), dtype) for shape, dtype in tile.arguments]
+    arguments = tile.exercised([_drawn(random, rows, math.prod(shape), dtype) for shape, dtype in tile.arguments])
     given = [arguments[k] for k in kernel.signature.arguments]
     expected = _needed(kernel, tile.plain(arguments))
     beside = _needed(kernel, tile.plain([_moved(a) for a in arguments]))

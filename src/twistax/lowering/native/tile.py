@@ -74,6 +74,10 @@ class Tile(ABC):
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """All results by NumPy, for all arguments, (rows, entries) each."""
 
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
+        return arguments
+
     def begin(self, module: Module) -> tuple[Code, dict[int, Rows], dict[int, Rows]]:
         """The code of the function, how it reads its arguments, and how it writes its results."""
         code = Code(module, self.lanes)

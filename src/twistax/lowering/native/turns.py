@@ -95,6 +95,12 @@ class Turns(Tile):
             rows.write([next(ends) for _ in range(self.signature.results[k].size)])
         self.end(code)
 
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """One turn, two, none, and so on."""
+        first, _, *rest = arguments
+        turns = np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
+        return [first, first + turns, *rest]
+
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         first, stop, *rest = arguments
         count = len(rest) - (self._first_state - 1)
