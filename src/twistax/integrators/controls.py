@@ -18,6 +18,9 @@ from ..lowering.inputs import read_values
 
 __all__ = ["ByName", "Held", "Linear", "OfTime", "Signals", "Table", "controls_of"]
 
+#: Tables of more times are searched by halving.
+_SHORT = 64
+
 
 class Table(ABC):
     """Values over time for one control. A pytree: new numbers in a table of the same size do not compile again.
@@ -78,7 +81,9 @@ class Table(ABC):
 
     def _row(self, t: jax.Array) -> jax.Array:
         """The last row whose time is not after t; -1 before the first."""
-        return jnp.searchsorted(self.ts, t, side="right", method="scan_unrolled") - 1
+        # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
+        method = "compare_all" if self.ts.size <= _SHORT else "scan_unrolled"
+        return jnp.searchsorted(self.ts, t, side="right", method=method) - 1
 
 
 def _within(t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:

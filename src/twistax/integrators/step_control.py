@@ -71,6 +71,9 @@ class StepControl:
             value = getattr(self, field.name)
             if value is not None and (isinstance(value, bool) or not np.isfinite(float(value))):
                 raise ModelError(f"StepControl: {field.name} must be a finite number, got {value!r}")
+            if isinstance(value, np.floating):
+                # A Python number takes the precision of the flight, a NumPy one does not.
+                object.__setattr__(self, field.name, float(value))
         self._need(0.0 < self.safety < 1.0, "safety", "between 0 and 1")
         self._need(0.0 < self.factormin < 1.0, "factormin", "between 0 and 1")
         self._need(self.factormax > 1.0, "factormax", "above 1")
