@@ -1,8 +1,11 @@
 """The report on conservation measures what it says."""
 
+import pytest
+
 from twistax.report import conservation
 
 
+@pytest.mark.slow
 def test_drifts_shrink_with_the_order_and_the_group_is_kept() -> None:
     rows = {(row.method, row.dt): row for row in conservation.drifts((50, 100), seconds=0.5)}
     for method, factor in (("Euler", 2.0), ("Heun", 4.0), ("RK4", 16.0)):

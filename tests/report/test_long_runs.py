@@ -28,6 +28,7 @@ def test_momenta_of_the_exact_motion_stay(motions: dict[str, long_runs.Motion]) 
         assert np.abs(values - values[0]).max() > 1e-6
 
 
+@pytest.mark.slow
 def test_a_top_keeps_its_vertical_momentum_alone(motions: dict[str, long_runs.Motion]) -> None:
     """The horizontal ones change: what is measured is no constant. Another method loses it."""
     motion = motions["heavy top, three moments"]
