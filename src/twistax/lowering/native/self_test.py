@@ -17,6 +17,9 @@ __all__ = ["check_kernel"]
 #: Relative to the largest entry of a result: what is wrong differs by far more than rounding.
 _TOLERANCE = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-3}
 
+#: Arguments are of size one: of a result smaller than this nothing but rounding may be left, as of a compensated sum.
+_LEAST = 1e-3
+
 #: Whether a call through JAX was right in this process.
 _CALLED = False
 
@@ -71,6 +74,6 @@ def _agree(own: NDArray[Any], other: NDArray[Any], near: NDArray[Any]) -> bool:
     finite = np.isfinite(other) & np.isfinite(near)
     if not finite.any():
         return True
-    size = np.max(np.abs(other[finite]), initial=0.0) * _TOLERANCE[own.dtype]
+    size = np.max(np.abs(other[finite]), initial=_LEAST) * _TOLERANCE[own.dtype]
     rounding = 1e3 * np.abs(near - other, where=finite, out=np.zeros_like(other))
     return bool(np.mean(np.abs(own - other)[finite] <= (size + rounding)[finite]) >= 0.9)
