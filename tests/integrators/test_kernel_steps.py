@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from windy_body import START, windy_body
+from windy_body import START, U, windy_body
 
 import twistax as tx
 from twistax.integrators.kernel_steps import KernelSteps
@@ -17,7 +17,6 @@ from twistax.lowering import Dynamics
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 NATIVE, PLAIN = tx.compile(windy_body(), emitter=tx.Native()), tx.compile(windy_body(), emitter=tx.XLA())
-U = {"F": np.array([1.0, -2.0, 0.5])}
 METHODS = {
     "classical": tx.RKMK(tx.tableaus.RK4),
     "quaternion": tx.RKMK(tx.tableaus.TSIT5, chart=tx.charts.Ambient()),

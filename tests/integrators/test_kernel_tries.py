@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from windy_body import START, windy_body
+from windy_body import START, U, windy_body
 
 import twistax as tx
 from twistax.lowering.native import operations
@@ -25,7 +25,6 @@ from twistax.lowering.scalar.repeated import Repeated
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 NATIVE, PLAIN = tx.compile(windy_body(), emitter=tx.Native()), tx.compile(windy_body(), emitter=tx.XLA())
-U = {"F": np.array([1.0, -2.0, 0.5])}
 METHODS = {
     "fifth order": tx.RKMK(tx.tableaus.TSIT5),
     "quaternion": tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3, chart=tx.charts.Ambient()),

@@ -5,6 +5,7 @@ import numpy as np
 import twistax as tx
 
 START = {"g": np.eye(4), "V": np.array([1.0, 0.5, -0.3, 0.4, 1.2, -0.7]), "m": np.array(2.0)}
+U = {"F": np.array([1.0, -2.0, 0.5])}
 
 
 def windy_body() -> tx.System:

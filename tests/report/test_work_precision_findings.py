@@ -92,6 +92,9 @@ def test_a_method_that_was_stopped_early_may_still_be_right() -> None:
     assert [doubt.disagrees for doubt in found] == [False, False]
     assert "as close as its tolerance asks" in found[0].sentence
     assert "none of its flights was finished" in found[1].sentence
+    assert not Findings([*slow, *never], CONTENDERS).agreed
+    theirs = [dataclasses.replace(r, method="diffrax-tsit5") for r in never]
+    assert Findings([*slow, *theirs], CONTENDERS).agreed
 
 
 def test_what_disagrees_is_not_compared() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..lowering.emitters import Arrays, Emitter
+from ..lowering.emitters import Emitter
 from ..lowering.scalar.repeated import Repeated, repeat
 from .charts.whole import Blocks
 from .method import Attempt, Carry
@@ -75,8 +75,7 @@ def _made(emitter: Emitter, structure: Any, types: Any, state: int) -> KernelSte
 
     def step(*leaves: jax.Array) -> list[jax.Array]:
         k, (t0, h, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
-        plain = dataclasses.replace(stepper, dynamics=stepper.dynamics.emitted_by(Arrays()))
-        made.append(plain.follow(t0 + k.astype(t0.dtype) * h, y, carry, h))
+        made.append(stepper.in_arrays.follow(t0 + k.astype(t0.dtype) * h, y, carry, h))
         return jax.tree.leaves((made[-1].y, made[-1].carry))
 
     repeated = emitter.repeated(step, [jax.ShapeDtypeStruct(*each) for each in types], state)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from ..lowering.emitters import Arrays
 from ..lowering.scalar.repeated import Repeated, repeat
 from .kernel_steps import too_wide
 from .stepper import Stepper
@@ -42,9 +40,8 @@ def kernel_tries(
 
     def turn(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
         given, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
-        plain = dataclasses.replace(stepper, dynamics=stepper.dynamics.emitted_by(Arrays()))
         now = _cast(form, leaves[len(fixed) :], kinds)
-        now, more = one_try(given, plain, now)
+        now, more = one_try(given, stepper.in_arrays, now)
         return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more]
 
     if key not in made:

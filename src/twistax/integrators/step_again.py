@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from ..lowering.emitters import Arrays, Emitter
+from ..lowering.emitters import Emitter
 from ..lowering.scalar.primitive import Derived, call_program
 from .charts.whole import Blocks
 from .kernel_steps import too_wide
@@ -32,7 +31,6 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
 def _program(emitter: Emitter, structure: Any, types: Any) -> Derived | None:
     def step(*leaves: jax.Array) -> list[jax.Array]:
         stepper, t, y, h = jax.tree.unflatten(structure, leaves)
-        plain = dataclasses.replace(stepper, dynamics=stepper.dynamics.emitted_by(Arrays()))
-        return jax.tree.leaves(plain.advance(t, y, h))
+        return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
 
     return emitter.step(step, [jax.ShapeDtypeStruct(*each) for each in types])

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..lowering import Dynamics
+from ..lowering import Dynamics, emitters
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates, StoredState
 from .controls import Signals
@@ -66,6 +66,11 @@ class Stepper:
     def stored(self) -> StoredState:
         """How states are stored between steps."""
         return self.method.stored(self.dynamics, self.params)
+
+    @property
+    def in_arrays(self) -> Stepper:
+        """The same, rates as arrays: for what is written out as scalars as a whole."""
+        return dataclasses.replace(self, dynamics=self.dynamics.emitted_by(emitters.Arrays()))
 
     def controls(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The controls as a function of the times within the step from t to t + h."""

@@ -69,7 +69,7 @@ class Emitter(ABC):
     def repeated(
         self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
     ) -> Repeated | None:
-        """A step (k, *fixed, *state) -> (*state) that is taken again and again by one kernel; None: an ordinary loop.
+        """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
 
         Args:
             shapes: of its arguments.

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from .agreement import Doubt, doubts
 from .contender import Contender, Line, Side
+from .contenders import OURS
 from .curve import Curve
 from .row import Row
 
@@ -47,8 +48,11 @@ class Findings:
 
     @property
     def agreed(self) -> bool:
-        """Whether every method that was run far enough finds the same answers."""
-        return not any(doubt.disagrees for doubt in self.doubts)
+        """Whether every method that was run far enough finds the same answers; one of ours must finish a flight."""
+        return not any(doubt.disagrees or self._fails(doubt) for doubt in self.doubts)
+
+    def _fails(self, doubt: Doubt) -> bool:
+        return math.isinf(doubt.best) and self.contenders[doubt.method].line.side == OURS
 
     def rows_of(self, scene: str, line: Line) -> list[Row]:
         """The flights of a scene on a line, without methods that disagree."""
