@@ -14,7 +14,7 @@ from ..errors import ShapeError
 from ..groups.inputs import multiply
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
-from .node import Example, Expr, Shape
+from .node import Example, Expr, Numbers, Shape
 from .printing import wrap_latex
 from .shapes import align, broadcast
 
@@ -44,6 +44,7 @@ class Add(Expr):
 
     terms: Operands
     precedence = 10
+    by_operators = True
     keeps_order = True
     associative = True
 
@@ -57,7 +58,7 @@ class Add(Expr):
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         return functools.reduce(lambda a, b: operator.add(*align(a, b)), values)
 
     def simplify(self) -> Expr:
@@ -98,12 +99,13 @@ class Sub(Expr):
     left: Operand
     right: Operand
     precedence = 10
+    by_operators = True
     keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         left, right = align(*values)
         return left - right
 
@@ -145,6 +147,7 @@ class Mul(Expr):
 
     factors: Operands
     precedence = 20
+    by_operators = True
     keeps_order = True
     associative = True
 
@@ -158,7 +161,7 @@ class Mul(Expr):
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         return functools.reduce(lambda a, b: operator.mul(*align(a, b)), values)
 
     def simplify(self) -> Expr:
@@ -199,12 +202,13 @@ class Div(Expr):
     left: Operand
     right: Operand
     precedence = 20
+    by_operators = True
     keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         left, right = align(*values)
         return left / right
 
@@ -231,12 +235,13 @@ class Neg(Expr):
 
     operand: Operand
     precedence = 15
+    by_operators = True
     keeps_order = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return shapes[0]
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         return -values[0]
 
     def simplify(self) -> Expr:

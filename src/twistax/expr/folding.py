@@ -7,6 +7,7 @@ import numpy as np
 
 from .leaves import Constant, Leaf
 from .node import Expr
+from .numerals import numerals
 
 
 def fold(node: Expr) -> Expr:
@@ -20,8 +21,11 @@ def fold(node: Expr) -> Expr:
         return node
     node.check_shape()
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        values = [jax.numpy.asarray(child.value) for child in children if isinstance(child, Constant)]
-        result = np.asarray(node.evaluate(*values))
+        result = numerals(
+            node.evaluate,
+            [child.value for child in children if isinstance(child, Constant)],
+            traced=not node.by_operators,
+        )
     if not np.isfinite(result).all():
         return node
     constant = Constant(result)

@@ -11,7 +11,7 @@ from ..errors import ShapeError
 from .array import Concat, Stack
 from .fields import ExprLike, Operand
 from .leaves import State
-from .node import Example, Expr, Shape
+from .node import Example, Expr, Numbers, Shape
 from .printing import wrap, wrap_latex
 
 
@@ -29,6 +29,7 @@ class Index(Expr):
 
     base: Operand
     index: Any
+    by_operators = True
 
     def __init__(self, base: ExprLike, index: Any) -> None:
         parts = tuple(map(_static, index)) if isinstance(index, tuple) else (_static(index),)
@@ -54,7 +55,7 @@ class Index(Expr):
     def boolean(self) -> bool:
         return self.base.boolean
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         return values[0][self.index]
 
     def makes_group_element(self, *operands: bool) -> bool:

@@ -14,7 +14,7 @@ from .arithmetic import Div, Neg, is_constant, zeros_of
 from .elementwise import Abs, absolute, square_root
 from .fields import ExprLike, Operand
 from .leaves import State
-from .node import Example, Expr, Shape
+from .node import Example, Expr, Numbers, Shape
 from .printing import wrap_latex
 from .shapes import expect, expect_square
 
@@ -23,6 +23,7 @@ class Transpose(Expr):
     """Transpose: the last two axes change places. Scalars and vectors stay as they are."""
 
     operand: Operand
+    by_operators = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (shape,) = shapes
@@ -32,8 +33,8 @@ class Transpose(Expr):
         rank = min(self.ndim, 2)
         return [[(self.operand, -1 - i), (self, i - rank)] for i in range(rank)]
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return values[0] if values[0].ndim < 2 else jnp.swapaxes(values[0], -1, -2)
+    def evaluate(self, *values: Numbers) -> Numbers:
+        return values[0] if values[0].ndim < 2 else values[0].swapaxes(-1, -2)
 
     def makes_group_element(self, *operands: bool) -> bool:
         return operands[0] and self.shape == (3, 3)

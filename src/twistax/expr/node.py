@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from .leaves import Leaf
 
 Shape = tuple[int, ...]
+#: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
+Numbers = TypeVar("Numbers", jax.Array, Any)
 E = TypeVar("E", bound="Expr")
 
 
@@ -58,6 +60,8 @@ class Expr(Operators):
     associative: ClassVar[bool] = False
     #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
     keeps_order: ClassVar[bool] = False
+    #: True where `evaluate` needs nothing but operators, indices and methods that NumPy's arrays have too.
+    by_operators: ClassVar[bool] = False
     #: True for matrices whose `applied_to` is cheaper than a product with their numbers, even where these are known.
     structured: ClassVar[bool] = False
     #: True for bases that are no nodes themselves. It is not inherited.

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import jax
 import numpy as np
 
 from ..errors import ShapeError
-from .node import Expr, Shape
+from .node import Expr, Numbers, Shape
 
 
 def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None = None) -> None:
@@ -33,7 +32,7 @@ def broadcast(node: Expr, *shapes: Shape) -> Shape:
         ) from None
 
 
-def align(*values: jax.Array) -> list[jax.Array]:
+def align(*values: Numbers) -> list[Numbers]:
     """Give all values the rank of the highest by leading axes of length 1; scalars stay scalars."""
     rank = max(value.ndim for value in values)
     return [v if v.ndim in (0, rank) else v.reshape((1,) * (rank - v.ndim) + v.shape) for v in values]

@@ -1,0 +1,89 @@
+"""Constants are folded in NumPy: the same numbers as JAX finds, and no program of XLA's for each operation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.expr.numerals import _IN_NUMPY, _in_numpy, numerals
+from twistax.report.speed.case import CASES
+
+A = np.array([[1.0, -2.0, 0.5], [0.3, 4.0, -1.0], [2.0, 0.0, 3.0]])
+V = np.array([0.7, -0.2, 1.5])
+FUNCTIONS = {
+    "add": lambda a, v: a + v[:, None],
+    "add_any": lambda a, v: jax.grad(lambda x: x @ x)(v),
+    "sub": lambda a, v: a - 2.0 * a.T,
+    "mul": lambda a, v: a * a.T,
+    "neg": lambda a, v: -a,
+    "abs": lambda a, v: jnp.abs(a),
+    "max": lambda a, v: jnp.maximum(a, a.T),
+    "min": lambda a, v: jnp.minimum(a, a.T),
+    "eq": lambda a, v: a == a.T,
+    "ne": lambda a, v: a != a.T,
+    "lt": lambda a, v: a < a.T,
+    "le": lambda a, v: a <= a.T,
+    "gt": lambda a, v: a > a.T,
+    "ge": lambda a, v: a >= a.T,
+    "and": lambda a, v: (a > 0) & (a.T > 0),
+    "or": lambda a, v: (a > 0) | (a.T > 0),
+    "not": lambda a, v: ~(a > 0),
+    "select_n": lambda a, v: jnp.where(a > 0, a, 2.0),
+    "convert_element_type": lambda a, v: (a > 0).astype(float) + (10.0 * a).astype(int).astype(float),
+    "square": lambda a, v: jax.lax.square(a),
+    "sqrt": lambda a, v: jnp.sqrt(jnp.abs(a)),
+    "reduce_sum": lambda a, v: jnp.sum(a, axis=0) + jnp.sum((a > 0).astype(int)).astype(float),
+    "slice": lambda a, v: a[1:, ::2],
+    "squeeze": lambda a, v: a[1, 2],
+    "reshape": lambda a, v: a.reshape(-1),
+    "transpose": lambda a, v: jnp.transpose(a),
+    "concatenate": lambda a, v: jnp.concatenate([a, a[:1]]),
+    "stack": lambda a, v: jnp.stack([v, 2.0 * v], axis=1),
+    "broadcast_in_dim": lambda a, v: jax.lax.broadcast_in_dim(a, (3, 2, 3), (0, 2)),
+    "unstack": lambda a, v: sum(jnp.unstack(a, axis=1)),
+    "dot_general": lambda a, v: jnp.einsum("ij,kj->ki", a, a[:2]) @ v,
+    "copy": lambda a, v: jnp.copy(v),
+    "batched": lambda a, v: jnp.einsum("ij,ij->i", a, a),
+    "nothing": lambda a, v: v,
+}
+IN_JAX = {"batched"}
+
+
+def _names(jaxpr):
+    for eqn in jaxpr.eqns:
+        yield eqn.primitive.name
+        if eqn.primitive.name == "jit":
+            yield from _names(eqn.params["jaxpr"].jaxpr)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_numbers_are_those_of_jax(name):
+    function = FUNCTIONS[name]
+    expected = function(jnp.asarray(A), jnp.asarray(V))
+    found = numerals(function, [A, V], traced=True)
+    assert found.dtype == expected.dtype
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(found, expected, rtol=1e-15, atol=1e-15)
+    jaxpr = jax.make_jaxpr(function)(A, V).jaxpr
+    assert _in_numpy(jaxpr) == (name not in IN_JAX)
+
+
+def test_every_operation_of_the_table_is_compared():
+    seen = {name for function in FUNCTIONS.values() for name in _names(jax.make_jaxpr(function)(A, V).jaxpr)}
+    assert set(_IN_NUMPY) <= seen
+
+
+def test_what_numpy_does_not_do_is_left_to_jax():
+    found = numerals(lambda x: jax.lax.while_loop(lambda s: s < 10.0, lambda s: 2.0 * s, x), [np.array(3.0)], True)
+    assert found == 12.0
+    assert isinstance(found, np.ndarray)
+
+
+def test_folding_an_arm_compiles_next_to_nothing(caplog):
+    arm = CASES["aba-7"].system()
+    jax.clear_caches()
+    with jax.log_compiles():
+        tx.compile(arm, emitter=tx.XLA())
+    compiled = [record for record in caplog.records if record.getMessage().startswith("Compiling")]
+    assert len(compiled) < 15, [record.getMessage()[:60] for record in compiled]
