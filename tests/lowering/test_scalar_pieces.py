@@ -1,6 +1,7 @@
 """Long programs are functions of their own, piece by piece: XLA works nothing out again across them."""
 
 import re
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 from twistax.lowering.scalar import emitter
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
+from twistax.lowering.small_call import small_call
 
 
 def recursion(x: jax.Array, length: int = 20) -> list[jax.Array]:
@@ -28,11 +30,27 @@ def operations_of(compiled: str) -> int:
     return len(re.findall(r" (?:multiply|add|subtract|sine)\(", compiled))
 
 
-def test_results_that_share_do_not_share_by_repetition() -> None:
+def in_loop(step: Callable[[jax.Array], list[jax.Array]]) -> Callable[[jax.Array], list[jax.Array]]:
+    """As flights have it: a loop that is one small function."""
+
+    def each(x: jax.Array, _: None) -> tuple[jax.Array, list[jax.Array]]:
+        found = step(x)
+        return x + 1e-200 * found[0][:6], found
+
+    return lambda x: [rows[0] for rows in small_call(lambda y: jax.lax.scan(each, y, None, length=1)[1], x)]
+
+
+USES = {"alone": lambda step: step, "a batch": jax.vmap, "a batch in a loop": lambda step: jax.vmap(in_loop(step))}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_results_that_share_do_not_share_by_repetition(use: str) -> None:
     program = scalarize(recursion, jax.ShapeDtypeStruct((6,), jnp.float64))
-    run = jax.jit(lambda x: call_program(Derived(program), x))
-    found = run.lower(jnp.asarray(POINT)).compile()
-    np.testing.assert_allclose(found(jnp.asarray(POINT))[0], recursion(jnp.asarray(POINT))[0], rtol=1e-12)
+    derived = Derived(program)
+    run = jax.jit(USES[use](lambda x: call_program(derived, x)))
+    point = jnp.asarray(POINT) if use == "alone" else jnp.asarray(np.stack([POINT, POINT]))
+    found = run.lower(point).compile()
+    np.testing.assert_allclose(np.atleast_2d(found(point)[0])[0], recursion(jnp.asarray(POINT))[0], rtol=1e-12)
     if jax.default_backend() == "cpu":
         assert operations_of(found.as_text()) < 3 * program.operations
 

@@ -21,7 +21,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from .concrete import is_traced
 
-__all__ = ["fits", "inside_small_call", "known_inside", "small_call"]
+__all__ = ["apart", "fits", "inside_small_call", "known_inside", "small_call"]
 
 try:
     from jax.experimental.xla_metadata import set_xla_metadata
@@ -113,6 +113,18 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     # Constants must not be moved inside either: an argument that is one then counts as never read.
     results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
     return jax.tree.unflatten(shapes[0], results[:-1])
+
+
+def apart(function: Callable[..., Result]) -> Callable[..., Result]:
+    """The same, compiled as a function of its own where XLA on the CPU can: inside of loops it would be written out."""
+
+    def call(*arguments: Any) -> Result:
+        if set_xla_metadata is None or jax.default_backend() != "cpu":
+            return jax.jit(function, inline=False)(*arguments)
+        with set_xla_metadata(xla_cpu_small_call="false", inlineable="false"):
+            return jax.jit(function, inline=False)(*arguments)
+
+    return call
 
 
 def _opened(jaxpr: Any, leaves: list[Any]) -> tuple[Callable[..., list[jax.Array]], list[Any]]:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
+from ..small_call import apart
 from .graph import Call, Graph
 from .passes import emitted_form
 from .program import ScalarProgram
@@ -74,7 +75,7 @@ def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
 
         for step in steps:
             if isinstance(step, _Piece):
-                run = jax.jit(step, inline=False) if len(steps) > 1 else step
+                run = apart(step) if len(steps) > 1 else step
                 values.update(zip(step.gives, run(*(values[i] for i in step.needs)), strict=True))
             else:
                 types = [v.aval.dtype for v in step.jaxpr.jaxpr.invars]
