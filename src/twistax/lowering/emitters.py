@@ -133,7 +133,8 @@ class XLA(Emitter):
             # What parameters alone determine XLA works out once, before a loop, as long as it is in arrays.
             kind = "change with time and state, " if fixed else ""
             return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
-        foreign = [c for c in emitted_form(program).calls if not known_inside(c.jaxpr.jaxpr)]
+        calls = emitted_form(program).calls if program.calls else []
+        foreign = [c for c in calls if not known_inside(c.jaxpr.jaxpr)]
         if foreign:
             names = ", ".join(sorted({e.primitive.name for c in foreign for e in c.jaxpr.jaxpr.eqns}))
             return Emission(arrays, None, f"arrays: it calls {names}, around which scalars would be slow")
