@@ -29,6 +29,7 @@ from ..expr.linalg import Cross
 from ..groups import SE3, quaternions, se3
 from ..integrators import integrate
 from ..lowering import Dynamics, compile
+from ..lowering.emitters import Emitter
 from ..system import System
 from .machine import machine
 
@@ -64,12 +65,12 @@ class Row:
     difference: float
 
 
-def body() -> Dynamics:
+def body(emitter: Emitter | None = None) -> Dynamics:
     """The body of `rkmk4.c`: gravity, linear drag, principal moments of inertia 1, 2 and 3 kg m^2."""
     g, V, J = State("g", group=SE3), State("V", shape=(6,)), np.array([1.0, 2.0, 3.0])
     v, w = V[:3], V[3:]
     acceleration = g[:3, :3].T @ np.array([0.0, 0.0, -9.81]) - 0.1 * v - Cross(w, v)
-    return compile(System(rates={g: V, V: Concat(acceleration, Cross(J * w, w) / J)}))
+    return compile(System(rates={g: V, V: Concat(acceleration, Cross(J * w, w) / J)}), emitter=emitter)
 
 
 def gcc() -> str | None:
