@@ -22,6 +22,8 @@ import numpy as np
 
 from twistax.groups import se3
 
+from .digits import mpmath
+
 __all__ = ["BAR", "MAPS", "Map", "Row", "main", "measure", "poses_of", "worst_units"]
 
 BAR = 8.0
@@ -31,14 +33,6 @@ _DIGITS = 60
 _SEED = 20240607
 
 Rows = list[list[Any]]
-
-
-def _mpmath() -> ModuleType:
-    try:
-        import mpmath
-    except ImportError as error:
-        raise ImportError("accuracy_of_maps needs mpmath, which is not installed; fix: pip install mpmath") from error
-    return mpmath
 
 
 @dataclass(frozen=True)
@@ -62,7 +56,7 @@ class Exact:
     """The maps of one twist with fifty digits and more: textbook closed forms, and Taylor sums where those cancel."""
 
     def __init__(self, xi: np.ndarray) -> None:
-        self.mp = _mpmath()
+        self.mp = mpmath()
         numbers = [self.mp.mpf(float(entry)) for entry in xi]
         self.v, self.w = numbers[:3], numbers[3:]
         self.x = sum(entry * entry for entry in self.w)
@@ -263,7 +257,7 @@ MAPS = (
 
 def worst_units(each: Map, xis: np.ndarray) -> dict[str, tuple[float, float]]:
     """By block the largest error of a map over twists (n, 6), in units in the last place, and the angle where it is."""
-    mp = _mpmath()
+    mp = mpmath()
     with mp.workdps(_DIGITS):
         results = np.asarray(jax.jit(jax.vmap(each.function))(poses_of(xis) if each.of_poses else xis))
         worst: dict[str, tuple[float, float]] = {}

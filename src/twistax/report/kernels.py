@@ -28,6 +28,7 @@ from ..lowering.scalar.program import ScalarProgram, scalarize
 from ..mechanics import chain_models, forward_dynamics
 from ..system import System
 from .c_speed import body
+from .digits import mpmath
 from .machine import machine
 from .scalar_operations import cases
 
@@ -102,27 +103,25 @@ def _flown(dynamics: Dynamics, steps: int) -> Callable[[Any], Any]:
 
 def angles(count: int) -> NDArray[np.float64]:
     """Angles of all sizes to 1e9 rad, and those nearest to multiples of a quarter turn, where most cancels."""
-    import mpmath
-
+    mp = mpmath()
     random = np.random.default_rng(1)
     sizes = random.choice([-1.0, 1.0], count) * 10.0 ** random.uniform(-9.0, 9.0, count)
-    with mpmath.workdps(50):
-        near = np.array([float(mpmath.pi * int(k) / 2) for k in random.integers(1, 600_000_000, count)])
+    with mp.workdps(50):
+        near = np.array([float(mp.pi * int(k) / 2) for k in random.integers(1, 600_000_000, count)])
     return np.concatenate([sizes, near, np.nextafter(near, 0.0)])
 
 
 def units_off(x: NDArray[np.float64], emitter: Emitter) -> float:
     """The worst sine or cosine, in units in the last place, against 50 digits."""
-    import mpmath
-
+    mp = mpmath()
     s, c = State("s"), State("c")
     dynamics = compile(System(rates={s: Sin(s), c: Cos(c)}), emitter=emitter)
     found = jax.jit(jax.vmap(lambda a: dynamics(0.0, {"s": a, "c": a})))(jnp.asarray(x))
     worst = 0.0
-    with mpmath.workdps(50):
-        for name, function in (("s", mpmath.sin), ("c", mpmath.cos)):
+    with mp.workdps(50):
+        for name, function in (("s", mp.sin), ("c", mp.cos)):
             for angle, own in zip(x.tolist(), np.asarray(found[name]).tolist(), strict=True):
-                exact = function(mpmath.mpf(angle))
+                exact = function(mp.mpf(angle))
                 worst = max(worst, float(abs(own - exact)) / float(np.spacing(abs(float(exact)))))
     return worst
 
