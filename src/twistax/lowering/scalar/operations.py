@@ -7,6 +7,7 @@ tangents and cotangents pass through it, again as nodes of the graph. Derivative
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,7 +18,7 @@ from jax import lax
 
 from .algebra import Algebra
 
-__all__ = ["Operation", "Select", "by_primitive", "convert"]
+__all__ = ["LARGEST", "SMALLEST", "Extreme", "Operation", "Select", "by_primitive", "convert"]
 
 #: Nodes of the derivatives of an operation with respect to its arguments; None where one is zero everywhere.
 Partials = Callable[[Algebra, tuple[int, ...], int], Sequence[int | None]]
@@ -108,6 +109,25 @@ class Convert(Operation):
         return all(d is not None and jnp.issubdtype(d, jnp.inexact) for d in (self.result, g.dtypes[arguments[0]]))
 
 
+class Extreme(Operation):
+    """The largest or the smallest of many. Equal ones share the derivative evenly, as after JAX's reductions.
+
+    Attributes:
+        pair: that of two; emitters write one after the other.
+    """
+
+    pair: Operation
+
+    def __init__(self, name: str, pair: Operation) -> None:
+        super().__init__(
+            name,
+            lambda *a: functools.reduce(pair.number, a),
+            lambda *a: functools.reduce(pair.array, a),
+            _evenly,
+        )
+        object.__setattr__(self, "pair", pair)
+
+
 _BOOL = np.dtype(bool)
 
 # ---- the partial derivatives -----------------------------------------------------------------------------------------
@@ -132,6 +152,12 @@ def _larger(greater: Operation) -> Partials:
         return [first, g.sub(g.one, first)]
 
     return partials
+
+
+def _evenly(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
+    equal = [g.select(g.node(by_primitive["eq"], x, y), g.one, g.zero) for x in a]
+    share = g.div(g.one, functools.reduce(g.add, equal))
+    return [g.mul(each, share) for each in equal]
 
 
 def _rem(g: Algebra, a: tuple[int, ...], y: int) -> Sequence[int | None]:
@@ -275,6 +301,9 @@ by_primitive: dict[str, Operation] = {
 }
 for _name, _above in (("max", "gt"), ("min", "lt")):
     by_primitive[_name] = dataclasses.replace(by_primitive[_name], partials=_larger(by_primitive[_above]))
+
+#: Of three and more.
+LARGEST, SMALLEST = Extreme("largest", by_primitive["max"]), Extreme("smallest", by_primitive["min"])
 
 _CONVERSIONS: dict[np.dtype[Any], Operation] = {}
 

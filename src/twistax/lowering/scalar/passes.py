@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
 
 from .graph import LIMITS, Call, Graph, Limits, Nodes
-from .operations import by_primitive
+from .operations import Extreme, by_primitive
 from .program import ScalarProgram
 from .reader import Reader
 
@@ -89,6 +90,8 @@ def _copied(program: ScalarProgram, new: Graph, known: dict[int, int], shared: s
             arguments = [known[a] for a in old.arguments(i)]
             if operation is _DIV and old.arguments(i)[1] in shared:
                 known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
+            elif isinstance(operation, Extreme) and not whole:
+                known[i] = functools.reduce(functools.partial(new.node, operation.pair), arguments)
             elif operation in _ALGEBRA:
                 known[i] = _ALGEBRA[operation](new, *arguments)
             else:

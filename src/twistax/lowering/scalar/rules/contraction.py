@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..graph import Graph, Nodes
-from ..operations import by_primitive
+from ..operations import LARGEST, SMALLEST, Operation, by_primitive
 from .rule import Rule, nodes
 
 __all__ = ["CONTRACTION"]
@@ -41,8 +43,15 @@ def _gathered(a: Nodes, axes: tuple[int, ...]) -> tuple[list[list[int]], tuple[i
     return a.transpose([*kept, *axes]).reshape(math.prod(shape), count).tolist(), shape
 
 
-def _folded(function: Callable[[Graph, int, int], int], empty: float | None = None) -> Rule:
-    """A reduction by a function of two nodes; `empty` is that of no entries."""
+def _folded(
+    function: Callable[[Graph, int, int], int], empty: float | None = None, many: Operation | None = None
+) -> Rule:
+    """A reduction by a function of two nodes.
+
+    Args:
+        empty: that of no entries.
+        many: that of three floating-point numbers and more, where its derivative is another one.
+    """
 
     def rule(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
         lists, shape = _gathered(a, tuple(map(int, eqn.params["axes"])))
@@ -50,13 +59,10 @@ def _folded(function: Callable[[Graph, int, int], int], empty: float | None = No
             if empty is None:
                 return None
             return [np.full(shape, g.constant(empty, np.dtype(eqn.outvars[0].aval.dtype)), np.int64)]
-        flat = []
-        for entries in lists:
-            total = entries[0]
-            for entry in entries[1:]:
-                total = function(g, total, entry)
-            flat.append(total)
-        return [nodes(flat, shape)]
+        real = jnp.issubdtype(eqn.outvars[0].aval.dtype, jnp.floating)
+        if many is not None and real and max(map(len, lists), default=0) > 2:
+            return [nodes([g.node(many, *entries) for entries in lists], shape)]
+        return [nodes([functools.reduce(functools.partial(function, g), entries) for entries in lists], shape)]
 
     return rule
 
@@ -112,7 +118,9 @@ CONTRACTION: dict[str, Rule] = {
     "dot_general": _dot_general,
     "reduce_sum": _folded(_add, 0.0),
     "reduce_prod": _folded(_mul),
-    **{f"reduce_{name}": _folded(_of(name)) for name in ("max", "min", "and", "or", "xor")},
+    "reduce_max": _folded(_of("max"), many=LARGEST),
+    "reduce_min": _folded(_of("min"), many=SMALLEST),
+    **{f"reduce_{name}": _folded(_of(name)) for name in ("and", "or", "xor")},
     "cumsum": _cumulative(_add),
     "cumprod": _cumulative(_mul),
     "cummax": _cumulative(_of("max")),

@@ -30,15 +30,16 @@ def free_body(
     Args:
         M: the inertia (6, 6).
         mass_moment: the mass m, and m c with the centre of mass c.
-        y, V, F: position and quaternion (7,), twist (6,), wrench (6,).
+        y, V, F: position and quaternion of any length (7,), twist (6,), wrench (6,).
     """
     mass, moment = mass_moment
     w, x, z = y[3], (y[4], y[5], y[6]), V[3:6]
+    d = 2 / (w * w + x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
     R = algebra.matrix(
         [
-            [1 - 2 * (x[1] * x[1] + x[2] * x[2]), 2 * (x[0] * x[1] - w * x[2]), 2 * (x[0] * x[2] + w * x[1])],
-            [2 * (x[0] * x[1] + w * x[2]), 1 - 2 * (x[0] * x[0] + x[2] * x[2]), 2 * (x[1] * x[2] - w * x[0])],
-            [2 * (x[0] * x[2] - w * x[1]), 2 * (x[1] * x[2] + w * x[0]), 1 - 2 * (x[0] * x[0] + x[1] * x[1])],
+            [1 - d * (x[1] * x[1] + x[2] * x[2]), d * (x[0] * x[1] - w * x[2]), d * (x[0] * x[2] + w * x[1])],
+            [d * (x[0] * x[1] + w * x[2]), 1 - d * (x[0] * x[0] + x[2] * x[2]), d * (x[1] * x[2] - w * x[0])],
+            [d * (x[0] * x[2] - w * x[1]), d * (x[1] * x[2] + w * x[0]), 1 - d * (x[0] * x[0] + x[1] * x[1])],
         ]
     )
     turned = [
