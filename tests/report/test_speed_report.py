@@ -134,6 +134,15 @@ def measured(store: Store[Row], contenders: Sequence[Contender], case: Case = CA
     return {(row.contender, row.use): row for row in store}
 
 
+def test_what_would_take_too_long_is_left_out(tmp_path: Path) -> None:
+    """It goes by the batch before; calls from Python and loops say nothing of a batch."""
+    store, hurried = Store(tmp_path / "rows.jsonl", ORIGIN, Row.of), dataclasses.replace(SHORT, longest=1e-12)
+    uses = [SINGLE, Batch(64), Batch(4096)]
+    measure(CASES["free-body"], VALUE, uses, [Pretender("ours")], hurried, store, lambda what, share: None)
+    results = {row.use: row.result for row in store}
+    assert [results[use.name] for use in uses] == ["done", "done", "a call would take 0 s"]
+
+
 def test_a_use_that_is_refused_says_why(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.jsonl", ORIGIN, Row.of)
     rows = measured(store, [Pretender("ours"), Pretender("peer", refuses="loop")])

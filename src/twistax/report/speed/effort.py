@@ -15,7 +15,7 @@ class Effort:
         name: for the page.
         cases, quantities: names of those that are run if none is asked for; empty for all.
         largest: batches of more points are left out.
-        longest: a call that takes longer, s, is timed once only.
+        longest: a call that takes longer, s, is timed once only; left out if a smaller batch says so before.
         patience: where compiling takes longer, s, further uses of the same are left out.
         rounds: how often every call of a group is timed in turn, at most.
         least: and at least, however long the call.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from statistics import median, quantiles
 from typing import Any
@@ -21,7 +21,7 @@ from .effort import Effort
 from .quantity import Quantity
 from .row import DONE, Row
 from .task import Lacks, Program, Task
-from .use import Use
+from .use import USES, Batch, Use
 
 __all__ = ["AGREEMENT", "apart", "measure"]
 
@@ -72,7 +72,18 @@ def measure(
         def said(what: str, share: float, number: int = number, use: Use = use) -> None:
             tell(f"{quantity.name}, {use.name}: {what}", (number + share) / len(uses))
 
-        store.add(_measure_use(case, quantity, use, contenders, effort, tasks, said))
+        waiting = {each.name: _wait(store, case, quantity, use, each) for each in contenders}
+        long = {name: f"a call would take {wait:.0f} s" for name, wait in waiting.items() if wait > effort.longest}
+        store.add(_measure_use(case, quantity, use, contenders, effort, tasks, long, said))
+
+
+def _wait(store: Store[Row], case: Case, quantity: Quantity, use: Use, contender: Contender) -> float:
+    """What a call will take, s, going by smaller batches; zero where there is none."""
+    if not isinstance(use, Batch):
+        return 0.0
+    smaller = [other for other in USES if isinstance(other, Batch) and other.count < use.count]
+    rows = [store.get(case.name, quantity.name, other.name, contender.name) for other in smaller]
+    return max((row.median * use.count for row in rows if row is not None and row.done), default=0.0)
 
 
 def _measure_use(
@@ -82,6 +93,7 @@ def _measure_use(
     contenders: Sequence[Contender],
     effort: Effort,
     tasks: dict[str, Task | str],
+    long: Mapping[str, str],
     tell: Tell,
 ) -> list[Row]:
     rows: list[Row] = []
@@ -91,6 +103,9 @@ def _measure_use(
     for number, contender in enumerate(contenders):
         tell(f"compiling {contender.name}", 0.5 * number / len(contenders))
         row = Row(case.name, quantity.name, use.name, contender.name, DONE, sitting=sitting)
+        if contender.name in long:
+            rows.append(dataclasses.replace(row, result=long[contender.name]))
+            continue
         try:
             program = use.of(_task(tasks, contender, case, quantity))
             values = program.values()
