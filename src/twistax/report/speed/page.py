@@ -184,7 +184,8 @@ def _how(rows: Sequence[Row], origin: Origin, empty_call: float, command: str) -
         "at random states, before anything is timed.",
         f"Contenders take turns: up to {effort['rounds']} rounds of 3 calls after one that does not count (of long "
         f"calls fewer, at least {effort['least']}; a call over {effort['longest']:g} s counts alone, and is left out "
-        "if a smaller batch foretells it). Every call is waited for. The table has medians and quartiles; the CSV the minimum too.",
+        "if a smaller batch foretells it). Every call is waited for. The table has medians "
+        "and quartiles; the CSV the minimum too.",
         "A single call goes from Python with arguments that are there already, twenty at a time. Calling a compiled "
         f"JAX function that does nothing takes {duration(empty_call)}, part of every single call of JAX here.",
         f"In a loop: {LOOP.steps:,} evaluations in one `lax.scan` or C loop; each adds 1e-200 of the results of the "
