@@ -30,7 +30,7 @@ FUNCTIONS = {
     "or": lambda a, v: (a > 0) | (a.T > 0),
     "not": lambda a, v: ~(a > 0),
     "select_n": lambda a, v: jnp.where(a > 0, a, 2.0),
-    "convert_element_type": lambda a, v: (a > 0).astype(float) + (10.0 * a).astype(int).astype(float),
+    "convert_element_type": lambda a, v: (a > 0).astype(float) + (a > 1).astype(int).astype(float),
     "square": lambda a, v: jax.lax.square(a),
     "sqrt": lambda a, v: jnp.sqrt(jnp.abs(a)),
     "reduce_sum": lambda a, v: jnp.sum(a, axis=0) + jnp.sum((a > 0).astype(int)).astype(float),
@@ -44,10 +44,16 @@ FUNCTIONS = {
     "unstack": lambda a, v: sum(jnp.unstack(a, axis=1)),
     "dot_general": lambda a, v: jnp.einsum("ij,kj->ki", a, a[:2]) @ v,
     "copy": lambda a, v: jnp.copy(v),
+    "another order": lambda a, v: a.ravel(order="F"),
+    "whole numbers": lambda a, v: jnp.concatenate([a.reshape(-1), jnp.array([np.nan, np.inf, -1e30])]).astype(int),
+    "one of many": lambda a, v: jax.lax.select_n(jnp.array([2, -1, 7], jnp.int32), v, 2.0 * v, 3.0 * v),
+    "wider product": lambda a, v: jax.lax.dot(
+        jnp.asarray(100 * v, jnp.int8), jnp.asarray(100 * v, jnp.int8), preferred_element_type=jnp.int32
+    ),
     "batched": lambda a, v: jnp.einsum("ij,ij->i", a, a),
     "nothing": lambda a, v: v,
 }
-IN_JAX = {"batched"}
+IN_JAX = {"batched", "another order", "whole numbers", "one of many", "wider product"}
 
 
 def _names(jaxpr):
@@ -78,6 +84,17 @@ def test_what_numpy_does_not_do_is_left_to_jax():
     found = numerals(lambda x: jax.lax.while_loop(lambda s: s < 10.0, lambda s: 2.0 * s, x), [np.array(3.0)], True)
     assert found == 12.0
     assert isinstance(found, np.ndarray)
+
+
+def test_a_subclass_with_its_own_evaluate_gets_arrays_of_jax():
+    class Cleared(tx.Neg):
+        """Entries but the first."""
+
+        def evaluate(self, *values):
+            return values[0].at[0].set(0.0)
+
+    assert tx.Neg.by_operators
+    np.testing.assert_array_equal(Cleared(tx.Constant([1.0, 2.0])).canonicalize().value, [0.0, 2.0])
 
 
 def test_folding_an_arm_compiles_next_to_nothing(caplog):

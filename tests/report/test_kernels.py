@@ -1,5 +1,6 @@
 """The figures of native kernels: what they compare, and that they see a difference."""
 
+import numpy as np
 import pytest
 
 import twistax as tx
@@ -28,6 +29,8 @@ def test_sine_and_cosine_are_judged_by_the_last_place(monkeypatch: pytest.Monkey
     assert 0.3 < kernels.units_off(x, tx.Native()) < 2.0
     monkeypatch.setattr(kernels, "Sin", lambda s: tx.Sin(s * (1.0 + 1e-14)))
     assert kernels.units_off(x, tx.XLA()) > 2.0
+    monkeypatch.setattr(kernels, "Sin", lambda s: tx.Sin(s + tx.Where(s <= 1.0, 0.0, np.nan)))
+    assert np.isnan(kernels.units_off(x, tx.XLA()))
 
 
 def test_without_llvmlite_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -75,6 +75,8 @@ class Expr(Operators):
             cls.label = cls.__name__
         if "abstract" not in cls.__dict__:
             cls.abstract = False
+        if "evaluate" in cls.__dict__ and "by_operators" not in cls.__dict__:
+            cls.by_operators = False  # a new `evaluate` has to say so again
         declare_fields(cls, Expr)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:

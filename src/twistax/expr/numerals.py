@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
@@ -62,7 +63,7 @@ def numerals(function: Callable[..., Any], values: Sequence[np.ndarray], traced:
         closed = jax.make_jaxpr(function)(*values)
         if _in_numpy(closed.jaxpr):
             return _worked_out(closed, values)[0]
-    return np.asarray(function(*map(jax.numpy.asarray, values)))
+    return np.asarray(function(*map(jnp.asarray, values)))
 
 
 def _in_numpy(jaxpr: Any) -> bool:
@@ -74,8 +75,22 @@ def _inner(eqn: Any) -> ClosedJaxpr | None:
 
 
 def _is_listed(eqn: Any) -> bool:
-    batched = eqn.primitive.name == "dot_general" and eqn.params["dimension_numbers"][1][0]
-    return eqn.primitive.name in _IN_NUMPY and not batched
+    return eqn.primitive.name in _IN_NUMPY and not _differs(eqn.primitive.name, eqn)
+
+
+def _differs(name: str, eqn: Any) -> bool:
+    """Whether NumPy would do something else."""
+    given, result = [v.aval.dtype for v in eqn.invars], eqn.outvars[0].aval.dtype
+    if name == "dot_general":
+        return bool(eqn.params["dimension_numbers"][1][0]) or {*given} != {result}
+    if name == "reshape":
+        return eqn.params["dimensions"] is not None
+    if name == "select_n":
+        return given[0] != np.dtype(bool)
+    # Not a number, and what is out of range.
+    return (
+        name == "convert_element_type" and jnp.issubdtype(given[0], jnp.inexact) and jnp.issubdtype(result, jnp.integer)
+    )
 
 
 def _worked_out(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:

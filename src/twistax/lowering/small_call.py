@@ -116,10 +116,10 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
 
 
 def apart(function: Callable[..., Result]) -> Callable[..., Result]:
-    """The same, compiled as a function of its own where XLA on the CPU can: inside of loops it would be written out."""
+    """The same, for the CPU, where XLA keeps it a function: inside of loops it would be written out."""
 
     def call(*arguments: Any) -> Result:
-        if set_xla_metadata is None or jax.default_backend() != "cpu":
+        if set_xla_metadata is None:
             return jax.jit(function, inline=False)(*arguments)
         with set_xla_metadata(xla_cpu_small_call="false", inlineable="false"):
             return jax.jit(function, inline=False)(*arguments)

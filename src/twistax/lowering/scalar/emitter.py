@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +12,6 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
-from ..small_call import apart
 from .graph import Call, Graph
 from .passes import emitted_form
 from .program import ScalarProgram
@@ -51,8 +51,15 @@ class _Piece:
         return [values[i] for i in self.gives]
 
 
-def as_function(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
-    """The program as a function of arrays, one body at a time; pure and traceable."""
+def as_function(
+    program: ScalarProgram, apart: Callable[[_Piece], Callable[..., list[jax.Array]]] | None = None
+) -> Callable[..., list[jax.Array]]:
+    """The program as a function of arrays, one body at a time; pure and traceable.
+
+    Args:
+        apart: makes a function of its own of a piece; that of JAX if None, which XLA may write out again.
+    """
+    apart = apart or functools.partial(jax.jit, inline=False)
     form = emitted_form(program)
     g = form.graph
     steps = _steps(form)

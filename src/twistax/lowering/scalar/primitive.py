@@ -14,7 +14,7 @@ import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from ..small_call import inside_small_call, small_call
+from ..small_call import apart, inside_small_call, small_call
 from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
@@ -79,6 +79,10 @@ class Derived:
     def function(self) -> Any:
         return as_function(self.program)
 
+    @functools.cached_property
+    def on_cpu(self) -> Any:
+        return as_function(self.program, apart)
+
     def native(self, rows: int) -> Callable[..., list[jax.Array]] | None:
         """What the backend runs for so many rows; None: XLA runs it."""
         if self.backend is None or not self.backend.worthwhile(self.program, rows):
@@ -130,15 +134,15 @@ def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[ja
     """On the CPU: body after body, each loop compiled as one function."""
     if depth == 0:
         if inside or not any(jnp.size(a) for a in arguments):
-            return derived.function(*arguments)
-        return small_call(derived.function, *arguments)
+            return derived.on_cpu(*arguments)
+        return small_call(derived.on_cpu, *arguments)
     shape = jnp.shape(arguments[0])[:depth]
     flat = [jnp.reshape(a, (math.prod(shape), *jnp.shape(a)[depth:])) for a in arguments]
     if not any(jnp.size(a) for a in arguments):
         return _run_wide(*arguments, derived=derived, depth=depth, inside=inside)
 
     def each(*flat: jax.Array) -> list[jax.Array]:
-        return jax.lax.map(lambda row: derived.function(*row), flat)
+        return jax.lax.map(lambda row: derived.on_cpu(*row), flat)
 
     return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in small_call(each, *flat)]
 

@@ -21,7 +21,7 @@ class Doubt:
     """A method that did not come close to the truth of a scene.
 
     Attributes:
-        best: its smallest error; infinite where none of its flights was finished.
+        best: its smallest error; infinite where it finished no flight with a finite one.
         excuse: why that need not mean that it disagrees; empty where there is none.
     """
 
