@@ -12,6 +12,7 @@ from jax.extend.core import ClosedJaxpr
 from ..groups import Product
 from .scalar.derivatives import columns_of
 from .scalar.graph import Nodes
+from .scalar.passes import one_by_one
 from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
 from .scalar.reader import Reader, trace
@@ -58,13 +59,11 @@ class RateJacobian:
         dense = np.full((len(program.flat), offset), g.zero)
         for (row, column), node in found.items():
             dense[row, column] = node
-        self.blocks: dict[str, Nodes] = {}
-        start = 0
-        for kind, width in widths.items():
-            self.blocks[kind] = dense[:, start : start + width]
-            start += width
-        self.program = program.restricted(list(self.blocks.values()))
-        self.pattern = {kind: block != g.zero for kind, block in self.blocks.items()}
+        ends = np.cumsum(list(widths.values()))
+        blocks = [dense[:, end - width : end] for width, end in zip(widths.values(), ends, strict=True)]
+        self.program = one_by_one(program.restricted(blocks))
+        self.blocks: dict[str, Nodes] = dict(zip(widths, self.program.outputs, strict=True))
+        self.pattern = {kind: block != g.zero for kind, block in zip(widths, blocks, strict=True)}
         self._derived = Derived(self.program)
 
     def __call__(self, *arguments: jax.Array) -> dict[str, jax.Array]:

@@ -24,6 +24,7 @@ from ..lowering import XLA, Dynamics, Native, compile
 from ..lowering.emitters import Emitter
 from ..lowering.native.emitter import installed
 from ..lowering.scalar.derivatives import jacobian
+from ..lowering.scalar.passes import one_by_one
 from ..lowering.scalar.program import ScalarProgram, scalarize
 from ..mechanics import chain_models, forward_dynamics
 from ..system import System
@@ -62,7 +63,7 @@ def programs() -> dict[str, ScalarProgram]:
     """The Panda's forward dynamics, and its derivatives by positions and velocities."""
     case = next(each for each in cases() if each.name == "ABA 7")
     program = scalarize(case.function, *(jax.ShapeDtypeStruct((n,), float) for n in case.sizes))
-    slopes = program.restricted([np.array(list(jacobian(program, [0, 1]).values()))])
+    slopes = one_by_one(program.restricted([np.array(list(jacobian(program, [0, 1]).values()))]))
     return {"the Panda's ABA": program, "its Jacobian": slopes}
 
 

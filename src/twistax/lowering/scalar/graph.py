@@ -319,6 +319,17 @@ class Graph(Algebra):
             todo += self.sources(i)
         return sorted(found)
 
+    def in_turn(self, outputs: Iterable[int]) -> list[int]:
+        """The same, each output with what only it and later ones need: few numbers are waiting at any time."""
+        found: dict[int, None] = {}
+        todo = [int(i) for i in outputs][::-1]
+        while todo:
+            needed = [j for j in self.sources(todo[-1]) if j not in found]
+            todo += needed
+            if not needed:
+                found[todo.pop()] = None
+        return list(found)
+
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
         found = self._known.get(key)
         if found is None:

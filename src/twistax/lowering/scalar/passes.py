@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from .operations import Extreme, by_primitive
 from .program import ScalarProgram
 from .reader import Reader
 
-__all__ = ["emitted_form", "substituted"]
+__all__ = ["emitted_form", "one_by_one", "substituted"]
 
 _ALGEBRA: dict[object, Callable[..., int]] = {
     by_primitive["add"]: Graph.add,
@@ -54,8 +54,23 @@ def substituted(program: ScalarProgram, graph: Graph, arguments: tuple[Nodes, ..
     return _copied(program, graph, known, set(), whole=True)
 
 
-def _rebuilt(program: ScalarProgram, divisors: dict[object, set[int]], whole: bool, limits: Limits) -> ScalarProgram:
-    """The program in a graph of its own."""
+def one_by_one(program: ScalarProgram) -> ScalarProgram:
+    """The program in another order: one result after the other, each with what is not there yet.
+
+    Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
+    of the program need fewer of one another.
+    """
+    return _rebuilt(program, {}, True, program.graph.limits, program.graph.in_turn(program.flat))
+
+
+def _rebuilt(
+    program: ScalarProgram,
+    divisors: dict[object, set[int]],
+    whole: bool,
+    limits: Limits,
+    order: Sequence[int] | None = None,
+) -> ScalarProgram:
+    """The program in a graph of its own; `order` is that of its nodes, as they are if None."""
     old = program.graph
     new = Graph(old.dtype, old.checked, old.largest, limits)
     inputs: list[Nodes] = []
@@ -64,19 +79,27 @@ def _rebuilt(program: ScalarProgram, divisors: dict[object, set[int]], whole: bo
         flat = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(nodes.reshape(-1).tolist())]
         known.update(zip(nodes.reshape(-1).tolist(), flat, strict=True))
         inputs.append(np.array(flat, np.int64).reshape(nodes.shape))
-    outputs = _copied(program, new, known, divisors.get(_DIV, set()), whole)
+    outputs = _copied(program, new, known, divisors.get(_DIV, set()), whole, order)
     return ScalarProgram(new, tuple(inputs), tuple(outputs), program.types)
 
 
-def _copied(program: ScalarProgram, new: Graph, known: dict[int, int], shared: set[int], whole: bool) -> list[Nodes]:
+def _copied(
+    program: ScalarProgram,
+    new: Graph,
+    known: dict[int, int],
+    shared: set[int],
+    whole: bool,
+    order: Sequence[int] | None = None,
+) -> list[Nodes]:
     """The outputs of a program as nodes of `new`, from what is known of its inputs.
 
     Args:
         shared: divisors of which the reciprocal is taken once.
+        order: of the nodes.
     """
     old, reader = program.graph, Reader(new, whole)
     done: set[int] = set()
-    for i in program.live:
+    for i in program.live if order is None else order:
         if i in known:
             continue
         call, operation = old.call_of(i), old.operation(i)
