@@ -87,7 +87,7 @@ def waiting(program: ScalarProgram) -> float:
 def test_results_one_by_one_keep_fewer_numbers_waiting() -> None:
     """Derivatives along many tangents come side by side; the same numbers come of another order."""
     shape = jax.ShapeDtypeStruct((6,), jnp.float64)
-    program = scalarize(lambda x: recursion(x, 12), shape)
+    program = scalarize(lambda x: recursion(x, 8), shape)
     slopes = program.restricted([np.array(list(jacobian(program, [0]).values()))])
     ordered = one_by_one(slopes)
     assert ordered.operations == slopes.operations
