@@ -1,7 +1,7 @@
 """What native kernels cost and give: to build them, to call one, to fly many bodies in one; how exact their sine is.
 
-`python -m twistax.report.kernels` prints a line each. Exit status 1 if a bar is missed; without llvmlite there is
-nothing to measure, which it says, with status 0. Needs mpmath.
+`python -m twistax.report.kernels` prints a line each, in some five minutes. Exit status 1 if a bar is missed; without
+llvmlite there is nothing to measure, which it says, with status 0. Needs mpmath.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def main() -> int:
     figures.append(
         Figure("a call of the Panda's ABA above one that adds its arguments, us", above_an_empty_call(), 1.0)
     )
-    ratio, apart = flights(65_536, 1_000, rounds=3)
+    ratio, apart = flights(65_536, 1_000, rounds=1)
     figures.append(Figure("65,536 flights of 1,000 RKMK4 steps, time over that of XLA's loop", ratio, 0.3))
     figures.append(Figure("their ends apart, in entries of pose and twist", apart, 1e-11))
     count = 30_000
