@@ -1,6 +1,6 @@
 """What native kernels cost and give: to build them, to call one, to fly many bodies in one; how exact their sine is.
 
-`python -m twistax.report.kernels` prints a line each, in some five minutes. Exit status 1 if a bar is missed; without
+`python -m twistax.report.kernels` prints a line each; it takes minutes. Exit status 1 if a bar is missed; without
 llvmlite there is nothing to measure, which it says, with status 0. Needs mpmath.
 """
 
