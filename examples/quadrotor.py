@@ -31,7 +31,7 @@ start = {"g": tx.pose(position=[0.0, 0.0, 1.0]), "V": np.zeros(6)}
 
 def fly(table: jax.Array) -> jax.Array:
     """Where the vehicle is after two seconds, (3,) in m."""
-    end = tx.integrate(dynamics, start, t1=2.0, dt=5e-3, u={"rotors": tx.Linear(times, table)})
+    end = tx.integrate(dynamics, start, t1=2.0, dt=5e-3, u={"rotors": tx.FirstOrderHold(times, table)})
     return end.xs["g"][-1, :3, 3]
 
 

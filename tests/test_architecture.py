@@ -12,6 +12,7 @@ import twistax
 SOURCE = Path(twistax.__file__).parent
 FLOORS = [
     "errors",
+    "jax_inside",
     "groups",
     "expr",
     "system",

@@ -31,7 +31,18 @@ from .errors import (
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
-from .integrators import RKMK, CommutatorFree, Event, Held, Linear, Magnus, Result, Solution, StepControl, integrate
+from .integrators import (
+    RKMK,
+    CommutatorFree,
+    Event,
+    FirstOrderHold,
+    Magnus,
+    Result,
+    Solution,
+    StepControl,
+    ZeroOrderHold,
+    integrate,
+)
 from .integrators.implicit import ImplicitRKMK
 from .integrators.splitting import FreeBody, FreeParticle, Splitting
 from .lowering import XLA, Arrays, Dynamics, Native, ValueNumbering, compile, load, lower
@@ -57,12 +68,12 @@ __all__ = [
     "Event",
     "FreeBody",
     "FreeParticle",
-    "Held",
+    "ZeroOrderHold",
     "ImmutableError",
     "ImplicitRKMK",
     "InputError",
     "IntegrationError",
-    "Linear",
+    "FirstOrderHold",
     "Magnus",
     "Maximize",
     "Minimize",

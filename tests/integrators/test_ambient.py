@@ -76,11 +76,11 @@ def test_rotations_controls_and_parameters() -> None:
     term = tx.diffrax.ambient_term(dynamics)
     y0 = term.to_ambient(x0)
     assert {name: value.shape for name, value in y0.items()} == {"w": (3,), "R": (4,)}
-    table = tx.Linear([0.0, 1.0], [[0.0, 1.0, 0.0], [2.0, 0.0, 0.0]])
+    table = tx.FirstOrderHold([0.0, 1.0], [[0.0, 1.0, 0.0], [2.0, 0.0, 0.0]])
     for u, now, params in (
         ({"tau": np.ones(3)}, [1.0, 1.0, 1.0], None),
         ({"tau": table}, [0.5, 0.75, 0.0], {"J": np.array([2.0, 2.0, 1.0])}),
-        ({"tau": tx.Held([0.0, 0.25], [[9.0, 9.0, 9.0], [1.0, 2.0, 3.0]])}, [1.0, 2.0, 3.0], None),
+        ({"tau": tx.ZeroOrderHold([0.0, 0.25], [[9.0, 9.0, 9.0], [1.0, 2.0, 3.0]])}, [1.0, 2.0, 3.0], None),
         (lambda t: {"tau": jnp.stack([t, 1.0 - t, 2.0 * t])}, [0.25, 0.75, 0.5], {"J": np.ones(3)}),
     ):
         rates = dynamics(0.25, x0, {"tau": np.array(now)}, params)

@@ -31,11 +31,11 @@ def test_an_array_is_held() -> None:
 @pytest.mark.parametrize("dt", [0.5, 0.1, 0.1 / 3])
 def test_a_held_table_is_exact_on_steps_that_end_at_its_jumps(dt: float) -> None:
     expected = 0.5 * ROWS.sum(axis=0)
-    np.testing.assert_allclose(end(integrator(), {"F": tx.Held(TIMES, ROWS)}, dt=dt), expected, rtol=1e-12)
+    np.testing.assert_allclose(end(integrator(), {"F": tx.ZeroOrderHold(TIMES, ROWS)}, dt=dt), expected, rtol=1e-12)
 
 
 def test_a_held_table_holds_in_single_precision_and_far_from_zero() -> None:
-    table = tx.Held(TIMES + 1000.0, ROWS)
+    table = tx.ZeroOrderHold(TIMES + 1000.0, ROWS)
     start = {"x": np.zeros(2, np.float32)}
     sol = tx.integrate(integrator(), start, t0=1000.0, t1=1002.0, dt=0.5, u={"F": table})
     assert sol.xs["x"].dtype == jnp.float32
@@ -46,13 +46,13 @@ def test_a_held_table_holds_in_single_precision_and_far_from_zero() -> None:
 
 
 def test_a_held_table_starts_before_and_ends_after_its_rows() -> None:
-    table = tx.Held([0.5], [[1.0, 2.0]])
+    table = tx.ZeroOrderHold([0.5], [[1.0, 2.0]])
     np.testing.assert_allclose(end(integrator(), {"F": table}, t1=1.0), [1.0, 2.0], rtol=1e-14)
 
 
 def test_a_linear_table_is_the_trapezoidal_rule() -> None:
     expected = 0.5 * (0.5 * ROWS[0] + ROWS[1] + ROWS[2] + 0.5 * ROWS[3]) + 0.5 * ROWS[3]
-    np.testing.assert_allclose(end(integrator(), {"F": tx.Linear(TIMES, ROWS)}), expected, atol=1e-13)
+    np.testing.assert_allclose(end(integrator(), {"F": tx.FirstOrderHold(TIMES, ROWS)}), expected, atol=1e-13)
 
 
 def test_a_function_is_called_at_stage_times() -> None:
@@ -70,8 +70,8 @@ def test_forms_agree_where_they_mean_the_same() -> None:
     dynamics, F = integrator(), np.array([0.3, -0.7])
     forms = [
         {"F": F},
-        {"F": tx.Held([0.0], F[None])},
-        {"F": tx.Linear([0.0, 2.0], np.stack([F, F]))},
+        {"F": tx.ZeroOrderHold([0.0], F[None])},
+        {"F": tx.FirstOrderHold([0.0, 2.0], np.stack([F, F]))},
         lambda t: {"F": F},
     ]
     ends = [end(dynamics, u) for u in forms]
@@ -104,11 +104,15 @@ def test_derivatives_pass_through_a_function_that_closes_over_what_is_traced() -
 def test_derivatives_with_respect_to_a_table() -> None:
     dynamics = integrator()
 
-    def fly(rows: jax.Array, form: type[tx.Held] | type[tx.Linear]) -> jax.Array:
+    def fly(rows: jax.Array, form: type[tx.ZeroOrderHold] | type[tx.FirstOrderHold]) -> jax.Array:
         return tx.integrate(dynamics, {"x": np.zeros(2)}, t1=1.5, dt=0.25, u={"F": form(TIMES, rows)}).xs["x"][0, 0]
 
-    np.testing.assert_allclose(jax.grad(fly)(jnp.asarray(ROWS), tx.Held)[:, 0], [0.5, 0.5, 0.5, 0.0], atol=1e-13)
-    np.testing.assert_allclose(jax.grad(fly)(jnp.asarray(ROWS), tx.Linear)[:, 0], [0.25, 0.5, 0.5, 0.25], atol=1e-13)
+    np.testing.assert_allclose(
+        jax.grad(fly)(jnp.asarray(ROWS), tx.ZeroOrderHold)[:, 0], [0.5, 0.5, 0.5, 0.0], atol=1e-13
+    )
+    np.testing.assert_allclose(
+        jax.grad(fly)(jnp.asarray(ROWS), tx.FirstOrderHold)[:, 0], [0.25, 0.5, 0.5, 0.25], atol=1e-13
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,12 +121,12 @@ def test_derivatives_with_respect_to_a_table() -> None:
         (None, "Control 'F' is missing"),
         ({"G": np.zeros(2)}, "unknown key 'G' in u; expected: 'F'"),
         ({"F": np.zeros(3)}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
-        ({"F": tx.Held(TIMES, np.zeros((4, 3)))}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
+        ({"F": tx.ZeroOrderHold(TIMES, np.zeros((4, 3)))}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
         (lambda t: {"F": np.zeros(3)}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
         (lambda t: {}, "Control 'F' is missing"),
         (lambda t: np.zeros(2), "the function u must return a dict by control name, got ndarray"),
         ({"F": lambda t: np.zeros(2)}, r"u\['F'\] is a function.\n  fix: give one function"),
-        (tx.Held(TIMES, ROWS), "u must be a dict, got a bare Held"),
+        (tx.ZeroOrderHold(TIMES, ROWS), "u must be a dict, got a bare ZeroOrderHold"),
         (np.zeros(2), "u must be a dict of arrays or tables, or a function of t, got ndarray"),
         ({"F": [np.nan, 0.0]}, r"u\['F'\] is not finite"),
     ],
@@ -135,12 +139,36 @@ def test_wrong_controls_are_named(u: object, message: str) -> None:
 @pytest.mark.parametrize(
     ("form", "ts", "values", "error", "message"),
     [
-        (tx.Held, [0.0, 0.0], ROWS[:2], tx.InputError, "Held expects increasing ts, got 0.0 before 0.0 in row 0"),
-        (tx.Held, [0.0, 1.0], ROWS, tx.ShapeError, "Held expects values with a row for each of the 2 times"),
-        (tx.Held, [0.0, np.nan], ROWS[:2], tx.InputError, "Held"),
-        (tx.Linear, [0.0, 1.0], ROWS[:2] + np.inf, tx.InputError, "Linear has values that are not finite"),
-        (tx.Linear, [0.0], ROWS[:1], tx.ShapeError, r"Linear expects ts with shape \(n,\), n >= 2, got \(1,\)"),
-        (tx.Linear, 0.0, ROWS, tx.ShapeError, "Linear expects ts"),
+        (
+            tx.ZeroOrderHold,
+            [0.0, 0.0],
+            ROWS[:2],
+            tx.InputError,
+            "expects increasing ts, got 0.0 before 0.0 in row 0",
+        ),
+        (
+            tx.ZeroOrderHold,
+            [0.0, 1.0],
+            ROWS,
+            tx.ShapeError,
+            "expects values with a row for each of the 2 times",
+        ),
+        (tx.ZeroOrderHold, [0.0, np.nan], ROWS[:2], tx.InputError, "ZeroOrderHold"),
+        (
+            tx.FirstOrderHold,
+            [0.0, 1.0],
+            ROWS[:2] + np.inf,
+            tx.InputError,
+            "has values that are not finite",
+        ),
+        (
+            tx.FirstOrderHold,
+            [0.0],
+            ROWS[:1],
+            tx.ShapeError,
+            r"expects ts with shape \(n,\), n >= 2, got \(1,\)",
+        ),
+        (tx.FirstOrderHold, 0.0, ROWS, tx.ShapeError, "FirstOrderHold expects ts"),
     ],
 )
 def test_wrong_tables_are_named(form: type, ts: object, values: object, error: type[Exception], message: str) -> None:
@@ -154,7 +182,7 @@ def test_a_row_shorter_than_round_off_of_its_neighbours_counts(width: float) -> 
     x, F = tx.State("x"), tx.Control("F")
     moved = tx.compile(tx.System(rates={x: F}))
     ts = np.array([0.0, 0.7, 0.7 + width])
-    kick = {"F": tx.Held(ts=ts, values=[2.0, 1.0 / (ts[2] - ts[1]), -3.0])}
+    kick = {"F": tx.ZeroOrderHold(ts=ts, values=[2.0, 1.0 / (ts[2] - ts[1]), -3.0])}
     sol = tx.integrate(moved, {"x": 0.0}, t1=2.0, u=kick, rtol=1e-9)
     assert float(sol.xs["x"][-1]) == pytest.approx(1.4 + 1.0 - 3.0 * (2.0 - ts[2]), abs=1e-12)
     assert sol.stats.rejected == 0

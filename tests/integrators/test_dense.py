@@ -69,7 +69,7 @@ def test_a_state_comes_from_the_step_that_holds_it() -> None:
     """x' = F jumps from 1 to -5 at 0.5: a step from before it to a time after it would miss."""
     x, F = tx.State("x"), tx.Control("F")
     push = tx.compile(tx.System(rates={x: F}))
-    u = {"F": tx.Held(np.array([0.0, 0.5]), np.array([1.0, -5.0]))}
+    u = {"F": tx.ZeroOrderHold(np.array([0.0, 0.5]), np.array([1.0, -5.0]))}
     sol = tx.integrate(push, {"x": 0.0}, t1=1.0, rtol=1e-9, u=u, dense=True)
     np.testing.assert_allclose(sol.evaluate(np.array([0.49, 0.5, 0.51]))["x"], [0.49, 0.5, 0.45], atol=1e-14)
 

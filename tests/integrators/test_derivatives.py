@@ -29,7 +29,7 @@ def test_forward_reverse_and_finite_differences_agree(body: tx.Dynamics) -> None
     ts = np.array([0.0, 0.33, 1.0])
 
     def cost(z: dict[str, jax.Array]) -> jax.Array:
-        u = {"F": tx.Linear(ts, z["F"])}
+        u = {"F": tx.FirstOrderHold(ts, z["F"])}
         t0, t1 = z["times"]
         sol = tx.integrate(
             body,
@@ -80,7 +80,7 @@ def test_a_traced_flight_is_the_known_one(body: tx.Dynamics) -> None:
         return tx.integrate(body, x0, t1=1.0, dt=0.1, u={"F": np.ones(6)}, save_at=ts, method=HEUN)
 
     known, traced = fly(start()), jax.jit(fly)(start())
-    assert traced.result is tx.Result.DONE
+    assert traced.result is tx.Result.SUCCESS
     assert traced.stats.steps == known.stats.steps
     assert traced.stats.rhs_evaluations == known.stats.rhs_evaluations
     for name in known.xs:
@@ -95,7 +95,7 @@ def test_a_map_over_starts_is_a_flight_of_each() -> None:
     batch = {name: np.stack([x0[name] for x0 in starts]) for name in starts[0]}
     mapped = jax.vmap(lambda x0: tx.integrate(dynamics, x0, t1=0.5, dt=0.05, method=HEUN))(batch)
     assert mapped.xs["g"].shape == (3, 1, 4, 4)
-    assert (mapped.result == tx.Result.DONE).all()
+    assert (mapped.result == tx.Result.SUCCESS).all()
     for i, x0 in enumerate(starts):
         np.testing.assert_allclose(
             mapped.xs["g"][i], tx.integrate(dynamics, x0, t1=0.5, dt=0.05, method=HEUN).xs["g"], atol=1e-14
@@ -107,7 +107,7 @@ def test_a_traced_failure_stays_in_the_solution() -> None:
     dynamics = tx.compile(tx.System(rates={x: x * x}))
     fly = jax.jit(lambda x0: tx.integrate(dynamics, {"x": x0}, t1=2.0, dt=0.01, save_at=np.array([0.5, 2.0])))
     good, bad = fly(0.1), fly(1.0)
-    assert good.result is tx.Result.DONE
+    assert good.result is tx.Result.SUCCESS
     assert bad.result is tx.Result.NON_FINITE
     assert np.isfinite(bad.xs["x"][0])
     assert not np.isfinite(bad.xs["x"][1])

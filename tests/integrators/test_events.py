@@ -69,7 +69,7 @@ def test_directions() -> None:
 
 def test_without_an_event_on_the_way_the_end_is_reached() -> None:
     flight = fly(GROUND, 500.0, t1=1.0, **FIXED)
-    assert flight.result is tx.Result.DONE
+    assert flight.result is tx.Result.SUCCESS
     assert flight.event is None
     assert float(flight.ts[-1]) == 1.0
     plain = tx.integrate(falling(), start(500.0), t1=1.0, **FIXED)
@@ -103,9 +103,9 @@ def test_an_event_at_the_edge_of_a_step_is_neither_lost_nor_doubled() -> None:
         assert flight.result is tx.Result.EVENT
         assert float(flight.ts[-1]) == pytest.approx(0.5, abs=1e-15)
         again = tx.integrate(line, {"x": flight.xs["x"][-1]}, t0=flight.ts[-1], t1=1.0, steps=steps, event=crossing)
-        assert again.result is tx.Result.DONE
+        assert again.result is tx.Result.SUCCESS
     # From round-off on either side it is no event; from further away it is.
-    for offset, result in ((1e-16, "DONE"), (-1e-16, "DONE"), (0.0, "DONE"), (-1e-6, "EVENT")):
+    for offset, result in ((1e-16, "SUCCESS"), (-1e-16, "SUCCESS"), (0.0, "SUCCESS"), (-1e-6, "EVENT")):
         flight = tx.integrate(line, {"x": offset}, t1=1.0, steps=8, event=crossing)
         assert flight.result is tx.Result[result], offset
     # The flight ends where the condition becomes zero, up to round-off: else flights in a row would lose it.
@@ -155,7 +155,7 @@ def test_conditions_that_are_not_smooth(condition: Any, exact: float | None, how
     x = tx.State("x")
     line = tx.compile(tx.System(rates={x: 1.0 + 0.0 * x}))
     flight = tx.integrate(line, {"x": 0.0}, t1=1.0, event=tx.Event(condition), **how)
-    assert flight.result is (tx.Result.DONE if exact is None else tx.Result.EVENT)
+    assert flight.result is (tx.Result.SUCCESS if exact is None else tx.Result.EVENT)
     np.testing.assert_allclose(flight.ts, [1.0 if exact is None else exact], atol=1e-13)
 
 
@@ -199,7 +199,7 @@ def test_a_batch_stops_each_member_at_its_own_event() -> None:
     flights = jax.jit(jax.vmap(one))(heights)
     exact = np.minimum(np.sqrt(2.0 * np.asarray(heights) / WEIGHT), 2.0)
     np.testing.assert_allclose(flights.ts[:, -1], exact, atol=1e-9)
-    np.testing.assert_array_equal(flights.result, [tx.Result.EVENT, tx.Result.EVENT, tx.Result.DONE])
+    np.testing.assert_array_equal(flights.result, [tx.Result.EVENT, tx.Result.EVENT, tx.Result.SUCCESS])
     np.testing.assert_array_equal(flights.event, [0, 0, -1])
     reached = np.isfinite(flights.xs["g"][:, :3, 2, 3])
     np.testing.assert_array_equal(reached, np.asarray(saves)[None] <= exact[:, None])
@@ -210,7 +210,7 @@ def test_a_batch_stops_each_member_at_its_own_event() -> None:
 def test_conditions_may_read_time_controls_and_parameters() -> None:
     x, F, k = tx.State("x"), tx.Control("F"), tx.Parameter("k", value=2.0)
     motor = tx.compile(tx.System(rates={x: k * F}))
-    table = {"F": tx.Held([0.0, 0.2], [1.0, 3.0])}
+    table = {"F": tx.ZeroOrderHold([0.0, 0.2], [1.0, 3.0])}
     event = [tx.Event(x * k - F), tx.Event(tx.Time() - 0.75)]
     # x = 2 t, then from 0.2 on 0.4 + 6 (t - 0.2), and k x reaches F = 3 at x = 1.5.
     flight = tx.integrate(motor, {"x": 0.0}, t1=1.0, rtol=1e-10, u=table, event=event)

@@ -176,7 +176,7 @@ def test_stiffness_that_ends_with_a_jump(k: float) -> None:
     """Steps before and after the jump are of one length: what was learned before must not serve after it."""
     x, K, F, t = tx.State("x"), tx.Control("K"), tx.Control("F"), tx.Time()
     dynamics = tx.compile(tx.System(rates={x: F - K * (x - 1.0 - 0.1 * tx.Sin(t))}))
-    u = {"K": tx.Held(ts=[0.0, 1.0], values=[k, 0.0]), "F": tx.Held(ts=[0.0, 1.0], values=[0.0, 1.0])}
+    u = {"K": tx.ZeroOrderHold(ts=[0.0, 1.0], values=[k, 0.0]), "F": tx.ZeroOrderHold(ts=[0.0, 1.0], values=[0.0, 1.0])}
     control = tx.StepControl(dtmax=0.125)
     options = {"u": u, "rtol": 1e-5, "control": control, "save_at": [0.3, 1.0, 1.3, 1.5]}
     sol = tx.integrate(dynamics, {"x": 1.0}, t1=1.5, dt=0.125, method=RADAU, **options)

@@ -28,8 +28,8 @@ def test_without_save_at_only_the_end_comes_back() -> None:
     assert sol.stats.steps == sol.stats["accepted"] == 3
     assert sol.stats.rejected == 0
     assert sol.stats.rhs_evaluations == 12
-    assert sol.result is tx.Result.DONE
-    assert str(sol.result) == "DONE: the end time was reached"
+    assert sol.result is tx.Result.SUCCESS
+    assert str(sol.result) == "SUCCESS: the end time was reached"
     with pytest.raises(KeyError, match="the counts are steps, accepted"):
         _ = sol.stats["stages"]
 
@@ -115,8 +115,8 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     ts = np.array([0.0, 1.0])
     forms = {
         "held": lambda k: {"F": k},
-        "table": lambda k: {"F": tx.Held(ts, k * ts)},
-        "linear": lambda k: {"F": tx.Linear(ts + k, k * ts)},
+        "table": lambda k: {"F": tx.ZeroOrderHold(ts, k * ts)},
+        "linear": lambda k: {"F": tx.FirstOrderHold(ts + k, k * ts)},
     }
     for form in forms.values():
         tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, u=form(1.0))

@@ -57,7 +57,7 @@ TS, VALUES = np.array([0.0, 0.313, 0.5, 1.7]), np.array([1.0, -2.0, 30.0, 0.5])
 def test_a_held_table_is_flown_to_tolerance_without_a_search(tableau: object) -> None:
     """The rate after a jump is not the one carried on from the step before it: that would cost a search or digits."""
     tol = 1e-6 if tableau is BOGACKI_SHAMPINE3 else TOL
-    sol = fly({"F": tx.Held(TS, VALUES)}, tableau=tableau, rtol=tol, atol=tol)
+    sol = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, tableau=tableau, rtol=tol, atol=tol)
     assert float(sol.xs["x"][0]) == pytest.approx(held_exact(TS, VALUES, 3.0), abs=20 * tol)
     assert sol.stats.rejected <= 2 * (TS.size - 1)
     smooth = fly({"F": 30.0}, tableau=tableau, rtol=tol, atol=tol)
@@ -65,7 +65,7 @@ def test_a_held_table_is_flown_to_tolerance_without_a_search(tableau: object) ->
 
 
 def test_a_linear_table_is_flown_to_tolerance() -> None:
-    sol = fly({"F": tx.Linear(TS, VALUES)})
+    sol = fly({"F": tx.FirstOrderHold(TS, VALUES)})
     assert float(sol.xs["x"][0]) == pytest.approx(linear_exact(TS, VALUES, 3.0), abs=20 * TOL)
     assert sol.stats.rejected <= 2 * TS.size
 
@@ -74,17 +74,17 @@ def test_jumps_that_do_not_matter_change_nothing() -> None:
     """Outside of the flight, at its ends, or twice."""
     wide = np.array([-5.0, -1.0, 0.0, 0.313, 0.5, 1.7, 3.0, 9.0])
     values = np.array([7.0, 7.0, 1.0, -2.0, 30.0, 0.5, 99.0, 77.0])
-    sol = fly({"F": tx.Held(wide, values)})
+    sol = fly({"F": tx.ZeroOrderHold(wide, values)})
     assert float(sol.xs["x"][0]) == pytest.approx(held_exact(TS, VALUES, 3.0), abs=20 * TOL)
-    narrow = fly({"F": tx.Held(TS, VALUES)})
+    narrow = fly({"F": tx.ZeroOrderHold(TS, VALUES)})
     assert (sol.stats.accepted, sol.stats.rejected) == (narrow.stats.accepted, narrow.stats.rejected)
-    again = fly({"F": tx.Held(TS, VALUES)}, jumps=[-3.0, 0.0, 0.5, 0.5, 1.7, 3.0, 8.0])
+    again = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, jumps=[-3.0, 0.0, 0.5, 0.5, 1.7, 3.0, 8.0])
     assert (again.stats.accepted, again.stats.rejected) == (narrow.stats.accepted, narrow.stats.rejected)
     np.testing.assert_allclose(again.xs["x"], narrow.xs["x"], rtol=1e-13)
 
 
 def test_a_flight_that_starts_at_a_jump_sees_what_comes_after() -> None:
-    sol = fly({"F": tx.Held(TS, VALUES)}, t0=0.5, t1=1.7)
+    sol = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, t0=0.5, t1=1.7)
     assert float(sol.xs["x"][0]) == pytest.approx(30.0 - 29.0 * np.exp(-1.2), abs=30 * TOL)
     assert sol.stats.rejected <= 2
 
@@ -99,7 +99,7 @@ def test_tables_with_different_times_are_all_met() -> None:
         t1=3.0,
         rtol=TOL,
         atol=TOL,
-        u={"F": tx.Held(TS, VALUES), "G": tx.Held(other, more)},
+        u={"F": tx.ZeroOrderHold(TS, VALUES), "G": tx.ZeroOrderHold(other, more)},
     )
     joined = np.array([0.0, 0.313, 0.5, 1.7, 2.1])
     exact = held_exact(joined, np.array([1.0 + 4.0, -2.0 - 4.0, 30.0 - 4.0, 0.5 - 4.0, 0.5 + 8.0]), 3.0)
@@ -141,10 +141,10 @@ def test_a_system_that_jumps_is_flown_cheaply_where_it_is_told(tableau: object) 
 
 def test_times_saved_at_and_around_jumps() -> None:
     ts = np.array([0.0, 0.3, 0.313, 0.313, 0.32, 0.5, 0.5 + 1e-9, 1.7, 2.9, 3.0])
-    sol = fly({"F": tx.Held(TS, VALUES)}, save_at=ts)
+    sol = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, save_at=ts)
     exact = [held_exact(TS, VALUES, t) for t in ts]
     np.testing.assert_allclose(sol.xs["x"], exact, rtol=0.0, atol=20 * TOL)
-    alone = fly({"F": tx.Held(TS, VALUES)})
+    alone = fly({"F": tx.ZeroOrderHold(TS, VALUES)})
     assert sol.stats.accepted == alone.stats.accepted
 
 
@@ -161,7 +161,7 @@ def test_a_pulse_far_shorter_than_the_steps_around_it(offset: float) -> None:
         t1=offset + 200.0,
         rtol=1e-9,
         atol=1e-9,
-        u={"F": tx.Held(ts, np.array([0.0, 1e3, 0.0]))},
+        u={"F": tx.ZeroOrderHold(ts, np.array([0.0, 1e3, 0.0]))},
         method=tx.RKMK(TSIT5),
     )
     np.testing.assert_allclose(sol.xs["x"], [np.exp(-1e-6 * 99.999)], rtol=1e-7)
@@ -171,7 +171,7 @@ def test_a_pulse_far_shorter_than_the_steps_around_it(offset: float) -> None:
 def test_jumps_are_inputs_and_one_flight_serves_a_batch_of_them() -> None:
     def end(first: jax.Array) -> tx.Solution:
         ts = jnp.stack([jnp.zeros(()), first, jnp.asarray(2.0)])
-        return fly({"F": tx.Held(ts, jnp.array([1.0, -2.0, 4.0]))})
+        return fly({"F": tx.ZeroOrderHold(ts, jnp.array([1.0, -2.0, 4.0]))})
 
     firsts = np.array([0.1, 0.55, 1.9])
     lanes = jax.vmap(end)(firsts)
@@ -181,7 +181,9 @@ def test_jumps_are_inputs_and_one_flight_serves_a_batch_of_them() -> None:
 
 def test_single_precision_steps_end_at_jumps_too() -> None:
     ts, values = TS.astype(np.float32), VALUES.astype(np.float32)
-    sol = tx.integrate(lag(), {"x": np.float32(1.0)}, t1=3.0, rtol=1e-5, atol=1e-5, u={"F": tx.Held(ts, values)})
+    sol = tx.integrate(
+        lag(), {"x": np.float32(1.0)}, t1=3.0, rtol=1e-5, atol=1e-5, u={"F": tx.ZeroOrderHold(ts, values)}
+    )
     assert sol.xs["x"].dtype == jnp.float32
     np.testing.assert_allclose(sol.xs["x"], held_exact(TS, VALUES, 3.0), atol=3e-4)
     assert sol.stats.rejected <= 6

@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_the_steps() -> None:
 
 def test_controls_may_be_functions_of_time_and_tables() -> None:
     times, values = np.array([0.0, 0.2, 0.5]), np.arange(9.0).reshape(3, 3)
-    controls = [lambda t: {"F": jnp.stack([t, jnp.sin(t), 1.0 - t])}, {"F": tx.Linear(times, values)}]
+    controls = [lambda t: {"F": jnp.stack([t, jnp.sin(t), 1.0 - t])}, {"F": tx.FirstOrderHold(times, values)}]
     for u in controls:
         found, expected = (tx.integrate(d, START, t1=0.5, steps=10, u=u) for d in (NATIVE, PLAIN))
         _near(found.xs, expected.xs)

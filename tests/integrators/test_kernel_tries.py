@@ -55,7 +55,7 @@ def test_the_flight_is_that_of_the_loop(name: str) -> None:
 
 
 def test_saved_times_limits_and_jumps() -> None:
-    table = tx.Held(np.array([0.0, 0.25, 0.5]), np.array([[1.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, -4.0]]))
+    table = tx.ZeroOrderHold(np.array([0.0, 0.25, 0.5]), np.array([[1.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, -4.0]]))
     given: dict[str, Any] = {
         "t1": 0.7,
         "rtol": 1e-8,
@@ -95,7 +95,7 @@ def test_failures_are_those_of_the_loop() -> None:
         found = jax.vmap(fly)(starts)
         one, short = fly(30.0, throw=False), fly(0.5, throw=False, steps=3)
         # Close to the pole rounding decides how large x is.
-        x = jnp.where(found.result == tx.Result.DONE.value, found.xs["x"][:, -1], 0.0)
+        x = jnp.where(found.result == tx.Result.SUCCESS.value, found.xs["x"][:, -1], 0.0)
         ends.append((x, found.result, found.stats.steps, found.stats.rhs_evaluations))
         ends[-1] += tuple(jnp.asarray(v) for s in (one, short) for v in (s.ts[-1], s.result.value, s.stats.rejected))
         with pytest.raises(tx.IntegrationError, match="x"):

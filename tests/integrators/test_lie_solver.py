@@ -85,7 +85,7 @@ def test_two_parts_one_implicit(kind: Any, order: int, steps: int) -> None:
 def test_the_steps_are_those_of_integrate(chart: Any) -> None:
     """The same tableau in the same chart, a pose, a table as control and a parameter: equal up to round-off."""
     dynamics = tx.compile(pushed())
-    u = {"F": tx.Linear([0.0, 0.2, 0.5], np.random.default_rng(1).normal(size=(3, 6)))}
+    u = {"F": tx.FirstOrderHold([0.0, 0.2, 0.5], np.random.default_rng(1).normal(size=(3, 6)))}
     params = {"m": 1.7}
     solver = tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics, chart)
     sol = diffrax.diffeqsolve(

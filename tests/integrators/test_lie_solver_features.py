@@ -181,7 +181,7 @@ def test_jumps_of_tables_and_functions() -> None:
         )
         return float(sol.ys["x"][-1])
 
-    table = {"F": tx.Held([0.0, 0.5], [2.0, -1.0])}
+    table = {"F": tx.ZeroOrderHold([0.0, 0.5], [2.0, -1.0])}
     assert abs(flown(table, diffrax.ConstantStepSize()) - exact) < 1e-9
     assert abs(flown(table, tx.diffrax.controller(1e-10, step_ts=[0.5])) - exact) < 1e-9
     switched = lambda t: {"F": jnp.where(t < 0.5, 2.0, -1.0)}  # noqa: E731

@@ -107,7 +107,7 @@ def test_flights_by_tables_are_small_calls() -> None:
     def fly(x: jax.Array, values: jax.Array) -> jax.Array:
         def advance(i: jax.Array, x: jax.Array) -> jax.Array:
             t, h = 0.1 * i, jnp.asarray(0.1)
-            F = tx.Held(ts, values).during(t, h)(t)
+            F = tx.ZeroOrderHold(ts, values).during(t, h)(t)
             return x + h * dynamics.vector_field(t, {"x": x}, {"F": F}, {})["x"]
 
         return jax.lax.fori_loop(0, 10, advance, x)

@@ -275,7 +275,7 @@ def driven() -> tx.Dynamics:
 @pytest.mark.slow
 def test_controls_that_jump_at_steps_cost_no_order() -> None:
     dynamics, rows = driven(), np.random.default_rng(4).normal(size=(4, 3))
-    u = {"F": tx.Held(ts=[0.0, 0.5, 1.0, 1.5], values=rows)}
+    u = {"F": tx.ZeroOrderHold(ts=[0.0, 0.5, 1.0, 1.5], values=rows)}
     wanted = tx.integrate(dynamics, TOP_START, t1=2.0, rtol=1e-13, u=u, method=tx.RKMK(tx.tableaus.DOP853)).xs
     wanted = {name: np.asarray(value[-1]) for name, value in wanted.items()}
     method = tx.Splitting(KAHAN_LI6, TOP_BODY)

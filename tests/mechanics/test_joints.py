@@ -25,7 +25,7 @@ class Helical(joints.Joint):
 
     def __init__(self, name: str) -> None:
         motor = np.concatenate([np.zeros(3), AXIS])
-        super().__init__(name, motion=np.concatenate([PITCH * AXIS, AXIS]), working=motor)
+        super().__init__(name, motion=np.concatenate([PITCH * AXIS, AXIS]), actuation_basis=motor)
 
     def placement(self, position: tx.Expr) -> tx.Expr:
         q = position[0]
@@ -79,8 +79,8 @@ def screws(frames: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
         found = joint.screws_in(T)
         asked[name] = {
             "H": found.motion_subspace,
-            "h": found.working_wrench,
-            "H_bar": found.constraint_wrenches,
+            "h": found.actuation_basis,
+            "H_bar": found.constraint_basis,
             "actuation": found.actuation(F),
             "reaction": found.reaction(F),
             "wrench": found.wrench(np.arange(1.0, joint.dofs + 1.0)),
@@ -132,19 +132,19 @@ def test_orthogonality_to_the_working_wrench_is_no_law(screws: Any) -> None:
 
 def test_the_joint_itself_says_the_same_in_its_own_frame(screws: Any, frames: dict[str, np.ndarray]) -> None:
     joint, _ = JOINTS["screw"]
-    own = {"H": joint.motion_subspace, "h": joint.working_wrench, "H_bar": joint.constraint_wrenches}
+    own = {"H": joint.motion_subspace, "h": joint.actuation_basis, "H_bar": joint.constraint_basis}
     own |= {"actuation": joint.actuation(F), "reaction": joint.reaction(F), "wrench": joint.wrench([1.0])}
     for what, value in tx.lower(own)(0.0, {"F": frames["F"][0]}).items():
         np.testing.assert_allclose(value, screws["screw"][what][0], atol=1e-15)
 
 
 def test_the_basis_of_a_joint_along_a_coordinate_axis_is_made_of_coordinate_axes() -> None:
-    basis = JOINTS["hinge"][0].constraint_wrenches.value
+    basis = JOINTS["hinge"][0].constraint_basis.value
     assert (basis == np.eye(6)[:, :5]).all()
     assert not np.signbit(basis).any()
-    slide = joints.Prismatic("slide", axis=(0.0, -1.0, 0.0)).constraint_wrenches.value
+    slide = joints.Prismatic("slide", axis=(0.0, -1.0, 0.0)).constraint_basis.value
     assert (slide == np.delete(np.eye(6), 1, axis=1)).all()
-    oblique = JOINTS["oblique"][0].constraint_wrenches.value
+    oblique = JOINTS["oblique"][0].constraint_basis.value
     np.testing.assert_allclose(oblique.T @ oblique, np.eye(5), atol=1e-15)
 
 
@@ -198,7 +198,7 @@ def test_a_hinge_costs_one_sine_and_one_cosine() -> None:
 
 def test_precision_follows_the_arrays() -> None:
     joint, _ = JOINTS["oblique"]
-    both = (joint.transform, joint.screws_in(joint.transform).constraint_wrenches)
+    both = (joint.transform, joint.screws_in(joint.transform).constraint_basis)
     for value in tx.lower(both)(0.0, {"oblique_position": np.ones(1, np.float32)}):
         assert value.dtype == np.float32
 
@@ -293,14 +293,18 @@ def two_of_one_name() -> tx.System:
         (lambda: Loose("j", motion=np.ones((6, 2))), tx.ModelError, "independent columns"),
         (lambda: Loose("j", motion=np.full((6, 1), np.inf)), tx.ModelError, "finite"),
         (lambda: Loose("j", motion="z"), tx.ModelError, "motion to be an array of numbers, got 'z'"),
-        (lambda: Loose("j", motion=np.eye(6)[0], working="z"), tx.ModelError, "working to be an array of numbers"),
+        (
+            lambda: Loose("j", motion=np.eye(6)[0], actuation_basis="z"),
+            tx.ModelError,
+            "to be an array of numbers",
+        ),
         (lambda: Flat("j", motion=np.eye(6)[0]).transform, tx.ShapeError, r"its placement with shape \(4, 4\)"),
         (two_of_one_name, tx.ModelError, "(?s)two States named 'h_position'.*named after the joint"),
         (lambda: JOINTS["ball"][0].screws_in(2.0 * np.eye(4)), tx.ModelError, r"pose T to be a pose \[R p; 0 1\]"),
         (lambda: JOINTS["hinge"][0].actuation(None), tx.ModelError, "actuation of a joint expects the wrench F"),
         (lambda: Loose("j", motion=np.eye(3)), tx.ShapeError, r"motion with shape \(6, k\).*got \(3, 3\)"),
-        (lambda: Loose("j", motion=np.eye(6)[0], working=np.eye(6)[1]), tx.ModelError, "unit power"),
-        (lambda: Loose("j", motion=np.eye(6)[0], working=np.eye(6)[:, :2]), tx.ShapeError, "shape of motion"),
+        (lambda: Loose("j", motion=np.eye(6)[0], actuation_basis=np.eye(6)[1]), tx.ModelError, "unit power"),
+        (lambda: Loose("j", motion=np.eye(6)[0], actuation_basis=np.eye(6)[:, :2]), tx.ShapeError, "shape of motion"),
         (lambda: Mismatched("j", motion=np.eye(6)), tx.ModelError, "group of dimension 6.*got SO3 of dimension 3"),
         (lambda: JOINTS["hinge"][0].actuation(np.ones(3)), tx.ShapeError, r"wrench F with shape \(6,\), got \(3,\)"),
         (lambda: JOINTS["hinge"][0].reaction(1.0), tx.ShapeError, r"wrench F with shape \(6,\), got \(\)"),

@@ -41,7 +41,7 @@ class Helical(joints.Joint):
     def __init__(self, name: str, axis: Any, pitch: float) -> None:
         self.axis, self.pitch = np.asarray(axis) / np.linalg.norm(axis), pitch
         working = np.concatenate([np.zeros(3), self.axis])
-        super().__init__(name, motion=np.concatenate([pitch * self.axis, self.axis]), working=working)
+        super().__init__(name, motion=np.concatenate([pitch * self.axis, self.axis]), actuation_basis=working)
 
     def placement(self, position: tx.Expr) -> tx.Expr:
         return tx.lie.Pose(tx.lie.AxisRotation(position[0], self.axis), self.pitch * position[0] * self.axis)

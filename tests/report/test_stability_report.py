@@ -36,7 +36,7 @@ LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
 # ---- what counts ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("expected", [AtMost(1.0), AtLeast(1.0), Ends(tx.Result.DONE), Refused(tx.InputError, "")])
+@pytest.mark.parametrize("expected", [AtMost(1.0), AtLeast(1.0), Ends(tx.Result.SUCCESS), Refused(tx.InputError, "")])
 @pytest.mark.parametrize("found", [Found(math.nan), Found(math.inf), Found(failure=LOST), Found(failure=TypeError())])
 def test_no_number_and_no_unforeseen_failure_is_ever_expected(expected: Any, found: Found) -> None:
     assert not expected.met(found)

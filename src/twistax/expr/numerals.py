@@ -8,7 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal
+
+from ..jax_inside import ClosedJaxpr, Literal
 
 #: What constants are folded with most; JAX itself does whatever is not here.
 _IN_NUMPY: dict[str, Callable[..., Any]] = {

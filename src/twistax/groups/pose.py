@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,13 +9,14 @@ from jaxtyping import Array, Float
 from twistax.errors import InputError, ShapeError
 from twistax.groups import quaternions, se3
 from twistax.groups.inputs import Input, floats, of_shape
+from twistax.jax_inside import is_tracer
 
 __all__ = ["euler", "pose", "quaternion", "quaternion_product", "rotation_from_quaternion"]
 
 
 def _concrete(a: Array) -> np.ndarray | None:
     """The values, or None while JAX traces and there are none."""
-    return None if isinstance(a, jax.core.Tracer) else np.asarray(a)
+    return None if is_tracer(a) else np.asarray(a)
 
 
 def _rotation_of(function: str, R: Input) -> Array:

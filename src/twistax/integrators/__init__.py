@@ -1,7 +1,7 @@
 """Integration on groups: tableaus, charts, the stage loop, controls over time, fixed-step flights."""
 
 from .commutator_free import CF4, CommutatorFree, CommutatorFreeTableau
-from .controls import Held, Linear, Table
+from .controls import FirstOrderHold, Table, ZeroOrderHold
 from .events import Event
 from .implicit import CollocationTableau, ImplicitRKMK
 from .integrate import integrate
@@ -21,9 +21,9 @@ __all__ = [
     "CommutatorFree",
     "CommutatorFreeTableau",
     "Event",
-    "Held",
+    "ZeroOrderHold",
     "ImplicitRKMK",
-    "Linear",
+    "FirstOrderHold",
     "Magnus",
     "Method",
     "Result",

@@ -134,7 +134,7 @@ class AdaptiveCourse(Course):
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
         stops, read = self.stops, ravel_pytree(y)[1]
         now, found = small_call(lambda course, stepper, y: course._all_steps(stepper, y, record), self, stepper, y)
-        short = (now.code == Result.DONE.value) & (now.t < stops.limits[-1])
+        short = (now.code == Result.SUCCESS.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         outcome = Outcome(code, now.tried, now.accepted, now.evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None

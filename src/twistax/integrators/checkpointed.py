@@ -9,6 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from ..jax_inside import any_of_batch
+
 __all__ = ["take_steps"]
 
 #: Steps in a block: what lies between is computed again on the way back, so that only states are kept.
@@ -32,7 +34,6 @@ def take_steps(
         record: also return the values before each step, and after the last one, on a leading axis of bound + 1; entries
             beyond the count repeat the end.
     """
-    from equinox.internal import unvmap_any
 
     def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
         k, own = entry
@@ -40,7 +41,7 @@ def take_steps(
         def taken(y: Any) -> Any:
             return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, own), y)
 
-        return jax.lax.cond(unvmap_any(k < count), taken, lambda y: y, y), y if record else None
+        return jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y), y if record else None
 
     def block_of(level: Any) -> Any:
         """Runs of a level, computed again on the way back, and passed over where the count is reached."""
@@ -53,7 +54,7 @@ def take_steps(
             shapes = jax.eval_shape(run, y, entries)[1]
             first = entries[0].reshape(-1)[0]
             return jax.lax.cond(
-                unvmap_any(first < count), lambda y: run(y, entries), lambda y: (y, _repeated(y, shapes)), y
+                any_of_batch(first < count), lambda y: run(y, entries), lambda y: (y, _repeated(y, shapes)), y
             )
 
         return block

@@ -16,7 +16,7 @@ from ..lowering.concrete import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import read_values
 
-__all__ = ["ByName", "Held", "Linear", "OfTime", "Signals", "Table", "controls_of"]
+__all__ = ["ByName", "ZeroOrderHold", "FirstOrderHold", "OfTime", "Signals", "Table", "controls_of"]
 
 #: Tables of more times are searched by halving.
 _SHORT = 64
@@ -97,7 +97,7 @@ def _within(t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
     return lambda time: time + hair * (middle - time)
 
 
-class Held(Table):
+class ZeroOrderHold(Table):
     """A zero-order hold: row i holds from ts[i] until ts[i + 1], the first also before, the last also after.
 
     A step that starts or ends at a jump sees the value within the step at all its stages, so that steps which end at
@@ -120,8 +120,8 @@ class Held(Table):
         return value
 
 
-class Linear(Table):
-    """Linear interpolation between rows, held beyond the ends."""
+class FirstOrderHold(Table):
+    """FirstOrderHold interpolation between rows, held beyond the ends."""
 
     rows = 2
 

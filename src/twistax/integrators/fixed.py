@@ -93,7 +93,7 @@ class FixedCourse(Course):
         def advance(now: _Now) -> _Now:
             found = stepper.follow(self._time(now.steps), now.y, now.carry, self.h)
             good = all_finite(found.y)
-            code = jnp.where(good, Result.DONE.value, Result.NON_FINITE.value)
+            code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
             if found.solved is not None:
                 good = good & found.solved
                 code = jnp.where(found.solved, code, Result.NEWTON_FAILED.value)
@@ -112,10 +112,10 @@ class FixedCourse(Course):
 
         def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
             if kernel is None:
-                now = jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.DONE.value), advance, now)
+                now = jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.SUCCESS.value), advance, now)
             else:
                 now = self._by_kernel(kernel, stepper, now, stop)
-            return now, None if self.at is None else (now.y, now.code == Result.DONE.value)
+            return now, None if self.at is None else (now.y, now.code == Result.SUCCESS.value)
 
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
@@ -128,7 +128,7 @@ class FixedCourse(Course):
 
     def _by_kernel(self, kernel: KernelSteps, stepper: Stepper, now: _Now, stop: jax.Array) -> _Now:
         """All steps up to a stop at once; a flight that halted already stays as it is."""
-        stop = jnp.where(now.code == Result.DONE.value, stop, now.steps)
+        stop = jnp.where(now.code == Result.SUCCESS.value, stop, now.steps)
         y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
         halted = steps < stop
         tried = steps - now.steps + halted.astype(steps.dtype)

@@ -181,7 +181,7 @@ def _saved(stepper: Stepper, flown: Flown, ys: Blocks, parts: Part, x: Arrays, m
     xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
     outcome = flown.outcome
     counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
-    lost = (outcome.code == Result.DONE.value) & ~reached.all()
+    lost = (outcome.code == Result.SUCCESS.value) & ~reached.all()
     outcome = outcome._replace(
         evaluations=outcome.evaluations + counts, code=jnp.where(lost, Result.NON_FINITE.value, outcome.code)
     )

@@ -80,9 +80,9 @@ def integrate(
         control: how steps follow from errors, a `StepControl`, and how many there may be.
         jumps: sorted times at which u, or the system itself, jumps; steps chosen by tolerances end there. Tables bring
             their own.
-        u: the controls: a dict of arrays, which are held, or of tables (`Held`, `Linear`); or a traceable function of
-            t that returns the dict and is called at stage times. A function is part of the compiled program: another
-            one compiles again, and what it closes over is read when it is compiled.
+        u: the controls: a dict of arrays, which are held, or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a
+            traceable function of t that returns the dict and is called at stage times. A function is part of the
+            compiled program: another one compiles again, and what it closes over is read when it is compiled.
         params: parameter values; missing ones take the Parameter's own.
         save_at: sorted times inside [t0, t1]. Between steps the state is one shorter step of the same method from the
             step's start, as accurate as the method. Left out: the end alone.
@@ -184,12 +184,12 @@ def _solution(stepper: Stepper, course: Course, flight: Flight, ts: jax.Array, e
         return Solution(ts, xs, stats, outcome.code, dense, flight.event)
     stats = Stats(*(int(count) for count in (stats.steps, stats.accepted, stats.rejected, stats.rhs_evaluations)))
     result = Result(int(outcome.code))
-    good = result in (Result.DONE, Result.EVENT)
+    good = result in (Result.SUCCESS, Result.EVENT)
     if throw and not good:
         raise failure(stepper, course, outcome, flight.end)
     if end_only:
-        return Solution(ts if result is Result.DONE else outcome.t[None], end, stats, result, dense, flight.event)
-    kept = len(ts) if result is Result.DONE else int(np.cumprod(flight.reached).sum())
+        return Solution(ts if result is Result.SUCCESS else outcome.t[None], end, stats, result, dense, flight.event)
+    kept = len(ts) if result is Result.SUCCESS else int(np.cumprod(flight.reached).sum())
     ts, xs = ts[:kept], {name: value[:kept] for name, value in flight.xs.items()}
     if watching:
         ts, xs = jnp.append(ts, outcome.t), _joined(xs, end)

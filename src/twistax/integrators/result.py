@@ -8,9 +8,9 @@ __all__ = ["Result"]
 
 
 class Result(enum.IntEnum):
-    """How an integration ended; `sentence` says it in words. DONE and EVENT are no failures."""
+    """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
 
-    DONE = 0
+    SUCCESS = 0
     NON_FINITE = 1
     MAX_STEPS = 2
     STEP_TOO_SMALL = 3
@@ -27,7 +27,7 @@ class Result(enum.IntEnum):
 
 
 _SENTENCES = {
-    Result.DONE: "the end time was reached",
+    Result.SUCCESS: "the end time was reached",
     Result.NON_FINITE: "a state became infinite or not a number",
     Result.MAX_STEPS: "the steps ran out before the end time",
     Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",

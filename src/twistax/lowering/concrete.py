@@ -7,12 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..jax_inside import is_tracer
+
 __all__ = ["is_finite", "is_traced"]
 
 
 def is_traced(tree: Any) -> bool:
     """Whether any leaf is a traced value, whose numbers are not known yet."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+    return any(is_tracer(leaf) for leaf in jax.tree.leaves(tree))
 
 
 def is_finite(value: Any) -> bool:

@@ -8,9 +8,9 @@ from collections.abc import Callable, Collection, Sequence
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 
 from ..errors import ModelError
+from ..jax_inside import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 from .concrete import is_traced
 from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.numbering import ValueNumbering

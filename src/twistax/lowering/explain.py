@@ -6,11 +6,11 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from ..expr import Expr, postorder
+from ..jax_inside import inner_jaxprs
 from .scalar.program import ScalarProgram
 
 __all__ = ["Dependence", "Explanation", "count_equations", "distinct_nodes", "entry_names", "written_nodes"]
@@ -149,12 +149,6 @@ def count_equations(jaxpr: Any) -> int:
     """Equations of a jaxpr, inner ones included and calls themselves not."""
     total = 0
     for equation in jaxpr.eqns:
-        inner = [
-            p for p in jax.tree_util.tree_leaves(list(equation.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)
-        ]
-        total += sum(count_equations(getattr(p, "jaxpr", p)) for p in inner) if inner else 1
+        inner = inner_jaxprs(equation)
+        total += sum(count_equations(each.jaxpr) for each in inner) if inner else 1
     return total
-
-
-def _is_jaxpr(value: Any) -> bool:
-    return hasattr(value, "eqns") or hasattr(value, "jaxpr")

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 
 from ..groups import Product
+from ..jax_inside import ClosedJaxpr
 from .scalar.derivatives import columns_of
 from .scalar.graph import Nodes
 from .scalar.passes import one_by_one

@@ -12,21 +12,16 @@ from __future__ import annotations
 import contextvars
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from ..jax_inside import ClosedJaxpr, inner_jaxprs, jaxpr_as_fun, small_calls_exist, xla_metadata
 from .concrete import is_traced
 
 __all__ = ["apart", "fits", "inside_small_call", "known_inside", "small_call"]
-
-try:
-    from jax.experimental.xla_metadata import set_xla_metadata
-except ImportError:  # a later JAX may have moved it
-    set_xla_metadata = None  # type: ignore[assignment]
 
 Result = TypeVar("Result")
 
@@ -100,7 +95,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         read = functools.reduce(jnp.add, [leaf.reshape(-1)[0].astype(jnp.float32) for leaf in leaves if leaf.size])
         return [*results, read]
 
-    if set_xla_metadata is None or jax.default_backend() != "cpu":
+    if not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
     outside = _INSIDE.set(True)
     try:
@@ -119,9 +114,7 @@ def apart(function: Callable[..., Result]) -> Callable[..., Result]:
     """The same, for the CPU, where XLA keeps it a function: inside of loops it would be written out."""
 
     def call(*arguments: Any) -> Result:
-        if set_xla_metadata is None:
-            return jax.jit(function, inline=False)(*arguments)
-        with set_xla_metadata(xla_cpu_small_call="false", inlineable="false"):
+        with xla_metadata(xla_cpu_small_call="false", inlineable="false"):
             return jax.jit(function, inline=False)(*arguments)
 
     return call
@@ -147,7 +140,7 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 
     @jax.custom_batching.custom_vmap
     def outlined(*leaves: jax.Array) -> list[jax.Array]:
-        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+        with xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jax.jit(run, inline=False)(*leaves)
 
     @outlined.def_vmap
@@ -168,16 +161,6 @@ def known_inside(jaxpr: Any) -> bool:
         largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
         if name not in _MOVING and largest > (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY):
             return False
-        if not all(known_inside(inner) for inner in _inner(equation.params)):
+        if not all(known_inside(inner.jaxpr) for inner in inner_jaxprs(equation)):
             return False
     return True
-
-
-def _inner(params: dict[str, Any]) -> Iterator[Any]:
-    """The jaxprs among the parameters of an equation."""
-    for value in params.values():
-        for entry in value if isinstance(value, (tuple, list)) else (value,):
-            if hasattr(entry, "jaxpr"):
-                yield entry.jaxpr
-            elif hasattr(entry, "eqns"):
-                yield entry

@@ -7,7 +7,8 @@ from collections import Counter
 from typing import Any
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from ..jax_inside import inner_jaxprs
 
 __all__ = ["array_operations", "has_keys", "largest_array", "primitives"]
 
@@ -29,11 +30,11 @@ def array_operations(jaxpr: Any) -> Counter[str]:
     found: Counter[str] = Counter()
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        inner = _inner(eqn)
+        inner = inner_jaxprs(eqn)
         out = sum(v.aval.size for v in eqn.outvars)
         if inner:
             for each in inner:
-                for kind, count in array_operations(each).items():
+                for kind, count in array_operations(each.jaxpr).items():
                     found[kind] += count * eqn.params.get("length", 1)
         elif name == "dot_general":
             (contracted, _), _ = eqn.params["dimension_numbers"]
@@ -52,12 +53,12 @@ def array_operations(jaxpr: Any) -> Counter[str]:
 def largest_array(jaxpr: Any) -> int:
     """The number of entries of the largest array that is worked on, also inside of calls and loops."""
     sizes = [v.aval.size for v in (*jaxpr.invars, *(v for eqn in jaxpr.eqns for v in eqn.outvars))]
-    return max([*sizes, *(largest_array(inner) for eqn in jaxpr.eqns for inner in _inner(eqn))], default=0)
+    return max([*sizes, *(largest_array(inner.jaxpr) for eqn in jaxpr.eqns for inner in inner_jaxprs(eqn))], default=0)
 
 
 def primitives(jaxpr: Any) -> set[str]:
     """The names of all operations, also inside of calls and loops."""
-    inside = [primitives(inner) for eqn in jaxpr.eqns for inner in _inner(eqn)]
+    inside = [primitives(inner.jaxpr) for eqn in jaxpr.eqns for inner in inner_jaxprs(eqn)]
     return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*inside)
 
 
@@ -65,14 +66,4 @@ def has_keys(jaxpr: Any) -> bool:
     """Whether random keys, or anything else that is no array of numbers, occur, also inside of calls and loops."""
     variables = [*jaxpr.constvars, *jaxpr.invars, *(v for eqn in jaxpr.eqns for v in eqn.outvars)]
     own = any(jax.dtypes.issubdtype(v.aval.dtype, jax.dtypes.extended) for v in variables if hasattr(v.aval, "dtype"))
-    return own or any(has_keys(inner) for eqn in jaxpr.eqns for inner in _inner(eqn))
-
-
-def _inner(eqn: Any) -> list[Jaxpr]:
-    """The jaxprs that an equation calls."""
-    found = [p for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
-    return [p.jaxpr if isinstance(p, ClosedJaxpr) else p for p in found]
-
-
-def _is_jaxpr(value: Any) -> bool:
-    return isinstance(value, (ClosedJaxpr, Jaxpr))
+    return own or any(has_keys(inner.jaxpr) for eqn in jaxpr.eqns for inner in inner_jaxprs(eqn))

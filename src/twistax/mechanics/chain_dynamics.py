@@ -173,7 +173,7 @@ class _Hinge:
     def __init__(self, link: _Moving, I: Expr, b: Expr, tau: Expr) -> None:
         self.link, self.I, self.b, self.tau = link, I, b, tau
         joint = link.link.joint
-        self.working = joint.working_wrench[:, 0]
+        self.working = joint.actuation_basis[:, 0]
         self.U = I @ link.H
         self.D = Dot(link.H, self.U)
         self.left = tau - Dot(link.H, b)

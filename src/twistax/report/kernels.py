@@ -89,7 +89,7 @@ def flights(count: int, steps: int, rounds: int) -> tuple[float, float]:
     start = {"g": jnp.broadcast_to(jnp.eye(4), (count, 4, 4)), "V": jnp.asarray(V)}
     runs = [_native(_flown(body(Native()), steps), start), _flown(body(XLA()), steps)]
     (ends, codes), (others, other_codes) = (run(start) for run in runs)
-    if not (jnp.all(codes == Result.DONE) and jnp.all(other_codes == Result.DONE)):
+    if not (jnp.all(codes == Result.SUCCESS) and jnp.all(other_codes == Result.SUCCESS)):
         raise RuntimeError("not all flights were finished")
     # NumPy's maximum hands on what is not a number; Python's loses it.
     apart = float(np.max([jnp.abs(ends[name] - others[name]).max() for name in ends]))

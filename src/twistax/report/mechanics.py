@@ -91,10 +91,10 @@ def _joint_checks(joint: joints.Joint, H: np.ndarray) -> Iterator[_Check]:
     k, moved = H.shape[1], joint.screws_in(_T)
     F_a = SE3AdjointDual(_T) @ _F
     yield _Check("Ad_T H = (T h^ T^-1)^v", moved.motion_subspace, partial(_moved_motions, H))
-    yield _Check("h*^T H = I", moved.working_wrench.T @ moved.motion_subspace, lambda z: np.eye(k))
+    yield _Check("h*^T H = I", moved.actuation_basis.T @ moved.motion_subspace, lambda z: np.eye(k))
     yield _Check(
         "reciprocity: H^T H-bar* = 0",
-        moved.motion_subspace.T @ moved.constraint_wrenches,
+        moved.motion_subspace.T @ moved.constraint_basis,
         lambda z: np.zeros((k, 6 - k)),
     )
     yield _Check("reaction: H^T (F - h* H^T F) = 0", moved.actuation(moved.reaction(F_a)), lambda z: np.zeros(k))

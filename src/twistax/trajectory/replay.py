@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, IntegrationError, TrajectoryError
 from ..expr import Inputs, evaluate_all
 from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
-from ..integrators import RKMK, Held, Method, integrate
+from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
 from .arrays import Array
@@ -80,7 +80,7 @@ def replay(
 def _fly_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[str, Array]:
     problem = result.problem
     intervals = problem.nodes - 1
-    tables = {name: Held(result.ts[:-1], values) for name, values in result.us.items()}
+    tables = {name: ZeroOrderHold(result.ts[:-1], values) for name, values in result.us.items()}
     flight = integrate(
         problem.dynamics,
         {name: values[0] for name, values in result.xs.items()},

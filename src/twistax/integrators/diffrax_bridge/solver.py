@@ -8,13 +8,12 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-from diffrax._term import WrapTerm
 from jax.flatten_util import ravel_pytree
 
 from ...errors import InputError, ModelError
+from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ..arguments import Arguments, read_arguments
@@ -155,7 +154,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
             return self._wrapped_step(terms, given, h, t0, t1, solver_state, made_jump)
         rate = solver_state
         if rate is not None and made_jump is not False:
-            anew = eqxi.unvmap_any(made_jump)
+            anew = any_of_batch(made_jump)
             rate = jax.lax.cond(anew, lambda: self._rate(given, h), lambda: solver_state)
         done = ChartStep(self.frame, self.solver.tableau)(given, h, rate)
         within = {"y0": jnp.zeros_like(done.z), "y1": done.z, "k": done.k}
@@ -185,14 +184,16 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         frame, local = self.frame, self.frame.local
         start = local.enter(given.x)
 
-        def of(part: Part) -> WrapTerm:
+        turned, _ = wrapped_terms()
+
+        def of(part: Part) -> Any:
             def slope(t: Any, z: jax.Array, args: None) -> jax.Array:
                 blocks = frame.read_coordinates(given.x, z)
                 moved = local.move(start, blocks)
                 at = given._replace(t=jnp.asarray(t, z.dtype), x=local.value(moved))
                 return ravel_pytree(local.slope(blocks, moved, frame.rate(part.dynamics, at, given.t, h)))[0]
 
-            return WrapTerm(diffrax.ODETerm(slope), part.direction)
+            return turned(diffrax.ODETerm(slope), part.direction)
 
         members = tuple(of(part) for part in self._parts(terms))
         return diffrax.MultiTerm(*members) if len(members) > 1 else members[0]

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple, NoReturn
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
-from diffrax._term import AdjointTerm, WrapTerm
 
 from ...errors import ModelError
+from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ..arguments import read_arguments
@@ -85,6 +85,7 @@ def parts_of(terms: Any) -> tuple[Part, ...]:
 
 
 def _part(term: Any) -> Part:
+    WrapTerm, AdjointTerm = wrapped_terms()
     direction: Any = 1
     while isinstance(term, WrapTerm):
         direction, term = direction * term.direction, term.term

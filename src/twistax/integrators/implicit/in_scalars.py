@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import jax
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from ...jax_inside import ClosedJaxpr, jaxpr_as_fun
 from ...lowering import XLA
 from ...lowering.concrete import is_traced
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-import warnings
 from collections.abc import Callable, Collection, Sequence
 
 import jax
-from jax.extend.core import ClosedJaxpr
 
 from ...errors import ModelError
+from ...jax_inside import ClosedJaxpr, say_once
 from ..emitters import ANY_SIZE, XLA, Emission, Emitter, pure
 from ..scalar.graph import TooLarge
 from ..scalar.primitive import Backend, Derived, call_program
@@ -27,9 +26,6 @@ from .turns import Turns
 __all__ = ["Native", "default_emitter", "installed"]
 
 _XLA = XLA()
-
-#: Messages that were given, each once for a process.
-_SAID: set[str] = set()
 
 
 def installed() -> bool:
@@ -131,7 +127,7 @@ class Native(Emitter, Backend):
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
         """The program with what runs it, and why."""
         if not installed():
-            _say("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
+            say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
             return None, "llvmlite is not installed"
         try:
             form = native_form(program)
@@ -166,12 +162,6 @@ class Native(Emitter, Backend):
             kernel = Kernel(tile, processor, self.threads)
             check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
-            _say(f"no native kernel, XLA compiles the function instead: {error}")
+            say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None
         return kernel
-
-
-def _say(message: str) -> None:
-    if message not in _SAID:
-        _SAID.add(message)
-        warnings.warn(message, RuntimeWarning, stacklevel=2)

@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
 
+from ...jax_inside import jaxpr_as_fun
 from .graph import Call, Graph, Nodes
 from .program import ScalarProgram
 from .reader import Reader, trace

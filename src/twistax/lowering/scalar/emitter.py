@@ -10,8 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import jaxpr_as_fun
 
+from ...jax_inside import jaxpr_as_fun
 from .graph import Call, Graph
 from .passes import emitted_form
 from .program import ScalarProgram

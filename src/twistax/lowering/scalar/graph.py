@@ -12,10 +12,10 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 from numpy.typing import NDArray
 
 from ...errors import ModelError
+from ...jax_inside import ClosedJaxpr
 from .algebra import Algebra
 from .operations import Operation, by_primitive
 

@@ -11,9 +11,8 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 
+from ...jax_inside import Primitive, ad, batching, mlir, shaped_array
 from ..small_call import apart, inside_small_call, small_call
 from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
@@ -168,7 +167,7 @@ def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> li
 
 def _abstract(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
     batch = np.shape(arguments[0])[:depth] if arguments else ()
-    return [jax.core.ShapedArray((*batch, *shape), dtype) for shape, dtype in derived.results]
+    return [shaped_array((*batch, *shape), dtype) for shape, dtype in derived.results]
 
 
 def _jvp(

@@ -10,8 +10,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 
+from ...jax_inside import ClosedJaxpr
 from .graph import LIMITS, Call, Graph, Limits, Nodes
 from .numbering import NumberedGraph, ValueNumbering
 from .reader import Reader, trace

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from ...jax_inside import (
+    ClosedJaxpr,
+    Literal,
+    Unread,
+    alone,
+    closed,
+    inner_jaxprs,
+    jaxpr_as_fun,
+    say_once,
+    scan_parts,
+    source_of,
+)
 from .graph import Graph, Nodes
 from .operations import by_primitive
 from .rules import RULES
@@ -43,9 +54,9 @@ def trace(function: Callable[..., Any], *shapes: Any) -> ClosedJaxpr:
 class _OwnDerivative:
     """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare."""
 
-    def __init__(self, eqn: Any, alone: ClosedJaxpr) -> None:
-        self._alone = alone
-        self._key = (eqn.primitive.name, _own(eqn).jaxpr.debug_info.func_src_info, _fingerprint(alone))
+    def __init__(self, eqn: Any, equation: ClosedJaxpr) -> None:
+        self._alone = equation
+        self._key = (eqn.primitive.name, source_of(_own(eqn)), _fingerprint(equation))
 
     def __hash__(self) -> int:
         return hash(self._key)
@@ -86,15 +97,15 @@ class Reader:
         self.unread: set[str] = set()
         self._literals: dict[Any, Nodes] = {}
 
-    def read(self, closed: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]:
+    def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]:
         """The results of a jaxpr on arrays of nodes."""
-        jaxpr, g = closed.jaxpr, self.graph
+        jaxpr, g = program.jaxpr, self.graph
         known: dict[Any, Nodes] = {}
 
         def value(variable: Any) -> Nodes:
             return self._literal(variable) if isinstance(variable, Literal) else known[variable]
 
-        known.update(zip(jaxpr.constvars, (g.array(c) for c in closed.consts), strict=True))
+        known.update(zip(jaxpr.constvars, (g.array(c) for c in program.consts), strict=True))
         known.update(zip(jaxpr.invars, inputs, strict=True))
         for eqn in jaxpr.eqns:
             results = self._equation(jaxpr, eqn, [value(v) for v in eqn.invars])
@@ -110,14 +121,18 @@ class Reader:
     def _equation(self, jaxpr: Any, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
         name = eqn.primitive.name
         if name in _CALLS:
-            return self.read(_closed(eqn.params[_CALLS[name]]), arrays)
+            return self.read(closed(eqn.params[_CALLS[name]]), arrays)
         if name in _OWN_DERIVATIVE:
             out = not self.whole or self._constant(eqn, arrays)
             return self._written_out(eqn, arrays) if out else self._call(jaxpr, eqn, arrays, inline=True)
-        special = _SPECIAL.get(name)
-        found = special(self, eqn, arrays) if special else None
-        if found is None and name in RULES and (name in _ANY_TYPE or not self._foreign(eqn)):
-            found = RULES[name](self.graph, eqn, *arrays)
+        try:
+            special = _SPECIAL.get(name)
+            found = special(self, eqn, arrays) if special else None
+            if found is None and name in RULES and (name in _ANY_TYPE or not self._foreign(eqn)):
+                found = RULES[name](self.graph, eqn, *arrays)
+        except Unread as error:
+            say_once(f"{error}, which this twistax does not know: that operation runs as JAX has it")
+            found = None
         if found is None:
             self.unread.add(name)
             found = self._call(jaxpr, eqn, arrays, inline=False)
@@ -145,14 +160,10 @@ class Reader:
     def _call(self, jaxpr: Any, eqn: Any, arrays: list[Nodes], inline: bool) -> list[Nodes]:
         """An equation as a call of a function."""
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
-        debug = jaxpr.debug_info.with_unknown_names()
-        one = jaxpr.replace(
-            constvars=[], invars=list(distinct), outvars=list(eqn.outvars), eqns=[eqn], debug_info=debug
-        )
-        alone = ClosedJaxpr(one, [])
+        equation = alone(jaxpr, eqn, list(distinct))
         # What is written out for its derivative only has no effects, and is the same wherever it is the same.
-        key = _OwnDerivative(eqn, alone) if inline else object()
-        return list(self.graph.call(alone, key, distinct.values(), inline).results)
+        key = _OwnDerivative(eqn, equation) if inline else object()
+        return list(self.graph.call(equation, key, distinct.values(), inline).results)
 
     # ---- control flow --------------------------------------------------------------------------------------------
 
@@ -161,7 +172,7 @@ class Reader:
         body, length = p["jaxpr"], p["length"]
         if length * _equations(body.jaxpr) > self.graph.limits.equations:
             return None
-        fixed, carried = p["num_consts"], p["num_carry"]
+        fixed, carried = scan_parts(eqn)
         consts, carry, along = arrays[:fixed], arrays[fixed : fixed + carried], arrays[fixed + carried :]
         rows: list[list[Nodes]] = []
         for k in reversed(range(length)) if p["reverse"] else range(length):
@@ -206,32 +217,19 @@ _SPECIAL: dict[str, Callable[[Reader, Any, list[Nodes]], list[Nodes] | None]] = 
 }
 
 
-def _closed(jaxpr: Any) -> ClosedJaxpr:
-    return jaxpr if isinstance(jaxpr, ClosedJaxpr) else ClosedJaxpr(jaxpr, [])
-
-
-def _inner(params: dict[str, Any]) -> Iterable[Any]:
-    for value in params.values():
-        for entry in value if isinstance(value, (tuple, list)) else (value,):
-            if isinstance(entry, ClosedJaxpr):
-                yield entry.jaxpr
-            elif isinstance(entry, Jaxpr):
-                yield entry
-
-
 def _equations(jaxpr: Any) -> int:
     """Equations, inner ones included."""
-    return sum(1 + sum(_equations(inner) for inner in _inner(eqn.params)) for eqn in jaxpr.eqns)
+    return sum(1 + sum(_equations(inner.jaxpr) for inner in inner_jaxprs(eqn)) for eqn in jaxpr.eqns)
 
 
 def _own(eqn: Any) -> ClosedJaxpr:
     """What a function with a derivative of its own does."""
-    return _closed(eqn.params["jaxprs"].solve if "jaxprs" in eqn.params else eqn.params["call_jaxpr"])
+    return closed(eqn.params["jaxprs"].solve if "jaxprs" in eqn.params else eqn.params["call_jaxpr"])
 
 
-def _fingerprint(closed: ClosedJaxpr) -> Any:
+def _fingerprint(program: ClosedJaxpr) -> Any:
     """Equal for jaxprs that do the same to arguments of the same types."""
-    jaxpr = closed.jaxpr
+    jaxpr = program.jaxpr
     names: dict[Any, int] = {}
 
     def name(variable: Any) -> Any:
@@ -242,16 +240,15 @@ def _fingerprint(closed: ClosedJaxpr) -> Any:
     head = tuple((name(v), str(v.aval)) for v in (*jaxpr.constvars, *jaxpr.invars))
     body = []
     for eqn in jaxpr.eqns:
-        own = {k: v for k, v in eqn.params.items() if not callable(v) and not list(_inner({k: v}))}
-        inner = tuple(_fingerprint(_closed(v)) for v in _jaxprs(eqn.params))
+        own = {k: v for k, v in eqn.params.items() if not callable(v) and not _holds_jaxprs(v)}
+        inner = tuple(_fingerprint(each) for each in inner_jaxprs(eqn))
         ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
         body.append((eqn.primitive.name, str(sorted(own.items(), key=lambda e: e[0])), inner, ins, outs))
-    consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in closed.consts)
+    consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
     return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
 
 
-def _jaxprs(params: dict[str, Any]) -> Iterable[Any]:
-    for value in params.values():
-        for entry in value if isinstance(value, (tuple, list)) else (value,):
-            if isinstance(entry, (ClosedJaxpr, Jaxpr)):
-                yield entry
+def _holds_jaxprs(parameter: Any) -> bool:
+    """Whether a parameter of an equation is a jaxpr or a sequence with one among its entries."""
+    entries = parameter if isinstance(parameter, (tuple, list)) else (parameter,)
+    return any(hasattr(entry, "eqns") for entry in entries)

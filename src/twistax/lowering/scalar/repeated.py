@@ -10,9 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Primitive
-from jax.interpreters import batching, mlir
 
+from ...jax_inside import Primitive, batching, mlir, shaped_array
 from .emitter import as_function
 from .program import ScalarProgram
 
@@ -102,7 +101,7 @@ def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array
 
 def _abstract(*arguments: Any, repeated: Repeated, depth: int) -> list[Any]:
     ends = (*arguments[len(arguments) - repeated.state :], arguments[0])
-    return [jax.core.ShapedArray(np.shape(a), a.dtype) for a in ends]
+    return [shaped_array(np.shape(a), a.dtype) for a in ends]
 
 
 def _batched(

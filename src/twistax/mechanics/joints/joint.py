@@ -27,7 +27,7 @@ class Joint(ABC):
     Args:
         name: begins the names of the states, `<name>_position` and `<name>_velocity`.
         motion: H (6, k), or (6,) for one freedom, in the child's joint frame.
-        working: h* (6, k) with h*^T H = I; H (H^T H)^-1 unless given. Give it where H mixes m and rad.
+        actuation_basis: h* (6, k) with h*^T H = I; H (H^T H)^-1 unless given. Give it where H mixes m and rad.
 
     Attributes:
         name: as given.
@@ -45,7 +45,7 @@ class Joint(ABC):
     #: The group of the position; None for k coordinates whose rate is the velocity.
     group: ClassVar[Group | None] = None
 
-    def __init__(self, name: str, motion: Any, working: Any = None) -> None:
+    def __init__(self, name: str, motion: Any, actuation_basis: Any = None) -> None:
         if not isinstance(name, str) or not name:
             raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
         self.name = name
@@ -56,7 +56,7 @@ class Joint(ABC):
                 f"{self!r} expects a group of dimension {self.dofs}, one for each column of motion, "
                 f"got {self.group.name} of dimension {self.group.dimension}"
             )
-        h = H @ np.linalg.inv(H.T @ H) if working is None else self._working(working, H)
+        h = H @ np.linalg.inv(H.T @ H) if actuation_basis is None else self._actuation(actuation_basis, H)
         self.screws = Screws(Constant(H), Constant(h), Constant(complement(H)))
         self.position: State | None = None
         self.velocity: State | None = None
@@ -86,15 +86,15 @@ class Joint(ABC):
             )
         return H
 
-    def _working(self, working: Any, H: np.ndarray) -> np.ndarray:
-        h = self._columns("working", working)
+    def _actuation(self, basis: Any, H: np.ndarray) -> np.ndarray:
+        h = self._columns("actuation_basis", basis)
         if h.shape != H.shape:
-            raise ShapeError(f"{self!r} expects working with the shape of motion, {H.shape}, got {h.shape}")
+            raise ShapeError(f"{self!r} expects actuation_basis with the shape of motion, {H.shape}, got {h.shape}")
         product = h.T @ H
         if not np.allclose(product, np.eye(self.dofs), rtol=0.0, atol=_ROUND_OFF):
             raise ModelError(
-                f"{self!r}: the working wrenches must give unit power on the motions, working.T @ motion = I, got\n"
-                f"{product}\n  fix: leave working out, or divide it by this product"
+                f"{self!r}: actuation_basis must give unit power on the motions, actuation_basis.T @ motion = I, got\n"
+                f"{product}\n  fix: leave actuation_basis out, or divide it by this product"
             )
         return h
 
@@ -128,14 +128,14 @@ class Joint(ABC):
         return self.screws.motion_subspace
 
     @property
-    def working_wrench(self) -> Expr:
+    def actuation_basis(self) -> Expr:
         """h* (6, k) in the child's joint frame, h*^T H = I."""
-        return self.screws.working_wrench
+        return self.screws.actuation_basis
 
     @property
-    def constraint_wrenches(self) -> Expr:
+    def constraint_basis(self) -> Expr:
         """H-bar* (6, 6 - k) in the child's joint frame, H^T H-bar* = 0."""
-        return self.screws.constraint_wrenches
+        return self.screws.constraint_basis
 
     def actuation(self, F: ExprLike) -> Expr:
         """H^T F (k,): the generalised force of a wrench F (6,) on the child. Raises ShapeError."""

@@ -28,13 +28,13 @@ class Screws:
 
     Attributes:
         motion_subspace: H (6, k); the twist of the child relative to the parent is H @ velocity.
-        working_wrench: h* (6, k), the wrench of a unit actuator on the child; h*^T H = I.
-        constraint_wrenches: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; H^T H-bar* = 0.
+        actuation_basis: h* (6, k), the wrench of a unit actuator on the child; h*^T H = I.
+        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; H^T H-bar* = 0.
     """
 
     motion_subspace: Expr
-    working_wrench: Expr
-    constraint_wrenches: Expr
+    actuation_basis: Expr
+    constraint_basis: Expr
 
     def actuation(self, F: ExprLike) -> Expr:
         """H^T F (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
@@ -51,7 +51,7 @@ class Screws:
             ShapeError: tau is not of shape (k,).
         """
         freedoms = self.motion_subspace.shape[1]
-        return self.working_wrench @ of_shape("wrench of a joint", "the generalised force tau", tau, (freedoms,))
+        return self.actuation_basis @ of_shape("wrench of a joint", "the generalised force tau", tau, (freedoms,))
 
     def reaction(self, F: ExprLike) -> Expr:
         """F - h* (H^T F) (6,): the part of a wrench F (6,) that the bearing carries; in the span of H-bar*.
@@ -60,7 +60,7 @@ class Screws:
             ShapeError: F is not of shape (6,).
         """
         whole = of_shape("reaction of a joint", "the wrench F", F, (6,))
-        return whole - self.working_wrench @ (self.motion_subspace.T @ whole)
+        return whole - self.actuation_basis @ (self.motion_subspace.T @ whole)
 
     def in_frame(self, T: ExprLike) -> Screws:
         """The same joint seen in frame a: Ad_T H, Ad*_T h*, Ad*_T H-bar* with T = T_ab (4, 4), b the frame of these.
@@ -72,7 +72,7 @@ class Screws:
         T_ab = pose("a change of frame of a joint", "the pose T", T)
         moved = SE3AdjointDual(T_ab)
         return Screws(
-            SE3Adjoint(T_ab) @ self.motion_subspace, moved @ self.working_wrench, moved @ self.constraint_wrenches
+            SE3Adjoint(T_ab) @ self.motion_subspace, moved @ self.actuation_basis, moved @ self.constraint_basis
         )
 
 

@@ -64,7 +64,7 @@ def _kept() -> float:
     ts = np.linspace(0.0, 2.0, 21)
     sol = tx.integrate(_growing(), {"x": 1.0}, t1=2.0, rtol=1e-10, save_at=ts, throw=False)
     reached = np.asarray(sol.ts)
-    if sol.result is tx.Result.DONE or len(reached) != 10:
+    if sol.result is tx.Result.SUCCESS or len(reached) != 10:
         return float("nan")
     return float(np.max(np.abs(np.asarray(sol.xs["x"]) * (1.0 - reached) - 1.0)))
 

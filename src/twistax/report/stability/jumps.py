@@ -44,7 +44,7 @@ def _lag() -> tx.Dynamics:
 
 def _poses(**options: Any) -> tuple[float, tx.Solution]:
     """The largest error of the pose, and the flight: the truth is a product of exponentials."""
-    sol = flown(_pose(), {"g": np.eye(4)}, t1=_END, u={"xi": tx.Held(ts=_TIMES, values=_TWISTS)}, **options)
+    sol = flown(_pose(), {"g": np.eye(4)}, t1=_END, u={"xi": tx.ZeroOrderHold(ts=_TIMES, values=_TWISTS)}, **options)
     truth = np.eye(4)
     for twist, length in zip(_TWISTS, np.diff([*_TIMES, _END]), strict=True):
         truth = truth @ np.asarray(se3.exp(jnp.asarray(length * twist)))
@@ -66,7 +66,7 @@ def _switched(u: Any, **options: Any) -> tuple[float, tx.Solution]:
     return abs(float(sol.xs["x"][-1]) - _lagged(1.0)), sol
 
 
-_TABLE = {"F": tx.Held(ts=[0.0, 0.4], values=[1.0, -1.0])}
+_TABLE = {"F": tx.ZeroOrderHold(ts=[0.0, 0.4], values=[1.0, -1.0])}
 
 JUMPS = Section(
     "jumps",
@@ -126,7 +126,7 @@ JUMPS = Section(
         Row(
             "a table with a jump at the start and at the end, rtol 1e-10",
             "Tsit5",
-            lambda: _switched({"F": tx.Held(ts=[0.0, 0.4, 1.0], values=[1.0, -1.0, 1e9])}, rtol=1e-10)[0],
+            lambda: _switched({"F": tx.ZeroOrderHold(ts=[0.0, 0.4, 1.0], values=[1.0, -1.0, 1e9])}, rtol=1e-10)[0],
             AtMost(1e-10),
             "What is commanded from the end on does not reach back.",
         ),

@@ -49,7 +49,7 @@ def flown(dynamics: tx.Dynamics, x0: Mapping[str, Any], **options: Any) -> tx.So
         TwistaxError: as `tx.integrate`.
     """
     sol = tx.integrate(dynamics, x0, throw=False, **options)
-    if sol.result not in (tx.Result.DONE, tx.Result.EVENT):
+    if sol.result not in (tx.Result.SUCCESS, tx.Result.EVENT):
         raise Ended(sol.result, float(sol.ts[-1]))
     return sol
 

@@ -84,5 +84,5 @@ def _flown(scene: Scene, start: Any, method: Method, **steps: Any) -> tuple[Any,
         **steps,
     )
     end = {name: value[0] for name, value in sol.xs.items()}
-    stats, good = sol.stats, sol.result == tx.Result.DONE
+    stats, good = sol.stats, sol.result == tx.Result.SUCCESS
     return end, Counts(*map(jnp.asarray, (stats.accepted, stats.rejected, stats.rhs_evaluations, good)))

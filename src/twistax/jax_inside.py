@@ -1,0 +1,160 @@
+"""All that is read of the inside of JAX, diffrax and Equinox, version by version: jaxprs, primitives, metadata, terms.
+
+Everything else in the package uses their documented interfaces; a test sees an import that goes around this module.
+Checked with JAX 0.10, 0.11 and 0.12. What an equation holds that is not known here makes `Unread`: the caller then
+leaves that equation to JAX, which gives the same numbers, and `say_once` tells the user.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import jax
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+
+try:
+    from jax.experimental.xla_metadata import set_xla_metadata as _set_xla_metadata
+except ImportError:  # a later JAX may have moved it
+    _set_xla_metadata = None  # type: ignore[assignment]
+
+__all__ = [
+    "ClosedJaxpr",
+    "Jaxpr",
+    "Literal",
+    "Primitive",
+    "Unread",
+    "ad",
+    "alone",
+    "any_of_batch",
+    "batching",
+    "closed",
+    "inner_jaxprs",
+    "is_tracer",
+    "jaxpr_as_fun",
+    "mlir",
+    "parameters",
+    "say_once",
+    "scan_parts",
+    "shaped_array",
+    "small_calls_exist",
+    "source_of",
+    "wrapped_terms",
+    "xla_metadata",
+]
+
+#: Messages that were given, each once for a process.
+_SAID: set[str] = set()
+
+
+class Unread(Exception):
+    """An equation holds parameters that this version of twistax does not know. Never reaches the user."""
+
+
+def say_once(message: str) -> None:
+    """A RuntimeWarning, once for a process."""
+    if message not in _SAID:
+        _SAID.add(message)
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
+
+
+# ---- equations -------------------------------------------------------------------------------------------------------
+
+
+def parameters(eqn: Any, *known: Collection[str]) -> Mapping[str, Any]:
+    """The parameters of an equation whose names are exactly one of the sets `known`.
+
+    Raises:
+        Unread: they are not.
+    """
+    if not any(set(eqn.params) == set(names) for names in known):
+        raise Unread(f"JAX {jax.__version__} gives {eqn.primitive.name} the parameters {sorted(eqn.params)}")
+    return eqn.params
+
+
+def closed(jaxpr: Jaxpr | ClosedJaxpr) -> ClosedJaxpr:
+    """A jaxpr with its constants; one without constants gets an empty list."""
+    return jaxpr if isinstance(jaxpr, ClosedJaxpr) else ClosedJaxpr(jaxpr, [])
+
+
+def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
+    """The jaxprs among the parameters of an equation: bodies of loops, branches, called functions."""
+    return [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+
+
+def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
+    """The jaxpr of one equation of `jaxpr`, of these variables."""
+    debug = jaxpr.debug_info.with_unknown_names()
+    one = jaxpr.replace(constvars=[], invars=list(inputs), outvars=list(eqn.outvars), eqns=[eqn], debug_info=debug)
+    return ClosedJaxpr(one, [])
+
+
+def source_of(jaxpr: ClosedJaxpr) -> str | None:
+    """Name and place of the function a jaxpr was traced from."""
+    return jaxpr.jaxpr.debug_info.func_src_info
+
+
+def scan_parts(eqn: Any) -> tuple[int, int]:
+    """How many inputs of a scan are constants, and how many are carried.
+
+    Raises:
+        Unread: a scan of a later JAX.
+    """
+    common = {"jaxpr", "length", "reverse", "unroll"}
+    p = parameters(eqn, common | {"num_carry", "num_consts"}, common | {"ft_in", "ft_out"})  # JAX 0.10; 0.11 and later
+    if "num_consts" in p:
+        return p["num_consts"], p["num_carry"]
+    try:
+        sizes = [len(tree) for tree in p["ft_in"].unpack()]  # constants, carried, scanned over
+    except (AttributeError, TypeError):
+        sizes = []
+    if len(sizes) != 3 or sum(sizes) != len(eqn.invars):
+        raise Unread(f"JAX {jax.__version__} groups the inputs of a scan as {p['ft_in']}")
+    return sizes[0], sizes[1]
+
+
+def is_tracer(value: Any) -> bool:
+    """Whether JAX is tracing this value: its numbers are not known."""
+    return isinstance(value, jax.core.Tracer)
+
+
+def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:
+    """The abstract value of an array."""
+    return jax.core.ShapedArray(shape, dtype)
+
+
+def _is_jaxpr(value: Any) -> bool:
+    return isinstance(value, (ClosedJaxpr, Jaxpr))
+
+
+# ---- XLA -------------------------------------------------------------------------------------------------------------
+
+
+def small_calls_exist() -> bool:
+    """Whether this JAX can attach to a function the attributes that make XLA compile it as one small function."""
+    return _set_xla_metadata is not None
+
+
+def xla_metadata(**attributes: str) -> contextlib.AbstractContextManager[Any]:
+    """Attach attributes to what is traced inside; nothing where this JAX cannot."""
+    return contextlib.nullcontext() if _set_xla_metadata is None else _set_xla_metadata(**attributes)
+
+
+# ---- diffrax and Equinox, imported when asked for --------------------------------------------------------------------
+
+
+def any_of_batch(condition: jax.Array) -> jax.Array:
+    """Whether a condition holds for any member of a batch: one truth value also under vmap."""
+    from equinox.internal import unvmap_any
+
+    return unvmap_any(condition)
+
+
+def wrapped_terms() -> tuple[type, type]:
+    """diffrax's term that turns time around, and its term of an adjoint."""
+    from diffrax._term import AdjointTerm, WrapTerm
+
+    return WrapTerm, AdjointTerm
