@@ -153,7 +153,7 @@ def any_of_batch(condition: jax.Array) -> jax.Array:
     return unvmap_any(condition)
 
 
-def wrapped_terms() -> tuple[type, type]:
+def wrapped_terms() -> tuple[Any, Any]:
     """diffrax's term that turns time around, and its term of an adjoint."""
     from diffrax._term import AdjointTerm, WrapTerm
 
