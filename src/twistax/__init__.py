@@ -45,7 +45,7 @@ from .integrators import (
 )
 from .integrators.implicit import ImplicitRKMK
 from .integrators.splitting import FreeBody, FreeParticle, Splitting
-from .lowering import XLA, Arrays, Dynamics, Native, ValueNumbering, compile, load, lower
+from .lowering import XLA, Arrays, Dynamics, Native, compile, load, lower
 from .system import System
 
 if TYPE_CHECKING:
@@ -90,7 +90,6 @@ __all__ = [
     "System",
     "TrajectoryError",
     "TwistaxError",
-    "ValueNumbering",
     "charts",
     "compile",
     "compositions",

@@ -33,7 +33,6 @@ class _Inward(Dynamics):
 def _inward(time: jax.Array, t: jax.Array, h: jax.Array) -> jax.Array:
     """The time, or just inside of the step where it is one of its ends."""
     small = 4.0 * jnp.finfo(time.dtype).eps
-    # The larger one comes last: value numbering takes t + small |t| for t, but has no number for what has a kink.
     hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
     first, last = t + hair, t + h - hair
     return jnp.where(time < first, first, jnp.where(time > last, last, time))

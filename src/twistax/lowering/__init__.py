@@ -6,7 +6,6 @@ from .explain import Explanation
 from .export.loaded import load
 from .lower import lower
 from .native.emitter import Native
-from .scalar.numbering import ValueNumbering
 
 __all__ = [
     "XLA",
@@ -15,7 +14,6 @@ __all__ = [
     "Emitter",
     "Explanation",
     "Native",
-    "ValueNumbering",
     "compile",
     "load",
     "lower",

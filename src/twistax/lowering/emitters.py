@@ -9,11 +9,9 @@ from collections.abc import Callable, Collection, Sequence
 import jax
 import jax.numpy as jnp
 
-from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 from .concrete import is_traced
 from .scalar.graph import LIMITS, Limits, TooLarge
-from .scalar.numbering import ValueNumbering
 from .scalar.passes import emitted_form
 from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
@@ -99,25 +97,16 @@ class XLA(Emitter):
 
     Attributes:
         checked: keep 0 x, 0 / x and x - x, and every division.
-        numbering: merge scalars that are equal by value, a `tx.ValueNumbering`; its risk is stated there.
         least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
             them XLA finds as much by itself.
         largest: functions of more scalars run as arrays: the compiler would take long.
         widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it.
-
-    Raises:
-        ModelError: checked and numbering together.
     """
 
     checked: bool = False
-    numbering: ValueNumbering | None = None
     least: int = 500
     largest: int = 30_000
     widest: int = 128
-
-    def __post_init__(self) -> None:
-        if self.checked and self.numbering is not None:
-            raise ModelError("XLA expects checked or numbering, not both: merged scalars are not kept as written")
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         arrays = _as_arrays(closed)
@@ -163,7 +152,7 @@ class XLA(Emitter):
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
         """A jaxpr as a scalar program, of at most so many scalars, derivatives included."""
-        return scalarize(closed, checked=self.checked, numbering=self.numbering, largest=largest, limits=limits)
+        return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
 
 
 def pure(function: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> ClosedJaxpr | None:

@@ -84,7 +84,7 @@ def test_values_that_change_after_compiling_are_not_saved(tmp_path: Path) -> Non
 
 
 def test_the_emitter_comes_back_or_is_chosen(tmp_path: Path) -> None:
-    chosen = tx.XLA(numbering=tx.ValueNumbering(points=4, tolerance=1e-10), least=7)
+    chosen = tx.Native(scalars=tx.XLA(checked=True, least=7), threads=3)
     dynamics = tx.compile(full(), emitter=chosen)
     assert again(dynamics, tmp_path).emitter == chosen
     assert tx.load(tmp_path / "system.twistax", emitter=tx.Arrays()).emitter == tx.Arrays()

@@ -13,7 +13,6 @@ import numpy as np
 
 from ...jax_inside import ClosedJaxpr
 from .graph import LIMITS, Call, Graph, Limits, Nodes
-from .numbering import NumberedGraph, ValueNumbering
 from .reader import Reader, trace
 
 __all__ = ["ScalarProgram", "scalarize"]
@@ -81,7 +80,6 @@ def scalarize(
     function: Callable[..., Any] | ClosedJaxpr,
     *shapes: Any,
     checked: bool = False,
-    numbering: ValueNumbering | None = None,
     largest: int = 200_000,
     limits: Limits = LIMITS,
 ) -> ScalarProgram:
@@ -91,7 +89,6 @@ def scalarize(
         function: traceable; or its jaxpr.
         shapes: of the arguments, with types; left out for a jaxpr.
         checked: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
-        numbering: merge scalars that are equal by value; not with checked.
         largest: the most scalars there may be.
         limits: up to which size parts are written out.
     Raises:
@@ -100,17 +97,7 @@ def scalarize(
     closed = function if isinstance(function, ClosedJaxpr) else trace(function, *shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
     dtype = _precision([*avals, *(v.aval for v in closed.jaxpr.outvars)])
-    if numbering is not None:
-        numbered = NumberedGraph(dtype, largest, numbering, limits)
-        program = _read(closed, numbered)
-        if numbered.verified():
-            return program
-    return _read(closed, Graph(dtype, checked, largest, limits))
-
-
-def _read(closed: ClosedJaxpr, graph: Graph) -> ScalarProgram:
-    """The program of a jaxpr, in a graph that is still empty."""
-    avals = [v.aval for v in closed.jaxpr.invars]
+    graph = Graph(dtype, checked, largest, limits)
     inputs = tuple(
         np.array([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], np.int64).reshape(a.shape)
         for k, a in enumerate(avals)
