@@ -45,7 +45,7 @@ from .integrators import (
 )
 from .integrators.implicit import ImplicitRKMK
 from .integrators.splitting import FreeBody, FreeParticle, Splitting
-from .lowering import XLA, Arrays, Dynamics, Native, compile, load, lower
+from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
 from .system import System
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ __all__ = [
     "SE3",
     "SO3",
     "XLA",
-    "Arrays",
+    "JAX",
     "CommutatorFree",
     "Dynamics",
     "Euclidean",

@@ -101,6 +101,6 @@ def test_folding_an_arm_compiles_next_to_nothing(caplog):
     arm = CASES["aba-7"].system()
     jax.clear_caches()
     with jax.log_compiles():
-        tx.compile(arm, emitter=tx.XLA())
+        tx.compile(arm, backend=tx.XLA())
     compiled = [record for record in caplog.records if record.getMessage().startswith("Compiling")]
     assert len(compiled) < 15, [record.getMessage()[:60] for record in compiled]

@@ -77,7 +77,7 @@ def test_a_group_of_your_own_flies() -> None:
 
 
 def test_flights_are_one_small_function(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = tx.compile(forced_body(), bake={"M": spatial_inertia()}, emitter=tx.XLA())
+    body = tx.compile(forced_body(), bake={"M": spatial_inertia()}, backend=tx.XLA())
     known, seen = module.known_inside, []
     monkeypatch.setattr(module, "known_inside", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
     sol = tx.integrate(body, start(), t1=1.0, dt=0.05, method=CF, save_at=[0.0, 0.32, 1.0])

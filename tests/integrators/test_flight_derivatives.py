@@ -38,7 +38,7 @@ X0 = {"R": start()["g"][:3, :3], "v": np.array(0.8)}
 def test_of_a_batch_with_fixed_steps() -> None:
     """What all lanes share, as the length of a step, must not confuse JAX."""
     x, k = tx.State("x"), tx.Parameter("k", value=1.0)
-    dynamics = tx.compile(tx.System(rates={x: -k * x}), emitter=tx.Arrays())
+    dynamics = tx.compile(tx.System(rates={x: -k * x}), backend=tx.JAX())
 
     def total(k: jax.Array) -> jax.Array:
         def end(x0: jax.Array) -> jax.Array:

@@ -16,7 +16,7 @@ from twistax.lowering import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
-NATIVE, PLAIN = tx.compile(windy_body(), emitter=tx.Native()), tx.compile(windy_body(), emitter=tx.XLA())
+NATIVE, PLAIN = tx.compile(windy_body(), backend=tx.Native()), tx.compile(windy_body(), backend=tx.XLA())
 METHODS = {
     "classical": tx.RKMK(tx.tableaus.RK4),
     "quaternion": tx.RKMK(tx.tableaus.TSIT5, chart=tx.charts.Ambient()),
@@ -37,7 +37,7 @@ def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: flo
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_flight_is_that_of_the_loop(name: str) -> None:
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     given: dict[str, Any] = {"t1": 0.7, "steps": 9, "u": U, "method": METHODS[name], "save_at": [0.0, 0.3, 0.35, 0.7]}
     found, expected = (tx.integrate(d, START, **given) for d in (dynamics, PLAIN))
     _near(found.xs, expected.xs)
@@ -63,8 +63,8 @@ def test_a_flight_that_fails_ends_where_the_loop_does() -> None:
     fast = tx.System(rates={x: x * x})
     starts = jnp.array([0.5, 30.0, 0.1, 1e200, 4.0])
     ends = []
-    for emitter in (tx.Native(), tx.XLA()):
-        dynamics = tx.compile(fast, emitter=emitter)
+    for backend in (tx.Native(), tx.XLA()):
+        dynamics = tx.compile(fast, backend=backend)
         found = jax.vmap(lambda x0, d=dynamics: tx.integrate(d, {"x": x0}, t1=1.0, steps=40))(starts)
         ends.append((found.xs["x"], found.result, found.stats.steps, found.stats.rhs_evaluations))
         part = tx.integrate(dynamics, {"x": 30.0}, t1=1.0, steps=40, save_at=[0.0, 0.025, 0.5, 1.0], throw=False)
@@ -81,7 +81,7 @@ def test_derivatives_are_those_of_the_steps() -> None:
     def end(dynamics: Dynamics, V: jax.Array) -> jax.Array:
         return tx.integrate(dynamics, {**START, "V": V}, t1=0.5, steps=5, u=U).xs["V"].sum()
 
-    V, arrays = jnp.asarray(START["V"]), tx.compile(windy_body(), emitter=tx.Arrays())
+    V, arrays = jnp.asarray(START["V"]), tx.compile(windy_body(), backend=tx.JAX())
     found, expected = (jax.grad(lambda V, d=d: end(d, V))(V) for d in (NATIVE, arrays))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
@@ -95,7 +95,7 @@ def test_controls_may_be_functions_of_time_and_tables() -> None:
 
 
 def test_other_numbers_do_not_compile_again() -> None:
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     for steps, t1 in ((3, 0.1), (8, 0.5)):
         tx.integrate(dynamics, START, t1=t1, steps=steps, u=U)
     assert len(_taken(dynamics)) == 1
@@ -117,7 +117,7 @@ def test_events_and_dense_output_are_as_ever() -> None:
 
 def test_wide_states_are_left_to_xla() -> None:
     x = tx.State("x", shape=(500,))
-    dynamics = tx.compile(tx.System(rates={x: -x}), emitter=tx.Native())
+    dynamics = tx.compile(tx.System(rates={x: -x}), backend=tx.Native())
     found = tx.integrate(dynamics, {"x": np.ones(500)}, t1=1.0, steps=50).xs["x"]
     np.testing.assert_allclose(found, np.exp(-1.0), rtol=1e-7)
     assert not _taken(dynamics)
@@ -150,7 +150,7 @@ def test_controls_may_print() -> None:
 
 def test_without_jit() -> None:
     x = tx.State("x")
-    dynamics = tx.compile(tx.System(rates={x: -x}), emitter=tx.Native())
+    dynamics = tx.compile(tx.System(rates={x: -x}), backend=tx.Native())
     with jax.disable_jit():
         found = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, steps=10)
     np.testing.assert_allclose(found.xs["x"], np.exp(-0.5), rtol=1e-7)

@@ -24,7 +24,7 @@ from twistax.lowering.scalar.repeated import Repeated
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
-NATIVE, PLAIN = tx.compile(windy_body(), emitter=tx.Native()), tx.compile(windy_body(), emitter=tx.XLA())
+NATIVE, PLAIN = tx.compile(windy_body(), backend=tx.Native()), tx.compile(windy_body(), backend=tx.XLA())
 METHODS = {
     "fifth order": tx.RKMK(tx.tableaus.TSIT5),
     "quaternion": tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3, chart=tx.charts.Ambient()),
@@ -48,7 +48,7 @@ def near(found: tx.Solution, expected: tx.Solution, rtol: float = 1e-11) -> None
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_flight_is_that_of_the_loop(name: str) -> None:
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     given: dict[str, Any] = {"t1": 0.7, "rtol": 1e-6, "u": U, "method": METHODS[name]}
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
     assert len(kernels(dynamics)) == 1
@@ -64,7 +64,7 @@ def test_saved_times_limits_and_jumps() -> None:
         "jumps": [0.6],
         "control": tx.StepControl(dtmax=0.05, dcoeff=0.1),
     }
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
     assert len(kernels(dynamics)) == 1
 
@@ -85,8 +85,8 @@ def test_failures_are_those_of_the_loop() -> None:
     fast = tx.System(rates={y: y * y})
     starts = jnp.array([0.5, 30.0, 0.1, 1e200, 4.0])
     ends = []
-    for emitter in (tx.Native(), tx.XLA()):
-        dynamics = tx.compile(fast, emitter=emitter)
+    for backend in (tx.Native(), tx.XLA()):
+        dynamics = tx.compile(fast, backend=backend)
 
         def fly(x0: Any, throw: bool = True, steps: int = 900, dynamics: tx.Dynamics = dynamics) -> tx.Solution:
             control = tx.StepControl(max_steps=steps)
@@ -121,7 +121,7 @@ def test_a_batch_is_each_flight_with_tolerances_and_an_end_of_its_own() -> None:
 
 def test_single_precision_stays_single() -> None:
     start = {name: np.asarray(value, np.float32) for name, value in START.items()}
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     control = tx.StepControl(factormax=np.float64(5.0), dtmax=np.float64(0.2))
     found, expected = (tx.integrate(d, start, t1=0.5, rtol=1e-4, u=U, control=control) for d in (dynamics, PLAIN))
     assert len(kernels(dynamics)) == 1
@@ -131,7 +131,7 @@ def test_single_precision_stays_single() -> None:
 
 
 def test_counts_that_single_precision_cannot_hold_are_left_to_the_loop() -> None:
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     start = {name: np.asarray(value, np.float32) for name, value in START.items()}
     control = tx.StepControl(max_steps=2**23)
     tx.integrate(dynamics, start, t1=0.1, rtol=1e-3, u=U, control=control)
@@ -142,7 +142,7 @@ def test_steps_in_a_kernel_keep_to_their_side_of_a_jump() -> None:
     """Steps see times by a few units of round-off inside of their ends."""
     x, t = tx.State("x"), tx.Time()
     system = tx.System(rates={x: tx.Cond(t <= 0.7, x, -x) + tx.Cond(t >= 1.3, 100.0, 0.0)})
-    dynamics = tx.compile(system, emitter=tx.Native())
+    dynamics = tx.compile(system, backend=tx.Native())
 
     control = tx.StepControl(max_steps=15)
     found = tx.integrate(dynamics, {"x": 1.0}, t1=2.0, rtol=1e-6, jumps=[0.7, 1.3], control=control)
@@ -162,7 +162,7 @@ def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_other_numbers_do_not_compile_again() -> None:
-    dynamics = tx.compile(windy_body(), emitter=tx.Native())
+    dynamics = tx.compile(windy_body(), backend=tx.Native())
     for rtol, t1 in ((1e-4, 0.1), (1e-7, 0.5)):
         tx.integrate(dynamics, START, t1=t1, rtol=rtol, u=U)
     assert len(kernels(dynamics)) == 1

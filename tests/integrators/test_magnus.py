@@ -212,7 +212,7 @@ def test_flights_are_one_small_function(monkeypatch: pytest.MonkeyPatch) -> None
     known, seen = module.known_inside, []
     monkeypatch.setattr(module, "known_inside", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
     for dynamics, x, order in ((body, start(), 6), (moving(ANGULAR), {"g": np.eye(4)}, 4)):
-        by_xla = dynamics.emitted_by(tx.XLA())
+        by_xla = dynamics.with_backend(tx.XLA())
         sol = tx.integrate(by_xla, x, t1=1.0, dt=0.05, method=tx.Magnus(order))
         assert float(tx.SE3.defect(sol.xs["g"][0])) < 1e-14
     assert seen

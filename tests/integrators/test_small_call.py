@@ -82,7 +82,7 @@ def test_entries_set_at_one_place_are_inside() -> None:
 @pytest.mark.slow
 def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """A JAX that has lost it flies the same, only slower. Its inertia is baked: as an input it calls LAPACK."""
-    body = tx.compile(forced_body(), bake={"M": spatial_inertia()}, emitter=tx.XLA())
+    body = tx.compile(forced_body(), bake={"M": spatial_inertia()}, backend=tx.XLA())
     known, seen = module.known_inside, []
     monkeypatch.setattr(module, "known_inside", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
     for tableau in (RK4, DOP853):

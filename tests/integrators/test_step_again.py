@@ -19,7 +19,7 @@ from twistax.scenes.rocket import ROCKET
 Cost = Callable[[jax.Array], jax.Array]
 #: Programs that run once need not be fast.
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-EMITTERS = {"XLA": tx.XLA(), "native": tx.Native(), "no scalars": tx.Arrays()}
+BACKENDS = {"XLA": tx.XLA(), "native": tx.Native(), "no scalars": tx.JAX()}
 
 
 def programs(dynamics: tx.Dynamics) -> list[Derived]:
@@ -49,7 +49,7 @@ def flown(dynamics: tx.Dynamics, **options: Any) -> Cost:
 @functools.cache
 def in_arrays(derivative: Callable[[Cost], Cost]) -> np.ndarray:
     """A derivative by JAX alone."""
-    return run(derivative(flown(tx.compile(top(), emitter=tx.Arrays()), steps=3)))
+    return run(derivative(flown(tx.compile(top(), backend=tx.JAX()), steps=3)))
 
 
 def run(function: Cost) -> np.ndarray:
@@ -57,12 +57,12 @@ def run(function: Cost) -> np.ndarray:
     return np.asarray(jax.jit(function).lower(z).compile(QUICK)(z))
 
 
-@pytest.mark.parametrize("name", EMITTERS)
+@pytest.mark.parametrize("name", BACKENDS)
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, pytest.param(jax.hessian, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_arrays(name: str, derivative: Callable[[Cost], Cost]) -> None:
     if name == "native":
         pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
-    dynamics = tx.compile(top(), emitter=EMITTERS[name])
+    dynamics = tx.compile(top(), backend=BACKENDS[name])
     found = run(derivative(flown(dynamics, steps=3)))
     np.testing.assert_allclose(found, in_arrays(derivative), rtol=1e-11, atol=1e-12)
     assert len(programs(dynamics)) == (name != "no scalars")
@@ -70,7 +70,7 @@ def test_derivatives_are_those_of_arrays(name: str, derivative: Callable[[Cost],
 
 def test_a_long_loop_of_stages_stays_a_loop_for_xla() -> None:
     """All thirteen stages as scalars would take XLA half a minute."""
-    dynamics = tx.compile(ROCKET.system, emitter=tx.XLA())
+    dynamics = tx.compile(ROCKET.system, backend=tx.XLA())
     options = {"t1": 1.0, "steps": 3, "u": ROCKET.u, "method": tx.RKMK(tx.tableaus.DOP853)}
 
     def end(push: jax.Array) -> jax.Array:
@@ -85,7 +85,7 @@ def test_a_long_loop_of_stages_stays_a_loop_for_xla() -> None:
 
 def test_derivatives_may_be_larger_than_a_function_is_allowed_to_be() -> None:
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
-    dynamics = tx.compile(top(), emitter=tx.Native(scalars=tx.XLA(largest=1200)))
+    dynamics = tx.compile(top(), backend=tx.Native(scalars=tx.XLA(largest=1200)))
     found = run(jax.grad(flown(dynamics, steps=3)))
     np.testing.assert_allclose(found, in_arrays(jax.grad), rtol=1e-11, atol=1e-12)
     (program,) = (found.program for found in programs(dynamics))
@@ -104,7 +104,7 @@ def test_steps_that_solve_equations_stay_as_they_are() -> None:
 
 def test_wide_states_stay_arrays() -> None:
     x = tx.State("x", shape=(500,))
-    dynamics = tx.compile(tx.System(rates={x: -x}), emitter=tx.Native())
+    dynamics = tx.compile(tx.System(rates={x: -x}), backend=tx.Native())
 
     def cost(x0: jax.Array) -> jax.Array:
         return tx.integrate(dynamics, {"x": x0}, t1=1.0, steps=50).xs["x"][-1].sum()
@@ -116,13 +116,13 @@ def test_wide_states_stay_arrays() -> None:
 def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """There a step written out whole would compile for long and run no faster."""
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
-    dynamics = tx.compile(top(), emitter=tx.Native())
+    dynamics = tx.compile(top(), backend=tx.Native())
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     cost = flown(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
     assert [made for made in dynamics.made.values() if made is not None] == programs(dynamics)
-    assert all(found.backend is None for found in programs(dynamics))
+    assert all(found.runner is None for found in programs(dynamics))
 
 
 def test_a_control_that_closes_over_a_traced_value_keeps_its_derivative() -> None:

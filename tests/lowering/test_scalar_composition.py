@@ -101,7 +101,7 @@ BODY = tx.System(
     controls=[F],
     parameters=[J],
 )
-SCALARS, ARRAYS = tx.compile(BODY, emitter=tx.XLA(least=0)), tx.compile(BODY, emitter=tx.Arrays())
+SCALARS, ARRAYS = tx.compile(BODY, backend=tx.XLA(least=0)), tx.compile(BODY, backend=tx.JAX())
 START = {"w": np.array([0.4, -0.5, 0.6]), "R": np.eye(3), "mass": np.float64(4.0)}
 U = {"F": np.array([0.1, -0.2, 0.3])}
 

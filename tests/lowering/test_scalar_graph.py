@@ -180,7 +180,7 @@ def test_emitters_choose_by_size() -> None:
     assert tx.XLA(least=0).emit(small).program is not None
     assert tx.XLA(least=0, largest=5).emit(small).program is None
     assert "more than 5" in tx.XLA(least=0, largest=5).emit(small).reason
-    assert tx.Arrays().emit(small).program is None
+    assert tx.JAX().emit(small).program is None
 
 
 @pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["plain", "inside a call"])

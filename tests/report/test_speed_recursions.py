@@ -54,7 +54,7 @@ def test_forces_and_accelerations_are_inverse_to_each_other() -> None:
 def test_they_agree_with_ours() -> None:
     for name in ("free-body", "rnea-7"):
         case = CASES[name]
-        dynamics = tx.compile(case.system(), emitter=tx.XLA())
+        dynamics = tx.compile(case.system(), backend=tx.XLA())
         # A quaternion of another length too: else derivatives by its entries would differ.
         point = [jnp.asarray(1.3 * points[0]) for points in case.points(1)]
         rates = jax.jit(lambda *point, case=case, dynamics=dynamics: dynamics(0.0, *case.inputs(*point)))(*point)

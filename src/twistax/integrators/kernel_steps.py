@@ -1,4 +1,4 @@
-"""Fixed steps in one kernel, where the system's emitter makes kernels and a step has a form for them."""
+"""Fixed steps in one kernel, where the system's backend makes kernels and a step has a form for them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..lowering.emitters import Emitter
+from ..lowering.backends import Backend
 from ..lowering.scalar.repeated import Repeated, repeat
 from .charts.whole import Blocks
 from .method import Attempt, Carry
@@ -45,7 +45,7 @@ class KernelSteps:
 def kernel_steps(
     stepper: Stepper, t0: jax.Array, h: jax.Array, number: jax.Array, y: Blocks, carry: Carry
 ) -> KernelSteps | None:
-    """Steps in one kernel; None where there is none: the emitter makes no kernels, or the step has no form for it.
+    """Steps in one kernel; None where there is none: the backend makes no kernels, or the step has no form for it.
 
     Args:
         number: of a step, for its type.
@@ -55,9 +55,9 @@ def kernel_steps(
     types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
     made = stepper.dynamics.made
     if (structure, types) not in made:
-        state, emitter = inputs[-1], stepper.dynamics.emitter
+        state, backend = inputs[-1], stepper.dynamics.backend
         none = too_wide(state)
-        made[structure, types] = None if none else _made(emitter, structure, types, len(jax.tree.leaves(state)))
+        made[structure, types] = None if none else _made(backend, structure, types, len(jax.tree.leaves(state)))
     return made[structure, types]
 
 
@@ -70,7 +70,7 @@ def too_wide(state: Any) -> bool:
     return sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST
 
 
-def _made(emitter: Emitter, structure: Any, types: Any, state: int) -> KernelSteps | None:
+def _made(backend: Backend, structure: Any, types: Any, state: int) -> KernelSteps | None:
     made: list[Attempt] = []
 
     def step(*leaves: jax.Array) -> list[jax.Array]:
@@ -78,7 +78,7 @@ def _made(emitter: Emitter, structure: Any, types: Any, state: int) -> KernelSte
         made.append(stepper.in_arrays.follow(t0 + k.astype(t0.dtype) * h, y, carry, h))
         return jax.tree.leaves((made[-1].y, made[-1].carry))
 
-    repeated = emitter.repeated(step, [jax.ShapeDtypeStruct(*each) for each in types], state)
+    repeated = backend.repeated(step, [jax.ShapeDtypeStruct(*each) for each in types], state)
     # A step that solves equations may fail, which a kernel does not see.
     if repeated is None or made[-1].solved is not None or not isinstance(made[-1].evaluations, int):
         return None

@@ -1,4 +1,4 @@
-"""Steps chosen by tolerances in one kernel, where the system's emitter makes kernels and a step has a form for them."""
+"""Steps chosen by tolerances in one kernel, where the system's backend makes kernels and a step has a form for them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def kernel_tries(
     if key not in made:
         shapes = [jax.ShapeDtypeStruct((), int), *(jax.ShapeDtypeStruct(*each) for each in types[: len(fixed)])]
         shapes += [jax.ShapeDtypeStruct(shape, dtype) for shape, _ in types[len(fixed) :]]
-        made[key] = stepper.dynamics.emitter.repeated(turn, shapes, len(state))
+        made[key] = stepper.dynamics.backend.repeated(turn, shapes, len(state))
     repeated: Repeated | None = made[key]
     if repeated is None:
         return None

@@ -1,4 +1,4 @@
-"""A step that is taken again for its derivatives: as one program, where the system's emitter writes one."""
+"""A step that is taken again for its derivatives: as one program, where the system's backend writes one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..lowering.emitters import Emitter
+from ..lowering.backends import Backend
 from ..lowering.scalar.primitive import Derived, call_program
 from .charts.whole import Blocks
 from .kernel_steps import too_wide
@@ -22,15 +22,15 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
     types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
     made, key = stepper.dynamics.made, (advance_again, structure, types)
     if key not in made:
-        made[key] = None if too_wide(y) else _program(stepper.dynamics.emitter, structure, types)
+        made[key] = None if too_wide(y) else _program(stepper.dynamics.backend, structure, types)
     if made[key] is None:
         return stepper.advance(t, y, h)
     return jax.tree.unflatten(jax.tree.structure(y), call_program(made[key], *leaves))
 
 
-def _program(emitter: Emitter, structure: Any, types: Any) -> Derived | None:
+def _program(backend: Backend, structure: Any, types: Any) -> Derived | None:
     def step(*leaves: jax.Array) -> list[jax.Array]:
         stepper, t, y, h = jax.tree.unflatten(structure, leaves)
         return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
 
-    return emitter.step(step, [jax.ShapeDtypeStruct(*each) for each in types])
+    return backend.step(step, [jax.ShapeDtypeStruct(*each) for each in types])

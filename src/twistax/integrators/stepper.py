@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..lowering import Dynamics, emitters
+from ..lowering import Dynamics, backends
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates, StoredState
 from .controls import Signals
@@ -69,7 +69,7 @@ class Stepper:
     @property
     def in_arrays(self) -> Stepper:
         """The same, rates as arrays: for what is written out as scalars as a whole."""
-        return dataclasses.replace(self, dynamics=self.dynamics.emitted_by(emitters.Arrays()))
+        return dataclasses.replace(self, dynamics=self.dynamics.with_backend(backends.JAX()))
 
     def controls(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The controls as a function of the times within the step from t to t + h."""

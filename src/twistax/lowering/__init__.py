@@ -1,17 +1,17 @@
 """From trees to functions: one expression (`lower`) or a whole system (`compile`)."""
 
+from .backends import JAX, XLA, Backend
 from .dynamics import Dynamics, compile
-from .emitters import XLA, Arrays, Emitter
 from .explain import Explanation
 from .export.loaded import load
 from .lower import lower
-from .native.emitter import Native
+from .native.backend import Native
 
 __all__ = [
     "XLA",
-    "Arrays",
+    "JAX",
     "Dynamics",
-    "Emitter",
+    "Backend",
     "Explanation",
     "Native",
     "compile",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from ..expr import (
     Equality,
     Expr,
     Inputs,
+    Leaf,
     Parameter,
     State,
     canonicalize_all,
@@ -24,14 +25,15 @@ from ..expr import (
     leaves_of,
     substitute,
 )
+from ..groups import Euclidean
 from ..system import System
-from .emitters import Emission, Emitter
+from .backends import Backend, Emission
 from .explain import Dependence, Explanation
 from .explainer import Explainer
 from .export.methods import Exports
 from .inputs import Values, prepare
 from .jacobian import RateJacobian
-from .native.emitter import default_emitter
+from .native.backend import Auto
 from .scalar.primitive import Derived, call_program
 
 Arrays = dict[str, jax.Array]
@@ -48,15 +50,15 @@ class Dynamics(Exports):
         states, controls, parameters: its leaves in order; baked parameters are gone.
         group: the product group of the state; its `slices` say where each state sits in a tangent vector.
         dimension: length of a tangent vector.
-        emitter: how its functions become JAX programs.
+        backend: what runs its functions.
         bake, baked: the values of parameters folded into the code by name; their names.
     """
 
     def __init__(
-        self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], emitter: Emitter
+        self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend
     ) -> None:
         self.system = system
-        self.emitter = emitter
+        self.backend = backend
         self._emissions: dict[Any, tuple[Emission, Any]] = {}
         #: What floors above made of this system, by keys of their own.
         self.made: dict[Any, Any] = {}
@@ -79,6 +81,11 @@ class Dynamics(Exports):
         self.dimension = self.group.dimension
         self._leaves = (*self.states, *self.controls, *self.parameters)
         self._evaluate = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
+
+    def __repr__(self) -> str:
+        kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
+        shown = [f"{kind}: {', '.join(map(_with_shape, own))}" for kind, own in kinds.items() if own]
+        return f"Dynamics({'; '.join([*shown, f'backend: {self.backend}'])})"
 
     # ---- what a user calls -------------------------------------------------------------------------------------
 
@@ -120,7 +127,7 @@ class Dynamics(Exports):
         """
         found, arrays = self.rate_jacobian(self.prepare(t, x, u, params), tuple(wrt))
         if found not in self._called:
-            self._called[found] = self.emitter.derived(found.program)
+            self._called[found] = self.backend.derived(found.program)
         return dict(zip(found.blocks, call_program(self._called[found], *arrays), strict=True))
 
     def retract(self, x: Values, d: Any) -> Arrays:
@@ -192,8 +199,8 @@ class Dynamics(Exports):
         self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
     ) -> tuple[Emission, Any]:
         """How a family of functions runs on arguments of these (shape, type), and the structure of its results."""
-        emitter = self.emitter.in_loops() if in_loop else self.emitter
-        key = (emitter, family, structure, types)
+        backend = self.backend.in_loops() if in_loop else self.backend
+        key = (backend, family, structure, types)
         if key not in self._emissions:
             shapes: list[Any] = []
 
@@ -204,14 +211,14 @@ class Dynamics(Exports):
 
             closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(*each) for each in types))
             places = jax.tree.unflatten(structure, range(len(types)))
-            self._emissions[key] = (emitter.emit(closed, jax.tree.leaves(places[3])), shapes[0])
+            self._emissions[key] = (backend.emit(closed, jax.tree.leaves(places[3])), shapes[0])
         return self._emissions[key]
 
-    def emitted_by(self, emitter: Emitter) -> Dynamics:
-        """The same system, its functions run by another emitter."""
+    def with_backend(self, backend: Backend) -> Dynamics:
+        """The same system, its functions run by another backend."""
         found = copy.copy(self)
-        found.emitter = emitter
-        # These know the emitter; everything else is shared.
+        found.backend = backend
+        # These know the backend; everything else is shared.
         found._called = {}
         found._evaluate = jax.jit(functools.partial(found.evaluate, in_loop=False), static_argnums=0)
         return found
@@ -301,7 +308,7 @@ def compile(
     *,
     outputs: Iterable[str] | None = None,
     bake: Mapping[str, Any] | None = None,
-    emitter: Emitter | None = None,
+    backend: Backend | Literal["auto"] = "auto",
 ) -> Dynamics:
     """Compile a system to jitted, differentiable functions.
 
@@ -310,19 +317,21 @@ def compile(
     Args:
         outputs: names of the outputs to keep; all if left out.
         bake: parameters to fold into the code, name -> value; they are no inputs any more.
-        emitter: how functions become JAX programs. If left out, `XLA()`, which writes large ones out as scalars; where
-            llvmlite is installed these run as native kernels when they are called, `Native(only_large=True)`.
+        backend: what runs the functions. `tx.XLA()` writes large ones out as scalars; `tx.Native()` compiles kernels by
+            llvmlite; `tx.JAX()` runs everything as written, in small arrays. "auto" is `tx.XLA()`, and where llvmlite
+            is installed native kernels for the large functions and the steps of explicit methods.
     Raises:
-        ModelError: an unknown output or parameter; no emitter.
+        ModelError: an unknown output or parameter; no backend.
         ShapeError: a baked value of the wrong shape.
     """
     if not isinstance(system, System):
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
     if bake is not None and not isinstance(bake, Mapping):
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
-    if emitter is not None and not isinstance(emitter, Emitter):
-        raise ModelError(f"emitter must be an object like tx.XLA() or tx.Arrays(), got {emitter!r}")
-    return Dynamics(system, outputs, dict(bake or {}), default_emitter() if emitter is None else emitter)
+    chosen = Auto() if isinstance(backend, str) and backend == "auto" else backend
+    if not isinstance(chosen, Backend):
+        raise ModelError(f'backend expects "auto", tx.XLA(), tx.Native() or tx.JAX(), got {backend!r}')
+    return Dynamics(system, outputs, dict(bake or {}), chosen)
 
 
 def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
@@ -358,6 +367,11 @@ def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict
 def _names(roots: list[Expr]) -> set[str]:
     """The names of the states, controls and parameters that the roots read."""
     return {leaf.name for leaf in leaves_of(*roots) if isinstance(leaf, (State, Control, Parameter))}
+
+
+def _with_shape(leaf: Leaf) -> str:
+    group = leaf.group if isinstance(leaf, State) else Euclidean()
+    return f"{leaf.name} {leaf.shape if isinstance(group, Euclidean) else group.name}"
 
 
 def _size(expr: Expr) -> int:

@@ -29,7 +29,7 @@ class Explanation:
         operations: operations on scalars of the rates by kind: (in arrays as written, as a scalar program).
         constants: entry of a rate -> its value, where it depends on nothing.
         patterns: "x", "u" and "params" -> where the Jacobian of the rates is not structurally zero, (n, columns).
-        emitter: how the rates run, and why.
+        backend: how the rates run, and why.
         compile_seconds: how long XLA took for one call of the rates.
     """
 
@@ -41,7 +41,7 @@ class Explanation:
     operations: tuple[dict[str, int], dict[str, int]]
     constants: dict[str, float]
     patterns: dict[str, NDArray[Any]]
-    emitter: str
+    backend: str
     compile_seconds: float
 
     def as_dict(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class Explanation:
         for kind, pattern in self.patterns.items():
             if pattern.size:
                 lines.append(f"Jacobian by {kind}: {int(pattern.sum())} of {pattern.size} entries are not zero")
-        lines.append(f"runs as {self.emitter}; compiled in {self.compile_seconds:.2f} s")
+        lines.append(f"runs as {self.backend}; compiled in {self.compile_seconds:.2f} s")
         if self.baked:
             lines.append(f"baked in: {', '.join(self.baked)}")
         return "\n".join(lines + self.unused)

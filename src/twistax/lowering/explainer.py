@@ -60,7 +60,7 @@ class Explainer:
             operations=(dict(sorted(array_operations(before).items())), rates.counts()),
             constants={name: n for name, n in zip(entries, numbers, strict=True) if n is not None},
             patterns=jacobian.pattern,
-            emitter=emission.reason,
+            backend=emission.reason,
             compile_seconds=time.perf_counter() - start,
         )
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ from ..expr.linalg import Cross
 from ..groups import SE3, quaternions, se3
 from ..integrators import integrate
 from ..lowering import Dynamics, compile
-from ..lowering.emitters import Emitter
+from ..lowering.backends import Backend
 from ..system import System
 from .machine import machine
 
@@ -65,12 +65,12 @@ class Row:
     difference: float
 
 
-def body(emitter: Emitter | None = None) -> Dynamics:
+def body(backend: Backend | Literal["auto"] = "auto") -> Dynamics:
     """The body of `rkmk4.c`: gravity, linear drag, principal moments of inertia 1, 2 and 3 kg m^2."""
     g, V, J = State("g", group=SE3), State("V", shape=(6,)), np.array([1.0, 2.0, 3.0])
     v, w = V[:3], V[3:]
     acceleration = g[:3, :3].T @ np.array([0.0, 0.0, -9.81]) - 0.1 * v - Cross(w, v)
-    return compile(System(rates={g: V, V: Concat(acceleration, Cross(J * w, w) / J)}), emitter=emitter)
+    return compile(System(rates={g: V, V: Concat(acceleration, Cross(J * w, w) / J)}), backend=backend)
 
 
 def gcc() -> str | None:

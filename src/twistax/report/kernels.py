@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from ..expr import Control, Cos, Sin, State
 from ..integrators import Result, integrate
 from ..lowering import XLA, Dynamics, Native, compile
-from ..lowering.emitters import Emitter
-from ..lowering.native.emitter import installed
+from ..lowering.backends import Backend
+from ..lowering.native.backend import installed
 from ..lowering.scalar.derivatives import jacobian
 from ..lowering.scalar.passes import one_by_one
 from ..lowering.scalar.program import ScalarProgram, scalarize
@@ -71,7 +71,7 @@ def above_an_empty_call() -> float:
     """What a jitted call of the Panda's forward dynamics takes beyond one that adds the three vectors, us."""
     arm = chain_models.panda()
     q, qd, tau = State("q", shape=(7,)), State("qd", shape=(7,)), Control("tau", shape=(7,))
-    dynamics = compile(System(rates={q: qd, qd: forward_dynamics(arm, q, qd, tau)}), emitter=Native())
+    dynamics = compile(System(rates={q: qd, qd: forward_dynamics(arm, q, qd, tau)}), backend=Native())
     point = [jnp.asarray(each) for each in np.random.default_rng(0).normal(size=(3, 7))]
     full = _native(jax.jit(lambda q, qd, tau: dynamics(0.0, {"q": q, "qd": qd}, {"tau": tau})["qd"]), *point)
     empty = jax.jit(lambda q, qd, tau: q + qd + tau)
@@ -127,13 +127,13 @@ def angles(count: int) -> NDArray[np.float64]:
     return np.concatenate([sizes, near, np.nextafter(near, 0.0)])
 
 
-def units_off(x: NDArray[np.float64], emitter: Emitter) -> float:
+def units_off(x: NDArray[np.float64], backend: Backend) -> float:
     """The worst sine or cosine, in units in the last place, against 50 digits."""
     mp = mpmath()
     s, c = State("s"), State("c")
-    dynamics = compile(System(rates={s: Sin(s), c: Cos(c)}), emitter=emitter)
+    dynamics = compile(System(rates={s: Sin(s), c: Cos(c)}), backend=backend)
     run = jax.jit(jax.vmap(lambda a: dynamics(0.0, {"s": a, "c": a})))
-    found = (_native(run, x) if isinstance(emitter, Native) else run)(jnp.asarray(x))
+    found = (_native(run, x) if isinstance(backend, Native) else run)(jnp.asarray(x))
     errors = []
     with mp.workdps(50):
         for name, function in (("s", mp.sin), ("c", mp.cos)):

@@ -47,9 +47,7 @@ def full() -> tx.System:
 
 
 def test_a_system_comes_back(tmp_path: Path) -> None:
-    dynamics = tx.compile(
-        full(), outputs=["height", "table"], bake={"J": np.diag([0.1, 0.2, 0.7])}, emitter=tx.Arrays()
-    )
+    dynamics = tx.compile(full(), outputs=["height", "table"], bake={"J": np.diag([0.1, 0.2, 0.7])}, backend=tx.JAX())
     loaded = again(dynamics, tmp_path)
     old, new = dynamics.system, loaded.system
     for kind in ("rates", "outputs", "constraints"):
@@ -65,7 +63,7 @@ def test_a_system_comes_back(tmp_path: Path) -> None:
     assert loaded.baked == ("J",)
     assert [p.name for p in loaded.parameters] == ["k"]
     assert list(loaded.families["outputs"]) == ["height", "table"]
-    assert loaded.emitter == tx.Arrays()
+    assert loaded.backend == tx.JAX()
     assert loaded.group == dynamics.group
 
     rng = np.random.default_rng(0)
@@ -83,11 +81,11 @@ def test_values_that_change_after_compiling_are_not_saved(tmp_path: Path) -> Non
     assert again(dynamics, tmp_path).bake["J"][0, 0] == 1.0
 
 
-def test_the_emitter_comes_back_or_is_chosen(tmp_path: Path) -> None:
+def test_the_backend_comes_back_or_is_chosen(tmp_path: Path) -> None:
     chosen = tx.Native(scalars=tx.XLA(checked=True, least=7), threads=3)
-    dynamics = tx.compile(full(), emitter=chosen)
-    assert again(dynamics, tmp_path).emitter == chosen
-    assert tx.load(tmp_path / "system.twistax", emitter=tx.Arrays()).emitter == tx.Arrays()
+    dynamics = tx.compile(full(), backend=chosen)
+    assert again(dynamics, tmp_path).backend == chosen
+    assert tx.load(tmp_path / "system.twistax", backend=tx.JAX()).backend == tx.JAX()
 
 
 def copied(roots: list[Expr]) -> list[Expr]:
@@ -161,8 +159,8 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_another_format_is_refused(file: Path) -> None:
-    edited(file, lambda content: content.update(format=2, twistax="9.9.9"))
-    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 2; this is twistax .* format 1"):
+    edited(file, lambda content: content.update(format=3, twistax="9.9.9"))
+    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 3; this is twistax .* format 2"):
         tx.load(file)
 
 
@@ -173,7 +171,7 @@ def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
         with pytest.raises(tx.InputError, match=r"'.*s' is "):
             tx.load(file)
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("system.json", b'{"format": 1, "twistax": "0"}')
+        archive.writestr("system.json", b'{"format": 2, "twistax": "0"}')
     with pytest.raises(tx.InputError, match="no saved system, or damaged"):
         tx.load(file)
     with pytest.raises(tx.InputError, match="there is no file"):

@@ -22,8 +22,9 @@ import pytest
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 import twistax as tx
-from twistax.lowering.native import emitter, machine_code, operations, self_test
+from twistax import jax_inside
 from twistax.lowering.native import kernel as kernel_module
+from twistax.lowering.native import machine_code, operations, self_test
 from twistax.lowering.native.code import Module
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.processor import Processor
@@ -39,21 +40,21 @@ BODY = tx.System(
     controls=[F],
     parameters=[J],
 )
-NATIVE, ARRAYS = tx.compile(BODY, emitter=tx.Native(least=0)), tx.compile(BODY, emitter=tx.Arrays())
+NATIVE, ARRAYS = tx.compile(BODY, backend=tx.Native(least=0)), tx.compile(BODY, backend=tx.JAX())
 START = {"w": np.array([0.4, -0.5, 0.6]), "R": np.eye(3), "mass": np.float64(4.0)}
 U = {"F": np.array([0.1, -0.2, 0.3])}
 s = tx.State("s", (3,))
 SMALL = tx.System(rates={s: tx.Sin(s) * s}, outputs={"length": tx.linalg.Norm(s)})
 AT = {"s": np.array([0.4, -0.5, 0.6])}
 RATES, SLOPES = np.sin(AT["s"]) * AT["s"], np.diag(np.sin(AT["s"]) + np.cos(AT["s"]) * AT["s"])
-KERNEL = tx.compile(SMALL, emitter=tx.Native(least=0))
+KERNEL = tx.compile(SMALL, backend=tx.Native(least=0))
 WS = np.random.default_rng(0).normal(size=(11, 3))
 
 
 @pytest.fixture(autouse=True)
 def first_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """No message was given yet."""
-    monkeypatch.setattr(emitter, "_SAID", set())
+    monkeypatch.setattr(jax_inside, "_SAID", set())
 
 
 def _near(own: Any, other: Any) -> None:
@@ -89,10 +90,10 @@ def test_loops_keep_what_xla_makes() -> None:
 
 
 def test_explained() -> None:
-    assert tx.compile(SMALL, emitter=tx.Native(least=0)).explain().emitter.startswith("native: ")
+    assert tx.compile(SMALL, backend=tx.Native(least=0)).explain().backend.startswith("native: ")
     r = tx.State("r", (9,))
     solved = tx.System(rates={r: tx.linalg.Solve(tx.Parameter("A", value=5.0 * np.eye(9)) + tx.linalg.Diag(r), r)})
-    explained = tx.compile(solved, emitter=tx.Native(least=0)).explain().emitter
+    explained = tx.compile(solved, backend=tx.Native(least=0)).explain().backend
     assert "not native: " in explained
     assert "has no native form" in explained
 
@@ -101,7 +102,7 @@ def test_without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> None:
     """XLA instead, and one message that names the extra."""
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "llvmlite" else found(name, *a))
-    dynamics = tx.compile(SMALL, emitter=tx.Native(least=0))
+    dynamics = tx.compile(SMALL, backend=tx.Native(least=0))
     with pytest.warns(RuntimeWarning, match=r"twistax\[native\]") as messages:
         rates = dynamics(0.0, AT)
     assert len(messages) == 1
@@ -111,14 +112,14 @@ def test_without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> None:
         slopes = dynamics.jacobian(0.0, AT)["x"]
     np.testing.assert_allclose(rates["s"], RATES, rtol=1e-14)
     np.testing.assert_allclose(slopes, SLOPES, rtol=1e-14)
-    assert "llvmlite is not installed" in dynamics.explain().emitter
+    assert "llvmlite is not installed" in dynamics.explain().backend
 
 
 def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Products that are sums: the first call finds out, XLA runs instead."""
     wrong = operations._OF_REALS | {by_primitive["mul"]: operations._OF_REALS[by_primitive["add"]]}
     monkeypatch.setattr(operations, "_OF_REALS", wrong)
-    dynamics = tx.compile(SMALL, emitter=tx.Native(least=0))
+    dynamics = tx.compile(SMALL, backend=tx.Native(least=0))
     with pytest.warns(RuntimeWarning, match="its results differ from those of NumPy") as messages:
         rates = dynamics(0.0, AT)["s"]
     assert len(messages) == 1
@@ -131,14 +132,14 @@ def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(self_test, "_CALLED", False)
     monkeypatch.setattr(Kernel, "__call__", lambda self, rows, *a: [jnp.zeros((rows, 3))])
     with pytest.warns(RuntimeWarning, match="JAX calls it otherwise"):
-        rates = tx.compile(SMALL, emitter=tx.Native(least=0))(0.0, AT)["s"]
+        rates = tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 
 
 def test_the_first_kernel_may_be_a_constant(monkeypatch: pytest.MonkeyPatch) -> None:
     """It reads nothing, though the system has a state."""
     monkeypatch.setattr(self_test, "_CALLED", False)
-    rates = tx.compile(tx.System(rates={s: tx.Constant(np.arange(3.0))}), emitter=tx.Native(least=0))(0.0, AT)["s"]
+    rates = tx.compile(tx.System(rates={s: tx.Constant(np.arange(3.0))}), backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_array_equal(rates, np.arange(3.0))
 
 
@@ -146,15 +147,15 @@ def test_too_large_written_out() -> None:
     """A solve is a call for XLA; written out for a kernel it takes more scalars than there may be."""
     r = tx.State("r", (6,))
     system = tx.System(rates={r: tx.linalg.Solve(tx.Parameter("A", value=5.0 * np.eye(6)) + tx.linalg.Diag(r), r)})
-    dynamics = tx.compile(system, emitter=tx.Native(scalars=tx.XLA(largest=300), least=0))
+    dynamics = tx.compile(system, backend=tx.Native(scalars=tx.XLA(largest=300), least=0))
     np.testing.assert_allclose(dynamics(0.0, {"r": np.ones(6)})["r"], 1.0 / 6.0, rtol=1e-13)
-    assert "not native: the function takes more than 300 scalars" in dynamics.explain().emitter
+    assert "not native: the function takes more than 300 scalars" in dynamics.explain().backend
 
 
 def test_llvm_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Module, "text", lambda self: "this is no program")
     with pytest.warns(RuntimeWarning, match="LLVM refuses it"):
-        rates = tx.compile(SMALL, emitter=tx.Native(least=0))(0.0, AT)["s"]
+        rates = tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 
 
@@ -162,13 +163,13 @@ def test_a_library_without_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     """LLVM would end the process."""
     monkeypatch.setattr(machine_code.ctypes, "CDLL", lambda name: object())
     with pytest.warns(RuntimeWarning, match="the C library has no"):
-        rates = tx.compile(SMALL, emitter=tx.Native(least=0, threads=7))(0.0, AT)["s"]
+        rates = tx.compile(SMALL, backend=tx.Native(least=0, threads=7))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 
 
 def test_least() -> None:
     """Small calls stay XLA's, batches of the same function are native."""
-    dynamics = tx.compile(BODY, emitter=tx.Native(least=500))
+    dynamics = tx.compile(BODY, backend=tx.Native(least=500))
     one = jax.jit(lambda own: dynamics(0.0, {**START, "w": own}, U))
     assert "twistax_" not in one.lower(WS[0]).as_text()
     assert "twistax_" in jax.jit(jax.vmap(one)).lower(np.zeros((64, 3))).as_text()
@@ -180,14 +181,14 @@ def test_options_that_are_none(options: dict[str, int]) -> None:
         tx.Native(**options)
 
 
-def test_the_same_system_by_another_emitter() -> None:
+def test_the_same_system_by_another_backend() -> None:
     """Calls too, not only what loops call."""
-    native, other = (jax.jit(d).lower(0.0, AT).as_text() for d in (KERNEL, KERNEL.emitted_by(tx.Arrays())))
+    native, other = (jax.jit(d).lower(0.0, AT).as_text() for d in (KERNEL, KERNEL.with_backend(tx.JAX())))
     assert "twistax_" in native
     assert "twistax_" not in other
 
 
-def test_emitters_are_values() -> None:
+def test_backends_are_values() -> None:
     assert tx.Native() == tx.Native()
     assert hash(tx.Native(threads=2)) == hash(tx.Native(threads=2))
     assert tx.Native(threads=2) != tx.Native()
@@ -273,7 +274,7 @@ found = []
 jax.monitoring.register_event_listener(lambda event, **_: found.append(event))
 import numpy as np, twistax as tx
 x = tx.State("x", (4,))
-dynamics = tx.compile(tx.System(rates={x: tx.Sin(x) * x}), emitter=tx.Native(least=0))
+dynamics = tx.compile(tx.System(rates={x: tx.Sin(x) * x}), backend=tx.Native(least=0))
 value = jax.jit(jax.vmap(lambda v: dynamics(0.0, {"x": v})["x"]))
 rows = np.arange(20.0).reshape(5, 4)
 np.testing.assert_allclose(value(rows), np.sin(rows) * rows, rtol=1e-13)
@@ -319,19 +320,24 @@ def test_no_warning_by_default() -> None:
 
 
 def test_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Large functions are native where llvmlite is; small ones, and all without it, are as ever."""
+    """Large functions are native where llvmlite is; small ones, and all without it, are as ever: without a warning."""
     large = tx.System(rates={s: functools.reduce(lambda x, k: tx.Sin(x) * s + k, range(60), s)})
-    assert tx.compile(large).emitter == tx.Native(only_large=True)
+    assert tx.compile(large).backend == tx.compile(large, backend="auto").backend
     assert "twistax_" in jax.jit(tx.compile(large)).lower(0.0, AT).as_text()
     assert "twistax_" not in jax.jit(tx.compile(SMALL)).lower(0.0, AT).as_text()
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "llvmlite" else found(name, *a))
-    assert tx.compile(large).emitter == tx.XLA()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        without = tx.compile(large)
+        assert "twistax_" not in jax.jit(without).lower(0.0, AT).as_text()
+        without.jacobian(0.0, AT)
+    assert repr(without).endswith("backend: auto = XLA)")
 
 
 def test_other_devices_run_what_xla_makes() -> None:
     """A kernel is for the CPU; a program for several kinds of device holds both."""
-    dynamics = tx.compile(SMALL, emitter=tx.Native(least=0))
+    dynamics = tx.compile(SMALL, backend=tx.Native(least=0))
     traced = jax.jit(jax.vmap(lambda own: dynamics(0.0, {"s": own}))).trace(WS)
     assert "twistax_" in traced.lower(lowering_platforms=("cpu",)).as_text()
     assert "twistax_" not in traced.lower(lowering_platforms=("cuda",)).as_text()

@@ -44,7 +44,7 @@ def native(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
         if key not in programs:
             program = scalarize(lambda *v: jax.tree.leaves(function(*v)), *shapes)
             programs[key] = tx.Native(least=0, **options).derived(program)
-            assert programs[key].backend is not None
+            assert programs[key].runner is not None
         found = call_program(programs[key], *map(jnp.asarray, arguments))
         return found[0] if len(found) == 1 else found
 

@@ -7,15 +7,15 @@ import json
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, ModelError, TwistaxError
 from ...system import System
+from ..backends import Backend
 from ..dynamics import Dynamics, compile
-from ..emitters import Emitter
 from .plain import PlainReader
 from .saved import FORMAT, JSON, keys
 from .tree import read_nodes, read_only
@@ -24,15 +24,15 @@ from .version import version
 __all__ = ["load"]
 
 
-def load(path: str | Path, *, emitter: Emitter | None = None) -> Dynamics:
+def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:
     """A compiled system from a file that `Dynamics.save` wrote.
 
     Its expressions have the keys they had, and its functions give the same numbers on the same machine, to the last
-    bit. Nothing in a file is run. Nodes, groups and emitters of your own are found by the names of their module and
+    bit. Nothing in a file is run. Nodes, groups and backends of your own are found by the names of their module and
     class: import what defines them first.
 
     Args:
-        emitter: another one than it was compiled with.
+        backend: another one than it was compiled with.
     Raises:
         InputError: no such file, no file of this kind, a damaged one, or one of another format; it names the path and
             the versions.
@@ -46,8 +46,8 @@ def load(path: str | Path, *, emitter: Emitter | None = None) -> Dynamics:
             count = content["arrays"]
             arrays = read_only(_array(archive.read(f"arrays/{k}.npy")) for k in range(count))
         system, options = _system(content, arrays)
-        if emitter is not None:
-            options["emitter"] = emitter
+        if backend is not None:
+            options["backend"] = backend
         dynamics = compile(system, **options)
         if keys(system) != content["keys"]:
             raise ModelError(
@@ -83,7 +83,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
     )
     reader, compiled = PlainReader(arrays, lambda place: nodes[place]), content["compiled"]
     bake = {name: reader.read(value) for name, value in compiled["bake"]}
-    return system, {"outputs": compiled["outputs"], "bake": bake, "emitter": reader.read(compiled["emitter"])}
+    return system, {"outputs": compiled["outputs"], "bake": bake, "backend": reader.read(compiled["backend"])}
 
 
 def _check_version(place: str, content: Any) -> None:

@@ -145,11 +145,11 @@ def _node_class(named: str) -> type | None:
 
 
 def _constructible(cls: type) -> bool:
-    """Whether a file may make values of a class: frozen dataclasses of this package, and groups and emitters."""
-    from ..emitters import Emitter
+    """Whether a file may make values of a class: frozen dataclasses of this package, and groups and backends."""
+    from ..backends import Backend
 
     frozen = dataclasses.is_dataclass(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    return frozen and (cls.__module__.partition(".")[0] == _PACKAGE or issubclass(cls, (Group, Emitter)))
+    return frozen and (cls.__module__.partition(".")[0] == _PACKAGE or issubclass(cls, (Group, Backend)))
 
 
 def unknown_class(named: str) -> str:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMAT", "JSON", "keys", "save"]
 
 #: Raised whenever a file of the old form would be read wrongly.
-FORMAT = 1
+FORMAT = 2
 
 #: The member of the archive that says everything but the arrays.
 JSON = "system.json"
@@ -76,7 +76,7 @@ def _content(dynamics: Dynamics, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     compiled = {
         "outputs": list(dynamics.families["outputs"]),
         "bake": [[name, writer.write(value, f"bake[{name!r}]")] for name, value in dynamics.bake.items()],
-        "emitter": writer.write(dynamics.emitter, "the emitter"),
+        "backend": writer.write(dynamics.backend, "the backend"),
     }
     return {
         "format": FORMAT,

@@ -337,7 +337,7 @@ class Graph(Algebra):
             if found >= self.largest:
                 raise TooLarge(
                     f"the function takes more than {self.largest} scalars, too many to write out one by one.\n"
-                    "  fix: compile with emitter=tx.Arrays(), and take its derivatives with jax.jacfwd"
+                    "  fix: compile with backend=tx.JAX(), and take its derivatives with jax.jacfwd"
                 )
             self._known[key] = found
             self.nodes.append(key)

@@ -18,14 +18,14 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
-__all__ = ["Backend", "Derived", "call_program", "native_p", "program_p"]
+__all__ = ["Runner", "Derived", "call_program", "native_p", "program_p"]
 
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
 
 
-class Backend(ABC):
+class Runner(ABC):
     """What runs programs on the CPU in another way than by XLA."""
 
     @abstractmethod
@@ -46,17 +46,17 @@ class Derived:
 
     Args:
         program: the program; or what makes it, with the shapes and types of its results.
-        backend: what runs it and its derivatives on the CPU; XLA if None.
+        runner: what runs it and its derivatives on the CPU; XLA if None.
     """
 
     def __init__(
         self,
         program: ScalarProgram | Callable[[], ScalarProgram],
         results: Shapes | None = None,
-        backend: Backend | None = None,
+        runner: Runner | None = None,
     ) -> None:
         self._program = program
-        self.backend = backend
+        self.runner = runner
         self._results = results
         self._tangents: dict[tuple[int, ...], Derived] = {}
         self._cotangents: dict[tuple[int, ...], Derived] = {}
@@ -83,12 +83,12 @@ class Derived:
         return as_function(self.program, apart)
 
     def native(self, rows: int) -> Callable[..., list[jax.Array]] | None:
-        """What the backend runs for so many rows; None: XLA runs it."""
-        if self.backend is None or not self.backend.worthwhile(self.program, rows):
+        """What the runner runs for so many rows; None: XLA runs it."""
+        if self.runner is None or not self.runner.worthwhile(self.program, rows):
             return None
         single = rows == 1
         if single not in self._prepared:
-            self._prepared[single] = self.backend.prepare(self.program, single)
+            self._prepared[single] = self.runner.prepare(self.program, single)
         return self._prepared[single]
 
     @property
@@ -100,20 +100,20 @@ class Derived:
         if active not in self._tangents:
             # Made when it runs: what is only transposed need not have a forward derivative at all.
             results = [self.results[k] for k in self.real]
-            found = Derived(lambda: tangent_program(self.program, active), results, self.backend)
+            found = Derived(lambda: tangent_program(self.program, active), results, self.runner)
             found.origin = (self, active)
             self._tangents[active] = found
         return self._tangents[active]
 
     def cotangent(self, active: tuple[int, ...]) -> Derived:
         if active not in self._cotangents:
-            self._cotangents[active] = Derived(cotangent_program(self.program, active), None, self.backend)
+            self._cotangents[active] = Derived(cotangent_program(self.program, active), None, self.runner)
         return self._cotangents[active]
 
 
 #: A program that XLA runs; it may be part of a small call.
 program_p = Primitive("scalar_program")
-#: One that another backend runs where that is faster. Under a name of its own: it must not become part of a small call.
+#: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
 native_p = Primitive("native_program")
 
 
@@ -125,7 +125,7 @@ def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
 def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
     # A loop that is compiled as one small function needs no other one inside.
     inside = inside_small_call()
-    primitive = program_p if inside or derived.backend is None else native_p
+    primitive = program_p if inside or derived.runner is None else native_p
     return primitive.bind(*arguments, derived=derived, depth=depth, inside=inside)
 
 
@@ -147,7 +147,7 @@ def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[ja
 
 
 def _run_native(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
-    """On the CPU, by the backend; where it does not, by XLA."""
+    """On the CPU, by the runner; where it does not, by XLA."""
     shape = jnp.shape(arguments[0])[:depth] if arguments else ()
     rows = math.prod(shape)
     native = derived.native(rows) if rows else None

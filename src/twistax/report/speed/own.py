@@ -1,4 +1,4 @@
-"""This package, with each of its emitters."""
+"""This package, with each of its backends."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax
 
 import twistax as tx
 
-from ...lowering.emitters import Emitter
+from ...lowering.backends import Backend
 from ...lowering.scalar.graph import TooLarge
 from .case import Case
 from .contender import Contender
@@ -22,14 +22,14 @@ __all__ = ["Arrays", "Native", "Scalars"]
 
 class _Own(Contender):
     @abstractmethod
-    def emitter(self) -> Emitter: ...
+    def backend(self) -> Backend: ...
 
     def task(self, case: Case, quantity: Quantity) -> Task:
         system = case.system()
         return JaxTask(case, lambda: self._function(system, case, quantity))
 
     def _function(self, system: tx.System, case: Case, quantity: Quantity) -> Callable[..., Any]:
-        dynamics = tx.compile(system, emitter=self.emitter())
+        dynamics = tx.compile(system, backend=self.backend())
         if quantity is JACOBIAN and self._writes_out(dynamics, case):
 
             def slopes(a: Any, b: Any, c: Any) -> list[jax.Array]:
@@ -57,20 +57,20 @@ class _Own(Contender):
 class Scalars(_Own):
     name, colour = "twistax XLA", "C0"
     how = (
-        "`tx.compile(system, emitter=tx.XLA())`: scalars where it writes functions out, arrays below. Jacobians by "
+        "`tx.compile(system, backend=tx.XLA())`: scalars where it writes functions out, arrays below. Jacobians by "
         "`dynamics.jacobian` up to 30,000 operations, by `jax.jacfwd` beyond; gradients by `jax.grad`."
     )
 
-    def emitter(self) -> Emitter:
+    def backend(self) -> Backend:
         return tx.XLA()
 
 
 class Arrays(_Own):
     name, colour = "twistax arrays", "C9"
-    how = "`tx.compile(system, emitter=tx.Arrays())`: small arrays as they are written. Derivatives by JAX."
+    how = "`tx.compile(system, backend=tx.JAX())`: small arrays as they are written. Derivatives by JAX."
 
-    def emitter(self) -> Emitter:
-        return tx.Arrays()
+    def backend(self) -> Backend:
+        return tx.JAX()
 
     def _writes_out(self, dynamics: tx.Dynamics, case: Case) -> bool:
         return False
@@ -78,8 +78,8 @@ class Arrays(_Own):
 
 class Native(_Own):
     name, colour = "twistax native", "C3"
-    how = "`tx.compile(system, emitter=tx.Native())`: kernels compiled in process. Derivatives as with XLA."
+    how = "`tx.compile(system, backend=tx.Native())`: kernels compiled in process. Derivatives as with XLA."
     packages = (("llvmlite", "llvmlite"),)
 
-    def emitter(self) -> Emitter:
+    def backend(self) -> Backend:
         return tx.Native()

@@ -1,10 +1,11 @@
-"""How the functions of a system become JAX programs: as arrays, or as scalars."""
+"""What runs the functions of a system: JAX, as arrays, or XLA, as scalars; `native/backend.py` has machine code."""
 
 from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ from .scalar.repeated import Repeated
 from .small_call import known_inside
 from .work import array_operations, has_keys, largest_array, primitives
 
-__all__ = ["ANY_SIZE", "XLA", "Arrays", "Emission", "Emitter", "pure"]
+__all__ = ["ANY_SIZE", "JAX", "XLA", "Emission", "Backend", "pure"]
 
 #: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
 _LARGEST_STEP = 10_000
@@ -45,8 +46,14 @@ class Emission:
     reason: str
 
 
-class Emitter(ABC):
+class Backend(ABC):
     """Turns a function of arrays into the one that runs. A value: equal where it does the same."""
+
+    def __str__(self) -> str:
+        """Its name, and the options that are not the usual ones."""
+        options: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(self) if dataclasses.is_dataclass(self) else ()
+        changed = [f"{f.name}={getattr(self, f.name)}" for f in options if getattr(self, f.name) != f.default]
+        return type(self).__name__ + (f"({', '.join(changed)})" if changed else "")
 
     @abstractmethod
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
@@ -60,8 +67,8 @@ class Emitter(ABC):
         """A program with its derivatives, to be called."""
         return Derived(program)
 
-    def in_loops(self) -> Emitter:
-        """The emitter of functions that an integrator puts into its loop."""
+    def in_loops(self) -> Backend:
+        """The backend of functions that an integrator puts into its loop."""
         return self
 
     def repeated(
@@ -81,15 +88,15 @@ class Emitter(ABC):
 
 
 @dataclasses.dataclass(frozen=True)
-class Arrays(Emitter):
-    """As written, in small arrays."""
+class JAX(Backend):
+    """As written, in small arrays, by JAX."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        return Emission(_as_arrays(closed), None, "arrays were asked for")
+        return Emission(_as_arrays(closed), None, "arrays, as written")
 
 
 @dataclasses.dataclass(frozen=True)
-class XLA(Emitter):
+class XLA(Backend):
     """Scalars without structural zeros and ones, compiled by XLA, where a function is large enough to gain by it.
 
     By default 0 x, 0 / x and x - x are zero, also where x is infinite or not a number; numbers are folded; x / d, y / d

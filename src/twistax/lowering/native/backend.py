@@ -1,8 +1,9 @@
-"""The emitter whose functions run as machine code of their own on the CPU."""
+"""The backends whose functions run as machine code of their own on the CPU."""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import importlib.util
 from collections.abc import Callable, Collection, Sequence
 
@@ -10,9 +11,9 @@ import jax
 
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
-from ..emitters import ANY_SIZE, XLA, Emission, Emitter, pure
+from ..backends import ANY_SIZE, XLA, Backend, Emission, pure
 from ..scalar.graph import TooLarge
-from ..scalar.primitive import Backend, Derived, call_program
+from ..scalar.primitive import Derived, Runner, call_program
 from ..scalar.program import ScalarProgram
 from ..scalar.repeated import Repeated
 from .code import NotNative
@@ -23,9 +24,10 @@ from .self_test import check_kernel
 from .tile import NATIVE_LIMITS, Straight, Tile, native_form
 from .turns import Turns
 
-__all__ = ["Native", "default_emitter", "installed"]
+__all__ = ["Auto", "Native", "installed"]
 
 _XLA = XLA()
+_MISSING = "llvmlite is not installed"
 
 
 def installed() -> bool:
@@ -33,13 +35,8 @@ def installed() -> bool:
     return importlib.util.find_spec("llvmlite") is not None
 
 
-def default_emitter() -> Emitter:
-    """Native for large functions where llvmlite is installed, else XLA."""
-    return Native(only_large=True) if installed() else _XLA
-
-
 @dataclasses.dataclass(frozen=True)
-class Native(Emitter, Backend):
+class Native(Backend, Runner):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
     Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
@@ -51,8 +48,6 @@ class Native(Emitter, Backend):
         threads: the most that a large batch is shared between; None: as many as XLA has.
         least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them: in a loop a
             kernel costs some 100 ns by itself.
-        only_large: of calls only those of functions that `scalars` would write out as well, which is what `tx.compile`
-            does by default.
 
     Raises:
         ModelError: threads below one, or least below zero.
@@ -61,7 +56,6 @@ class Native(Emitter, Backend):
     scalars: XLA = _XLA
     threads: int | None = None
     least: int = 500
-    only_large: bool = False
 
     def __post_init__(self) -> None:
         if self.threads is not None and self.threads < 1:
@@ -69,12 +63,13 @@ class Native(Emitter, Backend):
         if self.least < 0:
             raise ModelError(f"Native expects least not below zero, got {self.least}")
 
-    # ---- the emitter ---------------------------------------------------------------------------------------------
+    def __str__(self) -> str:
+        with_it = f"llvmlite {importlib.metadata.version('llvmlite')}" if installed() else f"{_MISSING}: XLA"
+        return f"{super().__str__()} ({with_it})"
+
+    # ---- the backend ---------------------------------------------------------------------------------------------
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        if self.only_large:
-            found = self.scalars.emit(closed, fixed)
-            return found if found.program is None else self._native(found.program, lambda: found)
         try:
             program = self.scalars.written_out(closed)
         except TooLarge:
@@ -84,7 +79,7 @@ class Native(Emitter, Backend):
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
 
-    def in_loops(self) -> Emitter:
+    def in_loops(self) -> Backend:
         return self.scalars
 
     def repeated(
@@ -127,8 +122,8 @@ class Native(Emitter, Backend):
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
         """The program with what runs it, and why."""
         if not installed():
-            say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
-            return None, "llvmlite is not installed"
+            self._say_missing()
+            return None, _MISSING
         try:
             form = native_form(program)
         except NotNative as error:
@@ -143,7 +138,10 @@ class Native(Emitter, Backend):
             return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
         return Emission(lambda *a: call_program(derived, *a), program, reason)
 
-    # ---- the backend ---------------------------------------------------------------------------------------------
+    def _say_missing(self) -> None:
+        say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
+
+    # ---- the runner ----------------------------------------------------------------------------------------------
 
     def worthwhile(self, program: ScalarProgram, rows: int) -> bool:
         return program.operations * rows >= self.least
@@ -165,3 +163,22 @@ class Native(Emitter, Backend):
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None
         return kernel
+
+
+@dataclasses.dataclass(frozen=True)
+class Auto(Native):
+    """What `backend="auto"` means: `XLA`, and where llvmlite is installed kernels for what it writes out as scalars.
+
+    Attributes: as those of `Native`.
+    """
+
+    def __str__(self) -> str:
+        kernels = f"{Native.__str__(Native())} for large functions, " if installed() else ""
+        return f"auto = {kernels}{self.scalars}"
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        found = self.scalars.emit(closed, fixed)
+        return found if found.program is None or not installed() else self._native(found.program, lambda: found)
+
+    def _say_missing(self) -> None:
+        """Nobody asked for it."""
