@@ -18,7 +18,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from . import charts, compositions, expr, lie, linalg, spatial, tableaus
+from . import expr, lie, linalg, spatial
 from .errors import (
     ImmutableError,
     InputError,
@@ -31,25 +31,25 @@ from .errors import (
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
-from .integrators import (
-    RKMK,
-    CommutatorFree,
-    Event,
-    FirstOrderHold,
-    Magnus,
-    Result,
-    Solution,
-    StepControl,
-    ZeroOrderHold,
-    integrate,
-)
-from .integrators.implicit import ImplicitRKMK
-from .integrators.splitting import FreeBody, FreeParticle, Splitting
-from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
 from .system import System
 
-if TYPE_CHECKING:
-    from . import diffrax, mechanics, trajectory
+if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
+    from . import charts, compositions, diffrax, mechanics, tableaus, trajectory
+    from .integrators import (
+        RKMK,
+        CommutatorFree,
+        Event,
+        FirstOrderHold,
+        Magnus,
+        Result,
+        Solution,
+        StepControl,
+        ZeroOrderHold,
+        integrate,
+    )
+    from .integrators.implicit import ImplicitRKMK
+    from .integrators.splitting import FreeBody, FreeParticle, Splitting
+    from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.1.0"
@@ -66,14 +66,13 @@ __all__ = [
     "Dynamics",
     "Euclidean",
     "Event",
+    "FirstOrderHold",
     "FreeBody",
     "FreeParticle",
-    "ZeroOrderHold",
     "ImmutableError",
     "ImplicitRKMK",
     "InputError",
     "IntegrationError",
-    "FirstOrderHold",
     "Magnus",
     "Maximize",
     "Minimize",
@@ -90,6 +89,7 @@ __all__ = [
     "System",
     "TrajectoryError",
     "TwistaxError",
+    "ZeroOrderHold",
     "charts",
     "compile",
     "compositions",
@@ -108,18 +108,38 @@ __all__ = [
 ]
 __all__ += expr.__all__
 
-#: Loaded when first touched: they bring diffrax or SciPy with them, or serve some models only.
-_LAZY_MODULES = ("diffrax", "mechanics", "trajectory")
-_LAZY_NAMES = {"Minimize": "trajectory", "Maximize": "trajectory"}
+#: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
+_LATER = {
+    "": ("charts", "compositions", "diffrax", "mechanics", "tableaus", "trajectory"),
+    ".integrators": (
+        "RKMK",
+        "CommutatorFree",
+        "Event",
+        "FirstOrderHold",
+        "Magnus",
+        "Result",
+        "Solution",
+        "StepControl",
+        "ZeroOrderHold",
+        "integrate",
+    ),
+    ".integrators.implicit": ("ImplicitRKMK",),
+    ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
+    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
+    ".trajectory": ("Maximize", "Minimize"),
+}
 
+if not TYPE_CHECKING:  # a type checker shall see the names above and no others
 
-def __getattr__(name: str) -> object:  # `Any` is a node here
-    if name in _LAZY_MODULES:
-        return importlib.import_module(f"{__name__}.{name}")
-    if name in _LAZY_NAMES:
-        return getattr(importlib.import_module(f"{__name__}.{_LAZY_NAMES[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    def __getattr__(name: str):
+        for module, names in _LATER.items():
+            if name in names:
+                if not module:
+                    return importlib.import_module(f"{__name__}.{name}")
+                value = globals()[name] = getattr(importlib.import_module(__name__ + module), name)
+                return value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY_MODULES, *_LAZY_NAMES})
+    return sorted({*globals(), *__all__})

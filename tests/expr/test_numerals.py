@@ -80,6 +80,19 @@ def test_every_operation_of_the_table_is_compared():
     assert set(_IN_NUMPY) <= seen
 
 
+@pytest.mark.parametrize("name", ["add", "reduce_sum", "jit"])
+def test_an_equation_of_a_later_jax_is_left_to_jax(name):
+    """One more parameter, or one under another name, and NumPy is not asked."""
+    jaxpr = jax.make_jaxpr(FUNCTIONS["select_n" if name == "jit" else name])(A, V).jaxpr
+    (eqn,) = [eqn for eqn in jaxpr.eqns if eqn.primitive.name == name][:1]
+    params = dict(eqn.params, of_the_future=1)
+    if name == "jit":
+        params = {"body" if key == "jaxpr" else key: None for key in eqn.params}
+    changed = jaxpr.replace(eqns=[eqn.replace(params=params)])
+    assert _in_numpy(jaxpr.replace(eqns=[eqn]))
+    assert not _in_numpy(changed)
+
+
 def test_what_numpy_does_not_do_is_left_to_jax():
     found = numerals(lambda x: jax.lax.while_loop(lambda s: s < 10.0, lambda s: 2.0 * s, x), [np.array(3.0)], True)
     assert found == 12.0

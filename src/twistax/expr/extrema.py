@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import logsumexp
 
 from ..errors import ModelError
 from .arithmetic import rebuilt
@@ -129,7 +128,7 @@ class LogSumExp(Extremum):
         super().__init__(*operands)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        return logsumexp(jnp.stack(jnp.broadcast_arrays(*align(*values))), axis=0)
+        return jax.nn.logsumexp(jnp.stack(jnp.broadcast_arrays(*align(*values))), axis=0)
 
 
 class PositivePart(Entrywise):

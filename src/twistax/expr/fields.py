@@ -83,9 +83,9 @@ def declare_fields(cls: Any, base: Any) -> None:
         fields[name] = Field(name, kind == "Operand", kind == "Operands", default)
     cls._fields = tuple(fields.values())
     cls._signature = _signature(cls._fields)
-    # What `help` shows, unless a class takes its arguments in another form than its fields.
-    if cls.__init__ is base.__init__ and cls.__new__ is base.__new__:
-        cls.__signature__ = cls._signature
+    # What `help` and editors show: the fields, unless a class takes its arguments in another form.
+    taken = cls._signature if cls.__init__ is base.__init__ else inspect.signature(cls.__init__)
+    cls.__signature__ = taken.replace(parameters=[p for p in taken.parameters.values() if p.name != "self"])
 
 
 def _signature(fields: tuple[Field, ...]) -> inspect.Signature:

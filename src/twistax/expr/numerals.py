@@ -1,4 +1,4 @@
-"""A function of arrays worked out on NumPy's numbers: XLA would compile a program for each operation."""
+"""A function of arrays computed on NumPy's numbers: XLA would compile a program for each operation."""
 
 from __future__ import annotations
 
@@ -9,47 +9,56 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..jax_inside import ClosedJaxpr, Literal
+from ..jax_inside import ClosedJaxpr, Literal, inner_jaxprs
 
-#: What constants are folded with most; JAX itself does whatever is not here.
-_IN_NUMPY: dict[str, Callable[..., Any]] = {
-    "add": lambda a, b, **_: a + b,
-    "add_any": lambda a, b, **_: a + b,
-    "sub": lambda a, b, **_: a - b,
-    "mul": lambda a, b, **_: a * b,
-    "neg": lambda a, **_: -a,
-    "abs": lambda a, **_: np.abs(a),
-    "max": lambda a, b, **_: np.maximum(a, b),
-    "min": lambda a, b, **_: np.minimum(a, b),
-    "eq": lambda a, b, **_: a == b,
-    "ne": lambda a, b, **_: a != b,
-    "lt": lambda a, b, **_: a < b,
-    "le": lambda a, b, **_: a <= b,
-    "gt": lambda a, b, **_: a > b,
-    "ge": lambda a, b, **_: a >= b,
-    "and": lambda a, b, **_: a & b,
-    "or": lambda a, b, **_: a | b,
-    "not": lambda a, **_: ~a,
-    "select_n": lambda which, *cases, **_: np.choose(np.asarray(which, int), cases),
-    "convert_element_type": lambda a, **_: a,  # the type of a result is taken from its equation
-    "square": lambda a, **_: a * a,
-    "sqrt": lambda a, **_: np.sqrt(a),
-    "reduce_sum": lambda a, *, axes, **_: np.sum(a, axis=tuple(axes)),
-    "slice": lambda a, *, start_indices, limit_indices, strides, **_: a[
-        tuple(map(slice, start_indices, limit_indices, strides or [1] * a.ndim))
-    ],
-    "squeeze": lambda a, *, dimensions, **_: np.squeeze(a, tuple(dimensions)),
-    "reshape": lambda a, *, new_sizes, **_: np.reshape(a, new_sizes),
-    "transpose": lambda a, *, permutation, **_: np.transpose(a, permutation),
-    "concatenate": lambda *parts, dimension, **_: np.concatenate(parts, dimension),
-    "stack": lambda *parts, axis, **_: np.stack(parts, axis),
-    "broadcast_in_dim": lambda a, *, shape, broadcast_dimensions, **_: np.broadcast_to(
-        np.expand_dims(a, [k for k in range(len(shape)) if k not in broadcast_dimensions]), shape
+#: What constants are folded with most, with the parameters each reads; JAX itself does whatever is not here.
+_IN_NUMPY: dict[str, tuple[Callable[..., Any], set[str]]] = {
+    "add": (np.add, set()),
+    "add_any": (np.add, set()),
+    "sub": (np.subtract, set()),
+    "mul": (lambda a, b, out_dtype: a * b, {"out_dtype"}),
+    "neg": (np.negative, set()),
+    "abs": (np.abs, set()),
+    "max": (np.maximum, set()),
+    "min": (np.minimum, set()),
+    "eq": (np.equal, set()),
+    "ne": (np.not_equal, set()),
+    "lt": (np.less, set()),
+    "le": (np.less_equal, set()),
+    "gt": (np.greater, set()),
+    "ge": (np.greater_equal, set()),
+    "and": (np.bitwise_and, set()),
+    "or": (np.bitwise_or, set()),
+    "not": (np.invert, set()),
+    "select_n": (lambda which, *cases: np.choose(np.asarray(which, int), cases), set()),
+    "convert_element_type": (lambda a, new_dtype: a, {"new_dtype"}),  # a result takes the type of its equation
+    "square": (np.square, set()),
+    "sqrt": (np.sqrt, set()),
+    "reduce_sum": (lambda a, axes: np.sum(a, axis=tuple(axes)), {"axes"}),
+    "slice": (
+        lambda a, start_indices, limit_indices, strides: a[
+            tuple(map(slice, start_indices, limit_indices, strides or [1] * a.ndim))
+        ],
+        {"start_indices", "limit_indices", "strides"},
     ),
-    "unstack": lambda a, *, axis, **_: list(np.moveaxis(a, axis, 0)),
-    "dot_general": lambda a, b, *, dimension_numbers, **_: np.tensordot(a, b, dimension_numbers[0]),
-    "copy": lambda a, **_: a,
+    "squeeze": (lambda a, dimensions: np.squeeze(a, tuple(dimensions)), {"dimensions"}),
+    "reshape": (lambda a, new_sizes, dimensions: np.reshape(a, new_sizes), {"new_sizes", "dimensions"}),
+    "transpose": (lambda a, permutation: np.transpose(a, permutation), {"permutation"}),
+    "concatenate": (lambda *parts, dimension: np.concatenate(parts, dimension), {"dimension"}),
+    "stack": (lambda *parts, axis: np.stack(parts, axis), {"axis"}),
+    "broadcast_in_dim": (
+        lambda a, shape, broadcast_dimensions: np.broadcast_to(
+            np.expand_dims(a, [k for k in range(len(shape)) if k not in broadcast_dimensions]), shape
+        ),
+        {"shape", "broadcast_dimensions"},
+    ),
+    "unstack": (lambda a, axis: list(np.moveaxis(a, axis, 0)), {"axis"}),
+    "dot_general": (lambda a, b, dimension_numbers: np.tensordot(a, b, dimension_numbers[0]), {"dimension_numbers"}),
+    "copy": (lambda a: a, set()),
 }
+
+#: Parameters that change no value; in any other that a later JAX may add, JAX is believed.
+_WITHOUT_EFFECT = {"accuracy", "out_sharding", "precision", "preferred_element_type", "sharding", "weak_type"}
 
 
 def numerals(function: Callable[..., Any], values: Sequence[np.ndarray], traced: bool) -> np.ndarray:
@@ -63,7 +72,7 @@ def numerals(function: Callable[..., Any], values: Sequence[np.ndarray], traced:
             return np.asarray(function(*values))
         closed = jax.make_jaxpr(function)(*values)
         if _in_numpy(closed.jaxpr):
-            return _worked_out(closed, values)[0]
+            return _computed(closed, values)[0]
     return np.asarray(function(*map(jnp.asarray, values)))
 
 
@@ -72,29 +81,34 @@ def _in_numpy(jaxpr: Any) -> bool:
 
 
 def _inner(eqn: Any) -> ClosedJaxpr | None:
-    return eqn.params["jaxpr"] if eqn.primitive.name == "jit" else None
+    """The one function that an equation calls, if all it does is to call it."""
+    inner = inner_jaxprs(eqn) if eqn.primitive.name == "jit" else []
+    return inner[0] if len(inner) == 1 else None
 
 
 def _is_listed(eqn: Any) -> bool:
-    return eqn.primitive.name in _IN_NUMPY and not _differs(eqn.primitive.name, eqn)
+    name = eqn.primitive.name
+    return name in _IN_NUMPY and _IN_NUMPY[name][1] == {*eqn.params} - _WITHOUT_EFFECT and not _differs(name, eqn)
 
 
 def _differs(name: str, eqn: Any) -> bool:
     """Whether NumPy would do something else."""
     given, result = [v.aval.dtype for v in eqn.invars], eqn.outvars[0].aval.dtype
-    if name == "dot_general":
-        return bool(eqn.params["dimension_numbers"][1][0]) or {*given} != {result}
+    if name == "dot_general" and eqn.params["dimension_numbers"][1][0]:
+        return True
+    if name in ("dot_general", "mul"):
+        return {*given} != {result}
     if name == "reshape":
         return eqn.params["dimensions"] is not None
     if name == "select_n":
         return given[0] != np.dtype(bool)
-    # Not a number, and what is out of range.
+    # NaN, and what is out of range.
     return (
         name == "convert_element_type" and jnp.issubdtype(given[0], jnp.inexact) and jnp.issubdtype(result, jnp.integer)
     )
 
 
-def _worked_out(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
+def _computed(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
     jaxpr = closed.jaxpr
     known = dict(zip(jaxpr.constvars, closed.consts, strict=True))
     known.update(zip(jaxpr.invars, values, strict=True))
@@ -105,9 +119,10 @@ def _worked_out(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
     for eqn in jaxpr.eqns:
         inputs = [value(each) for each in eqn.invars]
         if inner := _inner(eqn):
-            results = _worked_out(inner, inputs)
+            results = _computed(inner, inputs)
         else:
-            found = _IN_NUMPY[eqn.primitive.name](*inputs, **eqn.params)
+            function, names = _IN_NUMPY[eqn.primitive.name]
+            found = function(*inputs, **{name: eqn.params[name] for name in names})
             results = found if eqn.primitive.multiple_results else [found]
         known.update(zip(eqn.outvars, results, strict=True))
     return [value(each) for each in jaxpr.outvars]

@@ -9,13 +9,14 @@ from jaxtyping import Array, Float
 from twistax.errors import InputError, ShapeError
 from twistax.groups import quaternions, se3
 from twistax.groups.inputs import Input, floats, of_shape
-from twistax.jax_inside import is_tracer
 
 __all__ = ["euler", "pose", "quaternion", "quaternion_product", "rotation_from_quaternion"]
 
 
 def _concrete(a: Array) -> np.ndarray | None:
     """The values, or None while JAX traces and there are none."""
+    from twistax.jax_inside import is_tracer  # not at import: it loads much of JAX that `import jax` does not
+
     return None if is_tracer(a) else np.asarray(a)
 
 

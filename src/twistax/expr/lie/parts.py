@@ -9,8 +9,8 @@ import numpy as np
 
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order
 from ..arithmetic import is_constant
+from ..canonical import fold
 from ..fields import ExprLike, Operand
-from ..folding import fold
 from ..leaves import State
 from ..node import Example, Expr, Shape
 from ..shapes import expect

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...groups import LINEAR_FIRST, Order, se3
 from ..arithmetic import Mul, Neg, is_constant, zeros_of
+from ..canonical import fold
 from ..fields import ExprLike, Operand
-from ..folding import fold
 from ..indexing import Index
 from ..leaves import Constant, State
 from ..linalg import Cross
