@@ -52,7 +52,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .trajectory import Maximize, Minimize
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 __all__ = [
     "ANGULAR_FIRST",
