@@ -10,7 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.lowering.scalar.program import scalarize
-from twistax.mechanics import chain_models, forward_dynamics, inverse_dynamics
+from twistax.mechanics import chain_models, forward_dynamics, inverse_dynamics, mass_matrix
 
 
 @pytest.mark.parametrize(("function", "most"), [(inverse_dynamics, 909), (forward_dynamics, 1501)])
@@ -22,3 +22,11 @@ def test_operations_of_the_panda(function: Any, most: int, unchecked: None) -> N
     assert set(program.counts()) <= {"add", "sub", "mul", "div", "neg", "sin", "cos"}
     assert program.counts()["sin"] == program.counts()["cos"] == 6  # the first joint turns about the vertical
     assert program.operations <= most
+
+
+def test_operations_of_the_mass_matrix(unchecked: None) -> None:
+    q = tx.State("q", shape=(7,))
+    f = tx.lower(mass_matrix(chain_models.panda(), q))
+    program = scalarize(lambda q: [f(0.0, {"q": q})], jax.ShapeDtypeStruct((7,), np.float64))
+    assert program.counts()["sin"] == program.counts()["cos"] == 6
+    assert program.operations <= 489

@@ -17,10 +17,13 @@ from twistax.mechanics import (
     Chain,
     Link,
     SpatialInertia,
+    aba,
     chain_models,
     forward_dynamics,
     inverse_dynamics,
     joints,
+    mass_matrix,
+    rnea,
 )
 
 
@@ -104,6 +107,20 @@ def test_mixed_joints_follow_lagrange() -> None:
     np.testing.assert_allclose(expected(q, qd, found["accelerations"]), x, rtol=1e-10, atol=1e-10)
 
 
+def test_the_mass_matrix_is_the_hessian_of_lagrange_s_kinetic_energy() -> None:
+    chain, points, _ = mixed_chain()
+    q = tx.State("q", shape=(chain.dofs,))
+    found = tx.lower(mass_matrix(chain, q))
+
+    def kinetic(qd: jax.Array, q: jax.Array) -> jax.Array:
+        masses, _ = points(q)
+        return 0.5 * masses @ jnp.sum(jax.jvp(lambda q: points(q)[1], (q,), (qd,))[1] ** 2, axis=1)
+
+    for at in np.random.default_rng(8).normal(size=(3, chain.dofs)):
+        expected = jax.hessian(kinetic)(np.zeros(chain.dofs), at)
+        np.testing.assert_allclose(found(0.0, {"q": at}), expected, rtol=1e-11, atol=1e-11)
+
+
 # ---- the arm ---------------------------------------------------------------------------------------------------------
 
 
@@ -111,7 +128,9 @@ def test_mixed_joints_follow_lagrange() -> None:
 def arm() -> tuple[Callable[..., dict[str, jax.Array]], np.ndarray]:
     """The Panda's functions for a batch, and states and forces or accelerations of it."""
     panda = chain_models.panda()
-    functions = lowered(panda, energy=panda.energy, tip=lambda q, qd: panda.poses(q)[-1])
+    functions = lowered(
+        panda, energy=panda.energy, tip=lambda q, qd: panda.poses(q)[-1], mass=lambda q, qd: mass_matrix(panda, q)
+    )
     return jax.jit(jax.vmap(functions)), np.random.default_rng(2).normal(size=(3, 8, 7))
 
 
@@ -127,9 +146,15 @@ def test_mass_matrix_is_symmetric_and_positive(arm: Any) -> None:
     bias = f(q, qd, zero)["forces"]
     M = np.stack([f(q, qd, zero + unit)["forces"] - bias for unit in np.eye(7)], axis=-1)
     np.testing.assert_allclose(M, np.swapaxes(M, 1, 2), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(f(q, qd, zero)["mass"], M, rtol=0.0, atol=1e-12)
     assert np.linalg.eigvalsh(M).min() > 1e-4
     kinetic = f(q, qd, zero)["energy"] - f(q, zero, zero)["energy"]
     np.testing.assert_allclose(kinetic, 0.5 * np.einsum("bi,bij,bj->b", qd, M, qd), rtol=1e-12)
+
+
+def test_short_names_are_the_same_functions() -> None:
+    assert rnea is inverse_dynamics
+    assert aba is forward_dynamics
 
 
 def test_power_of_the_motors_goes_into_the_energy(arm: Any) -> None:
@@ -230,6 +255,8 @@ def test_what_is_no_chain_is_refused(unchecked: None) -> None:
     ("function", "names"), [(inverse_dynamics, ("q", "qd", "qdd")), (forward_dynamics, ("q", "qd", "tau"))]
 )
 def test_arguments_of_another_length_are_named(function: Any, names: tuple[str, ...]) -> None:
+    with pytest.raises(tx.ShapeError, match=r"mass_matrix expects q with shape \(2,\), got \(3,\)"):
+        mass_matrix(double_pendulum(), np.zeros(3))
     for i, name in enumerate(names):
         values = [np.zeros(3 if i == k else 2) for k in range(3)]
         message = rf"{function.__name__} expects {name} with shape \(2,\), got \(3,\)(.|\n)*one entry for each link"

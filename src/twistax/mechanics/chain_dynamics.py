@@ -1,4 +1,4 @@
-"""Dynamics of serial chains as expressions: forces from accelerations (RNEA), accelerations from forces (ABA).
+"""Dynamics of serial chains as expressions: forces of accelerations (RNEA), the reverse (ABA), mass matrix (CRBA).
 
 In place of the rate A of a link's twist, in its own frame, the recursions carry
 
@@ -14,7 +14,8 @@ axes of this one:
 
 where the first bracket has the w of the link before. Gravity is an acceleration of the base upwards.
 
-Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008): section 2.11 for B, 5.3 for RNEA, 7.3 for ABA.
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008): section 2.11 for B, 5.3 for RNEA, 6.2 for CRBA, 7.3 for
+ABA.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ import dataclasses
 
 import numpy as np
 
-from ..expr import Concat, Constant, Cross, Dot, Expr, Outer
+from ..expr import Block, Concat, Constant, Cross, Dot, Expr, Outer
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, AdjointAction, AdjointDual, CoadjointAction, Inverse, angular, linear, twist
 from ..expr.lie.transforms import parts_of_pose
 from .chain import Chain, Link
 from .chain_inertia import in_frame, mirrored
 
-__all__ = ["forward_dynamics", "inverse_dynamics"]
+__all__ = ["aba", "forward_dynamics", "inverse_dynamics", "mass_matrix", "rnea"]
 
 _ZERO = Constant(np.zeros(3))
 
@@ -91,6 +92,38 @@ def forward_dynamics(chain: Chain, q: ExprLike, qd: ExprLike, tau: ExprLike) -> 
         qdd.append(hinge.acceleration(B))
         B = B + hinge.link.H * qdd[-1]
     return Concat(*qdd)
+
+
+#: The field's short names.
+rnea, aba = inverse_dynamics, forward_dynamics
+
+
+def mass_matrix(chain: Chain, q: ExprLike) -> Expr:
+    """The inertia M (n, n) of a chain in its coordinates: kinetic energy q'.M q' / 2, motors' forces M q'' + h(q, q').
+
+    The composite-rigid-body algorithm (CRBA). From tip to base I_c, the inertia of a link with all that hangs on it as
+    if it were rigid; M_ij = H_j' Ad* I_c H_i for every link j between the base and link i.
+
+    Args:
+        chain: the links; gravity has no part in it.
+        q: positions (n,).
+    Raises:
+        ShapeError: q is not of shape (n,).
+    """
+    q = chain.coordinates("mass_matrix", "q", q)
+    T = chain.transforms(q)
+    H = [link.joint.motion_subspace[:, 0] for link in chain.links]
+    M = [[_ZERO[0]] * chain.dofs for _ in chain.links]
+    I: Expr = Constant(np.zeros((6, 6)))
+    for i in reversed(range(chain.dofs)):
+        link = chain.links[i]
+        I = link.body.matrix + I
+        F = I @ H[i]
+        for j in reversed(range(i + 1)):
+            M[i][j] = M[j][i] = Dot(H[j], F)
+            F = CoadjointAction(T[j], F)
+        I = in_frame(link.mount, in_frame(link.joint.placement(q[i : i + 1]), I))
+    return Block(M)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -45,6 +45,7 @@ class Settings:
         relax, tighten: factors of the damping after a step that did what the model said, and after one that failed.
         largest_step: of any unknown in its scale.
         flat: two steps in a row that gain less end the inner iterations.
+        noise: an expected gain below this share of the merit is round-off: no step is tried for it.
         settled: a change of the scaled objective between two updates that counts as none.
         stalled, stalls: this many updates in a row whose violation stays above that share of the one before mean
             that no trajectory is found.
@@ -62,6 +63,7 @@ class Settings:
     tighten: float = 4.0
     largest_step: float = 1.5
     flat: float = 1e-4
+    noise: float = 1e-13
     settled: float = 1e-4
     stalled: float = 0.97
     stalls: int = 4
@@ -214,7 +216,7 @@ class Optimizer:
             except NotPositiveDefinite:
                 damping = max(10.0 * damping, 1e-9)
                 continue
-            if expected <= 0.0:
+            if expected <= s.noise * (1.0 + abs(before)):
                 break
             move = step * self._lengths
             move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
