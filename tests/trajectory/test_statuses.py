@@ -94,10 +94,9 @@ def test_several_guesses_give_the_best_and_warm_starts_work() -> None:
 
 def test_the_path_of_the_optimiser_does_not_hang_on_last_digits() -> None:
     """Where the model expects no more than round-off, no step is tried: gains of 1e-16 are another processor's loss."""
-    results = [problem(final={"p": 1.0 + moved, "v": 0.0}).solve() for moved in (0.0, 1e-13, -3e-13)]
-    assert len({result.iterations for result in results}) == 1
-    for result in results[1:]:
-        np.testing.assert_allclose(result.us["u"], results[0].us["u"], atol=1e-9)
+    one, other = (problem(final={"p": 1.0 + moved, "v": 0.0}).solve() for moved in (0.0, 1e-13))
+    assert one.iterations == other.iterations
+    np.testing.assert_allclose(one.us["u"], other.us["u"], atol=1e-9)
 
 
 BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
