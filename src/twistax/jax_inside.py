@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -28,12 +28,13 @@ __all__ = [
     "Primitive",
     "Unread",
     "ad",
+    "all_equations",
     "alone",
     "any_of_batch",
     "batching",
     "closed",
     "inner_jaxprs",
-    "is_tracer",
+    "is_traced",
     "jaxpr_as_fun",
     "mlir",
     "parameters",
@@ -85,6 +86,14 @@ def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
     return [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
 
 
+def all_equations(jaxpr: Any) -> Iterator[Any]:
+    """The equations of a jaxpr, and after each those of its inner jaxprs."""
+    for eqn in jaxpr.eqns:
+        yield eqn
+        for inner in inner_jaxprs(eqn):
+            yield from all_equations(inner.jaxpr)
+
+
 def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
     """The jaxpr of one equation of `jaxpr`, of these variables."""
     debug = jaxpr.debug_info.with_unknown_names()
@@ -116,9 +125,9 @@ def scan_parts(eqn: Any) -> tuple[int, int]:
     return sizes[0], sizes[1]
 
 
-def is_tracer(value: Any) -> bool:
-    """Whether JAX is tracing this value: its numbers are not known."""
-    return isinstance(value, jax.core.Tracer)
+def is_traced(tree: Any) -> bool:
+    """Whether JAX is tracing any leaf: its numbers are not known."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:

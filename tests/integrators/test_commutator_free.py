@@ -119,7 +119,7 @@ def test_more_than_half_a_turn_is_a_failure() -> None:
 
 
 def test_a_step_has_no_tangent_and_says_so() -> None:
-    inputs = forced().prepare(0.0, start())
+    inputs = forced()._functions.prepare(0.0, start())
     with pytest.raises(tx.ModelError, match="CF4 gives no tangent of its step"):
         CF.increment(forced(), inputs.t, dict(inputs.x), lambda t: {}, dict(inputs.params), jnp.asarray(0.1))
 

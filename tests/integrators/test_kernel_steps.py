@@ -27,7 +27,7 @@ METHODS = {
 
 def _taken(dynamics: Dynamics) -> list[Any]:
     """The kernels that flights of a system were made with."""
-    return [made for made in dynamics.made.values() if isinstance(made, KernelSteps)]
+    return [made for made in dynamics._functions.steps.values() if isinstance(made, KernelSteps)]
 
 
 def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: float = 1e-13) -> None:

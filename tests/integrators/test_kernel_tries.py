@@ -34,7 +34,7 @@ METHODS = {
 
 def kernels(dynamics: tx.Dynamics) -> list[Repeated]:
     """The kernels that flights of a system were made with."""
-    return [made for made in dynamics.made.values() if isinstance(made, Repeated)]
+    return [made for made in dynamics._functions.steps.values() if isinstance(made, Repeated)]
 
 
 def near(found: tx.Solution, expected: tx.Solution, rtol: float = 1e-11) -> None:

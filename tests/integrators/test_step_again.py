@@ -24,7 +24,7 @@ BACKENDS = {"XLA": tx.XLA(), "native": tx.Native(), "no scalars": tx.JAX()}
 
 def programs(dynamics: tx.Dynamics) -> list[Derived]:
     """The programs that differentiated steps of a system were made with."""
-    return [made for made in dynamics.made.values() if isinstance(made, Derived)]
+    return [made for made in dynamics._functions.steps.values() if isinstance(made, Derived)]
 
 
 def top() -> tx.System:
@@ -121,7 +121,7 @@ def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     cost = flown(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
-    assert [made for made in dynamics.made.values() if made is not None] == programs(dynamics)
+    assert [made for made in dynamics._functions.steps.values() if made is not None] == programs(dynamics)
     assert all(found.runner is None for found in programs(dynamics))
 
 

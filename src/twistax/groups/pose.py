@@ -15,9 +15,9 @@ __all__ = ["euler", "pose", "quaternion", "quaternion_product", "rotation_from_q
 
 def _concrete(a: Array) -> np.ndarray | None:
     """The values, or None while JAX traces and there are none."""
-    from twistax.jax_inside import is_tracer  # not at import: it loads much of JAX that `import jax` does not
+    from twistax.jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
 
-    return None if is_tracer(a) else np.asarray(a)
+    return None if is_traced(a) else np.asarray(a)
 
 
 def _rotation_of(function: str, R: Input) -> Array:

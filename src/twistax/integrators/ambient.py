@@ -39,7 +39,7 @@ class Ambient:
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
         """The numbers of a state. Raises InputError as a call of the dynamics does."""
-        states = self.dynamics.prepare(0.0, x, reads=()).x
+        states = self.dynamics._functions.prepare(0.0, x, reads=()).x
         return {name: own.write(states[name]) for name, own in self._coordinates.items()}
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
@@ -51,7 +51,7 @@ class Ambient:
         given = read_arguments(self.dynamics, t, self.from_ambient(y), args)
         # A solver that picks its own steps has no step to look into: tables are read at t itself.
         now = given.signals.during(self.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
-        return self.rates(y, self.dynamics.vector_field(given.t, given.x, now, given.params))
+        return self.rates(y, self.dynamics._functions.vector_field(given.t, given.x, now, given.params))
 
     def rates(self, y: Mapping[str, Any], velocities: Mapping[str, Any]) -> Arrays:
         """y' of the rates that the dynamics give: body velocities of rotations and poses."""

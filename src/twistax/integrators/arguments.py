@@ -41,7 +41,7 @@ def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) 
         raise InputError(f"args must be (u, params), both as tx.integrate takes them, or None; got {args!r}")
     u, params = (None, None) if args is None else args
     controls = controls_of(u)
-    inputs = dynamics.prepare(t, x, controls.sample(t), params)
+    inputs = dynamics._functions.prepare(t, x, controls.sample(t), params)
     if isinstance(controls, OfTime):
         controls = controls.opened(inputs.t)
     return Arguments(inputs.t, dict(inputs.x), controls.prepared(inputs.u, inputs.dtype), dict(inputs.params))

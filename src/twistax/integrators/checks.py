@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Euclidean, Group
+from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from ..lowering.concrete import is_finite, is_traced
+from ..lowering.inputs import is_finite
 
 __all__ = ["check_start"]
 

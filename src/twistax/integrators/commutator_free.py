@@ -157,7 +157,7 @@ class CommutatorFree(Method):
         local, tableau = self.coordinates(dynamics), self.tableau
 
         def rate(time: jax.Array, point: Blocks) -> Blocks:
-            return local.rate(dynamics.vector_field(time, local.value(point), u_at(time), params))
+            return local.rate(dynamics._functions.vector_field(time, local.value(point), u_at(time), params))
 
         start, read = ravel_pytree(rate(t, y))
         count = len(tableau.a)

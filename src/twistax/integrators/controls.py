@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError, ShapeError
+from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from ..lowering.concrete import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import read_values
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
-from ..lowering.concrete import is_traced
+from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
 from .course import Trail

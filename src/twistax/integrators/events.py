@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ..errors import InputError, ModelError
 from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_all, evaluate_all, leaves_of
-from ..jax_inside import is_tracer
+from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks
@@ -183,7 +183,7 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
                 f"{jnp.result_type(value)}"
             )
         closed: tuple[Any, ...] = ()
-        if not isinstance(condition, _OfExpression) and is_tracer(value):
+        if not isinstance(condition, _OfExpression) and is_traced(value):
             # Of the function itself only where it closes over traced values; else it would compile again.
             converted, held = jax.closure_convert(condition, *arguments)
             if held:

@@ -12,8 +12,8 @@ import numpy as np
 from ..errors import IntegrationError
 from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..lowering import Dynamics
-from ..lowering.concrete import is_finite
 from ..lowering.dynamics import Arrays
+from ..lowering.inputs import is_finite
 from .course import Course, Outcome
 from .result import Result
 from .stepper import Stepper
@@ -50,7 +50,7 @@ def failure(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> In
 def _not_a_number(stepper: Stepper, course: Course, t: jax.Array, h: jax.Array, x: Arrays) -> IntegrationError:
     """The error for the step of length h from (t, x) whose end is not finite."""
     controls_at = stepper.controls(t, h)
-    rates = stepper.dynamics.vector_field(t, x, controls_at(t), stepper.params)
+    rates = stepper.dynamics._functions.vector_field(t, x, controls_at(t), stepper.params)
     moved = stepper.method.step(stepper.dynamics, t, x, controls_at, stepper.params, h)
     # The end may be finite and the rate there not.
     bad = _not_finite(moved) or list(moved)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
-from ..lowering.concrete import is_finite, is_traced
+from ..jax_inside import is_traced
+from ..lowering.inputs import is_finite
 
 __all__ = ["Grid", "Saves", "check_saves", "make_grid", "place_saves", "span_of"]
 

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
+from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from ..lowering.concrete import is_finite, is_traced
 from ..lowering.dynamics import Arrays
-from ..lowering.inputs import precision
+from ..lowering.inputs import is_finite, precision
 from .adaptive import AdaptiveCourse, Stops
 from .checks import check_start
 from .controls import OfTime, Signals, controls_of
@@ -111,7 +111,7 @@ def integrate(
         raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
     method.check(dynamics)
     controls = controls_of(u)
-    inputs = dynamics.prepare(t0, x0, controls.sample(jnp.asarray(t0, precision(x0, params))), params)
+    inputs = dynamics._functions.prepare(t0, x0, controls.sample(jnp.asarray(t0, precision(x0, params))), params)
     check_start(dynamics, inputs)
     signals = controls.prepared(inputs.u, inputs.dtype)
     x, dtype = dict(inputs.x), inputs.dtype

@@ -53,12 +53,12 @@ def kernel_steps(
     inputs = (number, (t0, h, stepper), (y, carry))
     leaves, structure = jax.tree.flatten(inputs)
     types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-    made = stepper.dynamics.made
-    if (structure, types) not in made:
-        state, backend = inputs[-1], stepper.dynamics.backend
-        none = too_wide(state)
-        made[structure, types] = None if none else _made(backend, structure, types, len(jax.tree.leaves(state)))
-    return made[structure, types]
+    state, backend = inputs[-1], stepper.dynamics.backend
+    if too_wide(state):
+        return None
+    key = (kernel_steps, structure, types)
+    steps = stepper.dynamics._functions.steps
+    return steps.get(key, lambda: _made(backend, structure, types, len(jax.tree.leaves(state))))
 
 
 #: States of more numbers are left to XLA, whose vectors run along them.

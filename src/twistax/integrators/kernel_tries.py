@@ -34,7 +34,7 @@ def kernel_tries(
     fixed, structure = jax.tree.flatten((given, stepper))
     state, form = jax.tree.flatten(now)
     types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in (*fixed, *state))
-    made, key = stepper.dynamics.made, (kernel_tries, structure, form, types)
+    key = (kernel_tries, structure, form, types)
     kinds = [kind for _, kind in types[len(fixed) :]]
     dtype = next(kind for kind in kinds if jnp.issubdtype(kind, jnp.floating))
 
@@ -44,11 +44,12 @@ def kernel_tries(
         now, more = one_try(given, stepper.in_arrays, now)
         return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more]
 
-    if key not in made:
+    def make() -> Repeated | None:
         shapes = [jax.ShapeDtypeStruct((), int), *(jax.ShapeDtypeStruct(*each) for each in types[: len(fixed)])]
         shapes += [jax.ShapeDtypeStruct(shape, dtype) for shape, _ in types[len(fixed) :]]
-        made[key] = stepper.dynamics.backend.repeated(turn, shapes, len(state))
-    repeated: Repeated | None = made[key]
+        return stepper.dynamics.backend.repeated(turn, shapes, len(state))
+
+    repeated = stepper.dynamics._functions.steps.get(key, make)
     if repeated is None:
         return None
 

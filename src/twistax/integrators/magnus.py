@@ -137,7 +137,7 @@ class Magnus(Method):
         """Raises ModelError, which names the state, if a rate reads a rotation or a pose."""
         turning = {name for name in dynamics.group.factors if name not in _flat_names(dynamics)}
         for state in dynamics.states:
-            read = sorted(dynamics.rate_reads(state.name) & turning)
+            read = sorted(dynamics._functions.rate_reads(state.name) & turning)
             if read:
                 raise ModelError(
                     f"{self.name} needs rates that do not depend on rotations and poses, but the rate of "
@@ -172,7 +172,7 @@ class Magnus(Method):
         def rates(time: jax.Array, moved: Blocks) -> Arrays:
             # Rotations and poses stay where they were: no rate reads them.
             x = local.value(y | own.move({name: y[name] for name in flat}, moved))
-            return dynamics.vector_field(time, x, u_at(time), params)
+            return dynamics._functions.vector_field(time, x, u_at(time), params)
 
         def part(moved: Blocks, share: jax.Array, length: jax.Array) -> tuple[Blocks, Arrays]:
             """Some way on from a share of the step; and the velocities there."""
@@ -212,7 +212,7 @@ def _flat_names(dynamics: Dynamics) -> list[str]:
 def _fed(dynamics: Dynamics) -> bool:
     """Whether the velocity of a rotation or a pose reads a state without a group."""
     flat = set(_flat_names(dynamics))
-    return any(dynamics.rate_reads(name) & flat for name in dynamics.group.factors if name not in flat)
+    return any(dynamics._functions.rate_reads(name) & flat for name in dynamics.group.factors if name not in flat)
 
 
 def _sum(a: Blocks, b: Blocks) -> Blocks:

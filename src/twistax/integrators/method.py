@@ -106,7 +106,7 @@ class Method(ABC):
     def rate(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
         """The rate of a stored state."""
         local = self.coordinates(dynamics)
-        return local.rate(dynamics.vector_field(t, local.value(y), u_at(t), params))
+        return local.rate(dynamics._functions.vector_field(t, local.value(y), u_at(t), params))
 
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 

@@ -137,7 +137,7 @@ class RKMK(Method):
         local, factors = self.coordinates(dynamics), dynamics.group.factors
 
         def omega(time: jax.Array, point: Arrays) -> Blocks:
-            return local.rate(dynamics.vector_field(time, point, u_at(time), params))
+            return local.rate(dynamics._functions.vector_field(time, point, u_at(time), params))
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             eta = local.tangent(z)

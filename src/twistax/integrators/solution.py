@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from ..errors import InputError
-from ..lowering.concrete import is_traced
+from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from .dense import Dense
 from .result import Result

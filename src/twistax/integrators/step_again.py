@@ -20,12 +20,12 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
     """`stepper.advance`, for loops that are differentiated: a program is compiled faster, and runs as one function."""
     leaves, structure = jax.tree.flatten((stepper, t, y, h))
     types = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-    made, key = stepper.dynamics.made, (advance_again, structure, types)
-    if key not in made:
-        made[key] = None if too_wide(y) else _program(stepper.dynamics.backend, structure, types)
-    if made[key] is None:
+    key = (advance_again, structure, types)
+    steps = stepper.dynamics._functions.steps
+    program = None if too_wide(y) else steps.get(key, lambda: _program(stepper.dynamics.backend, structure, types))
+    if program is None:
         return stepper.advance(t, y, h)
-    return jax.tree.unflatten(jax.tree.structure(y), call_program(made[key], *leaves))
+    return jax.tree.unflatten(jax.tree.structure(y), call_program(program, *leaves))
 
 
 def _program(backend: Backend, structure: Any, types: Any) -> Derived | None:

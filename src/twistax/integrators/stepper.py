@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..lowering import Dynamics, backends
+from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
 from .charts.whole import Blocks, StateCoordinates, StoredState
 from .controls import Signals
@@ -19,19 +19,8 @@ from .tolerances import Tolerances
 __all__ = ["Stepper"]
 
 
-class _Inward(Dynamics):
-    """A system whose clock stays inside of the step from t to t + h, by a few units of round-off."""
-
-    def __init__(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> None:
-        self.__dict__.update(dynamics.__dict__)
-        self._step = (t, h)
-
-    def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
-        return super().vector_field(_inward(t, *self._step), x, u, params)
-
-
 def _inward(time: jax.Array, t: jax.Array, h: jax.Array) -> jax.Array:
-    """The time, or just inside of the step where it is one of its ends."""
+    """The time, or some units of round-off inside of the step from t to t + h where it is one of its ends."""
     small = 4.0 * jnp.finfo(time.dtype).eps
     hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
     first, last = t + hair, t + h - hair
@@ -69,7 +58,7 @@ class Stepper:
     @property
     def in_arrays(self) -> Stepper:
         """The same, rates as arrays: for what is written out as scalars as a whole."""
-        return dataclasses.replace(self, dynamics=self.dynamics.with_backend(backends.JAX()))
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.run_by(JAX())))
 
     def controls(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
         """The controls as a function of the times within the step from t to t + h."""
@@ -98,7 +87,9 @@ class Stepper:
         return self.method.attempt(system, t, y, carry, controls, self.params, h, tolerances)
 
     def _system(self, t: jax.Array, h: jax.Array) -> Dynamics:
-        return _Inward(self.dynamics, t, h) if self.inward else self.dynamics
+        if not self.inward:
+            return self.dynamics
+        return Dynamics(self.dynamics._functions.on_clock(lambda time: _inward(time, t, h)))
 
 
 jax.tree_util.register_pytree_node(

@@ -14,8 +14,8 @@ from jax.flatten_util import ravel_pytree
 from ..errors import InputError
 from ..expr import State
 from ..groups import Euclidean, SpecialEuclidean
+from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from ..lowering.concrete import is_traced
 from .charts.whole import Blocks, StateCoordinates
 
 __all__ = ["Tolerances", "tolerances_of"]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from ..jax_inside import ClosedJaxpr, Jaxpr, jaxpr_as_fun
-from .concrete import is_traced
+from ..jax_inside import ClosedJaxpr, Jaxpr, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.passes import emitted_form
 from .scalar.primitive import Derived, call_program
@@ -19,9 +20,8 @@ from .scalar.program import ScalarProgram, scalarize
 from .scalar.reader import trace
 from .scalar.repeated import Repeated
 from .small_call import known_inside
-from .work import array_operations, has_keys, largest_array, primitives
 
-__all__ = ["ANY_SIZE", "JAX", "XLA", "Emission", "Backend", "pure"]
+__all__ = ["ANY_SIZE", "JAX", "XLA", "Backend", "Emission", "array_operations", "pure"]
 
 #: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
 _LARGEST_STEP = 10_000
@@ -29,6 +29,18 @@ _LARGEST_STEP = 10_000
 _MOST_CONSTANTS = 1000
 #: A step has derivatives of any order, and nothing else to fall back on.
 ANY_SIZE = 10**9
+
+#: Operations that only move numbers, or hold others.
+_MOVING = frozenset(
+    " ".join(
+        [
+            "broadcast_in_dim concatenate convert_element_type copy copy_p dynamic_slice dynamic_update_slice",
+            "expand_dims gather iota optimization_barrier pad reshape rev scatter slice split squeeze stack",
+            "stop_gradient tile transpose unstack",
+        ]
+    ).split(" ")
+)
+_CUBIC = ("lu", "cholesky", "triangular_solve")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,7 +165,7 @@ class XLA(Backend):
         Raises:
             TooLarge: there are more than `largest`, or an array of more than `widest` entries.
         """
-        if largest_array(closed.jaxpr) > self.widest:
+        if max((v.aval.size for v in _variables(closed.jaxpr)), default=0) > self.widest:
             raise TooLarge(f"one of the arrays has more than {self.widest} entries")
         return self.scalars(closed, self.largest)
 
@@ -169,14 +181,53 @@ def pure(function: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDty
     closes over take minutes to read.
     """
     closed = trace(function, *shapes)
-    if closed.effects or is_traced(closed.consts) or has_keys(closed.jaxpr):
+    if (
+        closed.effects
+        or is_traced(closed.consts)
+        or any(map(_is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
+    ):
         return None
     return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
 
 
 def _steady(jaxpr: Jaxpr) -> bool:
     """Whether a call runs inside of a small function and has a derivative in reverse: none of its loops is open."""
-    return known_inside(jaxpr) and "while" not in primitives(jaxpr)
+    return known_inside(jaxpr) and all(eqn.primitive.name != "while" for eqn in all_equations(jaxpr))
+
+
+def array_operations(jaxpr: Any) -> Counter[str]:
+    """Operations by name, all entries of arrays and all turns of loops counted; factorisations by their cube."""
+    found: Counter[str] = Counter()
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        inner = inner_jaxprs(eqn)
+        out = sum(v.aval.size for v in eqn.outvars)
+        if inner:
+            for each in inner:
+                for kind, count in array_operations(each.jaxpr).items():
+                    found[kind] += count * eqn.params.get("length", 1)
+        elif name == "dot_general":
+            (contracted, _), _ = eqn.params["dimension_numbers"]
+            depth = math.prod(eqn.invars[0].aval.shape[i] for i in contracted)
+            found["mul"] += depth * out
+            found["add"] += (depth - 1) * out
+        elif name in _CUBIC:
+            found[name] += max(v.aval.size for v in eqn.invars) * max(v.aval.shape[-1] for v in eqn.invars)
+        elif name.startswith(("reduce_", "cum", "arg")):
+            found[name.removeprefix("reduce_").replace("sum", "add")] += sum(v.aval.size for v in eqn.invars) - out
+        elif name not in _MOVING:
+            found[name] += out
+    return +found
+
+
+def _variables(jaxpr: Jaxpr) -> list[Any]:
+    """All that comes in, and all that is computed, also inside of calls and loops."""
+    return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
+
+
+def _is_key(variable: Any) -> bool:
+    """Whether it holds random keys, or anything else that is no array of numbers."""
+    return hasattr(variable.aval, "dtype") and jax.dtypes.issubdtype(variable.aval.dtype, jax.dtypes.extended)
 
 
 def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..expr import Expr, postorder
-from ..jax_inside import inner_jaxprs
-from .scalar.program import ScalarProgram
+from ..errors import InputError, ModelError
+from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
+from ..jax_inside import all_equations, inner_jaxprs
+from .backends import array_operations
+from .functions import Functions
+from .scalar.graph import TooLarge
+from .scalar.program import scalarize
 
-__all__ = ["Dependence", "Explanation", "count_equations", "distinct_nodes", "entry_names", "written_nodes"]
+__all__ = ["Dependence", "Explanation", "count_equations", "explain", "explain_one"]
+
+_LEFT_OUT = "the Jacobian is left out: it takes too many scalars to write it out"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +38,8 @@ class Explanation:
         equations: (jaxpr equations as written, after).
         operations: operations on scalars of the rates by kind: (in arrays as written, as a scalar program).
         constants: entry of a rate -> its value, where it depends on nothing.
-        patterns: "x", "u" and "params" -> where the Jacobian of the rates is not structurally zero, (n, columns).
+        patterns: "x", "u" and "params" -> where the Jacobian of the rates is not structurally zero, (n, columns). Empty
+            where the Jacobian takes too many scalars.
         backend: how the rates run, and why.
         compile_seconds: how long XLA took for one call of the rates.
     """
@@ -52,6 +63,8 @@ class Explanation:
 
     def picture(self) -> str:
         """The pattern of the Jacobian by states and controls in characters: a row is a rate, # may differ from zero."""
+        if not self.patterns:
+            return _LEFT_OUT
         shown = [self.patterns[kind] for kind in ("x", "u") if self.patterns[kind].size]
         rows = [
             "|" + "|".join("".join("#" if entry else "." for entry in block[i]) for block in shown) + "|"
@@ -60,7 +73,13 @@ class Explanation:
         return "\n".join(rows)
 
     def plot(self, axes: Any) -> None:
-        """The pattern by states, then controls, on Matplotlib axes."""
+        """The pattern by states, then controls, on Matplotlib axes.
+
+        Raises:
+            ModelError: there is none.
+        """
+        if not self.patterns:
+            raise ModelError(f"there is no pattern to plot: {_LEFT_OUT}")
         blocks = [self.patterns["x"], self.patterns["u"]]
         axes.spy(np.concatenate(blocks, axis=1), markersize=4)
         axes.axvline(blocks[0].shape[1] - 0.5, color="0.6", linewidth=0.8)
@@ -81,6 +100,8 @@ class Explanation:
         for kind, pattern in self.patterns.items():
             if pattern.size:
                 lines.append(f"Jacobian by {kind}: {int(pattern.sum())} of {pattern.size} entries are not zero")
+        if not self.patterns:
+            lines.append(_LEFT_OUT)
         lines.append(f"runs as {self.backend}; compiled in {self.compile_seconds:.2f} s")
         if self.baked:
             lines.append(f"baked in: {', '.join(self.baked)}")
@@ -103,19 +124,6 @@ class Dependence:
     operations: dict[str, int]
     value: float | None
 
-    @classmethod
-    def of(cls, name: str, program: ScalarProgram, names: Sequence[str]) -> Dependence:
-        """Of the results of a program whose arguments have these names."""
-        g = program.graph
-        entries = {
-            node: entry
-            for argument, nodes in zip(names, program.inputs, strict=True)
-            for node, entry in zip(nodes.reshape(-1).tolist(), entry_names(argument, nodes.shape), strict=True)
-        }
-        reads = [entries[i] for i in program.live if i in entries]
-        value = g.numbers[program.flat[0]] if len(program.flat) == 1 else None
-        return cls(name, reads, program.counts(), value)
-
     def __str__(self) -> str:
         if self.value is not None:
             return f"{self.name} is {self.value:g} always"
@@ -124,31 +132,137 @@ class Dependence:
         return "\n".join([*lines, f"operations: {sum(self.operations.values())} ({kinds or 'none'})"])
 
 
-def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
+def explain(functions: Functions) -> Explanation:
+    """What `Dynamics.explain()` tells. JAX's default precision stands for that of the arguments."""
+    inputs = _inputs(functions)
+    places, arrays = functions.flat(inputs)
+    try:
+        jacobian, _ = functions.rate_jacobian(inputs, ("x", "u", "params"))
+        rates, patterns = jacobian.rates, jacobian.pattern
+    except TooLarge:
+        rates, patterns = scalarize(functools.partial(functions.flat_rates, places), *map(_like, arrays)), {}
+    kinds = {"states": functions.states, "controls": functions.controls, "parameters": functions.parameters}
+    written = list(functions.system.rates.values())
+    simplified = [expr for (expr,) in functions.families["rates"].values()]
+    entries = [
+        entry for state in functions.states for entry in _entries(state.name, _rate_shape(functions, state.name))
+    ]
+    numbers = [rates.graph.numbers[i] for i in rates.flat]
+    before, after = (_jaxpr(roots, inputs.dtype) for roots in (written, simplified))
+    start = time.perf_counter()
+    given = (inputs.t, inputs.x, inputs.u, inputs.params)
+    jax.jit(functools.partial(functions.evaluate, "rates", in_loop=False)).lower(*given).compile()
+    seconds = time.perf_counter() - start
+    leaves, structure = jax.tree.flatten(given)
+    emission, _ = functions.emission("rates", structure, tuple((a.shape, a.dtype) for a in leaves))
+    return Explanation(
+        leaves={kind: [leaf.name for leaf in own] for kind, own in kinds.items()},
+        unused=_unused(functions),
+        baked=list(functions.baked),
+        nodes=(_written_nodes(written), _distinct_nodes(simplified)),
+        equations=(count_equations(before), count_equations(after)),
+        operations=(dict(sorted(array_operations(before).items())), rates.counts()),
+        constants={name: n for name, n in zip(entries, numbers, strict=True) if n is not None},
+        patterns=patterns,
+        backend=emission.reason,
+        compile_seconds=seconds,
+    )
+
+
+def explain_one(functions: Functions, of: str) -> Dependence:
+    """What `Dynamics.explain(of)` tells: of one rate or output, or an entry of it.
+
+    Raises:
+        InputError: no rate and no output of that name, or no such entry.
+    """
+    name, _, rest = of.partition("[")
+    families = {own: family for family in ("outputs", "rates") for own in functions.families[family]}
+    if name not in families:
+        listed = ", ".join([*functions.families["rates"], *functions.families["outputs"]])
+        raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {listed}")
+    places, arrays = functions.flat(_inputs(functions))
+
+    def function(*values: jax.Array) -> list[jax.Array]:
+        return [functions.as_written(families[name], *functions.by_kind(places, values))[name]]
+
+    program = scalarize(function, *map(_like, arrays))
+    if rest:
+        (nodes,) = program.outputs
+        entries, wanted = _entries(name, nodes.shape), of.replace(" ", "").replace(",", ", ")
+        if wanted not in entries:
+            raise InputError(f"{name} has no entry {of!r}; it has {entries[0]} to {entries[-1]}")
+        program = program.restricted([nodes.reshape(-1)[[entries.index(wanted)]]])
+    inputs = {
+        node: entry
+        for (_, argument), nodes in zip(places, program.inputs, strict=True)
+        for node, entry in zip(nodes.reshape(-1).tolist(), _entries(argument, nodes.shape), strict=True)
+    }
+    reads = [inputs[i] for i in program.live if i in inputs]
+    value = program.graph.numbers[program.flat[0]] if len(program.flat) == 1 else None
+    return Dependence(of, reads, program.counts(), value)
+
+
+def count_equations(jaxpr: Any) -> int:
+    """Equations of a jaxpr, inner ones included and calls themselves not."""
+    return sum(not inner_jaxprs(equation) for equation in all_equations(jaxpr))
+
+
+def _inputs(functions: Functions) -> Inputs:
+    """Zeros for all leaves that anything reads."""
+    read = set().union(*functions.reads.values())
+
+    def zeros(leaves: Iterable[Any], read: set[str]) -> dict[str, Any]:
+        return {leaf.name: np.zeros(leaf.shape) for leaf in leaves if leaf.name in read}
+
+    x = zeros(functions.states, {state.name for state in functions.states})
+    return functions.prepare(0.0, x, zeros(functions.controls, read), zeros(functions.parameters, read), reads=())
+
+
+def _like(array: jax.Array) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(array.shape, array.dtype)
+
+
+def _rate_shape(functions: Functions, name: str) -> tuple[int, ...]:
+    (expr,) = functions.families["rates"][name]
+    return expr.shape
+
+
+def _unused(functions: Functions) -> list[str]:
+    """A line for each control or parameter that no rate needs."""
+    by_rates, by_any = functions.reads["rates"], set().union(*functions.reads.values())
+    unused = [leaf for leaf in (*functions.controls, *functions.parameters) if leaf.name not in by_rates]
+    return [
+        f"{type(leaf).__name__} {leaf.name!r} is not used"
+        + (" by any rate" if leaf.name in by_any else ": nothing depends on it")
+        for leaf in unused
+    ]
+
+
+def _entries(name: str, shape: tuple[int, ...]) -> list[str]:
     """The names of all entries of an array: V[0], g[0, 3]; the name alone where there is one entry."""
-    if not shape:
-        return [name]
-    return [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(*shape)]
+    return [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(*shape)] if shape else [name]
 
 
-def written_nodes(roots: Iterable[Expr]) -> int:
+def _written_nodes(roots: Sequence[Expr]) -> int:
     """Nodes of the trees as one would write them out: shared parts counted each time."""
-    roots = list(roots)
     sizes: dict[int, int] = {}
     for node in postorder(*roots):
         sizes[id(node)] = 1 + sum(sizes[id(child)] for child in node.children())
     return sum(sizes[id(root)] for root in roots)
 
 
-def distinct_nodes(roots: Iterable[Expr]) -> int:
+def _distinct_nodes(roots: Sequence[Expr]) -> int:
     """Nodes that differ in structure."""
     return len({node.key() for node in postorder(*roots)})
 
 
-def count_equations(jaxpr: Any) -> int:
-    """Equations of a jaxpr, inner ones included and calls themselves not."""
-    total = 0
-    for equation in jaxpr.eqns:
-        inner = inner_jaxprs(equation)
-        total += sum(count_equations(each.jaxpr) for each in inner) if inner else 1
-    return total
+def _jaxpr(roots: Sequence[Expr], dtype: Any) -> Any:
+    """What the roots amount to in arrays, of all leaves that they read."""
+    leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
+    inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
+
+    def function(values: dict[str, jax.Array]) -> list[jax.Array]:
+        return evaluate_all(roots, lambda leaf: values[leaf.key()] if leaf.key() in leaves else leaf.read(inputs))
+
+    shapes = {key: jax.ShapeDtypeStruct(leaf.shape, dtype) for key, leaf in leaves.items()}
+    return jax.make_jaxpr(function)(shapes).jaxpr

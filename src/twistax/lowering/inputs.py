@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..expr import Control, Inputs, Leaf, Parameter, State
+from ..jax_inside import is_traced
 
 Values = Mapping[str, Any]
 
@@ -54,6 +55,11 @@ def read_values(kind: str, leaves: Iterable[Leaf], values: Values | None, dtype:
             )
         found[name] = array.astype(dtype)
     return found
+
+
+def is_finite(value: Any) -> bool:
+    """Whether all entries of an array are finite, as far as they are known."""
+    return is_traced(value) or bool(np.isfinite(np.asarray(value)).all())
 
 
 def _array(place: str, value: Any) -> jax.Array:

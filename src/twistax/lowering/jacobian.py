@@ -13,7 +13,6 @@ from ..jax_inside import ClosedJaxpr
 from .scalar.derivatives import columns_of
 from .scalar.graph import Nodes
 from .scalar.passes import one_by_one
-from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
 from .scalar.reader import Reader, trace
 
@@ -64,10 +63,6 @@ class RateJacobian:
         self.program = one_by_one(program.restricted(blocks))
         self.blocks: dict[str, Nodes] = dict(zip(widths, self.program.outputs, strict=True))
         self.pattern = {kind: block != g.zero for kind, block in zip(widths, blocks, strict=True)}
-        self._derived = Derived(self.program)
-
-    def __call__(self, *arguments: jax.Array) -> dict[str, jax.Array]:
-        return dict(zip(self.blocks, call_program(self._derived, *arguments), strict=True))
 
 
 def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> dict[str, Nodes]:

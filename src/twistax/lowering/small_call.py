@@ -18,8 +18,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..jax_inside import ClosedJaxpr, inner_jaxprs, jaxpr_as_fun, small_calls_exist, xla_metadata
-from .concrete import is_traced
+from ..jax_inside import ClosedJaxpr, all_equations, is_traced, jaxpr_as_fun, small_calls_exist, xla_metadata
 
 __all__ = ["apart", "fits", "inside_small_call", "known_inside", "small_call"]
 
@@ -154,13 +153,13 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 
 def known_inside(jaxpr: Any) -> bool:
     """Whether every operation, also inside of loops and branches, is one that compiles inside a function."""
-    for equation in jaxpr.eqns:
-        name = equation.primitive.name
-        if name not in _KNOWN or (name in _SCATTERING and math.prod(equation.invars[1].aval.shape[:-1]) > 1):
-            return False
-        largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
-        if name not in _MOVING and largest > (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY):
-            return False
-        if not all(known_inside(inner.jaxpr) for inner in inner_jaxprs(equation)):
-            return False
-    return True
+    return all(map(_is_known, all_equations(jaxpr)))
+
+
+def _is_known(equation: Any) -> bool:
+    """Whether an operation compiles inside a function, what it holds aside."""
+    name = equation.primitive.name
+    if name not in _KNOWN or (name in _SCATTERING and math.prod(equation.invars[1].aval.shape[:-1]) > 1):
+        return False
+    largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
+    return name in _MOVING or largest <= (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY)

@@ -109,7 +109,7 @@ def _moved_end(dynamics: Dynamics, x: Any, u: Any) -> Callable[[jax.Array], jax.
     n = dynamics.dimension
 
     def end(z: jax.Array) -> Any:
-        inputs = dynamics.prepare(0.0, dynamics.retract(x, z[:n]), {"T": u["T"] + z[n : n + 3]})
+        inputs = dynamics._functions.prepare(0.0, dynamics.retract(x, z[:n]), {"T": u["T"] + z[n : n + 3]})
         control = dict(inputs.u)
         return RKMK(RK4).step(
             dynamics, inputs.t, dict(inputs.x), lambda _: control, dict(inputs.params), _STEP + z[n + 3]

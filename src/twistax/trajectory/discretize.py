@@ -84,7 +84,7 @@ def discretize(
         TrajectoryError: substeps is no positive whole number.
     """
     check_substeps(substeps)
-    inputs = dynamics.prepare(t, x, u, params)
+    inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(h, inputs.dtype)
     x, params = dict(inputs.x), dict(inputs.params)

@@ -49,14 +49,14 @@ def linearize(
     Raises:
         InputError: as a call of the dynamics does.
     """
-    inputs = dynamics.prepare(t, x, u, params)
+    inputs = dynamics._functions.prepare(t, x, u, params)
     controls = Controls(dynamics.controls)
     flat = controls.join(inputs.u, inputs.dtype)
     n = dynamics.dimension
 
     def velocity(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         moved = dynamics.group.retract(inputs.x, z[:n])
-        rates = dynamics.vector_field(inputs.t, moved, controls.split(z[n:]), dict(inputs.params))
+        rates = dynamics._functions.vector_field(inputs.t, moved, controls.split(z[n:]), dict(inputs.params))
         flat_rate = flat_rates(dynamics, rates)
         return flat_rate, flat_rate
 

@@ -271,7 +271,7 @@ class Problem:
             zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
             zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
             families = ("rates", "constraints")
-            inputs = self.dynamics.prepare(0.0, zeros_x, zeros_u, params, reads=families)
+            inputs = self.dynamics._functions.prepare(0.0, zeros_x, zeros_u, params, reads=families)
             return {name: np.asarray(value) for name, value in inputs.params.items()}
 
 

@@ -88,10 +88,10 @@ def describe_path(dynamics: Dynamics) -> PathRows:
                 entries, leaves = prod(residuals[name].shape), list(leaves_of(residuals[name].canonicalize()))
                 reads += [_reads(leaves)] * entries
                 states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
-    names = [*dynamics.constraint_names["inequality"], *dynamics.constraint_names["equality"]]
+    names = [*dynamics._functions.constraint_names["inequality"], *dynamics._functions.constraint_names["equality"]]
     bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
     equality_rows = np.zeros(len(names) + len(bounds), bool)
-    equality_rows[len(dynamics.constraint_names["inequality"]) : len(names)] = True
+    equality_rows[len(dynamics._functions.constraint_names["inequality"]) : len(names)] = True
     return PathRows(
         names=(*names, *(b.name for b in bounds)),
         equality=equality_rows,

@@ -244,7 +244,7 @@ class Transcription:
 
     def path_values(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
         """The path rows at a point: inequalities, equalities, boxes."""
-        family = self.dynamics.evaluate("constraints", t, x, u, params)
+        family = self.dynamics._functions.evaluate("constraints", t, x, u, params)
         flat = {name: values.reshape(-1) for name, values in (*x.items(), *u.items())}
         boxes = [bound.sign * (flat[bound.leaf][bound.entry] - bound.limit) for bound in self.path.bounds]
         parts = [family["inequality"], family["equality"]]

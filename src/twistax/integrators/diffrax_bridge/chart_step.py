@@ -51,7 +51,7 @@ class Frame:
     def rate(self, dynamics: Dynamics, given: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
         """The rate at given.t and given.x for controls within the step from t to t + h."""
         now = given.signals.during(dynamics, t, h)(given.t)
-        return self.local.rate(_flat(dynamics.vector_field(given.t, given.x, now, given.params)))
+        return self.local.rate(_flat(dynamics._functions.vector_field(given.t, given.x, now, given.params)))
 
     def still(self, x: Arrays) -> Blocks:
         """Rates of zero."""

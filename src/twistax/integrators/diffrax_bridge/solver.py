@@ -135,7 +135,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         time = self._parts(terms)[0].direction * t0
         given = read_arguments(self.frame.dynamics, time, y0, args)
         now = given.signals.during(self.frame.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
-        found = [system.vector_field(given.t, given.x, now, given.params) for system in rates]
+        found = [system._functions.vector_field(given.t, given.x, now, given.params) for system in rates]
         return self.frame.ambient.rates(given.x, jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *found))
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> Any:

@@ -26,7 +26,7 @@ class LieTerm(diffrax.AbstractTerm):
         """The rates at y with args = (u, params), or None. Raises InputError as a call of the dynamics does."""
         given = read_arguments(self.dynamics, t, y, args)
         now = given.signals.during(self.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
-        return self.dynamics.vector_field(given.t, given.x, now, given.params)
+        return self.dynamics._functions.vector_field(given.t, given.x, now, given.params)
 
     def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Any:
         """The length of the step."""

@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import jax
 
-from ...jax_inside import ClosedJaxpr, jaxpr_as_fun
+from ...jax_inside import ClosedJaxpr, is_traced, jaxpr_as_fun
 from ...lowering import XLA
-from ...lowering.concrete import is_traced
 
 __all__ = ["in_scalars"]
 

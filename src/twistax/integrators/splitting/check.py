@@ -78,7 +78,7 @@ class _Comparison:
         velocities = {name: x[name] for name in names}
 
         def system(velocities: Arrays, params: Arrays) -> Arrays:
-            return self.dynamics.vector_field(t, x | velocities, u, params)
+            return self.dynamics._functions.vector_field(t, x | velocities, u, params)
 
         def free(velocities: Arrays, params: Arrays) -> Arrays:
             rates: Arrays = {}

@@ -102,7 +102,7 @@ class Splitting(Method):
             weight, node, further = entry
             y = flows.inner(y, 0.5 * weight * h)
             time = t + node * h
-            rates = dynamics.vector_field(time, flows.at_rest(y), u_at(time), params)
+            rates = dynamics._functions.vector_field(time, flows.at_rest(y), u_at(time), params)
             y = flows.kick(y, rates, weight * h)
             y = flows.inner_backwards(y, 0.5 * weight * h)
             return flows.settle(flows.outer(y, further * h)), None

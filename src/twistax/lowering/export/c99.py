@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...errors import InputError, ModelError
+from ..functions import Functions
+from . import CFiles
 from .c_body import body
 from .c_header import MARK, declaration, defaults, header
 from .c_names import checked_name, identifiers
@@ -18,31 +19,14 @@ from .c_types import CType, c_type
 from .functions import ExportedFunction, Exporter, Port
 from .version import version
 
-if TYPE_CHECKING:
-    from ..dynamics import Dynamics
-
-__all__ = ["CFiles", "write_c"]
+__all__ = ["write_c"]
 
 #: Of references at which the test main gives up, relative to the largest one of a function.
 _TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
 
 
-@dataclasses.dataclass(frozen=True)
-class CFiles:
-    """Where C code was written.
-
-    Attributes:
-        header, source: what a program includes and links.
-        test: a program that compares both with reference values, and ends with 0 where they agree.
-    """
-
-    header: Path
-    source: Path
-    test: Path
-
-
 def write_c(
-    dynamics: Any,
+    dynamics: Functions,
     directory: str | Path,
     *,
     name: str,
@@ -85,8 +69,7 @@ def _real(dtype: Any) -> CType:
 
 
 def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunction]:
-    dynamics: Dynamics = exporter.dynamics
-    wanted = [family for family in ("rates", "outputs", "constraints") if any(dynamics.families[family].values())]
+    wanted = [family for family, own in exporter.dynamics.families.items() if any(own.values())]
     found = [exporter.family(family) for family in wanted]
     if jacobian:
         if isinstance(jacobian, str):

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, ModelError
+from ..functions import Functions
 from .casadi_forms import CasadiForms
 from .functions import ExportedFunction, Exporter, Port
 
 __all__ = ["to_casadi"]
 
 
-def to_casadi(dynamics: Any, families: str | Sequence[str], name: str, checked: bool) -> Any:
+def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, checked: bool) -> Any:
     """What `Dynamics.to_casadi` does; it says what the arguments are."""
     casadi = _casadi()
     exporter = Exporter(dynamics, np.float64, checked)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +12,10 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Inputs, Leaf
+from ..functions import Functions
 from ..scalar.graph import Limits
 from ..scalar.passes import emitted_form
 from ..scalar.program import ScalarProgram, scalarize
-
-if TYPE_CHECKING:
-    from ..dynamics import Dynamics
 
 __all__ = ["ExportedFunction", "Exporter", "Port"]
 
@@ -70,13 +68,13 @@ class Exporter:
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
 
     Args:
-        dynamics: the compiled system.
+        dynamics: those of the compiled system.
         dtype: float64 or float32.
         checked: as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
     """
 
-    def __init__(self, dynamics: Any, dtype: Any, checked: bool = False) -> None:
-        self.dynamics: Dynamics = dynamics
+    def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:
+        self.dynamics = dynamics
         self.dtype, self.checked = np.dtype(dtype), checked
         self.leaves: dict[str, tuple[Leaf, ...]] = {
             "x": dynamics.states,
@@ -192,7 +190,7 @@ def _reference_jacobian(exporter: Exporter, wrt: Sequence[str], values: Sequence
 
     x, u, p = dict(given.x), dict(given.u), dict(given.params)
     along: dict[str, tuple[int, Callable[[jax.Array], jax.Array]]] = {
-        "x": (dynamics.dimension, lambda d: rates(dynamics.group.retract(x, d), u, p)),
+        "x": (dynamics.group.dimension, lambda d: rates(dynamics.group.retract(x, d), u, p)),
         "u": (sum(v.size for v in u.values()), lambda d: rates(x, moved(u, d), p)),
         "params": (sum(v.size for v in p.values()), lambda d: rates(x, u, moved(p, d))),
     }

@@ -12,7 +12,7 @@ import json
 import os
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...expr import Expr
 from ...system import System
+from ..functions import Functions
 from .plain import PlainWriter
 from .tree import write_nodes
 from .version import version
-
-if TYPE_CHECKING:
-    from ..dynamics import Dynamics
 
 __all__ = ["FORMAT", "JSON", "keys", "save"]
 
@@ -37,7 +35,7 @@ JSON = "system.json"
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # equal systems give equal files
 
 
-def save(dynamics: Any, path: str | Path) -> None:
+def save(dynamics: Functions, path: str | Path) -> None:
     """What `Dynamics.save` does.
 
     Raises:
@@ -62,7 +60,7 @@ def save(dynamics: Any, path: str | Path) -> None:
         raise InputError(f"cannot save to {str(target)!r}: {error}") from None
 
 
-def _content(dynamics: Dynamics, arrays: list[NDArray[Any]]) -> dict[str, Any]:
+def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     system = dynamics.system
     named: dict[str, dict[str, Expr]] = {
         "rates": system.rates,
@@ -75,7 +73,7 @@ def _content(dynamics: Dynamics, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     writer = PlainWriter(arrays, lambda node: places[id(node)])
     compiled = {
         "outputs": list(dynamics.families["outputs"]),
-        "bake": [[name, writer.write(value, f"bake[{name!r}]")] for name, value in dynamics.bake.items()],
+        "bake": [[name, writer.write(value, f"bake[{name!r}]")] for name, value in dynamics.baked.items()],
         "backend": writer.write(dynamics.backend, "the backend"),
     }
     return {

@@ -48,7 +48,9 @@ class _Own(Contender):
         """Whether `dynamics.jacobian` is of use: it writes all scalars out, which takes a compiler long beyond some."""
         arguments = [points[0] for points in case.points(1)]
         try:
-            found, _ = dynamics.rate_jacobian(dynamics.prepare(0.0, *case.inputs(*arguments)), case.by)
+            found, _ = dynamics._functions.rate_jacobian(
+                dynamics._functions.prepare(0.0, *case.inputs(*arguments)), case.by
+            )
         except TooLarge:
             return False
         return found.program.operations <= tx.XLA().largest

@@ -1,0 +1,310 @@
+"""The functions of a system on prepared arguments, each made when it is first asked for, and kept."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import math
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from ..errors import InputError, ModelError
+from ..expr import (
+    Constant,
+    Control,
+    Equality,
+    Expr,
+    Inputs,
+    Parameter,
+    State,
+    canonicalize_all,
+    evaluate_all,
+    leaves_of,
+    substitute,
+)
+from ..system import System
+from .backends import Backend, Emission
+from .inputs import Values, prepare
+from .jacobian import RateJacobian
+from .scalar.primitive import call_program
+
+__all__ = ["Arrays", "Functions", "Kept"]
+
+Arrays = dict[str, jax.Array]
+#: What the arguments of a flat function are: ("t", "t"), then "x", "u" or "params" with a name.
+Places = tuple[tuple[str, str], ...]
+Made = TypeVar("Made")
+
+
+class Kept:
+    """What was made by key; beyond `most` entries that which was used longest ago is dropped."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._found: dict[Any, Any] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What was made for the key, or is now."""
+        found = self._found.get(key, self)
+        made: Any = make() if found is self else found
+        with self._lock:
+            self._found.pop(key, None)
+            self._found[key] = made
+            while len(self._found) > self._most:
+                del self._found[next(iter(self._found))]
+        return made
+
+    def values(self) -> list[Any]:
+        """All that is kept, what was used last at the end."""
+        return list(self._found.values())
+
+
+class Functions:
+    """The functions of a system on prepared arguments: traceable, unchecked.
+
+    `Dynamics` shows them to users; `prepare` makes the arguments. The floors above reach them as `dynamics._functions`.
+
+    Attributes:
+        system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
+        families: the simplified expressions of "rates", "outputs" and "constraints", by name.
+        steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
+    """
+
+    def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
+        constants = _constants(system.parameters, bake)
+        self.system, self.backend = system, backend
+        self.baked = {p.name: constants[p.key()].value for p in system.parameters if p.name in bake}
+        self.states, self.controls, self.group = system.states, system.controls, system.group
+        self.parameters = tuple(p for p in system.parameters if p.name not in bake)
+        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
+        self._constraints: dict[str, dict[str, Expr]] = {"inequality": {}, "equality": {}}
+        for name, constraint in system.constraints.items():
+            kind = "equality" if isinstance(constraint, Equality) else "inequality"
+            self._constraints[kind][name] = residuals[name]
+        chosen = _narrow(system.outputs, outputs)
+        self.families: dict[str, dict[str, list[Expr]]] = {
+            "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
+            "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
+            "constraints": {kind: list(own.values()) for kind, own in self._constraints.items()},
+        }
+        self.steps = Kept(32)
+        self._made = Kept(64)
+        self._clock: Callable[[jax.Array], jax.Array] | None = None
+        self._jit()
+
+    # ---- the same functions otherwise --------------------------------------------------------------------------------
+
+    def run_by(self, backend: Backend) -> Functions:
+        """The same, run by another backend."""
+        found = copy.copy(self)
+        found.backend = backend
+        found._jit()
+        return found
+
+    def on_clock(self, clock: Callable[[jax.Array], jax.Array]) -> Functions:
+        """The same, where rates in a loop see clock(t) in place of t."""
+        found = copy.copy(self)
+        found._clock = clock
+        return found
+
+    def _jit(self) -> None:
+        self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
+
+    # ---- arguments ---------------------------------------------------------------------------------------------------
+
+    def prepare(
+        self,
+        t: Any,
+        x: Values | None,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        reads: Iterable[str] = ("rates",),
+    ) -> Inputs:
+        """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
+
+        Args:
+            reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
+        Raises:
+            InputError: as a call of the dynamics.
+        """
+        required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
+        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params)
+
+    @functools.cached_property
+    def reads(self) -> dict[str, set[str]]:
+        """The names of the leaves that each family reads."""
+        return {family: _names(*own.values()) for family, own in self.families.items()}
+
+    def rate_reads(self, name: str) -> set[str]:
+        """The names of the states, controls and parameters that the rate of a state reads."""
+        return _names(self.families["rates"][name])
+
+    @functools.cached_property
+    def constraint_names(self) -> dict[str, list[str]]:
+        """The name of every entry of the constraints, for messages."""
+        return {
+            kind: [f"{name}[{i}]" if e.shape else name for name, e in own.items() for i in range(math.prod(e.shape))]
+            for kind, own in self._constraints.items()
+        }
+
+    # ---- values ------------------------------------------------------------------------------------------------------
+
+    def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
+        """Rates, outputs or constraints from arguments as users give them, jitted."""
+        inputs = self.prepare(t, x, u, params, reads=(family,))
+        found: Arrays = self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        return found
+
+    def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """The rates; what an integrator puts into its loop."""
+        return self.evaluate("rates", t if self._clock is None else self._clock(t), x, u, params)
+
+    def evaluate(
+        self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True
+    ) -> Arrays:
+        """Rates, outputs or constraints, not jitted.
+
+        Args:
+            in_loop: in the form that suits an integrator's loop; else in the one for calls and batches.
+        """
+        leaves, structure = jax.tree.flatten((t, x, u, params))
+        types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
+        emission, shape = self.emission(family, structure, types, in_loop=in_loop)
+        return jax.tree.unflatten(shape, emission.function(*leaves))
+
+    def emission(
+        self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
+    ) -> tuple[Emission, Any]:
+        """How a family of functions runs on arguments of these (shape, type), and the structure of its results."""
+        backend = self.backend.in_loops() if in_loop else self.backend
+
+        def make() -> tuple[Emission, Any]:
+            shapes: list[Any] = []
+
+            def function(*leaves: jax.Array) -> list[jax.Array]:
+                results, shape = jax.tree.flatten(self.as_written(family, *jax.tree.unflatten(structure, leaves)))
+                shapes.append(shape)
+                return results
+
+            closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(*each) for each in types))
+            places = jax.tree.unflatten(structure, range(len(types)))
+            return backend.emit(closed, jax.tree.leaves(places[3])), shapes[0]
+
+        return self._made.get((backend, family, structure, types), make)
+
+    def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """Rates, outputs or constraints in arrays, node by node."""
+        roots = self.families[family]
+        dtype = x[self.states[0].name].dtype
+        inputs = Inputs(t, x, u, params, dtype)
+        values = iter(evaluate_all([e for own in roots.values() for e in own], lambda leaf: leaf.read(inputs)))
+        result = {}
+        for name, exprs in roots.items():
+            parts = [next(values) for _ in exprs]
+            result[name] = parts[0] if family != "constraints" else _joined(parts, dtype)
+        return result
+
+    # ---- derivatives -------------------------------------------------------------------------------------------------
+
+    def jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> Arrays:
+        """The blocks of `Dynamics.jacobian`."""
+        found, arrays = self.rate_jacobian(inputs, wrt)
+        derived = self._made.get((self.backend, found), lambda: self.backend.derived(found.program))
+        return dict(zip(found.blocks, call_program(derived, *arrays), strict=True))
+
+    def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
+        """The program of the Jacobian for arguments of these types, and the arguments.
+
+        Raises:
+            InputError: an entry of wrt that is none of "x", "u", "params", or that stands there twice.
+            TooLarge: too many scalars.
+        """
+        for kind in wrt:
+            if kind not in ("x", "u", "params"):
+                raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
+        if len(set(wrt)) < len(wrt):
+            raise InputError(f"wrt names something twice: {wrt}")
+        places, arrays = self.flat(inputs)
+
+        def make() -> RateJacobian:
+            closed = jax.make_jaxpr(functools.partial(self.flat_rates, places))(
+                *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays)
+            )
+            return RateJacobian(closed, places, self.group, wrt)
+
+        return self._made.get((wrt, places, inputs.dtype), make), arrays
+
+    def flat(self, inputs: Inputs) -> tuple[Places, list[jax.Array]]:
+        """The arguments in the order of declaration: what each is, ("t", "t") or its kind and name; and the arrays."""
+        given = {
+            "x": (self.states, inputs.x),
+            "u": (self.controls, inputs.u),
+            "params": (self.parameters, inputs.params),
+        }
+        named = {
+            (kind, leaf.name): values[leaf.name]
+            for kind, (leaves, values) in given.items()
+            for leaf in leaves
+            if leaf.name in values
+        }
+        return (("t", "t"), *named), [inputs.t, *named.values()]
+
+    def flat_rates(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
+        """All rates as one vector, in arrays, of arguments as `flat` gives them."""
+        rates = self.as_written("rates", *self.by_kind(places, arrays))
+        return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
+
+    def by_kind(self, places: Places, arrays: Sequence[jax.Array]) -> tuple[jax.Array, Arrays, Arrays, Arrays]:
+        """t, x, u and params again, of arguments as `flat` gives them."""
+        values: dict[str, Arrays] = {"x": {}, "u": {}, "params": {}}
+        for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
+            values[kind][name] = array
+        return arrays[0], values["x"], values["u"], values["params"]
+
+
+def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
+    """The outputs of these names; all if None."""
+    if names is None:
+        return dict(outputs)
+    names = [names] if isinstance(names, str) else list(names)
+    for name in names:
+        if name not in outputs:
+            raise ModelError(f"unknown output {name!r}; the system has: {', '.join(outputs) or 'none'}")
+    return {name: outputs[name] for name in names}
+
+
+def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Constant]:
+    """The baked parameters: key of the leaf -> constant."""
+    known = {p.name: p for p in parameters}
+    constants: dict[str, Constant] = {}
+    for name, value in bake.items():
+        if name not in known:
+            raise ModelError(
+                f"bake names {name!r}, which is no parameter; the system has: {', '.join(known) or 'none'}"
+            )
+        if value is None:
+            raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
+        constants[known[name].key()] = Constant(known[name].replace(value=value).value)
+    return constants
+
+
+def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:
+    """The expressions with constants in place of what is baked, simplified together."""
+    roots = [substitute(expr, constants) for expr in exprs.values()] if constants else list(exprs.values())
+    return dict(zip(exprs, canonicalize_all(roots), strict=True))
+
+
+def _names(*roots: list[Expr]) -> set[str]:
+    """The names of the states, controls and parameters that the roots read."""
+    leaves = leaves_of(*(expr for own in roots for expr in own))
+    return {leaf.name for leaf in leaves if isinstance(leaf, (State, Control, Parameter))}
+
+
+def _joined(parts: list[jax.Array], dtype: Any) -> jax.Array:
+    return jnp.concatenate([p.reshape(-1) for p in parts]) if parts else jnp.zeros(0, dtype)
