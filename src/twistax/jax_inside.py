@@ -33,6 +33,7 @@ __all__ = [
     "any_of_batch",
     "batching",
     "closed",
+    "expansion",
     "inner_jaxprs",
     "is_traced",
     "jaxpr_as_fun",
@@ -83,7 +84,25 @@ def closed(jaxpr: Jaxpr | ClosedJaxpr) -> ClosedJaxpr:
 
 def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
     """The jaxprs among the parameters of an equation: bodies of loops, branches, called functions."""
-    return [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+    found = [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+    inside = expansion(eqn)
+    return found if inside is None else [*found, inside]
+
+
+def expansion(eqn: Any, own_derivatives: bool = True) -> ClosedJaxpr | None:
+    """What a composite operation does, of which JAX 0.12 has some, as searchsorted; None for other operations.
+
+    Args:
+        own_derivatives: also of functions that bring their own derivatives.
+    """
+    composite: Any = eqn.params.get("_prim") if eqn.primitive.name == "call_hi_primitive" else None
+    if not hasattr(composite, "expand") or (type(composite).__name__.startswith("Custom") and not own_derivatives):
+        return None
+
+    def opened(*arguments: Any) -> list[Any]:
+        return jax.tree.leaves(composite.expand(*jax.tree.unflatten(composite.in_tree, arguments)))
+
+    return jax.make_jaxpr(opened)(*(jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in eqn.invars))
 
 
 def all_equations(jaxpr: Any) -> Iterator[Any]:

@@ -32,13 +32,11 @@ ANY_SIZE = 10**9
 
 #: Operations that only move numbers, or hold others.
 _MOVING = frozenset(
-    " ".join(
-        [
-            "broadcast_in_dim concatenate convert_element_type copy copy_p dynamic_slice dynamic_update_slice",
-            "expand_dims gather iota optimization_barrier pad reshape rev scatter slice split squeeze stack",
-            "stop_gradient tile transpose unstack",
-        ]
-    ).split(" ")
+    str.split("""
+    broadcast_in_dim concatenate convert_element_type copy copy_p dynamic_slice dynamic_update_slice expand_dims
+    gather iota optimization_barrier pad reshape rev scatter slice split squeeze stack stop_gradient tile transpose
+    unstack
+    """)
 )
 _CUBIC = ("lu", "cholesky", "triangular_solve")
 

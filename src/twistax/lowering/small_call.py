@@ -29,27 +29,23 @@ _INSIDE = contextvars.ContextVar("inside a small call", default=False)
 
 #: Operations that are compiled inside one function. Anything that calls a library (solvers, FFI, callbacks) is not.
 _KNOWN = frozenset(
-    " ".join(
-        [
-            "abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp",
-            "concatenate cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call",
-            "custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1 floor",
-            "gather ge gt integer_pow iota is_finite jit le le_to log log1p logistic lt lt_to max min mul ne neg not",
-            "optimization_barrier or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum",
-            "rem reshape rev round rsqrt scalar_program scan scatter scatter-add select_n sign sin sinh slice split",
-            "sqrt square squeeze stack stop_gradient sub tan tanh tile transpose unstack while xor",
-        ]
-    ).split(" ")
+    str.split("""
+    abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp call_hi_primitive
+    concatenate cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call
+    custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1 floor gather ge
+    gt integer_pow iota is_finite jit le le_to log log1p logistic lt lt_to max min mul ne neg not optimization_barrier
+    or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem reshape rev round rsqrt
+    scalar_program scan scatter scatter-add select_n sign sin sinh slice split sqrt square squeeze stack stop_gradient
+    sub tan tanh tile transpose unstack while xor
+    """)
 )
 
 #: Operations that move numbers, or hold others; arrays of any size are fine.
 _MOVING = frozenset(
-    " ".join(
-        [
-            "broadcast_in_dim cond custom_jvp_call custom_vjp_call dynamic_slice dynamic_update_slice gather jit",
-            "optimization_barrier pjit reshape scalar_program scan scatter slice squeeze while",
-        ]
-    ).split(" ")
+    str.split("""
+    broadcast_in_dim call_hi_primitive cond custom_jvp_call custom_vjp_call dynamic_slice dynamic_update_slice gather
+    jit optimization_barrier pjit reshape scalar_program scan scatter slice squeeze while
+    """)
 )
 
 #: Of these only ones at a single place, which XLA makes a slice; it has no code for others inside of a function.

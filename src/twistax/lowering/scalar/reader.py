@@ -16,6 +16,7 @@ from ...jax_inside import (
     Unread,
     alone,
     closed,
+    expansion,
     inner_jaxprs,
     jaxpr_as_fun,
     say_once,
@@ -165,6 +166,10 @@ class Reader:
         key = _OwnDerivative(eqn, equation) if inline else object()
         return list(self.graph.call(equation, key, distinct.values(), inline).results)
 
+    def _expansion(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes] | None:
+        inside = expansion(eqn, own_derivatives=False)
+        return None if inside is None else self.read(inside, arrays)
+
     # ---- control flow --------------------------------------------------------------------------------------------
 
     def _scan(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes] | None:
@@ -214,6 +219,7 @@ class Reader:
 _SPECIAL: dict[str, Callable[[Reader, Any, list[Nodes]], list[Nodes] | None]] = {
     "scan": Reader._scan,
     "cond": Reader._cond,
+    "call_hi_primitive": Reader._expansion,
 }
 
 
