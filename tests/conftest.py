@@ -1,6 +1,10 @@
 """Strict settings for the whole suite: x64, strict dtype and rank promotion, checked shapes, one CPU device."""
 
+import ctypes
 import gc
+import os
+import resource
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +13,17 @@ import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
+#: XLA's work on a program took over half of the suite's time, four fifths of it for speed that no test needs. Users' own
+#: settings are tried where the variable is set, also to nothing: the smoke tier does so.
+FLAGS = [
+    "--xla_backend_optimization_level=0",
+    "--xla_llvm_disable_expensive_passes=true",
+    "--xla_cpu_parallel_codegen_split_count=1",
+]
+if jax.__version_info__ < (0, 11):
+    FLAGS.append("--xla_cpu_use_fusion_emitters=false")
+os.environ.setdefault("XLA_FLAGS", " ".join(FLAGS))
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -16,8 +31,9 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Traced programs are millions of objects: looking through them for cycles took an eighth of the suite's time.
 gc.set_threshold(50_000, 20, 20)
 
-#: Their functions act on single scalars, a hundred thousand times for a large system: checks would take most of it.
-UNCHECKED = ("twistax.lowering.scalar.", "twistax.lowering.native.")
+#: Their functions act on single scalars or equations, a hundred thousand times for a large system: checks would take most
+#: of the time.
+UNCHECKED = ("twistax.lowering.scalar.", "twistax.lowering.native.", "twistax.jax_inside")
 
 
 def checked_modules() -> list[str]:
@@ -38,3 +54,24 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+#: Megabytes that a worker may hold before what JAX keeps of earlier tests is dropped.
+MEMORY = 1100
+
+
+def pytest_runtest_logfinish() -> None:
+    """Between tests: JAX keeps each program and its machine code, 6 GB over the suite, and glibc what was freed."""
+    if sys.platform != "linux" or resident() < MEMORY:
+        return
+    libc = ctypes.CDLL(None)
+    libc.malloc_trim(0)
+    if resident() > MEMORY / 2:
+        jax.clear_caches()
+        gc.collect()
+        libc.malloc_trim(0)
+
+
+def resident() -> float:
+    """Megabytes of this process in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
