@@ -3,7 +3,6 @@
 import ctypes
 import gc
 import os
-import resource
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +12,8 @@ import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
-#: XLA's work on a program took over half of the suite's time, four fifths of it for speed that no test needs. Users' own
-#: settings are tried where the variable is set, also to nothing: the smoke tier does so.
+#: XLA's work on a program took over half of the suite's time, four fifths of it for speed that no test needs.
+#: The variable, set to nothing, stands for the settings of users: the smoke tier runs with them.
 FLAGS = [
     "--xla_backend_optimization_level=0",
     "--xla_llvm_disable_expensive_passes=true",
@@ -31,8 +30,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Traced programs are millions of objects: looking through them for cycles took an eighth of the suite's time.
 gc.set_threshold(50_000, 20, 20)
 
-#: Their functions act on single scalars or equations, a hundred thousand times for a large system: checks would take most
-#: of the time.
+#: Their functions act on single scalars or equations, a hundred thousand times for a large system: checks would take
+#: most of the time.
 UNCHECKED = ("twistax.lowering.scalar.", "twistax.lowering.native.", "twistax.jax_inside")
 
 
@@ -74,4 +73,4 @@ def pytest_runtest_logfinish() -> None:
 
 def resident() -> float:
     """Megabytes of this process in memory."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
