@@ -19,8 +19,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     demo = commands.add_parser(
         "demo",
-        help="land a rocket: compile, check, solve, fly again, draw",
-        description="A 6-DoF powered descent, found by the embedded optimiser, flown again by two integrators.",
+        help="land a rocket: compile, check, solve, simulate, draw",
+        description="A 6-DoF powered descent, found by the embedded optimiser, simulated again by two integrators.",
     )
     demo_arguments.add_options(demo)
     demo.set_defaults(run=_demo, rerun="")

@@ -17,8 +17,8 @@ def solution(leaf: type, A: np.ndarray, b: np.ndarray) -> np.ndarray:
     matrix, rhs = leaf("A", shape=A.shape), tx.State("b", shape=b.shape)
     values = {"b": b}
     if leaf is tx.State:
-        return np.asarray(tx.lower(tx.Solve(matrix, rhs))(0.0, values | {"A": A}))
-    return np.asarray(tx.lower(tx.Solve(matrix, rhs))(0.0, values, None, {"A": A}))
+        return np.asarray(tx.lower(tx.linalg.Solve(matrix, rhs))(0.0, values | {"A": A}))
+    return np.asarray(tx.lower(tx.linalg.Solve(matrix, rhs))(0.0, values, None, {"A": A}))
 
 
 @pytest.mark.parametrize("columns", [(), (3,)])
@@ -39,7 +39,7 @@ def test_the_residual_is_near_that_of_an_elimination(columns: tuple[int, ...]) -
 
 def test_a_loop_inverts_it_once() -> None:
     A, b = tx.Parameter("A", shape=(N, N)), tx.State("b", shape=(N,))
-    dynamics = tx.compile(tx.System(rates={b: tx.Solve(A, b)}))
+    dynamics = tx.compile(tx.System(rates={b: tx.linalg.Solve(A, b)}))
 
     def loop(x: jax.Array, A: jax.Array) -> jax.Array:
         def step(x: jax.Array, _: None) -> tuple[jax.Array, None]:

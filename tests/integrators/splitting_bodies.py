@@ -29,8 +29,8 @@ def top(tensor: np.ndarray = TENSOR, momentum: bool = False) -> tx.System:
     R, s, t = tx.State("R", group=tx.SO3), tx.State("L" if momentum else "w", shape=(3,)), tx.Time()
     w, L = (tx.linalg.Solve(J, s), s) if momentum else (s, J @ s)
     field = tx.Concat(tx.Sin(2.0 * t), 0.5, tx.Cos(t))
-    torque = tx.Cross(LEVER, R.T @ WEIGHT) + tx.Cross(POLE, R.T @ field)
-    change = tx.Cross(L, w) + torque
+    torque = tx.linalg.Cross(LEVER, R.T @ WEIGHT) + tx.linalg.Cross(POLE, R.T @ field)
+    change = tx.linalg.Cross(L, w) + torque
     return tx.System(rates={R: w, s: change if momentum else tx.linalg.Solve(J, change)})
 
 
@@ -66,7 +66,9 @@ def hung(order: tx.Order = tx.LINEAR_FIRST, momentum: bool = False, matrix: obje
     R = g[:3, :3]
     pull = R.T @ (STIFFNESS * (POST - R @ HOOK - g[:3, 3]))
     weight = R.T @ (MASS * GRAVITY)
-    F = tx.lie.wrench(force=pull + weight, torque=tx.Cross(HOOK, pull) + tx.Cross(CENTRE, weight), order=order)
+    F = tx.lie.wrench(
+        force=pull + weight, torque=tx.linalg.Cross(HOOK, pull) + tx.linalg.Cross(CENTRE, weight), order=order
+    )
     change = F - tx.lie.AdjointDual(V, mu, order=order)
     return tx.System(rates={g: V, s: change if momentum else tx.linalg.Solve(M, change)})
 

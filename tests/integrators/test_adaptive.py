@@ -89,7 +89,7 @@ def lit_body(order: tx.Order = tx.LINEAR_FIRST) -> tx.Dynamics:
     g, V = tx.State("g", group=tx.SE3, order=order), tx.State("V", shape=(6,))
     weight, pull = tx.Parameter("weight", value=MASS * GRAVITY), tx.Parameter("pull", value=[1.0, 2.0, -0.5])
     M = tx.Constant(spatial_inertia()[np.ix_(swap, swap)])
-    force = g[:3, :3].T @ (weight - tx.Dot(pull, g[:3, 3]) * pull)
+    force = g[:3, :3].T @ (weight - tx.linalg.Dot(pull, g[:3, 3]) * pull)
     F = tx.lie.wrench(force=force, torque=tx.linalg.Cross(CENTRE, force), order=order)
     return tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V, order=order))}))
 

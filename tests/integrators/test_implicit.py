@@ -30,7 +30,7 @@ def tumbling() -> tx.Dynamics:
     """A pose whose twist depends on its attitude, on another rotation, on a number and on time; nothing commutes."""
     g, Q, x, t = tx.State("g", group=tx.SE3), tx.State("Q", group=tx.SO3), tx.State("x"), tx.Time()
     w = g[:3, :3].T @ A + x * B
-    v = tx.Cross(w, A) + Q @ C
+    v = tx.linalg.Cross(w, A) + Q @ C
     return tx.compile(
         tx.System(
             rates={

@@ -132,7 +132,9 @@ def test_inertia_given_at_run_time(top_end: State) -> None:
     rate = fixed.rates["w"]
     assert isinstance(rate, tx.linalg.Solve)
     dynamics = tx.compile(
-        tx.System(rates={R: w, w: tx.linalg.Solve(J, rate.b - tx.Cross(TENSOR @ w, w) + tx.Cross(J @ w, w))})
+        tx.System(
+            rates={R: w, w: tx.linalg.Solve(J, rate.b - tx.linalg.Cross(TENSOR @ w, w) + tx.linalg.Cross(J @ w, w))}
+        )
     )
     method = tx.Splitting(KAHAN_LI8, tx.FreeBody(R, w, inertia="J"))
     sol = tx.integrate(dynamics, TOP_START, t1=END, steps=80, method=method, params={"J": TENSOR})
@@ -145,8 +147,8 @@ def test_moments_given_at_run_time_are_those_of_a_constant() -> None:
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
 
     def system(inertia: Any) -> tx.Dynamics:
-        torque = tx.Cross(np.array([0.3, -0.2, 1.5]), R.T @ np.array([0.0, 0.0, -2.0]))
-        return tx.compile(tx.System(rates={R: w, w: (tx.Cross(inertia * w, w) + torque) / inertia}))
+        torque = tx.linalg.Cross(np.array([0.3, -0.2, 1.5]), R.T @ np.array([0.0, 0.0, -2.0]))
+        return tx.compile(tx.System(rates={R: w, w: (tx.linalg.Cross(inertia * w, w) + torque) / inertia}))
 
     free, fixed = system(J), system(moments)
     ends = [
@@ -269,7 +271,7 @@ def test_energy_of_a_heavy_top_stays_in_bounds() -> None:
 
 def driven() -> tx.Dynamics:
     R, w, F = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("F", shape=(3,))
-    return tx.compile(tx.System(rates={R: w, w: tx.linalg.Solve(TENSOR, tx.Cross(TENSOR @ w, w) + R.T @ F)}))
+    return tx.compile(tx.System(rates={R: w, w: tx.linalg.Solve(TENSOR, tx.linalg.Cross(TENSOR @ w, w) + R.T @ F)}))
 
 
 @pytest.mark.slow
@@ -303,7 +305,7 @@ def pushed() -> tuple[tx.Dynamics, tx.Splitting]:
     """A body whose moments are a parameter, and its method."""
     R, w, F = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("F", shape=(3,))
     J = tx.Parameter("J", value=MOMENTS)
-    dynamics = tx.compile(tx.System(rates={R: w, w: (tx.Cross(J * w, w) + R.T @ F) / J}))
+    dynamics = tx.compile(tx.System(rates={R: w, w: (tx.linalg.Cross(J * w, w) + R.T @ F) / J}))
     return dynamics, tx.Splitting(SUZUKI4, tx.FreeBody(R, w, inertia=J))
 
 

@@ -20,7 +20,7 @@ BODY = tx.FreeBody("R", "w", inertia=TENSOR)
 
 
 def turning(torque: Any = 0.0, inertia: Any = TENSOR, rate: Any = w, **others: Any) -> dict[Any, Any]:
-    return {R: rate, w: tx.linalg.Solve(inertia, tx.Cross(inertia @ w, w) + torque * tx.Constant(np.ones(3)))}
+    return {R: rate, w: tx.linalg.Solve(inertia, tx.linalg.Cross(inertia @ w, w) + torque * tx.Constant(np.ones(3)))}
 
 
 def refused(rates: dict[Any, Any], *bodies: Any) -> str:

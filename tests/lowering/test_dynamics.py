@@ -380,7 +380,8 @@ def test_explain_counts_scalars_and_shows_the_pattern() -> None:
     p, v, m = tx.State("p", shape=(3,)), tx.State("v", shape=(3,)), tx.State("m")
     F, c = tx.Control("F", shape=(3,)), tx.Parameter("c", value=0.5)
     system = tx.System(
-        rates={p: v, v: np.diag([1.0, 0.0, 0.0]) @ F / m - c * v, m: tx.Constant(-2.0)}, outputs={"power": tx.Dot(F, v)}
+        rates={p: v, v: np.diag([1.0, 0.0, 0.0]) @ F / m - c * v, m: tx.Constant(-2.0)},
+        outputs={"power": tx.linalg.Dot(F, v)},
     )
     explanation = tx.compile(system).explain()
     # F[0] / m - c v[0], -c v[1], -c v[2]: one division, three products, one difference, two signs.

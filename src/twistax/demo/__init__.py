@@ -1,1 +1,1 @@
-"""The main job of the command line: a powered descent, checked, solved, flown again, drawn and tabled."""
+"""The main job of the command line: a powered descent, checked, solved, simulated again, drawn and tabled."""

@@ -42,7 +42,7 @@ class _Report:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compile, check, solve, fly again, draw and table.
+    """Compile, check, solve, simulate, draw and table.
 
     Args:
         arguments: what `add_options` declares.
@@ -75,13 +75,13 @@ def run(arguments: argparse.Namespace) -> int:
         f"{result.status}",
     )
 
-    flights, failures = _fly(result)
+    rollouts, failures = _rollouts(result)
     nodes = planned(result)
-    dense = next(iter(flights.values()), nodes)
-    misses = {name: Miss.of(flight) for name, flight in flights.items()}
+    dense = next(iter(rollouts.values()), nodes)
+    misses = {name: Miss.of(flight) for name, flight in rollouts.items()}
     limits = scene.limits(vehicle)
     found = reaches(dense, limits)
-    report.say("flights", *failures, *describe_misses(misses), f"flown in {report.lap():.1f} s")
+    report.say("rollouts", *failures, *describe_misses(misses), f"simulated in {report.lap():.1f} s")
     report.say("limits", *describe_limits(found))
 
     violated = [*failures, *describe_failure(misses, found, dense.ts[-1], vehicle.flight_time)]
@@ -130,21 +130,21 @@ def _describe_check(check: DerivativeCheck) -> list[str]:
     ]
 
 
-def _fly(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Flight], list[str]]:
-    """The found controls flown by two methods, and a line for each that gave up."""
+def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Flight], list[str]]:
+    """The found controls simulated by two methods, and a line for each that gave up."""
     import diffrax
 
     methods: dict[str, Any] = {
         f"RKMK4, {SAMPLES} steps an interval": tx.RKMK(tx.tableaus.RK4),
         "diffrax Dopri8 on quaternions, 1e-10": diffrax.Dopri8(),
     }
-    flights, failures = {}, []
+    rollouts, failures = {}, []
     for name, method in methods.items():
         try:
-            flights[name] = flown(result, method)
+            rollouts[name] = flown(result, method)
         except tx.IntegrationError as error:
             failures.append(f"{name}: {str(error).splitlines()[0]}")
-    return flights, failures
+    return rollouts, failures
 
 
 def _save(

@@ -40,7 +40,7 @@ def save_figure(
     """Draw a landing into a PNG file.
 
     Args:
-        dense: the flight of the controls, densely sampled.
+        dense: the rollout of the controls, densely sampled.
         nodes: the optimiser's own nodes.
     Raises:
         ImportError: matplotlib is not installed.
@@ -81,7 +81,7 @@ def _draw_panel(
     values, held = dense.outputs[output] * factor, output in ("thrust", "gimbal")
     marks = nodes.outputs[output] * factor
     kept = slice(None, -1) if held else slice(None)
-    axes.plot(dense.ts, values, color=_PATH, lw=1.6, label="controls flown again (RKMK4)")
+    axes.plot(dense.ts, values, color=_PATH, lw=1.6, label="rollout of the controls (RKMK4)")
     axes.plot(nodes.ts[kept], marks[kept], "o", color=_INK, ms=3.0, label="nodes of the optimiser")
     bounds = [limit.bound * factor for limit in limits if limit.output == output]
     for bound in bounds:

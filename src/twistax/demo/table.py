@@ -1,4 +1,4 @@
-"""The table of a flight, and in words how well it was flown."""
+"""The table of a landing, and in words how good it is."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ __all__ = ["describe_failure", "describe_limits", "describe_misses", "save_table
 
 
 def describe_misses(misses: Mapping[str, Miss]) -> list[str]:
-    """A line for every flight, under a heading."""
-    lines = [f"{'flown again, ends off the pad by':<44}{'position':>12}{'velocity':>14}{'upright':>13}"]
+    """A line for every rollout, under a heading."""
+    lines = [f"{'simulated, ends off the pad by':<44}{'position':>12}{'velocity':>14}{'upright':>13}"]
     for name, miss in misses.items():
         lines.append(f"{name:<44}{miss.position:>10.4f} m{miss.velocity:>10.4f} m/s{miss.angle:>9.4f} deg")
     return lines
@@ -50,7 +50,7 @@ def describe_failure(
     for name, miss in list(missed.items())[:1]:
         said.append(
             f"it ends {miss.position:,.2f} m off the pad, at {miss.velocity:,.2f} m/s, {miss.angle:,.2f} deg from "
-            f"upright (flown with {name})"
+            f"upright (simulated with {name})"
         )
     for reach in found:
         if not reach.holds:

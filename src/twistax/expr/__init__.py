@@ -2,32 +2,32 @@
 
 from . import lie as lie
 from .arithmetic import Add, Div, MatMul, Mul, Neg, Power, Sub
-from .array import Concat, Hstack, Stack, Vstack
-from .block import Block
+from .array import Block, Concat, Hstack, Stack, Vstack
 from .canonical import canonicalize_all as canonicalize_all
 from .constraint import Constraint, Equality, Inequality
 from .elementwise import Abs, Exp, Log, Sign, Sqrt, Square
 from .extrema import Huber, LogSumExp, Max, Min, PositivePart, SmoothReLU
+from .graph import find_path as find_path
+from .graph import leaves_of as leaves_of
+from .graph import postorder as postorder
+from .graph import substitute as substitute
+from .graph import traverse
 from .indexing import Index
 from .interpolation import Bilerp, Cinterp, Linterp
 from .leaves import Constant, Control, Leaf, Parameter, State, Time, Variable
 from .leaves import Inputs as Inputs
-from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
+from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose  # noqa: F401  in tx.linalg
 from .logic import All, Any, Cond, Where
-from .node import Example, Expr, to_expr, traverse
-from .node import find_path as find_path
-from .node import leaves_of as leaves_of
-from .node import postorder as postorder
-from .node import substitute as substitute
+from .node import Example, Expr, to_expr
+from .node import all_nodes as all_nodes
 from .orders import check_orders as check_orders
-from .registry import all_nodes
-from .solve import Inv, Solve
-from .spatial import QDCM, SSM, SSMP, QuaternionProduct
+from .solve import Inv, Solve  # noqa: F401  in tx.linalg
+from .spatial import QDCM, SSM, SSMP, QuaternionProduct  # noqa: F401  in tx.spatial
 from .trigonometry import Acos, Asin, Atan, Atan2, Cos, Cosh, Sin, Sinh, Tan, Tanh
 from .vmap import Vmap
 from .walk import evaluate_all as evaluate_all
 
-#: What `twistax` itself offers; the floors above also use the walkers imported here.
+#: What `twistax` itself offers; the rest is in its faces, or for the floors above.
 __all__ = [
     "Abs",
     "Acos",
@@ -47,10 +47,7 @@ __all__ = [
     "Control",
     "Cos",
     "Cosh",
-    "Cross",
-    "Diag",
     "Div",
-    "Dot",
     "Equality",
     "Example",
     "Exp",
@@ -59,7 +56,6 @@ __all__ = [
     "Huber",
     "Index",
     "Inequality",
-    "Inv",
     "Leaf",
     "Linterp",
     "Log",
@@ -69,36 +65,25 @@ __all__ = [
     "Min",
     "Mul",
     "Neg",
-    "Norm",
-    "Outer",
     "Parameter",
     "PositivePart",
     "Power",
-    "QDCM",
-    "QuaternionProduct",
-    "SSM",
-    "SSMP",
     "Sign",
     "Sin",
     "Sinh",
     "SmoothReLU",
-    "Solve",
     "Sqrt",
     "Square",
     "Stack",
     "State",
     "Sub",
-    "Sum",
     "Tan",
     "Tanh",
     "Time",
-    "Trace",
-    "Transpose",
     "Variable",
     "Vmap",
     "Vstack",
     "Where",
-    "all_nodes",
     "to_expr",
     "traverse",
 ]

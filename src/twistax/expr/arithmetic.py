@@ -16,7 +16,7 @@ from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Numbers, Shape
 from .printing import wrap_latex
-from .shapes import align, broadcast
+from .shapes import Entrywise, align, broadcast
 
 
 def is_constant(node: Expr, number: float) -> bool:
@@ -33,7 +33,7 @@ def _vector(name: str = "x") -> State:
     return State(name, shape=(3,))
 
 
-class Add(Expr):
+class Add(Entrywise):
     """Sum a + b + ... with NumPy broadcasting.
 
     Attributes:
@@ -43,20 +43,14 @@ class Add(Expr):
     """
 
     terms: Operands
+    fewest = 2
+    infix = "+"
     precedence = 10
     by_operators = True
-    keeps_order = True
     associative = True
 
     def __init__(self, *terms: ExprLike) -> None:
         super().__init__(*terms)
-
-    def validate(self) -> None:
-        if len(self.terms) < 2:
-            raise TypeError("Add requires two or more terms")
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     def evaluate(self, *values: Numbers) -> Numbers:
         return functools.reduce(lambda a, b: operator.add(*align(a, b)), values)
@@ -76,9 +70,6 @@ class Add(Expr):
             others.append(zeros_of(self))
         return rebuilt(self, others, self.terms)
 
-    def to_text(self, *operands: str) -> str:
-        return "(" + " + ".join(operands) + ")"
-
     def to_latex(self, *operands: str) -> str:
         return " + ".join(wrap_latex(t, s, 10) for t, s in zip(self.terms, operands)).replace("+ -", "- ")
 
@@ -89,7 +80,7 @@ class Add(Expr):
         return [Example(Add(a, m, 2.0), values), Example(a + a, values)]
 
 
-class Sub(Expr):
+class Sub(Entrywise):
     """Difference left - right with NumPy broadcasting.
 
     Raises:
@@ -98,12 +89,10 @@ class Sub(Expr):
 
     left: Operand
     right: Operand
+    infix = "-"
+    cases = ({"left": [1.0, -2.0, 0.5], "right": 0.25}, {"left": 3.0, "right": [1.0, 1.0, 1.0]})
     precedence = 10
     by_operators = True
-    keeps_order = True
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     def evaluate(self, *values: Numbers) -> Numbers:
         left, right = align(*values)
@@ -121,22 +110,11 @@ class Sub(Expr):
             return Add(self.left, self.right.operand)
         return self
 
-    def to_text(self, *operands: str) -> str:
-        return f"({operands[0]} - {operands[1]})"
-
     def to_latex(self, *operands: str) -> str:
         return f"{operands[0]} - {wrap_latex(self.right, operands[1], 11)}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, b = _vector("a"), State("b")
-        return [
-            Example(a - b, {"a": np.array([1.0, -2.0, 0.5]), "b": 0.25}),
-            Example(b - a, {"a": np.ones(3), "b": 3.0}),
-        ]
 
-
-class Mul(Expr):
+class Mul(Entrywise):
     """Entrywise product a * b * ... with NumPy broadcasting.
 
     Attributes:
@@ -146,20 +124,14 @@ class Mul(Expr):
     """
 
     factors: Operands
+    fewest = 2
+    infix = "*"
     precedence = 20
     by_operators = True
-    keeps_order = True
     associative = True
 
     def __init__(self, *factors: ExprLike) -> None:
         super().__init__(*factors)
-
-    def validate(self) -> None:
-        if len(self.factors) < 2:
-            raise TypeError("Mul requires two or more factors")
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     def evaluate(self, *values: Numbers) -> Numbers:
         return functools.reduce(lambda a, b: operator.mul(*align(a, b)), values)
@@ -178,9 +150,6 @@ class Mul(Expr):
             others.insert(0, Constant(product))
         return rebuilt(self, others, self.factors)
 
-    def to_text(self, *operands: str) -> str:
-        return "(" + " * ".join(operands) + ")"
-
     def to_latex(self, *operands: str) -> str:
         first, *rest = (wrap_latex(f, s, 20) for f, s in zip(self.factors, operands))
         # A number behind another factor needs a dot: 2 3 is not 23.
@@ -192,7 +161,7 @@ class Mul(Expr):
         return [Example(Mul(a, s, 3.0), {"a": np.array([1.0, -2.0, 0.5]), "s": -0.5})]
 
 
-class Div(Expr):
+class Div(Entrywise):
     """Entrywise quotient left / right with NumPy broadcasting.
 
     Raises:
@@ -201,12 +170,10 @@ class Div(Expr):
 
     left: Operand
     right: Operand
+    infix = "/"
+    cases = ({"left": [1.0, -2.0, 0.5], "right": -0.5},)
     precedence = 20
     by_operators = True
-    keeps_order = True
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     def evaluate(self, *values: Numbers) -> Numbers:
         left, right = align(*values)
@@ -218,28 +185,17 @@ class Div(Expr):
             return self.left
         return zeros_of(self) if is_constant(self.left, 0.0) else self
 
-    def to_text(self, *operands: str) -> str:
-        return f"({operands[0]} / {operands[1]})"
-
     def to_latex(self, *operands: str) -> str:
         return rf"\frac{{{operands[0]}}}{{{operands[1]}}}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, s = _vector("a"), State("s")
-        return [Example(a / s, {"a": np.array([1.0, -2.0, 0.5]), "s": -0.5})]
 
-
-class Neg(Expr):
+class Neg(Entrywise):
     """Negative -x, entry by entry."""
 
     operand: Operand
+    cases = ({"operand": [1.0, -2.0, 0.5]},)
     precedence = 15
     by_operators = True
-    keeps_order = True
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return shapes[0]
 
     def evaluate(self, *values: Numbers) -> Numbers:
         return -values[0]
@@ -256,12 +212,8 @@ class Neg(Expr):
     def to_latex(self, *operands: str) -> str:
         return f"-{wrap_latex(self.operand, operands[0], 15)}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(-_vector("a"), {"a": np.array([1.0, -2.0, 0.5])})]
 
-
-class Power(Expr):
+class Power(Entrywise):
     """Entrywise power base ** exponent with NumPy broadcasting.
 
     A constant whole exponent is computed by multiplication, so that its derivative at zero is right.
@@ -273,9 +225,13 @@ class Power(Expr):
     base: Operand
     exponent: Operand
     precedence = 40
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
+    infix = "**"
+    cases = (
+        {"base": [1.0, -2.0, 0.0], "exponent": Constant(2.0)},
+        {"base": [1.0, 2.0, 0.5], "exponent": 1.3},
+        {"base": [1.0, 2.0, 0.5], "exponent": Constant(-1.0)},
+    )
+    keeps_order = False
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         base, exponent = align(*values)
@@ -296,17 +252,8 @@ class Power(Expr):
             return self.base
         return Constant(np.ones(self.shape)) if is_constant(self.exponent, 0.0) else self
 
-    def to_text(self, *operands: str) -> str:
-        return f"({operands[0]} ** {operands[1]})"
-
     def to_latex(self, *operands: str) -> str:
         return f"{{{wrap_latex(self.base, operands[0], 50)}}}^{{{operands[1]}}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, s = _vector("a"), State("s")
-        signed, positive = np.array([1.0, -2.0, 0.0]), np.array([1.0, 2.0, 0.5])
-        return [Example(a**2, {"a": signed}), Example(a**s, {"a": positive, "s": 1.3}), Example(a**-1, {"a": positive})]
 
 
 #: Up to so many scalar multiplications a matrix product is written as a sum of products, which XLA fuses.
@@ -322,6 +269,7 @@ class MatMul(Expr):
 
     left: Operand
     right: Operand
+    infix = "@"
     precedence = 20
 
     def infer_shape(self, *shapes: Shape) -> Shape:
@@ -376,9 +324,6 @@ class MatMul(Expr):
         matrices = self.left.ndim == self.right.ndim == 2
         return MatMul(self.left, MatMul(self.right, vector)) if matrices and vector.ndim == 1 else None
 
-    def to_text(self, *operands: str) -> str:
-        return f"({operands[0]} @ {operands[1]})"
-
     def to_latex(self, *operands: str) -> str:
         return rf"{wrap_latex(self.left, operands[0], 20)} \, {wrap_latex(self.right, operands[1], 21)}"
 
@@ -424,6 +369,3 @@ def rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
     if len(operands) == len(before) and all(a.key() == b.key() for a, b in zip(operands, before)):
         return node
     return type(node)(*operands)
-
-
-__all__ = ["Add", "Div", "MatMul", "Mul", "Neg", "Power", "Sub", "is_constant", "is_identity", "rebuilt", "zeros_of"]

@@ -1,4 +1,4 @@
-"""Arrays made of parts: joined along an axis or stacked along a new one."""
+"""Arrays made of parts: joined along an axis, stacked along a new one, or matrices of blocks."""
 
 from __future__ import annotations
 
@@ -37,9 +37,6 @@ class Concat(Expr):
 
     def __init__(self, *exprs: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(exprs))
-
-    def validate(self) -> None:
-        _at_least_one(self, self.exprs)
 
     @property
     def boolean(self) -> bool:
@@ -87,9 +84,6 @@ class Stack(Expr):
     def __init__(self, *rows: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(rows))
 
-    def validate(self) -> None:
-        _at_least_one(self, self.rows)
-
     @property
     def boolean(self) -> bool:
         return all(row.boolean for row in self.rows)
@@ -134,9 +128,6 @@ class Hstack(Expr):
     def __init__(self, *arrays: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(arrays))
 
-    def validate(self) -> None:
-        _at_least_one(self, self.arrays)
-
     def infer_shape(self, *shapes: Shape) -> Shape:
         shapes = tuple(shape or (1,) for shape in shapes)
         return _joined(self, shapes, min(len(shapes[0]) - 1, 1))
@@ -176,9 +167,6 @@ class Vstack(Expr):
     def __init__(self, *arrays: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(arrays))
 
-    def validate(self) -> None:
-        _at_least_one(self, self.arrays)
-
     def infer_shape(self, *shapes: Shape) -> Shape:
         return _joined(self, [(1,) * (2 - len(shape)) + shape for shape in shapes], 0)
 
@@ -202,11 +190,6 @@ class Vstack(Expr):
         return [Example(Vstack([m, v]), values), Example(Vstack([v, v]), values)]
 
 
-def _at_least_one(node: Expr, operands: tuple[Expr, ...]) -> None:
-    if not operands:
-        raise ValueError(f"{type(node).__name__} requires at least one operand")
-
-
 def _joined(node: Expr, shapes: Sequence[Shape], axis: int) -> Shape:
     """The shape of arrays joined along an axis."""
     name, first = type(node).__name__, shapes[0]
@@ -223,4 +206,87 @@ def _joined(node: Expr, shapes: Sequence[Shape], axis: int) -> Shape:
     return (*first[:axis], sum(shape[axis] for shape in shapes), *first[axis + 1 :])
 
 
-__all__ = ["Concat", "Hstack", "Stack", "Vstack"]
+class Block(Expr):
+    """A matrix of blocks: `Block([[A, B], [C, D]])`. Scalars are 1x1 blocks, vectors are rows.
+
+    Blocks with more than two axes are joined along the first two. A flat list is one row of blocks.
+
+    Attributes:
+        entries: all blocks, row by row.
+        columns: blocks in a row.
+    Raises:
+        ShapeError: heights within a row, widths within a column, or further axes differ.
+        ValueError: no blocks, or rows with different numbers of blocks.
+    """
+
+    entries: Operands
+    columns: int
+
+    def __init__(self, blocks: Sequence[Any]) -> None:
+        if not blocks:
+            raise ValueError("Block requires at least one row of blocks")
+        rows = blocks if isinstance(blocks[0], (list, tuple)) else [blocks]
+        widths = {len(row) for row in rows}
+        if len(widths) > 1 or 0 in widths:
+            raise ValueError(f"Block requires rows with the same number of blocks, got {[len(row) for row in rows]}")
+        super().__init__(*(block for row in rows for block in row), columns=len(rows[0]))
+
+    @property
+    def blocks(self) -> list[list[Expr]]:
+        """The rows of blocks."""
+        return _rows(self.entries, self.columns)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        rows = _rows(_block_shapes(shapes), self.columns)
+        for i, row in enumerate(rows):
+            for j, shape in enumerate(row):
+                if shape[0] != row[0][0]:
+                    raise self._mismatch("heights", f"row {i}", [block[0] for block in row])
+                if shape[1] != rows[0][j][1]:
+                    raise self._mismatch("widths", f"column {j}", [other[j][1] for other in rows])
+                if shape[2:] != rows[0][0][2:]:
+                    raise self._mismatch("further axes", "all rows", [rows[0][0][2:], shape[2:]])
+        return (sum(row[0][0] for row in rows), sum(shape[1] for shape in rows[0]), *rows[0][0][2:])
+
+    @staticmethod
+    def _mismatch(what: str, where: str, got: list[Any]) -> ShapeError:
+        return ShapeError(
+            f"Block expects equal {what} in {where}, got {got}", hint="a vector is a row; for a column use v[:, None]"
+        )
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        if all(value.ndim == 0 for value in values):
+            return jnp.stack(values).reshape(-1, self.columns)
+        blocks = [value.reshape(shape) for value, shape in zip(values, _block_shapes([v.shape for v in values]))]
+        rows = [row[0] if len(row) == 1 else jnp.concatenate(row, axis=1) for row in _rows(blocks, self.columns)]
+        return jnp.concatenate(rows, axis=0)
+
+    def simplify(self) -> Expr:
+        """A single block of full rank is itself."""
+        return self.entries[0] if len(self.entries) == 1 and len(self.entries[0].shape) > 1 else self
+
+    def to_text(self, *operands: str) -> str:
+        return f"Block([{', '.join('[' + ', '.join(row) + ']' for row in _rows(operands, self.columns))}])"
+
+    def to_latex(self, *operands: str) -> str:
+        return matrix_latex(_rows(operands, self.columns))
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        a, v, s = State("a", shape=(2, 2)), State("v", shape=(2,)), State("s")
+        values = {"a": np.array([[1.0, -2.0], [0.5, 3.0]]), "v": np.array([1.0, -2.0]), "s": 0.5}
+        return [
+            Example(Block([[a, v[:, None]], [v, s]]), values),
+            Example(Block([[s, 0.0], [1.0, -s]]), values),
+            Example(Block([a[:, :, None], a[:, :, None]]), values),
+        ]
+
+
+def _rows(entries: Sequence[Any], columns: int) -> list[list[Any]]:
+    return [list(entries[i : i + columns]) for i in range(0, len(entries), columns)]
+
+
+def _block_shapes(shapes: Sequence[Shape]) -> list[Shape]:
+    """The shapes padded in front to one rank of two or more."""
+    rank = max(2, *map(len, shapes))
+    return [(1,) * (rank - len(shape)) + shape for shape in shapes]

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
+from .graph import postorder
 from .leaves import Constant, Leaf
-from .node import Expr, postorder
+from .node import Expr
 
 _MARK = "_is_canonical"
 

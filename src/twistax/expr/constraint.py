@@ -6,15 +6,14 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .fields import Operand
-from .leaves import Constant, State
-from .node import Example, Expr, Shape
-from .shapes import align, broadcast
+from .leaves import Constant
+from .node import Expr
+from .shapes import Entrywise, align
 
 
-class Constraint(Expr):
+class Constraint(Entrywise):
     """A relation between two expressions, entry by entry.
 
     As an expression its value is boolean: which entries hold. An optimiser uses `residual()`.
@@ -26,13 +25,8 @@ class Constraint(Expr):
     lhs: Operand
     rhs: Operand
     precedence = 5
-    keeps_order = True
     abstract = True
-    symbol: ClassVar[str] = "?"
     latex_symbol: ClassVar[str] = "?"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     @property
     def boolean(self) -> bool:
@@ -49,7 +43,7 @@ class Constraint(Expr):
         return type(self)(self.residual(), 0.0)
 
     def to_text(self, *operands: str) -> str:
-        return f"{operands[0]} {self.symbol} {operands[1]}"
+        return f"{operands[0]} {self.infix} {operands[1]}"
 
     def to_latex(self, *operands: str) -> str:
         return f"{operands[0]} {self.latex_symbol} {operands[1]}"
@@ -69,17 +63,13 @@ class Inequality(Constraint):
         ShapeError: the sides do not broadcast.
     """
 
-    symbol = "<="
+    infix = "<="
+    kinks = ({"lhs": [0.0, 2.0, -1.0], "rhs": Constant(1.0)},)
     latex_symbol = r"\le"
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         left, right = align(*values)
         return left <= right
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x = State("x", shape=(3,))
-        return [Example(x <= 1.0, {"x": np.array([0.0, 2.0, -1.0])}, smooth=False)]
 
 
 class Equality(Constraint):
@@ -89,14 +79,10 @@ class Equality(Constraint):
         ShapeError: the sides do not broadcast.
     """
 
-    symbol = "=="
+    infix = "=="
+    kinks = ({"lhs": [0.0, 1.0, -1.0], "rhs": Constant(1.0)},)
     latex_symbol = "="
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         left, right = align(*values)
         return jnp.equal(left, right)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x = State("x", shape=(3,))
-        return [Example(x == 1.0, {"x": np.array([0.0, 1.0, -1.0])}, smooth=False)]

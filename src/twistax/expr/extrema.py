@@ -9,22 +9,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ModelError
 from .arithmetic import rebuilt
-from .elementwise import Entrywise, entrywise_example
-from .fields import ExprLike, Operand, Operands
+from .fields import ExprLike, Operand, Operands, positive
 from .leaves import Constant, State
-from .node import Example, Expr, Shape
-from .shapes import align, broadcast
+from .node import Example, Expr
+from .shapes import Entrywise, align
 
 
-class Extremum(Expr):
+class Extremum(Entrywise):
     """Base of what combines two or more operands, entry by entry, and may be nested or folded in any order."""
 
     operands: Operands
+    fewest = 2
     abstract = True
     associative = True
-    keeps_order = True
     #: How two constants combine.
     combine: ClassVar[Any]
     #: Whether x with x is x.
@@ -32,13 +30,6 @@ class Extremum(Expr):
 
     def __init__(self, *operands: ExprLike) -> None:
         super().__init__(*operands)
-
-    def validate(self) -> None:
-        if len(self.operands) < 2:
-            raise ValueError(f"{type(self).__name__} requires two or more operands")
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     def simplify(self) -> Expr:
         """Constants fold into one, equal operands count once. Nested ones are flattened before."""
@@ -54,7 +45,11 @@ class Extremum(Expr):
     def example(cls) -> list[Example]:
         a, s = State("a", shape=(3,)), State("s")
         values = {"a": np.array([1.0, -2.0, 0.5]), "s": 0.25}
-        return [Example(cls(a, s), values), Example(cls(a, a[::-1], -1.0), values | {"a": np.array([1.0, -3.0, 0.5])})]
+        return [
+            Example(cls(a, s), values),
+            Example(cls(a, a[::-1], -1.0), values | {"a": np.array([1.0, -3.0, 0.5])}),
+            Example(cls(a, 1.0), values | {"a": np.ones(3)}, smooth=False),
+        ]
 
 
 class Max(Extremum):
@@ -68,20 +63,13 @@ class Max(Extremum):
     """
 
     combine = np.maximum
+    latex_name = r"\max"
 
     def __init__(self, *operands: ExprLike) -> None:
         super().__init__(*operands)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return functools.reduce(lambda a, b: jnp.maximum(*align(a, b)), values)
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\max\left({', '.join(operands)}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a = State("a", shape=(2,))
-        return [*super().example(), Example(cls(a, 1.0), {"a": np.array([1.0, 1.0])}, smooth=False)]
 
 
 class Min(Extremum):
@@ -95,20 +83,13 @@ class Min(Extremum):
     """
 
     combine = np.minimum
+    latex_name = r"\min"
 
     def __init__(self, *operands: ExprLike) -> None:
         super().__init__(*operands)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return functools.reduce(lambda a, b: jnp.minimum(*align(a, b)), values)
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\min\left({', '.join(operands)}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a = State("a", shape=(2,))
-        return [*super().example(), Example(cls(a, 1.0), {"a": np.array([1.0, 1.0])}, smooth=False)]
 
 
 class LogSumExp(Extremum):
@@ -135,16 +116,14 @@ class PositivePart(Entrywise):
     """max(x, 0), entry by entry. The derivative at 0 is taken as 1/2."""
 
     x: Operand
+    cases = ({"x": [1.0, -2.0, 0.5]},)
+    kinks = ({"x": [0.0]},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return jnp.maximum(values[0], 0.0)
 
     def to_latex(self, *operands: str) -> str:
         return rf"\left({operands[0]}\right)_+"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.5], kinks=[0.0])
 
 
 class Huber(Entrywise):
@@ -159,19 +138,15 @@ class Huber(Entrywise):
 
     x: Operand
     delta: float = 0.25
+    cases = ({"x": [0.1, -0.2, 2.0, -3.0], "delta": 0.5},)
     keeps_order = False
 
     def validate(self) -> None:
-        _positive_number(self, "delta", self.delta)
+        positive(self, "delta", self.delta)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         near = jnp.clip(values[0], -self.delta, self.delta)
         return near * (values[0] - 0.5 * near)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x = State("x", shape=(4,))
-        return [Example(Huber(x, delta=0.5), {"x": np.array([0.1, -0.2, 2.0, -3.0])})]
 
 
 class SmoothReLU(Entrywise):
@@ -187,25 +162,12 @@ class SmoothReLU(Entrywise):
 
     x: Operand
     c: float = 1e-8
+    cases = ({"x": [0.3, -0.2, 2.0, 0.05], "c": 0.1},)
+    kinks = ({"x": [0.0, 0.0]},)
 
     def validate(self) -> None:
-        _positive_number(self, "c", self.c)
+        positive(self, "c", self.c)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         part = jnp.maximum(values[0], 0.0)
         return part * part / (jnp.sqrt(part * part + self.c * self.c) + self.c)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x = State("x", shape=(4,))
-        values = {"x": np.array([0.3, -0.2, 2.0, 0.05])}
-        return [Example(SmoothReLU(x, c=0.1), values), Example(SmoothReLU(x), {"x": np.zeros(4)}, smooth=False)]
-
-
-def _positive_number(node: Expr, name: str, value: Any) -> None:
-    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not number or not 0.0 < value < np.inf:
-        raise ModelError(f"{type(node).__name__} expects {name} to be a positive number, got {value!r}")
-
-
-__all__ = ["Huber", "LogSumExp", "Max", "Min", "PositivePart", "SmoothReLU"]

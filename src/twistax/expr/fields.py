@@ -11,9 +11,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import inspect
+import numbers
 from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
+
+from ..errors import ModelError
 
 if TYPE_CHECKING:
     import jax
@@ -106,7 +109,19 @@ def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> list
     except TypeError as error:
         raise TypeError(f"{cls.__name__}{cls._signature}: {error}") from None
     bound.apply_defaults()
+    for field in cls._fields:
+        if field.variadic and len(bound.arguments[field.name]) < cls.fewest:
+            fewest = "one" if cls.fewest == 1 else "two"
+            raise ValueError(f"{cls.__name__} requires {fewest} or more {field.name}")
     return [(field, field.coerce(bound.arguments[field.name])) for field in cls._fields]
+
+
+def positive(owner: object, name: str, value: object, unit: str = "") -> None:
+    """Raise ModelError unless a value is a positive, finite number."""
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not (number and 0.0 < float(value) < np.inf):  # type: ignore[arg-type]
+        unit = f" of {unit}" if unit else ""
+        raise ModelError(f"{type(owner).__name__} expects {name} to be a positive number{unit}, got {value!r}")
 
 
 def freeze(value: Any) -> Any:

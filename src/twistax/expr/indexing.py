@@ -138,7 +138,7 @@ def index_text(index: Any) -> str:
 
 
 def _plain(index: Any, shape: Shape) -> Any:
-    """One way of writing an index of whole numbers and slices: none negative, starts and stops written out."""
+    """One way of writing an index of whole numbers and slices: none negative, starts and stops in full."""
     parts = index if isinstance(index, tuple) else (index,)
     if not all(isinstance(part, (int, slice)) for part in parts):
         return index
@@ -186,6 +186,3 @@ def _part_of_concat(node: Index, base: Concat, index: Any) -> Expr:
         return Index(piece, _run(chosen - offset))
     along = np.array_equal(chosen, np.arange(starts[first], starts[last + 1]))
     return Concat(*base.exprs[first : last + 1]) if along and len(chosen) < starts[-1] else node
-
-
-__all__ = ["Index"]

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..errors import ModelError, ShapeError
 from .fields import ExprLike, Operand
-from .leaves import Constant, Parameter, State
-from .node import Example, Expr, Shape
+from .leaves import Constant
+from .node import Expr, Shape
 from .shapes import broadcast
 
 
@@ -46,6 +46,11 @@ class Linterp(Expr):
     x: Operand
     xp: Operand
     fp: Operand
+    cases = (
+        {"x": [0.5, 2.0, -1.0, 4.0], "xp": Constant([0.0, 1.0, 3.0]), "fp": Constant([1.0, -1.0, 2.0])},
+        {"x": 0.5, "xp": Constant([0.0, 1.0, 3.0]), "fp": np.arange(6.0).reshape(3, 2) ** 2},
+    )
+    kinks = ({"x": [0.0, 1.0, 3.0], "xp": Constant([0.0, 1.0, 3.0]), "fp": Constant([1.0, -1.0, 2.0])},)
 
     def validate(self) -> None:
         _increasing_if_constant(self, "xp", self.xp)
@@ -63,15 +68,8 @@ class Linterp(Expr):
         weight = fraction(x, xp, i).reshape(x.shape + (1,) * (fp.ndim - 1))
         return (1.0 - weight) * fp[i] + weight * fp[i + 1]
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        x, table = State("x", shape=(4,)), Parameter("table", shape=(3, 2))
-        knots, values = np.array([0.0, 1.0, 3.0]), {"x": np.array([0.5, 2.0, -1.0, 4.0])}
-        return [
-            Example(Linterp(x, knots, [1.0, -1.0, 2.0]), values),
-            Example(Linterp(x[0], knots, table), values | {"table": np.arange(6.0).reshape(3, 2) ** 2}),
-            Example(Linterp(x, knots, [1.0, -1.0, 2.0]), {"x": np.array([0.0, 1.0, 3.0, 0.0])}, smooth=False),
-        ]
+
+_KNOTS, _TABLE = np.array([0.0, 1.0, 3.0, 4.0, 6.0]), np.array([1.0, -1.0, 2.0, 2.5, 0.0])
 
 
 class Cinterp(Expr):
@@ -95,6 +93,11 @@ class Cinterp(Expr):
     xp: np.ndarray
     fp: np.ndarray
     method: str = "cubic"
+    cases = (
+        {"x": [0.5, 5.0, -0.5], "xp": _KNOTS, "fp": _TABLE},
+        {"x": 0.5, "xp": _KNOTS, "fp": np.stack([_TABLE, -2.0 * _TABLE], axis=1), "method": "akima"},
+    )
+    kinks = ({"x": [1.0, 3.0, 6.0], "xp": _KNOTS, "fp": _TABLE, "method": "pchip"},)
 
     def __init__(self, x: ExprLike, xp: Any, fp: Any, method: str = "cubic") -> None:
         super().__init__(x, _numbers("xp", xp), _numbers("fp", fp), method)
@@ -128,18 +131,6 @@ class Cinterp(Expr):
     def details(self) -> list[str]:
         return [f"{len(self.xp)} points", *([] if self.method == "cubic" else [f"method={self.method!r}"])]
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        x = State("x", shape=(3,))
-        knots, table = np.array([0.0, 1.0, 3.0, 4.0, 6.0]), np.array([1.0, -1.0, 2.0, 2.5, 0.0])
-        values = {"x": np.array([0.5, 5.0, -0.5])}
-        both = np.stack([table, -2.0 * table], axis=1)
-        return [
-            Example(Cinterp(x, knots, table), values),
-            Example(Cinterp(x[0], knots, both, method="akima"), values),
-            Example(Cinterp(x, knots, table, method="pchip"), {"x": np.array([1.0, 3.0, 6.0])}, smooth=False),
-        ]
-
 
 def _cubic_coefficients(xp: np.ndarray, fp: np.ndarray, method: str) -> np.ndarray:
     from scipy import interpolate
@@ -152,6 +143,13 @@ def _cubic_coefficients(xp: np.ndarray, fp: np.ndarray, method: str) -> np.ndarr
     if method not in methods:
         raise ModelError(f"Cinterp expects method to be one of {', '.join(methods)}, got {method!r}")
     return np.ascontiguousarray(methods[method](xp, fp).c[::-1])
+
+
+_GRID = {
+    "xp": Constant([0.0, 1.0, 3.0]),
+    "yp": Constant([0.0, 2.0]),
+    "fp": Constant([[1.0, -1.0], [0.5, 2.0], [4.0, 3.0]]),
+}
 
 
 class Bilerp(Expr):
@@ -174,6 +172,8 @@ class Bilerp(Expr):
     xp: Operand
     yp: Operand
     fp: Operand
+    cases = ({"x": [0.5, 2.0, 4.0], "y": 0.7} | _GRID,)
+    kinks = ({"x": [0.0, 1.0, 3.0], "y": 2.0} | _GRID,)
 
     def validate(self) -> None:
         _increasing_if_constant(self, "xp", self.xp)
@@ -198,15 +198,6 @@ class Bilerp(Expr):
         low = (1.0 - t) * fp[i, j] + t * fp[i, j + 1]
         high = (1.0 - t) * fp[i + 1, j] + t * fp[i + 1, j + 1]
         return (1.0 - s) * low + s * high
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x, y = State("x", shape=(3,)), State("y")
-        grid = Bilerp(x, y, [0.0, 1.0, 3.0], [0.0, 2.0], [[1.0, -1.0], [0.5, 2.0], [4.0, 3.0]])
-        return [
-            Example(grid, {"x": np.array([0.5, 2.0, 4.0]), "y": 0.7}),
-            Example(grid, {"x": np.array([0.0, 1.0, 3.0]), "y": 2.0}, smooth=False),
-        ]
 
 
 def _breakpoints(node: Expr, name: str, shape: Shape) -> None:
@@ -233,6 +224,3 @@ def _numbers(name: str, value: Any) -> np.ndarray:
             "  fix: its coefficients are computed when it is built; tx.Linterp takes a table that changes between runs"
         )
     return (value if isinstance(value, Constant) else Constant(value)).value
-
-
-__all__ = ["Bilerp", "Cinterp", "Linterp"]

@@ -13,19 +13,6 @@ from ..errors import ModelError, ShapeError
 from ..groups import Euclidean, Group, Order, SpecialEuclidean
 from .node import Shape
 
-__all__ = [
-    "ROUND_OFF",
-    "boundary_of",
-    "bounds_of",
-    "constant_of",
-    "defect_of",
-    "group_of",
-    "guess_of",
-    "scale_of",
-    "shape_of",
-    "value_of",
-]
-
 
 def constant_of(value: Any) -> tuple[Shape, np.ndarray]:
     """The shape and the read-only array of a Constant. Raises ModelError for what is no real number or array."""
@@ -78,7 +65,7 @@ def group_of(name: str, shape: Shape | int | None, group: Group | None, order: O
 
 
 def value_of(name: str, what: str, value: Any, shape: Shape) -> np.ndarray | None:
-    """A float64 copy broadcast to the shape, read-only; None entries become nan (free)."""
+    """A float64 copy broadcast to the shape, read-only; None entries become NaN (free)."""
     if value is None:
         return None
     array = np.asarray(value)
@@ -132,14 +119,8 @@ def defect_of(value: np.ndarray, group: Group) -> float:
 
 def boundary_of(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
     """A start or an end: an element of a group, or numbers of which some may be None. Raises ShapeError, ModelError."""
-    if isinstance(group, Euclidean):
+    if value is None or isinstance(group, Euclidean):
         return value_of(name, what, value, group.shape)
-    return _element(name, what, value, group)
-
-
-def _element(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    if value is None:
-        return None
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
     array = np.array(value, dtype=np.float64)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError, ModelError
 from ..groups import SE3, SO3, Euclidean, Group, Order
+from .fields import freeze
 from .leaf_values import (
     ROUND_OFF,
     boundary_of,
@@ -43,6 +44,7 @@ class Leaf(Expr):
 
     name: str
     abstract = True
+    is_leaf = True
 
     def _declare(self, name: str, shape: Shape, **fields: Any) -> None:
         if not isinstance(name, str) or not name:
@@ -81,8 +83,6 @@ class Constant(Leaf):
         self._declare("constant", shape, value=array)
 
     def static_key(self) -> tuple[Any, ...]:
-        from .fields import freeze
-
         return (freeze(self.value),)
 
     @property
@@ -217,12 +217,9 @@ class State(Variable):
         )
 
     def replace(self, **changes: Any) -> State:
-        kept = {f: getattr(self, f) for f in ("min", "max", "initial", "final", "guess", "scale")}
-        if isinstance(self.group, Euclidean):
-            kept |= {"shape": self.shape}
-        else:
-            kept |= {"group": self.group}
-        return State(**(kept | {"name": self.name} | changes))
+        # The group of a Euclidean state follows from its shape; shape and order of another from its group.
+        implied = ("group",) if isinstance(self.group, Euclidean) else ("shape", "order")
+        return super().replace(**(dict.fromkeys(implied) | changes))
 
     @property
     def order(self) -> Order | None:
@@ -271,10 +268,6 @@ class Control(Variable):
             scale=scale_of(name, scale, Euclidean(shape)),
         )
 
-    def replace(self, **changes: Any) -> Control:
-        kept = {f: getattr(self, f) for f in ("name", "shape", "min", "max", "guess", "scale")}
-        return Control(**(kept | changes))
-
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.u[self.name]
 
@@ -302,9 +295,6 @@ class Parameter(Leaf):
         shape = shape_of(name, shape)
         self._declare(name, shape, value=value_of(name, "value", value, shape))
 
-    def replace(self, **changes: Any) -> Parameter:
-        return Parameter(**({"name": self.name, "shape": self.shape, "value": self.value} | changes))
-
     def read(self, inputs: Inputs) -> jax.Array:
         if self.name in inputs.params:
             return inputs.params[self.name]
@@ -318,6 +308,3 @@ class Parameter(Leaf):
     @classmethod
     def example(cls) -> list[Example]:
         return [Example(Parameter("p", value=[1.0, 2.0]), {"p": np.array([0.5, 4.0])})]
-
-
-__all__ = ["Constant", "Control", "Inputs", "Leaf", "Parameter", "State", "Time", "Variable"]

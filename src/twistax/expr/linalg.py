@@ -24,6 +24,7 @@ class Transpose(Expr):
 
     operand: Operand
     by_operators = True
+    cases = ({"operand": np.arange(6.0).reshape(2, 3)}, {"operand": np.arange(12.0).reshape(2, 2, 3)})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (shape,) = shapes
@@ -55,12 +56,6 @@ class Transpose(Expr):
     def to_latex(self, *operands: str) -> str:
         return rf"{{{wrap_latex(self.operand, operands[0], 60)}}}^{{\top}}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        m, t = State("m", shape=(2, 3)), State("t", shape=(2, 2, 3))
-        values = {"m": np.arange(6.0).reshape(2, 3), "t": np.arange(12.0).reshape(2, 2, 3)}
-        return [Example(m.T, values), Example(t.T, values)]
-
 
 class Diag(Expr):
     """The diagonal matrix of a vector. Shapes: (n,) -> (n, n).
@@ -70,6 +65,7 @@ class Diag(Expr):
     """
 
     operand: Operand
+    cases = ({"operand": [1.0, -2.0, 0.5]},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.operand, -1), (self, -1), (self, -2)]]
@@ -92,15 +88,12 @@ class Diag(Expr):
         (entries,) = values
         return jnp.where(np.eye(entries.shape[0], dtype=bool), entries[:, None], 0.0)
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Diag(State("v", shape=(3,))), {"v": np.array([1.0, -2.0, 0.5])})]
-
 
 class Sum(Expr):
     """Sum of all entries. Shapes: any -> ()."""
 
     operand: Operand
+    cases = ({"operand": np.arange(6.0).reshape(2, 3)},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return ()
@@ -115,10 +108,6 @@ class Sum(Expr):
     def to_latex(self, *operands: str) -> str:
         return rf"\sum {wrap_latex(self.operand, operands[0], 20)}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Sum(State("m", shape=(2, 3))), {"m": np.arange(6.0).reshape(2, 3)})]
-
 
 class Trace(Expr):
     """Sum of the diagonal entries. Shapes: (n, n) -> ().
@@ -128,6 +117,8 @@ class Trace(Expr):
     """
 
     operand: Operand
+    latex_name = r"\operatorname{tr}"
+    cases = ({"operand": np.arange(9.0).reshape(3, 3)},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_square(self, "operand", shapes[0])
@@ -141,13 +132,6 @@ class Trace(Expr):
         if isinstance(self.operand, Diag):
             return Sum(self.operand.operand)
         return Trace(self.operand.operand) if isinstance(self.operand, Transpose) else self
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\operatorname{{tr}}\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Trace(State("m", shape=(3, 3))), {"m": np.arange(9.0).reshape(3, 3)})]
 
 
 def vector_norm(x: jax.Array, order: Any) -> jax.Array:
@@ -221,15 +205,11 @@ class Norm(Expr):
     def example(cls) -> list[Example]:
         v, m, s = State("v", shape=(3,)), State("m", shape=(2, 3)), State("s")
         values = {"v": np.array([1.0, -2.0, 0.5]), "m": np.array([[1.0, -2.0, 0.5], [3.0, 0.25, -1.0]]), "s": -0.5}
-        orders = [Example(Norm(v, ord), values) for ord in ("fro", 1, 3.5, "inf", "-inf")]
-        orders += [Example(Norm(m, ord), values) for ord in ("fro", 1, 2, "inf")]
-        zero = [Example(Norm(v, ord), values | {"v": np.zeros(3)}, smooth=False) for ord in ("fro", 1, 3.5, "inf")]
-        return [
-            *orders,
-            Example(Norm(s), values),
-            *zero,
-            Example(Norm(m, 2), values | {"m": np.zeros((2, 3))}, smooth=False),
-        ]
+        zeros = values | {"v": np.zeros(3), "m": np.zeros((2, 3))}
+        cases = [Example(Norm(v, ord), values) for ord in ("fro", 1, 3.5, "inf", "-inf")]
+        cases += [Example(Norm(m, ord), values) for ord in ("fro", 1, 2, "inf")] + [Example(Norm(s), values)]
+        cases += [Example(Norm(v, ord), zeros, smooth=False) for ord in ("fro", 1, 3.5, "inf")]
+        return [*cases, Example(Norm(m, 2), zeros, smooth=False)]
 
 
 class Dot(Expr):
@@ -242,6 +222,7 @@ class Dot(Expr):
     left: Operand
     right: Operand
     precedence = 20
+    cases = ({"left": [1.0, -2.0, 0.5], "right": [0.3, 1.0, 2.0]},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.left, -1), (self.right, -1)]]
@@ -258,11 +239,6 @@ class Dot(Expr):
     def to_latex(self, *operands: str) -> str:
         left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
         return rf"{left} \cdot {right}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, b = State("a", shape=(3,)), State("b", shape=(3,))
-        return [Example(Dot(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])})]
 
 
 def cross_columns(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -282,6 +258,10 @@ class Cross(Expr):
     left: Operand
     right: Operand
     precedence = 20
+    cases = (
+        {"left": [1.0, -2.0, 0.5], "right": [0.3, 1.0, 2.0]},
+        {"left": [1.0, -2.0, 0.5], "right": -np.arange(6.0).reshape(3, 2)},
+    )
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         left, right = shapes
@@ -309,13 +289,6 @@ class Cross(Expr):
         left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
         return rf"{left} \times {right}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, b, m = State("a", shape=(3,)), State("b", shape=(3,)), State("m", shape=(3, 2))
-        values = {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0, 2.0])}
-        columns = {"a": values["a"], "m": np.arange(6.0).reshape(3, 2)}
-        return [Example(Cross(a, b), values), Example(Cross(a, -m), columns)]
-
 
 class Outer(Expr):
     """The matrix a b^T of all products. Shapes: (m,), (n,) -> (m, n).
@@ -327,6 +300,7 @@ class Outer(Expr):
     left: Operand
     right: Operand
     precedence = 20
+    cases = ({"left": [1.0, -2.0, 0.5], "right": [0.3, 1.0]},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.left, -1), (self, -2)], [(self.right, -1), (self, -1)]]
@@ -343,11 +317,3 @@ class Outer(Expr):
     def to_latex(self, *operands: str) -> str:
         left, right = (wrap_latex(*pair, 60) for pair in zip(self.children(), operands))
         return rf"{left} \, {{{right}}}^{{\top}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, b = State("a", shape=(3,)), State("b", shape=(2,))
-        return [Example(Outer(a, b), {"a": np.array([1.0, -2.0, 0.5]), "b": np.array([0.3, 1.0])})]
-
-
-__all__ = ["Cross", "Diag", "Dot", "Norm", "Outer", "Sum", "Trace", "Transpose"]

@@ -17,7 +17,7 @@ from .array import gathered
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Shape, to_expr
-from .shapes import align, broadcast
+from .shapes import Entrywise, align, broadcast
 
 
 def _predicate(node: str, value: Anything) -> Expr:
@@ -44,10 +44,6 @@ class Reduction(Expr):
 
     def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
         super().__init__(*(_predicate(type(self).__name__, p) for p in gathered(predicates)))
-
-    def validate(self) -> None:
-        if not self.predicates:
-            raise ValueError(f"{type(self).__name__} requires at least one predicate")
 
     @property
     def boolean(self) -> bool:
@@ -120,10 +116,10 @@ class Any(Reduction):
         return [Example(Any([x >= 0.0, s <= 1.0]), values, smooth=False), Example(Any(x >= 1.0), values, smooth=False)]
 
 
-class Where(Expr):
+class Where(Entrywise):
     """x where the condition holds, else y, entry by entry with broadcasting.
 
-    Both sides are evaluated everywhere. A side that is nan or has an infinite derivative where it is not chosen spoils
+    Both sides are evaluated everywhere. A side that is NaN or has an infinite derivative where it is not chosen spoils
     the derivative of the whole: keep its argument safe, or use Cond.
 
     Attributes:
@@ -137,7 +133,6 @@ class Where(Expr):
     condition: Operand
     x: Operand
     y: Operand
-    keeps_order = True
 
     def __init__(self, condition: Anything, x: ExprLike, y: ExprLike) -> None:
         super().__init__(_predicate("Where", condition), x, y)
@@ -145,9 +140,6 @@ class Where(Expr):
     @property
     def boolean(self) -> bool:
         return self.x.boolean and self.y.boolean
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         condition, x, y = align(*values)
@@ -248,6 +240,3 @@ def _broadcast_to(value: jax.Array, shape: Shape) -> jax.Array:
 
 def _cases(condition: str, x: str, y: str) -> str:
     return rf"\begin{{cases}} {x} & {condition} \\ {y} & \text{{otherwise}} \end{{cases}}"
-
-
-__all__ = ["All", "Any", "Cond", "Where"]

@@ -1,13 +1,16 @@
 """The node: an immutable expression with children, a shape, a value and a structural key.
 
-A node class is one class in one file. It declares its fields and overrides at most six hooks:
+A node class is one class in one file. It declares its fields and some of
 
+    takes, gives           the shapes of operands and result where they are fixed; else
     infer_shape(*shapes)   the result's shape from the children's shapes, or ShapeError
     evaluate(*values)      the value in jax.numpy
     simplify()             a simpler node; the children are already canonical
-    example()              cases for the conformance suite
-    to_latex(*operands)    the formula
+    cases, kinks           values for the conformance suite; else
+    example()              cases with expressions of their own
     label                  the name used by repr and trees
+    infix, latex_name      the operator in texts, the function's name in formulas; else
+    to_latex(*operands)    the formula
 
 Everything else (traversal, caching, keys, operators, printing) is written once, here and beside.
 """
@@ -16,18 +19,20 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 import jax
+import numpy as np
 
 from ..errors import ImmutableError, ShapeError
 from .fields import Field, bind_fields, declare_fields, freeze
+from .graph import bottom_up, find_path
 from .operators import Operators
 
 if TYPE_CHECKING:
     from ..groups import Order
-    from .leaves import Leaf
 
 Shape = tuple[int, ...]
 #: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
@@ -54,8 +59,21 @@ class Expr(Operators):
 
     #: Name used in repr, trees and messages; the class name unless a node says otherwise.
     label: ClassVar[str] = "Expr"
+    #: The operator between the operands in texts; none for functions.
+    infix: ClassVar[str] = ""
+    #: The function's name in formulas; the label in upright letters unless a node says otherwise.
+    latex_name: ClassVar[str] = ""
     #: Binding strength in printed formulas: 100 binds tightest (names, functions).
     precedence: ClassVar[int] = 100
+    #: The shapes that the operands must have and that of the result, for a node without `infer_shape` of its own.
+    takes: ClassVar[tuple[Shape, ...]] = ()
+    gives: ClassVar[Shape] = ()
+    #: The fewest operands of a node that takes any number of them.
+    fewest: ClassVar[int] = 1
+    #: Cases of the conformance suite where the node is smooth, and where it is not: field name -> value. The arrays and
+    #: numbers of operands stand for states.
+    cases: ClassVar[Sequence[Mapping[str, Any]]] = ()
+    kinks: ClassVar[Sequence[Mapping[str, Any]]] = ()
     #: True for sums and products: an operand of the same class may be spliced into the operands.
     associative: ClassVar[bool] = False
     #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
@@ -64,6 +82,8 @@ class Expr(Operators):
     by_operators: ClassVar[bool] = False
     #: True for matrices whose `applied_to` is cheaper than a product with their numbers, even where these are known.
     structured: ClassVar[bool] = False
+    #: True for states, controls, parameters, constants and time.
+    is_leaf: ClassVar[bool] = False
     #: True for bases that are no nodes themselves. It is not inherited.
     abstract: ClassVar[bool] = True
 
@@ -103,16 +123,23 @@ class Expr(Operators):
         raise ImmutableError(f"{type(self).__name__} is immutable: cannot delete {name!r}.")
 
     def replace(self: E, **changes: Any) -> E:
-        """A copy with some fields changed."""
-        fields = {f.name: getattr(self, f.name) for f in self._fields} | changes
-        operands = [v for f in self._fields if f.variadic for v in fields.pop(f.name)]
-        return type(self)(*operands, **fields)
+        """A copy with some of the constructor's arguments changed."""
+        taken = inspect.signature(type(self)).parameters.values()
+        variadic = [p.name for p in taken if p.kind is p.VAR_POSITIONAL]
+        given = {p.name: getattr(self, p.name) for p in taken} | changes
+        operands = [operand for name in variadic for operand in given.pop(name)]
+        return type(self)(*operands, **given)
 
     # ---- hooks -----------------------------------------------------------------------------------------------
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         """Shape of the result from the children's shapes; raises ShapeError."""
-        raise NotImplementedError(f"{type(self).__name__}.infer_shape")
+        if not self.takes:
+            raise NotImplementedError(f"{type(self).__name__} says neither takes and gives nor infer_shape")
+        for name, got, wanted in zip(self.child_names(), shapes, self.takes, strict=True):
+            if got != wanted:
+                raise ShapeError(f"{type(self).__name__} expects {name} with shape {wanted}, got {got}")
+        return self.gives
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         """Value in jax.numpy from the children's values."""
@@ -161,8 +188,16 @@ class Expr(Operators):
 
     @classmethod
     def example(cls) -> list[Example]:
-        """Cases for the conformance suite."""
-        raise NotImplementedError(f"{cls.__name__}.example")
+        """Cases for the conformance suite: those of `cases` and `kinks`, where expressions stay as they are."""
+        from .leaves import State
+
+        def example(given: Mapping[str, Any], smooth: bool) -> Example:
+            operands = {f.name: given[f.name] for f in cls._fields if f.operand}
+            values = {name: np.asarray(v, float) for name, v in operands.items() if not isinstance(v, Expr)}
+            leaves = {name: State(name, shape=value.shape) for name, value in values.items()}
+            return Example(cls(**(dict(given) | leaves)), values, smooth)
+
+        return [example(given, True) for given in cls.cases] + [example(given, False) for given in cls.kinks]
 
     def details(self) -> list[str]:
         """The static fields as texts and trees show them: those that differ from their defaults."""
@@ -170,12 +205,14 @@ class Expr(Operators):
 
     def to_text(self, *operands: str) -> str:
         """One-line text from the operands' texts."""
+        if self.infix:
+            return f"({f' {self.infix} '.join(operands)})"
         return f"{self.label}({', '.join([*operands, *self.details()])})"
 
     def to_latex(self, *operands: str) -> str:
         """LaTeX from the operands' LaTeX."""
-        name = self.label.replace("_", r"\_")
-        return rf"\operatorname{{{name}}}\left({', '.join(operands)}\right)"
+        name = self.latex_name or rf"\operatorname{{{self.label}}}".replace("_", r"\_")
+        return rf"{name}\left({', '.join(operands)}\right)"
 
     # ---- structure -------------------------------------------------------------------------------------------
 
@@ -227,7 +264,7 @@ class Expr(Operators):
 
     def key(self) -> str:
         """Digest of the structure: equal for equal trees, whatever objects they are made of."""
-        return _bottom_up(self, "_key", Expr._own_key)
+        return bottom_up(self, "_key", Expr._own_key)
 
     def _own_key(self) -> str:
         digest = hashlib.blake2b(digest_size=16)
@@ -243,7 +280,7 @@ class Expr(Operators):
         Raises:
             ShapeError: a shape in the tree does not fit; names the node, its place, and the way out.
         """
-        return _bottom_up(self, "_shape", lambda node: _shape_of(node, self))
+        return bottom_up(self, "_shape", lambda node: _shape_of(node, self))
 
     @property
     def shape(self) -> Shape:
@@ -258,7 +295,7 @@ class Expr(Operators):
     @property
     def is_group_element(self) -> bool:
         """Whether the value is known to be a rotation (3, 3) or a pose (4, 4); a plain matrix is not."""
-        return _bottom_up(self, "_element", _element_of)
+        return bottom_up(self, "_element", _element_of)
 
     @property
     def boolean(self) -> bool:
@@ -304,93 +341,6 @@ def to_expr(value: Any) -> Expr:
     return Constant(value)
 
 
-def postorder(*roots: Expr) -> list[Expr]:
-    """Every node below the roots once (by identity), children before parents."""
-    seen: set[int] = set()
-    order: list[Expr] = []
-    stack: list[tuple[Expr, bool]] = [(root, False) for root in reversed(roots)]
-    while stack:
-        node, done = stack.pop()
-        if done:
-            order.append(node)
-            continue
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        stack.append((node, True))
-        stack.extend((child, False) for child in reversed(node.children()) if id(child) not in seen)
-    return order
-
-
-def traverse(expr: Expr, visit: Callable[[Expr], None]) -> None:
-    """Call `visit` on every node below `expr`, children first, each once."""
-    for node in postorder(expr):
-        visit(node)
-
-
-def leaves_of(*roots: Expr) -> Iterator[Leaf]:
-    """Every leaf below the roots, each object once."""
-    from .leaves import Leaf
-
-    return (node for node in postorder(*roots) if isinstance(node, Leaf))
-
-
-def substitute(root: Expr, exchange: Mapping[str, Expr]) -> Expr:
-    """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf stay the same objects."""
-    done: dict[int, Expr] = {}
-    for node in postorder(root):
-        children = node.children()
-        if children:
-            done[id(node)] = node.with_children([done[id(child)] for child in children])
-        else:
-            done[id(node)] = exchange.get(node.key(), node)
-    return done[id(root)]
-
-
-def find_path(root: Expr, target: Expr) -> str:
-    """How to reach `target` from `root`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long way is left out."""
-    parents: dict[int, tuple[Expr, str]] = {}
-    stack = [root]
-    seen = {id(root)}
-    while stack:
-        node = stack.pop()
-        if node is target:
-            break
-        for name, child in node.outline():
-            if id(child) not in seen:
-                seen.add(id(child))
-                parents[id(child)] = (node, name)
-                stack.append(child)
-    steps = [type(target).__name__]
-    current: Expr = target
-    while id(current) in parents:
-        parent, name = parents[id(current)]
-        steps.append(f"{type(parent).__name__}.{name}")
-        current = parent
-    steps.reverse()
-    if len(steps) > 12:
-        steps[5:-6] = ["..."]
-    return " -> ".join(steps)
-
-
-def _bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
-    """Compute a cached property for every node below `root`, children first, without recursion."""
-    if slot not in root.__dict__:
-        stack = [root]
-        while stack:
-            node = stack[-1]
-            if slot in node.__dict__:
-                stack.pop()
-                continue
-            waiting = [child for child in node.children() if slot not in child.__dict__]
-            if waiting:
-                stack.extend(waiting)
-            else:
-                node.__dict__[slot] = compute(node)
-                stack.pop()
-    return root.__dict__[slot]
-
-
 def _element_of(node: Expr) -> bool:
     return node.makes_group_element(*(child.__dict__["_element"] for child in node.children()))
 
@@ -400,3 +350,16 @@ def _shape_of(node: Expr, root: Expr) -> Shape:
         return node.infer_shape(*(child.__dict__["_shape"] for child in node.children()))
     except ShapeError as error:
         raise error.located(f"{find_path(root, node)} in {root!r}") from None
+
+
+def all_nodes() -> list[type[Expr]]:
+    """Every node class of this package, sorted by module and name. Bases marked `abstract` are left out."""
+    found: list[type[Expr]] = []
+    waiting: list[type[Expr]] = [Expr]
+    package = __name__.split(".")[0]
+    while waiting:
+        cls = waiting.pop()
+        waiting.extend(cls.__subclasses__())
+        if not cls.abstract and cls.__module__.split(".")[0] == package:
+            found.append(cls)
+    return sorted(set(found), key=lambda cls: (cls.__module__, cls.__qualname__))

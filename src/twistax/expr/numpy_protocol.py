@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from .arithmetic import Add, Div, MatMul, Mul, Neg, Power, Sub
-from .array import Concat, Hstack, Stack, Vstack
-from .block import Block
+from .array import Block, Concat, Hstack, Stack, Vstack
 from .constraint import Equality, Inequality
 from .elementwise import Abs, Exp, Log, Sign, Sqrt, Square
 from .extrema import LogSumExp, Max, Min
@@ -152,7 +151,8 @@ def apply_ufunc(ufunc: np.ufunc, method: str, inputs: tuple[Any, ...], kwargs: d
         raise TypeError(f"{name} builds no constraint from expressions.\n  fix: use {_STRICT[ufunc]}")
     if method != "__call__":
         raise TypeError(
-            f"{name}.{method} is not available for expressions.\n  fix: use tx.Sum, tx.linalg.Outer or an explicit sum"
+            f"{name}.{method} is not available for expressions.\n"
+            "  fix: use tx.linalg.Sum, tx.linalg.Outer or an explicit sum"
         )
     if kwargs:
         raise TypeError(f"{name} takes no keyword arguments with expressions, got {', '.join(kwargs)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
@@ -75,36 +76,24 @@ class Operators:
         return cast("Expr", self)
 
     def __abs__(self) -> Expr:
-        from .elementwise import Abs
-
-        return Abs(cast("Expr", self))
+        return _n().Abs(self)
 
     def __getitem__(self, index: Any) -> Expr:
-        from .indexing import Index
-
-        return Index(cast("Expr", self), index)
+        return _n().Index(self, index)
 
     @property
     def T(self) -> Expr:
         """Transpose."""
-        from .linalg import Transpose
-
-        return Transpose(cast("Expr", self))
+        return _n().Transpose(self)
 
     def __le__(self, other: Any) -> Inequality:
-        from .constraint import Inequality
-
-        return Inequality(cast("Expr", self), other)
+        return _n().Inequality(self, other)
 
     def __ge__(self, other: Any) -> Inequality:
-        from .constraint import Inequality
-
-        return Inequality(other, cast("Expr", self))
+        return _n().Inequality(other, self)
 
     def __eq__(self, other: Any) -> Equality:  # type: ignore[override]
-        from .constraint import Equality
-
-        return Equality(cast("Expr", self), other)
+        return _n().Equality(self, other)
 
     __hash__ = object.__hash__
 
@@ -137,6 +126,5 @@ class Operators:
 
 
 def _n() -> Any:
-    from . import arithmetic
-
-    return arithmetic
+    """The package with all nodes."""
+    return sys.modules[__package__ or ""]

@@ -19,8 +19,9 @@ from typing import TypeAlias
 
 from ..errors import OrderError
 from ..groups import Order
+from .graph import find_path
 from .leaves import Constant, Leaf, State
-from .node import Expr, find_path
+from .node import Expr
 
 _SIX = 6
 _Token: TypeAlias = tuple[object, ...]

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .node import Expr, postorder
+from .graph import postorder
+from .node import Expr
 
 #: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed.
 _LONGEST = 400

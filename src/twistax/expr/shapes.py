@@ -32,6 +32,16 @@ def broadcast(node: Expr, *shapes: Shape) -> Shape:
         ) from None
 
 
+class Entrywise(Expr):
+    """Base of what works entry by entry, with NumPy's broadcasting where it has several operands."""
+
+    abstract = True
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+
 def align(*values: Numbers) -> list[Numbers]:
     """Give all values the rank of the highest by leading axes of length 1; scalars stay scalars."""
     rank = max(value.ndim for value in values)

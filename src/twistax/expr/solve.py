@@ -1,4 +1,4 @@
-"""Inverses and linear systems. Up to 3x3 they are written out, which in a loop is many times faster than a call."""
+"""Inverses and linear systems. Up to 3x3 they are unrolled, which in a loop is many times faster than a call."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from ..errors import ShapeError
 from ..groups.inputs import multiply
 from .arithmetic import Div, MatMul, is_identity
 from .fields import Operand
+from .graph import leaves_of
 from .indexing import Index
 from .leaves import Constant, Parameter, State
 from .linalg import Diag
-from .node import Example, Expr, Shape, leaves_of
+from .node import Example, Expr, Shape
 from .printing import wrap_latex
 from .shapes import expect_square
 
@@ -81,7 +82,7 @@ def _size(A: jax.Array) -> jax.Array:
 class Inv(Expr):
     """Inverse A^-1. Shapes: (..., n, n) -> the same. To solve A x = b use Solve, which is cheaper and more accurate.
 
-    A singular matrix gives inf or nan.
+    A singular matrix gives inf or NaN.
 
     Raises:
         ShapeError: the operand is no square matrix.
@@ -112,17 +113,15 @@ class Inv(Expr):
 
     @classmethod
     def example(cls) -> list[Example]:
-        return [Example(Inv(State("m", shape=(n, n))), {"m": _well_conditioned(n)}) for n in (1, 2, 3, 4)] + [
-            Example(
-                Inv(State("m", shape=(2, 3, 3))), {"m": np.stack([_well_conditioned(3), 2.0 * _well_conditioned(3).T])}
-            )
-        ]
+        stack = np.stack([_well_conditioned(3), 2.0 * _well_conditioned(3).T])
+        matrices = [*(_well_conditioned(n) for n in (1, 2, 3, 4)), stack]
+        return [Example(Inv(State("m", shape=m.shape)), {"m": m}) for m in matrices]
 
 
 class Solve(Expr):
     """The x with A x = b. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
 
-    A singular matrix gives inf or nan.
+    A singular matrix gives inf or NaN.
 
     Attributes:
         A: the matrix, an inertia for example.
@@ -171,21 +170,10 @@ class Solve(Expr):
     @classmethod
     def example(cls) -> list[Example]:
         b, columns = np.array([1.0, -2.0, 0.5, 3.0]), np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]])
-        return [
-            *(
-                Example(
-                    Solve(State("A", shape=(n, n)), State("b", shape=(n,))), {"A": _well_conditioned(n), "b": b[:n]}
-                )
-                for n in (1, 2, 3, 4)
-            ),
-            Example(
-                Solve(State("A", shape=(3, 3)), State("b", shape=(3, 2))), {"A": _well_conditioned(3), "b": columns}
-            ),
-        ]
+        values = [{"A": _well_conditioned(n), "b": b[:n]} for n in (1, 2, 3, 4)]
+        values.append({"A": _well_conditioned(3), "b": columns})
+        return [Example(Solve(*(State(name, shape=v.shape) for name, v in case.items())), case) for case in values]
 
 
 def _well_conditioned(n: int) -> np.ndarray:
     return n * np.eye(n) + np.arange(n * n, dtype=float).reshape(n, n) ** 1.5 / n**2
-
-
-__all__ = ["Inv", "Solve"]

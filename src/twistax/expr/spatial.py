@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..groups import quaternion_product, rotation_from_quaternion, so3
 from ..groups.components import matrix, unpack
 from .fields import Operand
-from .leaves import State
-from .node import Example, Expr, Shape
+from .node import Expr, Shape
 from .shapes import expect
 
 
@@ -18,13 +16,15 @@ class QDCM(Expr):
     """Rotation matrix R(q) of a quaternion q = (w, x, y, z), scalar first. Shapes: (4,) -> (3, 3).
 
     q need not have length 1: it is normalised. R(q) v = q v q^-1, so that for the attitude of a body
-    R maps body coordinates to world coordinates. A zero quaternion gives nan.
+    R maps body coordinates to world coordinates. A zero quaternion gives NaN.
 
     Raises:
         ShapeError: q is not of shape (4,).
     """
 
     q: Operand
+    latex_name = "R"
+    cases = ({"q": [0.9, -0.2, 0.4, 0.3]},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect(self, "q", shapes[0], (4,), "a quaternion is w, x, y, z")
@@ -35,13 +35,6 @@ class QDCM(Expr):
 
     def makes_group_element(self, *operands: bool) -> bool:
         return True
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"R\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(QDCM(State("q", shape=(4,))), {"q": np.array([0.9, -0.2, 0.4, 0.3])})]
 
 
 class SSM(Expr):
@@ -54,20 +47,15 @@ class SSM(Expr):
     """
 
     w: Operand
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "w", shapes[0], (3,))
-        return (3, 3)
+    takes = ((3,),)
+    gives = (3, 3)
+    cases = ({"w": [1.0, -2.0, 0.5]},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return so3.hat(values[0])
 
     def to_latex(self, *operands: str) -> str:
         return rf"\left[{operands[0]}\right]_\times"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(SSM(State("w", shape=(3,))), {"w": np.array([1.0, -2.0, 0.5])})]
 
 
 class SSMP(Expr):
@@ -82,22 +70,15 @@ class SSMP(Expr):
     """
 
     w: Operand
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "w", shapes[0], (3,))
-        return (4, 4)
+    takes = ((3,),)
+    gives = (4, 4)
+    latex_name = r"\Omega"
+    cases = ({"w": [1.0, -2.0, 0.5]},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         x, y, z = unpack(values[0])
         o = jnp.zeros_like(x)
         return matrix([[o, -x, -y, -z], [x, o, z, -y], [y, -z, o, x], [z, y, -x, o]])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\Omega\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(SSMP(State("w", shape=(3,))), {"w": np.array([1.0, -2.0, 0.5])})]
 
 
 class QuaternionProduct(Expr):
@@ -110,6 +91,7 @@ class QuaternionProduct(Expr):
     p: Operand
     q: Operand
     precedence = 20
+    cases = ({"p": [0.9, -0.2, 0.4, 0.3], "q": [0.1, 1.0, -0.5, 2.0]},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect(self, "p", shapes[0], (4,), "a quaternion is w, x, y, z")
@@ -121,12 +103,3 @@ class QuaternionProduct(Expr):
 
     def to_latex(self, *operands: str) -> str:
         return rf"{operands[0]} \otimes {operands[1]}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        p, q = State("p", shape=(4,)), State("q", shape=(4,))
-        values = {"p": np.array([0.9, -0.2, 0.4, 0.3]), "q": np.array([0.1, 1.0, -0.5, 2.0])}
-        return [Example(QuaternionProduct(p, q), values)]
-
-
-__all__ = ["QDCM", "SSM", "SSMP", "QuaternionProduct"]

@@ -4,66 +4,37 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .arithmetic import Neg
-from .elementwise import Entrywise, entrywise_example, square_root
+from .elementwise import Function, square_root
 from .fields import Operand
-from .leaves import State
-from .node import Example, Expr, Shape
-from .shapes import align, broadcast
+from .node import Expr
+from .shapes import Entrywise, align
 
 
-class Sin(Entrywise):
+class Sin(Function):
     """Sine of an angle in rad, entry by entry."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.sin(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\sin\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.0])
+    function = jnp.sin
+    latex_name = r"\sin"
 
 
-class Cos(Entrywise):
+class Cos(Function):
     """Cosine of an angle in rad, entry by entry."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.cos(values[0])
+    function = jnp.cos
+    latex_name = r"\cos"
 
     def simplify(self) -> Expr:
         """cos(-x) is cos(x)."""
         return Cos(self.operand.operand) if isinstance(self.operand, Neg) else self
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\cos\left({operands[0]}\right)"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.0])
-
-
-class Tan(Entrywise):
+class Tan(Function):
     """Tangent of an angle in rad, entry by entry."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.tan(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\tan\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.0])
+    function = jnp.tan
+    latex_name = r"\tan"
 
 
 def _leg(x: jax.Array) -> jax.Array:
@@ -71,61 +42,43 @@ def _leg(x: jax.Array) -> jax.Array:
     return square_root((1.0 - x) * (1.0 + x))
 
 
-class Asin(Entrywise):
+class Asin(Function):
     """Arcsine in rad, entry by entry, in [-pi/2, pi/2].
 
-    At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is nan.
+    At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
     """
 
-    operand: Operand
+    latex_name = r"\arcsin"
+    cases = ({"operand": [0.9, -0.3, 0.0]},)
+    kinks = ({"operand": [1.0, -1.0]},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return jnp.arctan2(values[0], _leg(values[0]))
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\arcsin\left({operands[0]}\right)"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [0.9, -0.3, 0.0], kinks=[1.0, -1.0])
-
-
-class Acos(Entrywise):
+class Acos(Function):
     """Arccosine in rad, entry by entry, in [0, pi].
 
-    At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is nan.
+    At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
     """
 
-    operand: Operand
+    latex_name = r"\arccos"
+    cases = ({"operand": [0.9, -0.3, 0.0]},)
+    kinks = ({"operand": [1.0, -1.0]},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return jnp.arctan2(_leg(values[0]), values[0])
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\arccos\left({operands[0]}\right)"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [0.9, -0.3, 0.0], kinks=[1.0, -1.0])
-
-
-class Atan(Entrywise):
+class Atan(Function):
     """Arctangent in rad, entry by entry, in [-pi/2, pi/2]."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.arctan(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\arctan\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -20.0, 0.0])
+    function = jnp.arctan
+    latex_name = r"\arctan"
+    cases = ({"operand": [1.0, -20.0, 0.0]},)
 
 
-class Atan2(Expr):
+class Atan2(Entrywise):
     """Angle of the point (x, y) in rad, entry by entry with broadcasting, in [-pi, pi].
 
     At the origin the value is 0 and the derivative is taken as 0.
@@ -138,71 +91,32 @@ class Atan2(Expr):
 
     y: Operand
     x: Operand
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
+    keeps_order = False
+    cases = ({"y": [1.0, -2.0, 0.0], "x": 0.7}, {"y": [1.0, -2.0, 0.5], "x": -0.7})
+    kinks = ({"y": [0.0, 0.0, 0.0], "x": 0.0},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         y, x = align(*values)
         origin = (x == 0.0) & (y == 0.0)
         return jnp.arctan2(jnp.where(origin, 0.0, y), jnp.where(origin, 1.0, x))
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        y, x = State("y", shape=(3,)), State("x")
-        return [
-            Example(Atan2(y, x), {"y": np.array([1.0, -2.0, 0.0]), "x": 0.7}),
-            Example(Atan2(y, x), {"y": np.array([1.0, -2.0, 0.5]), "x": -0.7}),
-            Example(Atan2(y, x), {"y": np.zeros(3), "x": 0.0}, smooth=False),
-        ]
 
-
-class Sinh(Entrywise):
+class Sinh(Function):
     """Hyperbolic sine, entry by entry."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.sinh(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\sinh\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.0])
+    function = jnp.sinh
+    latex_name = r"\sinh"
 
 
-class Cosh(Entrywise):
+class Cosh(Function):
     """Hyperbolic cosine, entry by entry."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.cosh(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\cosh\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.0])
+    function = jnp.cosh
+    latex_name = r"\cosh"
 
 
-class Tanh(Entrywise):
+class Tanh(Function):
     """Hyperbolic tangent, entry by entry."""
 
-    operand: Operand
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.tanh(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\tanh\left({operands[0]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return entrywise_example(cls, [1.0, -2.0, 0.0])
-
-
-__all__ = ["Acos", "Asin", "Atan", "Atan2", "Cos", "Cosh", "Sin", "Sinh", "Tan", "Tanh"]
+    function = jnp.tanh
+    latex_name = r"\tanh"

@@ -12,8 +12,9 @@ import numpy as np
 from ..errors import ModelError, ShapeError
 from .constraint import Constraint
 from .fields import Operands
+from .graph import leaves_of, substitute
 from .leaves import Leaf, Parameter, State
-from .node import Example, Expr, Shape, leaves_of, substitute, to_expr
+from .node import Example, Expr, Shape, to_expr
 from .walk import evaluate_all
 
 #: How many Vmaps are being built around the current one: it names their placeholders by their place.
@@ -177,6 +178,3 @@ def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
 
 def _same(new: list[Expr], old: tuple[Expr, ...]) -> bool:
     return all(a is b for a, b in zip(new, old, strict=True))
-
-
-__all__ = ["Placeholder", "Vmap"]

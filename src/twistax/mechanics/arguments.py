@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numbers
-
 import numpy as np
 
 from ..errors import ModelError, ShapeError
 from ..expr import Constant, Expr, to_expr
-from ..expr.fields import ExprLike
+from ..expr.fields import ExprLike, positive
 
 __all__ = ["of_shape", "pose", "positive"]
 
@@ -49,10 +47,3 @@ def pose(owner: str, name: str, value: ExprLike) -> Expr:
                 "  fix: build it with tx.pose(position=, rotation= or euler= or quaternion=)"
             )
     return T
-
-
-def positive(owner: object, name: str, value: object, unit: str = "") -> None:
-    """Raise ModelError unless a value is a positive, finite number."""
-    if not (isinstance(value, numbers.Real) and 0.0 < float(value) < np.inf):
-        unit = f" of {unit}" if unit else ""
-        raise ModelError(f"{type(owner).__name__} expects {name} to be a positive number{unit}, got {value!r}")

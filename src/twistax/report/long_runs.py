@@ -197,8 +197,8 @@ def _asymmetric_top(moments: tuple[float, ...]) -> tx.Dynamics:
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     return tx.compile(
         tx.System(
-            rates={R: w, w: (tx.Cross(J * w, w) + tx.Cross(R[2], weight)) / J},
-            outputs={"energy": 0.5 * tx.Dot(w, J * w) + heavy_top.MOMENT * R[2, 2]},
+            rates={R: w, w: (tx.linalg.Cross(J * w, w) + tx.linalg.Cross(R[2], weight)) / J},
+            outputs={"energy": 0.5 * tx.linalg.Dot(w, J * w) + heavy_top.MOMENT * R[2, 2]},
         )
     )
 

@@ -34,7 +34,7 @@ def system() -> tx.System:
     v, w, n = tx.lie.linear(V), tx.lie.angular(V), g[2, :3]
 
     thrust = F * tx.Concat(a, 1.0)
-    wrench = tx.lie.wrench(force=thrust - 9.81 * MASS * n, torque=tx.Cross(np.array([0.0, 0.0, -ARM]), thrust))
+    wrench = tx.lie.wrench(force=thrust - 9.81 * MASS * n, torque=tx.linalg.Cross(np.array([0.0, 0.0, -ARM]), thrust))
     # As ad*_V(M V), without the round-off of v x m v, which is zero.
     M, spin = np.array([*3 * (MASS,), *INERTIA]), tx.lie.twist(linear=np.zeros(3), angular=w)
     F_c = 9.81 * MASS * (1.0 + 0.1 * tx.Cos(0.7 * t)) - 2.0 * v[2]

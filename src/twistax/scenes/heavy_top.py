@@ -29,9 +29,9 @@ def system() -> tx.System:
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     L, up = J * w, R[2]
     return tx.System(
-        rates={R: w, w: (tx.Cross(L, w) + tx.Cross(up, np.array([0.0, 0.0, MOMENT]))) / J},
+        rates={R: w, w: (tx.linalg.Cross(L, w) + tx.linalg.Cross(up, np.array([0.0, 0.0, MOMENT]))) / J},
         outputs={
-            "energy": 0.5 * tx.Dot(w, L) + MOMENT * R[2, 2],
+            "energy": 0.5 * tx.linalg.Dot(w, L) + MOMENT * R[2, 2],
             "vertical_momentum": up @ L,
             "axial_momentum": L[2],
         },

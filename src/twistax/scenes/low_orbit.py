@@ -37,12 +37,12 @@ def system(inertia: Sequence[float] = INERTIA) -> tx.System:
     p, v = tx.State("p", shape=(3,)), tx.State("v", shape=(3,))
     r = tx.linalg.Norm(p)
     n = R.T @ p / r
-    gradient = 3.0 * EARTH.gm / r**3 * tx.Cross(n, J * n)
+    gradient = 3.0 * EARTH.gm / r**3 * tx.linalg.Cross(n, J * n)
     oblate = 0.5 * EARTH.j2 * (EARTH.radius / r) ** 2 * (3.0 * (p[2] / r) ** 2 - 1.0)
     return tx.System(
-        rates={R: w, w: (tx.Cross(J * w, w) + gradient) / J, p: v, v: EARTH.acceleration(p)},
+        rates={R: w, w: (tx.linalg.Cross(J * w, w) + gradient) / J, p: v, v: EARTH.acceleration(p)},
         outputs={
-            "energy": 0.5 * tx.Dot(v, v) - EARTH.gm / r * (1.0 - oblate),
+            "energy": 0.5 * tx.linalg.Dot(v, v) - EARTH.gm / r * (1.0 - oblate),
             "axial_momentum": p[0] * v[1] - p[1] * v[0],
         },
     )

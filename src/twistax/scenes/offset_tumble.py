@@ -38,7 +38,7 @@ def system() -> tx.System:
     return tx.System(
         rates={g: V, V: tx.linalg.Solve(M, -tx.lie.AdjointDual(V, M @ V))},
         outputs={
-            "energy": 0.5 * tx.Dot(V, M @ V),
+            "energy": 0.5 * tx.linalg.Dot(V, M @ V),
             "linear_momentum": tx.lie.linear(momentum),
             "angular_momentum": tx.lie.angular(momentum),
         },

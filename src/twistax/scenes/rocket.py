@@ -35,10 +35,10 @@ def system() -> tx.System:
     F, gimbal = 30.0 * (1.0 - 0.02 * t), 0.02 * tx.Sin(1.3 * t)
     thrust = F * tx.Concat(1.0, gimbal, 0.5 * gimbal * tx.Cos(t))
     # The smallest of speeds keeps the root's derivative finite at rest.
-    drag = -0.01 * tx.Sqrt(tx.Dot(v, v) + 1e-12) * v
+    drag = -0.01 * tx.Sqrt(tx.linalg.Dot(v, v) + 1e-12) * v
     weight = m * (g[:3, :3].T @ np.array([0.0, 0.0, -9.81]))
     air = tx.Concat(0.05, 0.02 * v[2], -0.02 * v[1]) - np.array([0.05, 0.3, 0.3]) * w
-    torque = tx.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + air - MASS_FLOW * k * w
+    torque = tx.linalg.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + air - MASS_FLOW * k * w
 
     M = m * tx.Concat(1.0, 1.0, 1.0, k)
     # As ad*_V(M V), without the round-off of v x m v, which is zero.

@@ -20,6 +20,6 @@ def system(inertia: Sequence[float]) -> tx.System:
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     L = J * w
     return tx.System(
-        rates={R: w, w: tx.Cross(L, w) / J},
-        outputs={"energy": 0.5 * tx.Dot(w, L), "momentum": R @ L},
+        rates={R: w, w: tx.linalg.Cross(L, w) / J},
+        outputs={"energy": 0.5 * tx.linalg.Dot(w, L), "momentum": R @ L},
     )

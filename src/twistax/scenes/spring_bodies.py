@@ -55,7 +55,7 @@ def system(count: int = 4) -> tx.System:
     momentum: tx.Expr = tx.Constant(np.zeros(6))
     for g, V, M, applied in zip(poses, twists, inertias, wrenches):
         rates |= {g: V, V: (functools.reduce(tx.Add, applied) - tx.lie.AdjointDual(V, M * V)) / M}
-        energy = energy + 0.5 * tx.Dot(V, M * V)
+        energy = energy + 0.5 * tx.linalg.Dot(V, M * V)
         momentum = momentum + tx.lie.SE3AdjointDual(g) @ (M * V)
     outputs = {
         "energy": energy,

@@ -30,7 +30,7 @@ def system() -> tx.System:
     between = D.T @ R
     e = 0.5 * tx.lie.Vee(between - between.T)
     return tx.System(
-        rates={R: w, w: (tx.Cross(J * w, w) - k * (e + w)) / J},
+        rates={R: w, w: (tx.linalg.Cross(J * w, w) - k * (e + w)) / J},
         outputs={"error": tx.linalg.Norm(e)},
     )
 

@@ -34,7 +34,7 @@ def system() -> tx.System:
     twists = [tx.State("V1", shape=(6,)), tx.State("V2", shape=(6,))]
     k, c = tx.Parameter("k"), tx.Parameter("c")
     ends = [tx.lie.Act(g, point) for g, point in zip(poses, POINTS)]
-    speeds = [g[:3, :3] @ (V[:3] + tx.Cross(V[3:], point)) for g, V, point in zip(poses, twists, POINTS)]
+    speeds = [g[:3, :3] @ (V[:3] + tx.linalg.Cross(V[3:], point)) for g, V, point in zip(poses, twists, POINTS)]
     gap = ends[1] - ends[0]
     pull = k * gap + c * (speeds[1] - speeds[0])
     middle = 0.5 * (ends[0] + ends[1])
@@ -44,7 +44,7 @@ def system() -> tx.System:
     for g, V, m, J, force in zip(poses, twists, MASSES, MOMENTS, (pull, -pull)):
         M, R = np.array([*3 * (m,), *J]), g[:3, :3]
         body_force = R.T @ force
-        wrench = tx.lie.wrench(force=body_force, torque=tx.Cross(R.T @ (middle - g[:3, 3]), body_force))
+        wrench = tx.lie.wrench(force=body_force, torque=tx.linalg.Cross(R.T @ (middle - g[:3, 3]), body_force))
         # As ad*_V(M V), without the round-off of v x m v, which is zero.
         spin = tx.lie.twist(linear=np.zeros(3), angular=tx.lie.angular(V))
         rates |= {g: V, V: (wrench - tx.lie.AdjointDual(spin, M * V)) / M}

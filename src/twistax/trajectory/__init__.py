@@ -2,15 +2,16 @@
 
 from .discretize import Discretization, discretize
 from .linearize import Linearization, linearize
-from .objective import Maximize, Minimize, Objective
+from .objective import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
+from .objective import Minimize as Minimize
+from .objective import Objective
+from .optimizer import Status
 from .problem import Problem
-from .result import Status, TrajectoryResult
+from .result import TrajectoryResult
 
 __all__ = [
     "Discretization",
     "Linearization",
-    "Maximize",
-    "Minimize",
     "Objective",
     "Problem",
     "Status",

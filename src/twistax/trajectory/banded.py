@@ -10,8 +10,7 @@ import dataclasses
 
 import numpy as np
 import scipy.linalg
-
-from .arrays import Array
+from numpy import ndarray as Array
 
 __all__ = ["Chain", "Factor", "NotPositiveDefinite"]
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray as Array
 
 from ..errors import ModelError, TrajectoryError
 from ..expr import Constraint, Control, Equality, Expr, Leaf, Parameter, State, leaves_of
 from ..groups import Euclidean
 from ..lowering import Dynamics
-from .arrays import Array
 from .rows import names_of
 
 __all__ = ["FinalRows", "check_leaves", "end_values", "final_rows", "split_final"]
@@ -60,7 +60,7 @@ def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
 
 
 def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | None) -> dict[str, Array | None]:
-    """The initial or final value of every state, nan where an entry is free, None where all are.
+    """The initial or final value of every state, NaN where an entry is free, None where all are.
 
     Raises:
         ModelError: an unknown name, or a value that is not in the group.

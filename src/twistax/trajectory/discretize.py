@@ -16,7 +16,7 @@ from ..lowering.dynamics import Arrays
 from ..lowering.inputs import Values
 from .flat import Controls
 
-__all__ = ["Discretization", "Flight", "discretize", "fly", "step_derivatives"]
+__all__ = ["Discretization", "Rollout", "discretize", "rollout", "step_derivatives"]
 
 
 @jax.tree_util.register_dataclass
@@ -39,7 +39,7 @@ class Discretization:
     t_derivative: jax.Array
 
 
-class Flight(NamedTuple):
+class Rollout(NamedTuple):
     """The ends of the substeps of an interval, its start first; all with a leading axis of substeps + 1.
 
     Attributes:
@@ -88,9 +88,9 @@ def discretize(
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(h, inputs.dtype)
     x, params = dict(inputs.x), dict(inputs.params)
-    flight = fly(dynamics, method or RKMK(RK4), inputs.t, x, flat, length, params, substeps)
-    n, m, last = dynamics.dimension, flat.shape[0], flight.sensitivity[-1]
-    x1 = {name: values[-1] for name, values in flight.xs.items()}
+    path = rollout(dynamics, method or RKMK(RK4), inputs.t, x, flat, length, params, substeps)
+    n, m, last = dynamics.dimension, flat.shape[0], path.sensitivity[-1]
+    x1 = {name: values[-1] for name, values in path.xs.items()}
     return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])
 
 
@@ -100,7 +100,7 @@ def check_substeps(substeps: int) -> None:
         raise TrajectoryError(f"substeps must be a positive whole number, got {substeps!r}")
 
 
-def fly(
+def rollout(
     dynamics: Dynamics,
     method: RKMK,
     t: jax.Array,
@@ -109,7 +109,7 @@ def fly(
     h: jax.Array,
     params: Arrays,
     substeps: int,
-) -> Flight:
+) -> Rollout:
     """All substeps of an interval with their sensitivities. Arguments are prepared; u is flat."""
     n, m = dynamics.dimension, u.shape[0]
     start = jnp.concatenate([jnp.eye(n, dtype=u.dtype), jnp.zeros((n, m + 2), u.dtype)], axis=1)
@@ -128,7 +128,7 @@ def fly(
 
     first = (t, x, start)
     _, rest = jax.lax.scan(advance, first, jnp.arange(substeps, dtype=u.dtype))
-    return Flight(*jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest))
+    return Rollout(*jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest))
 
 
 def step_derivatives(

@@ -8,11 +8,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy import ndarray as Array
 
 from ..errors import ModelError, ShapeError
 from ..expr import Control, State
 from ..groups import Euclidean, Group
-from .arrays import Array
 
 __all__ = ["control_guess", "perturbation", "resample", "state_guess", "user_guess"]
 

@@ -46,7 +46,7 @@ class Objective:
                 raise ShapeError(
                     f"{kind} expects a scalar {name} expression, got shape {expr.shape}",
                     at=repr(expr),
-                    hint="index it, or take tx.Sum or tx.linalg.Norm of it",
+                    hint="index it, or take tx.linalg.Sum or tx.linalg.Norm of it",
                 )
             object.__setattr__(self, name, expr)
         object.__setattr__(self, "smoothing", float(smoothing))

@@ -14,19 +14,19 @@ Source: Nocedal and Wright, Numerical Optimization (2006), chapters 10.3 (Levenb
 from __future__ import annotations
 
 import dataclasses
+import enum
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray as Array
 
-from .arrays import Array
 from .banded import Chain, NotPositiveDefinite
-from .model import Model
+from .model import Model, Smoothing
 from .scaling import Scales
-from .smoothing import Smoothing
-from .transcription import Evaluation, Iterate
+from .transcription import Evaluation, Iterate, Transcription
 
-__all__ = ["Callback", "Ending", "Optimizer", "Outcome", "Settings"]
+__all__ = ["Callback", "Optimizer", "Outcome", "Settings", "Status"]
 
 #: Called with (evaluations so far, objective, violation) after every accepted step.
 Callback = Callable[[int, float, float], None]
@@ -69,13 +69,16 @@ class Settings:
     stalls: int = 4
 
 
-class Ending(NamedTuple):
-    """How a run of the optimiser ended."""
+class Status(enum.Enum):
+    """How an optimisation ended, as a sentence."""
 
-    feasible: bool
-    settled: bool
-    finite: bool
-    stalled: bool
+    SOLVED = "every constraint holds within the tolerance and the objective has settled"
+    MAX_ITERATIONS = "the iterations ran out before every constraint held and the objective settled"
+    INFEASIBLE = "no trajectory was found that meets every constraint"
+    NON_FINITE = "the problem has values that are not finite at the guess"
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.value}"
 
 
 class Outcome(NamedTuple):
@@ -84,13 +87,13 @@ class Outcome(NamedTuple):
     Attributes:
         evaluation: the last iterate with its residuals.
         violations: (intervals, rows) scaled violations, zero where a row holds.
-        ending: why it stopped.
+        status: how it ended.
         iterations: evaluations of the problem.
     """
 
     evaluation: Evaluation
     violations: Array
-    ending: Ending
+    status: Status
     iterations: int
 
 
@@ -118,10 +121,8 @@ class Optimizer:
     Args:
         evaluate: (iterate, step) -> the evaluation after the step, as NumPy arrays.
         chain: where the unknowns sit and which are free.
-        equality, exists, decided: kinds of rows, see `Transcription`.
+        transcription: what kind its rows are.
         scales: sizes of unknowns, rows and objective.
-        smoothing: weight of the steps of the controls.
-        controls: where they are in a node's block.
         shortest_time: the final time never falls below it during the search.
     """
 
@@ -129,19 +130,16 @@ class Optimizer:
         self,
         evaluate: Callable[[Iterate, Array], Evaluation],
         chain: Chain,
-        equality: Array,
-        exists: Array,
-        decided: Array,
+        transcription: Transcription,
         scales: Scales,
-        smoothing: float,
-        controls: slice,
         shortest_time: float,
-        settings: Settings | None = None,
     ) -> None:
-        self._evaluate, self._chain, self._equality, self._exists = evaluate, chain, equality, exists
-        self._decided, self._scales, self._shortest_time = decided, scales, shortest_time
-        self._settings = settings or Settings()
-        self._smoothing = Smoothing(chain, controls, scales.columns[controls], smoothing)
+        t = transcription
+        self._evaluate, self._chain, self._scales, self._shortest_time = evaluate, chain, scales, shortest_time
+        self._equality, self._exists, self._decided = t.equality, t.exists, t.decided
+        self._settings = Settings()
+        controls = slice(t.n, t.block)
+        self._smoothing = Smoothing(chain, controls, scales.columns[controls], t.objective.smoothing)
         self._lengths = np.concatenate([np.tile(scales.columns[: chain.block], chain.nodes), scales.columns[-1:]])
 
     def run(self, iterate: Iterate, max_iterations: int, tolerance: float, callback: Callback | None = None) -> Outcome:
@@ -150,11 +148,10 @@ class Optimizer:
         point = self._point(iterate, np.zeros(len(self._lengths)))
         if point is None:
             raw = self._evaluate(iterate, np.zeros(len(self._lengths)))
-            return Outcome(raw, np.zeros(raw.rows.shape), Ending(False, False, False, False), 1)
-        if self._violations(point)[self._decided].max(initial=0.0) > tolerance:
-            return Outcome(
-                point.raw, np.where(self._decided, self._violations(point), 0.0), Ending(False, False, True, True), 1
-            )
+            return Outcome(raw, np.zeros(raw.rows.shape), Status.NON_FINITE, 1)
+        lost = np.where(self._decided, self._violations(point), 0.0)
+        if lost.max(initial=0.0) > tolerance:
+            return Outcome(point.raw, lost, Status.INFEASIBLE, 1)
         merit = _Merit(np.zeros_like(point.rows), s.first_penalty)
         damping, count, allowed, last_cost = s.first_damping, 1, s.first_violation, np.inf
         before, stalls = np.inf, 0
@@ -164,8 +161,9 @@ class Optimizer:
             feasible, settled = violation <= tolerance, abs(point.cost - last_cost) <= s.settled
             stalls = stalls + 1 if violation > max(allowed, s.stalled * before) else 0
             if (feasible and settled) or count >= max_iterations or stalls >= s.stalls:
-                ending = Ending(feasible, settled, True, stalls >= s.stalls)
-                return Outcome(point.raw, self._violations(point), ending, count)
+                status = Status.INFEASIBLE if stalls >= s.stalls else Status.MAX_ITERATIONS
+                status = Status.SOLVED if feasible and settled else status
+                return Outcome(point.raw, self._violations(point), status, count)
             last_cost, before = point.cost, violation
             if violation > allowed and merit.penalty < s.largest_penalty:
                 merit = merit._replace(penalty=min(merit.penalty * s.penalty_growth, s.largest_penalty))

@@ -9,13 +9,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy import ndarray as Array
 
 from ..errors import ModelError, TrajectoryError
 from ..expr import Control, State
 from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
-from .arrays import Array
 from .banded import Chain
 from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
 from .discretize import check_substeps
@@ -50,7 +50,7 @@ class Problem:
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
         nodes: number of state nodes, two or more.
         final_time: a number in s, or limits (low, high) to leave it free.
-        initial: values by state or name, on top of the leaves' own; nan or None entries are free.
+        initial: values by state or name, on top of the leaves' own; NaN or None entries are free.
         final: values likewise, or constraints on the final node such as `g[:3, 3] == 0`, or a list of both.
         params: values of the system's parameters; those left out take their own.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
@@ -102,7 +102,7 @@ class Problem:
         values, constraints = split_final(final)
         self.initial = end_values(dynamics.states, "initial", initial)
         self.final = end_values(dynamics.states, "final", values)
-        self.final_rows = rows = final_rows(dynamics, constraints)
+        self.final_rows = final_rows(dynamics, constraints)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {s.name: self.nodes for s in dynamics.states} | {
@@ -112,14 +112,14 @@ class Problem:
         self.method, self.substeps = method or RKMK(RK4), int(substeps)
         self.transcription = Transcription(
             dynamics,
-            self.method,
-            self.nodes,
-            self.substeps,
             objective,
-            describe_path(dynamics),
-            (rows.names, rows.residuals, rows.equalities),
-            self.time_limits,
-            frozenset(s.name for s in dynamics.states if fixed_entries(s, self.initial[s.name]).all()),
+            method=self.method,
+            nodes=self.nodes,
+            substeps=self.substeps,
+            path=describe_path(dynamics),
+            final=self.final_rows,
+            time_limits=self.time_limits,
+            fixed=frozenset(s.name for s in dynamics.states if fixed_entries(s, self.initial[s.name]).all()),
         )
         self.params = self._prepared(params)
         self._compiled: Callable[..., Evaluation] | None = None
@@ -208,24 +208,11 @@ class Problem:
         self._step_lengths = lengths
         self._free = self._free_unknowns()
         columns = np.concatenate([block, block, [time_scale]])
-        samples = [
-            evaluate(plain, np.zeros(len(lengths))),
-            evaluate(plain, self._random_step(np.random.default_rng(0))),
-        ]
-        samples = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))] or samples[
-            :1
-        ]
-        return Optimizer(
-            evaluate,
-            Chain(self.nodes, t.block, 1, self._free),
-            t.equality,
-            t.exists,
-            t.decided,
-            Scales.measured(columns, t.n, samples),
-            self.objective.smoothing,
-            slice(t.n, t.block),
-            _SHORTEST * low,
-        )
+        steps = (np.zeros(len(lengths)), self._random_step(np.random.default_rng(0)))
+        samples = [evaluate(plain, step) for step in steps]
+        finite = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))]
+        scales = Scales.measured(columns, t.n, finite or samples[:1])
+        return Optimizer(evaluate, Chain(self.nodes, t.block, 1, self._free), t, scales, _SHORTEST * low)
 
     def _landmarks(self, plain: Iterate) -> dict[str, list[Array]]:
         """The known values of every leaf: its box, its ends, its guess."""

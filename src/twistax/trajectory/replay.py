@@ -1,4 +1,4 @@
-"""Fly the controls an optimisation found, densely and with any method, and measure what comes out."""
+"""Roll out the controls that an optimisation found, densely and with any method, and measure what comes out."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy import ndarray as Array
 
 from ..errors import InputError, IntegrationError, TrajectoryError
 from ..expr import Inputs, evaluate_all
@@ -15,7 +16,6 @@ from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
-from .arrays import Array
 from .result import TrajectoryResult, largest_by_name
 
 if TYPE_CHECKING:
@@ -26,18 +26,18 @@ __all__ = ["Replay", "replay"]
 
 @dataclasses.dataclass(frozen=True)
 class Replay:
-    """A dense flight of found controls.
+    """A dense rollout of found controls.
 
     Attributes:
         ts: (n,) times in s, equally spaced within each interval.
         xs: states by name, leading axis n.
         us: controls by name, leading axis n; at a node the control that begins there.
-        misses: state name -> how far the flight ends from the planned final node: `position` and `angle` (rad) of a
+        misses: state name -> how far the rollout ends from the planned final node: `position` and `angle` (rad) of a
             pose, `angle` of a rotation, `distance` of a state without a group.
-        vectors: state name -> the same as a tangent vector, planned (+) vector = flown.
-        violations: name of a path constraint or bound -> its largest violation along the flight in its own unit, 0
+        vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
+        violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
             where it holds; each interval is looked at with its own control, both ends included.
-        final: name of a final condition -> its violation at the end of the flight.
+        final: name of a final condition -> its violation at the end of the rollout.
     """
 
     ts: Array
@@ -52,18 +52,18 @@ class Replay:
 def replay(
     result: TrajectoryResult, method: Any = None, steps: int | None = None, *, rtol: float = 1e-10, atol: float = 1e-10
 ) -> Replay:
-    """Fly the controls of a result from its first node, each held over its interval.
+    """Roll out the controls of a result from its first node, each held over its interval.
 
     Args:
         result: what `Problem.solve` gave.
-        method: an RKMK method, RK4 if left out; or a diffrax solver, which flies the same system as a plain ODE in
+        method: an RKMK method, RK4 if left out; or a diffrax solver, which integrates the same system as a plain ODE in
             quaternions with adaptive steps.
         steps: samples an interval, and for an RKMK method its steps there; 20 if left out.
         rtol, atol: tolerances of a diffrax solver.
     Raises:
         TrajectoryError: steps is no positive whole number.
         InputError: method is neither.
-        IntegrationError: the flight did not reach its end.
+        IntegrationError: the rollout did not reach its end.
     """
     steps = 20 if steps is None else steps
     if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
@@ -71,17 +71,17 @@ def replay(
     method = RKMK(RK4) if method is None else method
     with jax.enable_x64(True):
         if isinstance(method, Method):
-            xs = _fly_on_group(result, method, steps)
+            xs = _rollout_on_group(result, method, steps)
         else:
-            xs = _fly_ambient(result, method, steps, rtol, atol)
+            xs = _rollout_ambient(result, method, steps, rtol, atol)
         return _judged(result, xs, steps)
 
 
-def _fly_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[str, Array]:
+def _rollout_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[str, Array]:
     problem = result.problem
     intervals = problem.nodes - 1
     tables = {name: ZeroOrderHold(result.ts[:-1], values) for name, values in result.us.items()}
-    flight = integrate(
+    solution = integrate(
         problem.dynamics,
         {name: values[0] for name, values in result.xs.items()},
         t0=0.0,
@@ -92,10 +92,10 @@ def _fly_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[
         params=problem.params,
         save_at=_times(result, steps),
     )
-    return {name: np.asarray(values) for name, values in flight.xs.items()}
+    return {name: np.asarray(values) for name, values in solution.xs.items()}
 
 
-def _fly_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
+def _rollout_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
     import diffrax
 
     if not isinstance(solver, diffrax.AbstractSolver):
@@ -108,7 +108,7 @@ def _fly_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: float,
     def interval(y: Any, span: tuple[Any, ...]) -> tuple[Any, Any]:
         t0, t1, u = span
         ts = jnp.linspace(t0, t1, steps + 1)
-        flight = diffrax.diffeqsolve(
+        solution = diffrax.diffeqsolve(
             diffrax.ODETerm(ambient.vector_field),
             solver,
             t0,
@@ -121,17 +121,17 @@ def _fly_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: float,
             max_steps=100_000,
             throw=False,
         )
-        end = jax.tree.map(lambda a: a[-1], flight.ys)
-        return end, (jax.tree.map(lambda a: a[:-1], flight.ys), flight.result == diffrax.RESULTS.successful)
+        end = jax.tree.map(lambda a: a[-1], solution.ys)
+        return end, (jax.tree.map(lambda a: a[:-1], solution.ys), solution.result == diffrax.RESULTS.successful)
 
     @jax.jit
-    def fly(y: Any, ts: Any, us: Any) -> Any:
+    def rollout(y: Any, ts: Any, us: Any) -> Any:
         end, (parts, good) = jax.lax.scan(interval, y, (ts[:-1], ts[1:], us))
         whole = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
         return jax.vmap(ambient.from_ambient)(whole), good
 
     start = ambient.to_ambient({name: values[0] for name, values in result.xs.items()})
-    xs, good = fly(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, result.us))
+    xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, result.us))
     if not bool(good.all()):
         number = int(np.argmin(np.asarray(good)))
         raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
@@ -163,14 +163,14 @@ def _judged(result: TrajectoryResult, xs: dict[str, Array], steps: int) -> Repla
     )
 
 
-def _difference(group: Group, planned: Array, flown: Array) -> Array:
-    return np.asarray(jax.jit(group.difference)(planned, flown))
+def _difference(group: Group, planned: Array, reached: Array) -> Array:
+    return np.asarray(jax.jit(group.difference)(planned, reached))
 
 
-def _miss(group: Group, planned: Array, flown: Array, vector: Array) -> dict[str, float]:
+def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:
     if isinstance(group, SpecialEuclidean):
         _, angular = group.order.split(vector)
-        position = float(np.linalg.norm(flown[:3, 3] - planned[:3, 3]))
+        position = float(np.linalg.norm(reached[:3, 3] - planned[:3, 3]))
         return {"position": position, "angle": float(np.linalg.norm(angular))}
     kind = "angle" if isinstance(group, SpecialOrthogonal) else "distance"
     return {kind: float(np.linalg.norm(vector))}

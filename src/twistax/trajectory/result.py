@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import enum
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray as Array
 
-from .arrays import Array
-from .optimizer import Outcome
+from .optimizer import Outcome, Status
 
 if TYPE_CHECKING:
     from .problem import Problem
     from .replay import Replay
 
-__all__ = ["Status", "TrajectoryResult", "best_result", "largest_by_name"]
-
-
-class Status(enum.Enum):
-    """How an optimisation ended, as a sentence."""
-
-    SOLVED = "every constraint holds within the tolerance and the objective has settled"
-    MAX_ITERATIONS = "the iterations ran out before every constraint held and the objective settled"
-    INFEASIBLE = "no trajectory was found that meets every constraint"
-    NON_FINITE = "the problem has values that are not finite at the guess"
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.value}"
+__all__ = ["TrajectoryResult", "best_result", "largest_by_name"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +57,7 @@ class TrajectoryResult:
         return self.status is Status.SOLVED
 
     def replay(self, method: Any = None, steps: int | None = None, **tolerances: float) -> Replay:
-        """Fly the found controls from the first node and measure what comes out. See `Replay` and `replay`."""
+        """Roll out the found controls from the first node and measure what comes out. See `Replay` and `replay`."""
         from .replay import replay
 
         return replay(self, method, steps, **tolerances)
@@ -88,7 +75,7 @@ def best_result(
 ) -> TrajectoryResult:
     """The best of several tries: a solved one of least cost, else the one that violates least."""
     sign = problem.objective.sign
-    statuses = [_status(outcome) for outcome in outcomes]
+    statuses = [outcome.status for outcome in outcomes]
     costs = [float(outcome.evaluation.cost) for outcome in outcomes]
     violations = [float(outcome.violations.max(initial=0.0)) for outcome in outcomes]
 
@@ -123,15 +110,6 @@ def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
     for name, size in zip(names, sizes):
         found[name] = max(found.get(name, 0.0), float(size))
     return found
-
-
-def _status(outcome: Outcome) -> Status:
-    ending = outcome.ending
-    if not ending.finite:
-        return Status.NON_FINITE
-    if ending.feasible and ending.settled:
-        return Status.SOLVED
-    return Status.INFEASIBLE if ending.stalled else Status.MAX_ITERATIONS
 
 
 def _violations(problem: Problem, outcome: Outcome) -> dict[str, float]:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from math import prod
 
 import numpy as np
+from numpy import ndarray as Array
 
 from ..expr import Constraint, Control, Equality, Leaf, State, Time, leaves_of
 from ..lowering import Dynamics
-from .arrays import Array
 
 __all__ = ["Bound", "PathRows", "Reads", "bounds_of", "describe_path", "names_of"]
 

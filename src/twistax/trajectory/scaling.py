@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..groups import Euclidean, Group, SpecialEuclidean
-from .arrays import Array
 from .transcription import Evaluation
 
 __all__ = ["Scales", "column_scales", "typical_change"]
@@ -60,7 +60,7 @@ def column_scales(leaves: Mapping[str, State | Control], landmarks: Mapping[str,
 def typical_change(group: Group, landmarks: list[Array]) -> Array:
     """Half the spread of the known values (bounds, ends, guess) of a leaf; 1, or the common size, where they agree.
 
-    Angles get half a radian. Landmarks are elements of the group; entries that are nan or infinite say nothing.
+    Angles get half a radian. Landmarks are elements of the group; entries that are NaN or infinite say nothing.
     """
     if isinstance(group, SpecialEuclidean):
         positions = np.array([landmark[:3, 3] for landmark in landmarks])

@@ -4,7 +4,7 @@ The unknowns are a step (d_0, du_0, ..., d_(N-1), du_(N-1), dT) away from the cu
 final time T; the nodes move by x_k (+) d_k, so the chart is re-based at every iterate. An interval sees
 [d_k, du_k, d_(k+1), du_(k+1), dT]. Its rows are
 
-    Log(x_(k+1)^-1 flight(x_k, u_k))   the defect, n equalities
+    Log(x_(k+1)^-1 end(x_k, u_k))      the defect, n equalities
     path constraints and boxes         at the ends of the substeps
     conditions on the final node       in the last interval
     limits of the final time           in the last interval
@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy import ndarray as Array
 
 from ..expr import Expr, Inputs, evaluate_all
 from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .arrays import Array
-from .discretize import Flight, fly
+from .conditions import FinalRows
+from .discretize import Rollout, rollout
 from .flat import Controls
 from .objective import Objective
 from .rows import PathRows, where
@@ -64,11 +65,10 @@ class Transcription:
     """The discrete problem behind a continuous one.
 
     Args:
-        dynamics, method, nodes, substeps: what is flown and how.
+        dynamics, method, nodes, substeps: what is integrated and how.
         objective: what is optimised.
         path: the rows asked along the path.
-        final: names and residuals of the conditions on the final node, inequalities (<= 0) first.
-        final_equalities: how many of the final rows, from the end, are equalities.
+        final: the conditions on the final node.
         time_limits: (low, high) of the final time; low = high fixes it.
         fixed: states whose start is given in full.
 
@@ -82,12 +82,13 @@ class Transcription:
     def __init__(
         self,
         dynamics: Dynamics,
+        objective: Objective,
+        *,
         method: RKMK,
         nodes: int,
         substeps: int,
-        objective: Objective,
         path: PathRows,
-        final: tuple[list[str], list[Expr], int],
+        final: FinalRows,
         time_limits: tuple[float, float],
         fixed: frozenset[str],
     ) -> None:
@@ -97,7 +98,7 @@ class Transcription:
         self.n, self.m = dynamics.dimension, self.controls.dimension
         self.block = self.n + self.m
         self.local = 2 * self.block + 1
-        final_names, self._final, final_equalities = final
+        self._final = final.residuals
         asked = path.asked(nodes - 1, substeps).reshape(nodes - 1, -1)
         #: which of the (substeps + 1) * P path rows are asked in any interval
         self._kept = np.flatnonzero(asked.any(axis=0))
@@ -111,15 +112,15 @@ class Transcription:
         self.names = [
             *(f"dynamics of {name}" for name in states),
             *(path.names[i] for i in rows_of_path),
-            *(f"final: {name}" for name in final_names),
+            *(f"final: {name}" for name in final.names),
             *time_names,
         ]
-        finals, times = len(final_names), len(time_names)
+        finals, times = len(final.names), len(time_names)
         self.equality = np.concatenate(
             [
                 np.ones(self.n, bool),
                 path.equality[rows_of_path],
-                np.arange(finals) >= finals - final_equalities,
+                np.arange(finals) >= finals - final.equalities,
                 np.zeros(times, bool),
             ]
         )
@@ -177,23 +178,23 @@ class Transcription:
         """Rows, slopes, running cost, its gradient and curvature of one interval."""
         n, m, count, group = self.n, self.m, self.nodes - 1, self.dynamics.group
         h = final_time / count
-        flight = fly(self.dynamics, self.method, number * h, left, u, h, params, self.substeps)
-        by_time = (flight.sensitivity[:, :, n + m] + number * flight.sensitivity[:, :, n + m + 1]) / count
-        lands = {name: values[-1] for name, values in flight.xs.items()}
-        defect = group.difference(right, lands)
+        path = rollout(self.dynamics, self.method, number * h, left, u, h, params, self.substeps)
+        by_time = (path.sensitivity[:, :, n + m] + number * path.sensitivity[:, :, n + m + 1]) / count
+        ends = {name: values[-1] for name, values in path.xs.items()}
+        defect = group.difference(right, ends)
         back = group.right_jacobian_inv(defect)
         # J_l^-1 = J_r^-1 - ad: both halves of ad / (1 - exp(-ad)).
         defect_slopes = jnp.concatenate(
             [
-                back @ flight.sensitivity[-1, :, : n + m],
+                back @ path.sensitivity[-1, :, : n + m],
                 group.ad(defect) - back,
                 jnp.zeros((n, m), u.dtype),
                 (back @ by_time[-1])[:, None],
             ],
             axis=1,
         )
-        points = self._points_of(flight, right)
-        maps = self._maps(number, flight.sensitivity, by_time)
+        points = self._points_of(path, right)
+        maps = self._maps(number, path.sensitivity, by_time)
         ts = (number + jnp.linspace(0.0, 1.0, self.substeps + 1, dtype=u.dtype)) * h
         rows, by_point = jax.vmap(self._path_slopes, in_axes=(0, 0, None, None))(ts, points, u, params)
         path_slopes = (by_point @ maps).reshape(-1, self.local)[self._kept]
@@ -206,9 +207,9 @@ class Transcription:
             curvature,
         )
 
-    def _points_of(self, flight: Flight, right: Arrays) -> Arrays:
+    def _points_of(self, path: Rollout, right: Arrays) -> Arrays:
         """The states at the ends of the substeps; the last is the next node itself."""
-        return {name: values.at[-1].set(right[name]) for name, values in flight.xs.items()}
+        return {name: values.at[-1].set(right[name]) for name, values in path.xs.items()}
 
     def _maps(self, number: jax.Array, sensitivity: jax.Array, by_time: jax.Array) -> jax.Array:
         """(substeps + 1, n + m + 1, local): how [d, u, t] at each point follow from what an interval sees."""

@@ -45,7 +45,7 @@ def body() -> tx.Dynamics:
     return tx.compile(
         tx.System(
             rates={g: V, V: rate},
-            outputs={"turn": g[:3, :3] @ tx.SSM(V[3:]), "speed": tx.linalg.Norm(V[:3])},
+            outputs={"turn": g[:3, :3] @ tx.spatial.SSM(V[3:]), "speed": tx.linalg.Norm(V[:3])},
             constraints={"most": F <= 3.0, "level": g[2, 3] == 1.0},
         )
     )

@@ -49,7 +49,7 @@ def test_derivatives_of_casadi(casadi: Any) -> None:
     """By entries, brought to tangents, beside `Dynamics.jacobian`'s."""
     R, w, u = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Control("u", shape=(2,))
     J = np.array([1.0, 2.0, 3.5])
-    torque = R.T @ np.array([0.2, -0.1, 0.4]) + tx.Concat(u, tx.Sin(u[0] * w[1])) - tx.Cross(w, J * w)
+    torque = R.T @ np.array([0.2, -0.1, 0.4]) + tx.Concat(u, tx.Sin(u[0] * w[1])) - tx.linalg.Cross(w, J * w)
     dynamics = tx.compile(tx.System(rates={R: w, w: torque / J}))
     x = {"R": np.asarray(tx.lie.so3.exp(np.array([0.3, -1.0, 0.5]))), "w": np.array([0.4, -0.3, 1.2])}
     given = {**x, "u": np.array([0.7, -0.2])}

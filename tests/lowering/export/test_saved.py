@@ -35,7 +35,7 @@ def full() -> tx.System:
     w = tx.State("w", shape=(6,), min=-3.0, max=[1.0, 2.0, 3.0, 4.0, 5.0, np.inf], guess=np.linspace(0.0, 1.0, 6))
     u, unused = tx.Control("u", shape=(3,), min=-1.0, guess=[0.1, 0.2, 0.3]), tx.Control("unused")
     k, J = tx.Parameter("k", value=1.0 / 3.0), tx.Parameter("J", shape=(3, 3))
-    rate = tx.Concat(J @ w[:3] * k - tx.Cross(u, w[3:]), tx.Where(tx.Time() >= 1.0, w[:3], -w[3:]))
+    rate = tx.Concat(J @ w[:3] * k - tx.linalg.Cross(u, w[3:]), tx.Where(tx.Time() >= 1.0, w[:3], -w[3:]))
     table = tx.Cinterp(w[0], [0.0, 1.0, 3.0, 4.0], [1.0, -1.0, 2.0, 2.5], method="akima")
     return tx.System(
         rates={w: rate, g: w},

@@ -13,13 +13,13 @@ import jax
 
 from ...groups import LINEAR_FIRST, Order
 from ...groups.inputs import multiply
-from ..arithmetic import MatMul, is_constant
+from ..arithmetic import MatMul, is_constant, is_identity
 from ..fields import Operand
 from ..linalg import Cross, cross_columns
-from ..node import Example, Expr, Shape
+from ..node import Expr, Shape
 from ..printing import wrap_latex
 from ..shapes import expect
-from .base import ColumnsNode, body_values, expect_columns, is_identity_element, pose_value, twist_columns, twist_state
+from .base import COLUMNS, POSE, TWIST, ColumnsNode, both_orders, expect_columns
 from .parts import JoinedParts, halves, has_zero_half
 from .transforms import Act, Inverse, parts_of_pose
 
@@ -74,22 +74,22 @@ class _Action(ColumnsNode):
     def simplify(self) -> Expr:
         """What does nothing vanishes; an inverse is not formed; known parts are left out of the formula."""
         T, vector = self.children()
-        if is_identity_element(T) or is_constant(vector, 0.0):
+        if is_identity(T) or is_constant(vector, 0.0):
             return vector
         if isinstance(T, Inverse) and T.element.is_group_element:
             return self.replace(transform=T.element, inverse=not self.inverse)
         if isinstance(vector, type(self)) and self._undoes(vector):
             return vector.children()[1]
         R, p = parts_of_pose(T)
-        if is_identity_element(R) or is_constant(p, 0.0) or has_zero_half(vector, self.order):
-            return self._written_out(R, p)
+        if is_identity(R) or is_constant(p, 0.0) or has_zero_half(vector, self.order):
+            return self._unrolled(R, p)
         return self
 
     def _undoes(self, other: _Action) -> bool:
         opposite = self.order == other.order and self.inverse != other.inverse
         return opposite and self.transform.is_group_element and self.transform.key() == other.transform.key()
 
-    def _written_out(self, R: Expr, p: Expr) -> Expr:
+    def _unrolled(self, R: Expr, p: Expr) -> Expr:
         turn = Inverse(R) if self.inverse else R
         linear, angular = halves(self.children()[1], self.order)
         changed = self._changed(
@@ -108,13 +108,11 @@ class _Action(ColumnsNode):
         transform = Inverse(self.transform).to_latex(operands[0]) if self.inverse else operands[0]
         return rf"{self.symbol}_{{{transform}}} \, {wrap_latex(self.children()[1], operands[1], 20)}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        build: Any = cls
-        T, a, A, values = pose_value("T"), twist_state("a"), twist_columns("A"), body_values()
-        there = cls.in_both_orders(lambda order: build(T, a, order=order), values)
-        back = cls.in_both_orders(lambda order: build(T, a, order=order, inverse=True), values)
-        return [*there, *back, Example(build(T, A), values), Example(build(T, A, inverse=True), values)]
+
+def _cases(vector: str) -> list[dict[str, Any]]:
+    one, columns = {"transform": POSE, vector: TWIST}, {"transform": POSE, vector: COLUMNS}
+    back = {"inverse": True}
+    return [*both_orders(**one), *both_orders(**(one | back)), columns, columns | back]
 
 
 class AdjointAction(_Action):
@@ -136,6 +134,7 @@ class AdjointAction(_Action):
     order: Order = LINEAR_FIRST
     inverse: bool = False
     label = "Ad"
+    cases = _cases("twist")
     symbol = r"\mathrm{Ad}"
 
 
@@ -158,11 +157,9 @@ class CoadjointAction(_Action):
     order: Order = LINEAR_FIRST
     inverse: bool = False
     label = "Ad_dual"
+    cases = _cases("wrench")
     symbol = r"\mathrm{Ad}^*"
 
     @staticmethod
     def roles(linear: Any, angular: Any) -> tuple[Any, Any]:
         return angular, linear
-
-
-__all__ = ["AdjointAction", "CoadjointAction"]

@@ -17,10 +17,9 @@ from ...groups import LINEAR_FIRST, Order, se3, so3
 from ..arithmetic import Add, is_constant, zeros_of
 from ..fields import Operand
 from ..linalg import Cross
-from ..node import Example, Expr, Shape
-from ..shapes import expect
+from ..node import Expr
 from .actions import AdjointAction, CoadjointAction
-from .base import TwistNode, body_values, pose_value, twist_state
+from .base import OTHER_TWIST, POSE, ROTATION, TWIST, TwistNode, both_orders
 from .parts import JoinedParts, halves, has_zero_half
 from .transforms import Inverse
 
@@ -41,11 +40,9 @@ class Adjoint(TwistNode):
     twist2: Operand
     order: Order = LINEAR_FIRST
     label = "ad"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "twist1", shapes[0], (6,))
-        expect(self, "twist2", shapes[1], (6,))
-        return (6,)
+    takes = ((6,), (6,))
+    gives = (6,)
+    cases = both_orders(twist1=TWIST, twist2=OTHER_TWIST)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return self.in_linear_first(se3.bracket, *values)
@@ -62,10 +59,6 @@ class Adjoint(TwistNode):
 
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{ad}}_{{{operands[0]}}}\left({operands[1]}\right)"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(twist_state("a"), twist_state("b"), order=order), body_values())
 
 
 class AdjointDual(TwistNode):
@@ -85,11 +78,9 @@ class AdjointDual(TwistNode):
     momentum: Operand
     order: Order = LINEAR_FIRST
     label = "ad_dual"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "twist", shapes[0], (6,))
-        expect(self, "momentum", shapes[1], (6,))
-        return (6,)
+    takes = ((6,), (6,))
+    gives = (6,)
+    cases = both_orders(twist=TWIST, momentum=OTHER_TWIST)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return self.in_linear_first(se3.coad, *values)
@@ -106,10 +97,6 @@ class AdjointDual(TwistNode):
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{ad}}^*_{{{operands[0]}}}\left({operands[1]}\right)"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(twist_state("a"), twist_state("b"), order=order), body_values())
-
 
 class _FrameMatrix(TwistNode):
     """What Ad_T and Ad*_T share: each is the other's inverse transpose."""
@@ -118,16 +105,15 @@ class _FrameMatrix(TwistNode):
     order: Order = LINEAR_FIRST
     abstract = True
     structured = True
+    takes = ((4, 4),)
+    gives = (6, 6)
+    cases = both_orders(transform=POSE)
     symbol: ClassVar[str] = ""
 
     @staticmethod
     def matrix(T: jax.Array) -> jax.Array:
         """The matrix for linear-first six-vectors."""
         raise NotImplementedError
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "transform", shapes[0], (4, 4))
-        return (6, 6)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return self.in_linear_first(self.matrix, values[0])
@@ -142,10 +128,6 @@ class _FrameMatrix(TwistNode):
 
     def to_latex(self, *operands: str) -> str:
         return rf"{self.symbol}_{{{operands[0]}}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return cls.in_both_orders(lambda order: cls(pose_value("T"), order=order), body_values())
 
 
 class SE3Adjoint(_FrameMatrix):
@@ -215,10 +197,9 @@ class SO3Adjoint(Expr):
 
     rotation: Operand
     label = "Ad"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "rotation", shapes[0], (3, 3))
-        return (3, 3)
+    takes = ((3, 3),)
+    gives = (3, 3)
+    cases = ({"rotation": ROTATION},)
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return so3.Ad(values[0])
@@ -229,16 +210,3 @@ class SO3Adjoint(Expr):
 
     def to_latex(self, *operands: str) -> str:
         return rf"\mathrm{{Ad}}_{{{operands[0]}}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(cls(pose_value("R", rotation=True)), body_values())]
-
-
-__all__ = [
-    "Adjoint",
-    "AdjointDual",
-    "SE3Adjoint",
-    "SE3AdjointDual",
-    "SO3Adjoint",
-]

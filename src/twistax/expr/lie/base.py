@@ -11,8 +11,7 @@ import numpy as np
 
 from ...errors import ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
-from ..leaves import Constant, State
-from ..node import Example, Expr, Shape
+from ..node import Expr, Shape
 from ..shapes import expect
 
 _SIX = ((6,), (6, 6))
@@ -41,11 +40,6 @@ class TwistNode(Expr):
 
     def _swapped(self, value: jax.Array) -> jax.Array:
         return self.order.from_linear_first(value) if value.shape in _SIX else value
-
-    @staticmethod
-    def in_both_orders(build: Callable[[Order], Expr], values: Mapping[str, Any], smooth: bool = True) -> list[Example]:
-        """The same conformance case with [v; w] and with [w; v]."""
-        return [Example(build(order), values, smooth) for order in (LINEAR_FIRST, ANGULAR_FIRST)]
 
 
 class ColumnsNode(TwistNode):
@@ -83,41 +77,15 @@ def expect_one_of(node: Expr, operand: str, got: Shape, known: Mapping[Shape, Mo
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {first} or {second}, got {got}")
 
 
-def is_identity_element(node: Expr) -> bool:
-    """Whether an expression is a constant identity matrix."""
-    return isinstance(node, Constant) and bool((node.value == np.eye(node.shape[0])).all())
-
-
 # ---- cases for the conformance suite -----------------------------------------------------------------------------
 
-
-def twist_state(name: str) -> State:
-    """A six-vector leaf."""
-    return State(name, shape=(6,))
-
-
-def twist_columns(name: str) -> State:
-    """Two six-vectors side by side."""
-    return State(name, shape=(6, 2))
+TWIST = np.array([0.3, -1.2, 0.8, 0.5, -0.4, 0.9])
+OTHER_TWIST = np.array([-0.7, 0.2, 1.1, 0.6, 1.3, -0.8])
+COLUMNS = np.stack([TWIST, OTHER_TWIST], axis=1)
+ROTATION = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
+POSE = np.block([[ROTATION, np.array([[0.7], [-0.3], [1.4]])], [np.eye(4)[3:]]])
 
 
-def pose_value(name: str, rotation: bool = False) -> State:
-    """A matrix leaf that the cases fill with a pose or a rotation."""
-    return State(name, shape=(3, 3) if rotation else (4, 4))
-
-
-def body_values() -> dict[str, np.ndarray]:
-    """Values of every leaf the cases use."""
-    rng = np.random.default_rng(7)
-    with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        turn = rng.normal(size=(2, 6))
-        return {
-            "a": rng.normal(size=6),
-            "b": rng.normal(size=6),
-            "w": rng.normal(size=3),
-            "v": rng.normal(size=3),
-            "T": np.asarray(se3.exp(turn[0])),
-            "S": np.asarray(se3.exp(turn[1])),
-            "R": np.asarray(so3.exp(turn[0, 3:])),
-            "A": rng.normal(size=(6, 2)),
-        }
+def both_orders(**values: Any) -> list[dict[str, Any]]:
+    """The same case with [v; w] and with [w; v]."""
+    return [values | {"order": order} for order in (LINEAR_FIRST, ANGULAR_FIRST)]

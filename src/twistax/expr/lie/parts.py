@@ -11,10 +11,9 @@ from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order
 from ..arithmetic import is_constant
 from ..canonical import fold
 from ..fields import ExprLike, Operand
-from ..leaves import State
-from ..node import Example, Expr, Shape
+from ..node import Expr, Shape
 from ..shapes import expect
-from .base import ColumnsNode, TwistNode, body_values, expect_columns, twist_columns, twist_state
+from .base import COLUMNS, OTHER_TWIST, TWIST, ColumnsNode, TwistNode, both_orders, expect_columns
 
 
 class _Part(ColumnsNode):
@@ -23,6 +22,7 @@ class _Part(ColumnsNode):
     vector: Operand
     order: Order = LINEAR_FIRST
     abstract = True
+    cases = (*both_orders(vector=TWIST), {"vector": COLUMNS})
     #: Which operand of JoinedParts it is.
     place: ClassVar[int] = 0
 
@@ -39,11 +39,6 @@ class _Part(ColumnsNode):
         if isinstance(joined, JoinedParts) and joined.order == self.order:
             return joined.children()[self.place]
         return self
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        columns = Example(cls(twist_columns("A")), body_values())
-        return [*cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values()), columns]
 
 
 class LinearPart(_Part):
@@ -89,6 +84,7 @@ class JoinedParts(ColumnsNode):
     angular: Operand
     order: Order = LINEAR_FIRST
     label = "join"
+    cases = (*both_orders(linear=TWIST[:3], angular=TWIST[3:]), {"linear": COLUMNS[:3], "angular": COLUMNS[3:]})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         linear, angular = shapes
@@ -102,12 +98,6 @@ class JoinedParts(ColumnsNode):
     def to_latex(self, *operands: str) -> str:
         parts = operands if self.order == LINEAR_FIRST else operands[::-1]
         return rf"\begin{{bmatrix}} {parts[0]} \\ {parts[1]} \end{{bmatrix}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        v, w, m = State("v", shape=(3,)), State("w", shape=(3,)), State("m", shape=(3, 2))
-        both = cls.in_both_orders(lambda order: cls(v, w, order=order), body_values())
-        return [*both, Example(cls(m, -m), {"m": np.arange(6.0).reshape(3, 2)})]
 
 
 def halves(vector: Expr, order: Order) -> tuple[Expr, Expr]:
@@ -134,6 +124,7 @@ class Reorder(TwistNode):
     value: Operand
     order: Order = LINEAR_FIRST
     label = "reorder"
+    cases = (*both_orders(value=TWIST), {"value": np.outer(TWIST, OTHER_TWIST)})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         if shapes[0] != (6, 6):
@@ -149,18 +140,7 @@ class Reorder(TwistNode):
         return self.value.value if isinstance(self.value, Reorder) else self
 
     def twist_orders(self) -> tuple[list[Order | None], Order | None]:
-        return [_other(self.order)], self.order
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [
-            *cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values()),
-            Example(cls(State("M", shape=(6, 6))), {"M": body_values()["a"][:, None] * body_values()["b"]}),
-        ]
-
-
-def _other(order: Order) -> Order:
-    return Order(linear_leads=not order.linear_leads)
+        return [Order(linear_leads=not self.order.linear_leads)], self.order
 
 
 def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
@@ -181,6 +161,3 @@ def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -
 def wrench(*, force: ExprLike, torque: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame."""
     return JoinedParts(force, torque, order=order)
-
-
-__all__ = ["AngularPart", "JoinedParts", "LinearPart", "Reorder", "angular", "linear", "twist", "wrench"]

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from ...groups import LINEAR_FIRST, Order, se3
-from ..arithmetic import Mul, Neg, is_constant, zeros_of
+from ..arithmetic import Mul, Neg, is_constant, is_identity, zeros_of
 from ..canonical import fold
 from ..fields import ExprLike, Operand
 from ..indexing import Index
@@ -21,12 +21,13 @@ from ..shapes import expect
 from .base import (
     OF_MATRIX,
     OF_TANGENT,
+    OTHER_TWIST,
+    POSE,
+    ROTATION,
+    TWIST,
     TwistNode,
-    body_values,
+    both_orders,
     expect_one_of,
-    is_identity_element,
-    pose_value,
-    twist_state,
 )
 
 
@@ -43,6 +44,7 @@ class Compose(Expr):
     right: Operand
     label = "compose"
     precedence = 20
+    cases = ({"left": POSE, "right": POSE @ POSE}, {"left": ROTATION, "right": ROTATION})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "left", shapes[0], OF_MATRIX)
@@ -50,8 +52,7 @@ class Compose(Expr):
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = OF_MATRIX[values[0].shape].compose(*values)
-        return result
+        return OF_MATRIX[values[0].shape].compose(*values)
 
     def makes_group_element(self, *operands: bool) -> bool:
         return all(operands)
@@ -59,9 +60,9 @@ class Compose(Expr):
     def simplify(self) -> Expr:
         """The identity vanishes, and so does a group element beside its inverse, also inside of a chain."""
         left, right = self.left, self.right
-        if is_identity_element(left):
+        if is_identity(left):
             return right
-        if is_identity_element(right):
+        if is_identity(right):
             return left
         if undoes(left, right):
             return Constant(np.eye(self.shape[0]))
@@ -73,11 +74,6 @@ class Compose(Expr):
 
     def to_latex(self, *operands: str) -> str:
         return r" \circ ".join(wrap_latex(*pair, 20) for pair in zip(self.children(), operands))
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        R = pose_value("R", rotation=True)
-        return [Example(cls(pose_value("T"), pose_value("S")), body_values()), Example(cls(R, R), body_values())]
 
 
 class Inverse(Expr):
@@ -91,14 +87,14 @@ class Inverse(Expr):
 
     element: Operand
     label = "inverse"
+    cases = ({"element": POSE}, {"element": ROTATION})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "element", shapes[0], OF_MATRIX)
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = OF_MATRIX[values[0].shape].inverse(values[0])
-        return result
+        return OF_MATRIX[values[0].shape].inverse(values[0])
 
     def makes_group_element(self, *operands: bool) -> bool:
         return operands[0]
@@ -116,13 +112,6 @@ class Inverse(Expr):
 
     def to_latex(self, *operands: str) -> str:
         return rf"{{{wrap_latex(self.element, operands[0], 60)}}}^{{-1}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [
-            Example(cls(pose_value("T")), body_values()),
-            Example(cls(pose_value("R", rotation=True)), body_values()),
-        ]
 
 
 def undoes(one: Expr, other: Expr) -> bool:
@@ -146,6 +135,7 @@ class Act(Expr):
     point: Operand
     label = "act"
     precedence = 20
+    cases = ({"element": POSE, "point": TWIST[:3]}, {"element": ROTATION, "point": TWIST[:3]})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "element", shapes[0], OF_MATRIX)
@@ -154,13 +144,12 @@ class Act(Expr):
         return shapes[1]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        result: jax.Array = OF_MATRIX[values[0].shape].act(*values)
-        return result
+        return OF_MATRIX[values[0].shape].act(*values)
 
     def simplify(self) -> Expr:
         """The identity vanishes; T^-1 undoes T; R 0 is 0; R times a unit vector is a column of R."""
         element, point = self.element, self.point
-        if is_identity_element(element):
+        if is_identity(element):
             return point
         if isinstance(point, Act) and undoes(element, point.element):
             return point.point
@@ -176,11 +165,6 @@ class Act(Expr):
         element, point = operands
         return rf"{wrap_latex(self.element, element, 20)} \cdot {wrap_latex(self.point, point, 21)}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        v, R = State("v", shape=(3,)), pose_value("R", rotation=True)
-        return [Example(cls(pose_value("T"), v), body_values()), Example(cls(R, v), body_values())]
-
 
 class Pose(Expr):
     """The pose [R p; 0 1] of a rotation and a position. Shapes: (3, 3), (3,) -> (4, 4).
@@ -195,11 +179,13 @@ class Pose(Expr):
     rotation: Operand
     position: Operand
     label = "pose"
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "rotation", shapes[0], (3, 3))
-        expect(self, "position", shapes[1], (3,))
-        return (4, 4)
+    takes = ((3, 3), (3,))
+    gives = (4, 4)
+    cases = (
+        {"rotation": ROTATION, "position": TWIST[:3]},
+        {"rotation": Constant(np.eye(3)), "position": TWIST[:3]},
+        {"rotation": ROTATION, "position": Constant(np.zeros(3))},
+    )
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return se3.transform(*values)
@@ -210,17 +196,12 @@ class Pose(Expr):
     @property
     def is_translation(self) -> bool:
         """Whether the rotation is known to be the identity."""
-        return is_identity_element(self.rotation)
+        return is_identity(self.rotation)
 
     @property
     def is_rotation(self) -> bool:
         """Whether the position is known to be zero."""
         return is_constant(self.position, 0.0)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        R, v = pose_value("R", rotation=True), State("v", shape=(3,))
-        return [Example(pose, body_values()) for pose in (cls(R, v), translation(v), rotation(R))]
 
 
 def translation(position: ExprLike) -> Expr:
@@ -259,6 +240,7 @@ class Hat(TwistNode):
     vector: Operand
     order: Order = LINEAR_FIRST
     label = "hat"
+    cases = ({"vector": TWIST[3:]}, *both_orders(vector=TWIST))
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "vector", shapes[0], OF_TANGENT)
@@ -272,11 +254,6 @@ class Hat(TwistNode):
 
     def to_latex(self, *operands: str) -> str:
         return rf"{{{operands[0]}}}^\wedge"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        both = cls.in_both_orders(lambda order: cls(twist_state("a"), order=order), body_values())
-        return [Example(cls(State("w", shape=(3,))), body_values()), *both]
 
 
 class Vee(TwistNode):
@@ -292,6 +269,10 @@ class Vee(TwistNode):
     matrix: Operand
     order: Order = LINEAR_FIRST
     label = "vee"
+    cases = (
+        *both_orders(matrix=np.outer(TWIST[:4], OTHER_TWIST[:4])),
+        {"matrix": np.outer(TWIST[:3], OTHER_TWIST[3:])},
+    )
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "matrix", shapes[0], OF_MATRIX)
@@ -312,14 +293,4 @@ class Vee(TwistNode):
 
     @classmethod
     def example(cls) -> list[Example]:
-        values = body_values()
-        X, Y = pose_value("X"), pose_value("Y", rotation=True)
-        matrices = {"X": np.outer(values["a"][:4], values["b"][:4]), "Y": np.outer(values["v"], values["w"])}
-        return [
-            *cls.in_both_orders(lambda order: cls(X, order=order), matrices),
-            Example(cls(Y), matrices),
-            Example(cls(Hat(State("w", shape=(3,)))), values),
-        ]
-
-
-__all__ = ["Act", "Compose", "Hat", "Inverse", "Pose", "Vee", "rotation", "translation"]
+        return [*super().example(), Example(cls(Hat(State("w", shape=(3,)))), {"w": TWIST[3:]})]

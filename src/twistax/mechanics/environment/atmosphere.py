@@ -10,8 +10,8 @@ from jax import Array
 
 from ...errors import ModelError
 from ...expr import Example, Expr, Sqrt, State, to_expr
-from ...expr.elementwise import Entrywise
 from ...expr.fields import ExprLike, Operand
+from ...expr.shapes import Entrywise
 from ..arguments import positive
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]

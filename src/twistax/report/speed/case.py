@@ -106,10 +106,10 @@ class FreeBody(Case):
     def system(self) -> tx.System:
         y, V, F = tx.State("y", shape=(7,)), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
         v, w, q = V[:3], V[3:], y[3:]
-        R = tx.QDCM(q)
+        R = tx.spatial.QDCM(q)
         pose = tx.Block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
         wrench = F + self.body.weight(pose, np.array([0.0, 0.0, -9.81]))
-        moved = tx.Concat(R @ v, 0.5 * tx.SSMP(w) @ q)
+        moved = tx.Concat(R @ v, 0.5 * tx.spatial.SSMP(w) @ q)
         return tx.System(rates={y: moved, V: self.body.acceleration(V, wrench)})
 
     def inputs(self, a: Any, b: Any, c: Any) -> Inputs:

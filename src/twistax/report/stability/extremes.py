@@ -25,7 +25,7 @@ _START = about((1.0, 0.0, 0.0), 0.6)
 def _spinner(differences: bool) -> tx.Dynamics:
     """A free body with moments that are a parameter; J w x w as it is, or with the differences of moments in front."""
     R, w, J = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Parameter("J", shape=(3,))
-    torque: tx.Expr = tx.Cross(J * w, w)
+    torque: tx.Expr = tx.linalg.Cross(J * w, w)
     if differences:
         torque = tx.Concat((J[1] - J[2]) * w[1] * w[2], (J[2] - J[0]) * w[2] * w[0], (J[0] - J[1]) * w[0] * w[1])
     return tx.compile(tx.System(rates={R: w, w: torque / J}))
