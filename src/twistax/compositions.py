@@ -1,7 +1,6 @@
 """Symmetric compositions for `tx.Splitting`: `tx.compositions.KAHAN_LI8` and others; your own is a `Composition`."""
 
-from .integrators.splitting.composition import Composition
 from .integrators.splitting.compositions import *  # noqa: F403
 from .integrators.splitting.compositions import __all__ as _compositions
 
-__all__ = [*_compositions, "Composition"]
+__all__ = [*_compositions]

@@ -5,11 +5,10 @@
 """
 
 from .integrators.commutator_free import CF4, CommutatorFreeTableau
-from .integrators.implicit.collocation import CollocationTableau
-from .integrators.implicit.radau_gauss import *  # noqa: F403
-from .integrators.implicit.radau_gauss import __all__ as _implicit
+from .integrators.implicit.collocation import *  # noqa: F403
+from .integrators.implicit.collocation import __all__ as _implicit
 from .integrators.tableau import ButcherTableau
 from .integrators.tableaus import *  # noqa: F403
 from .integrators.tableaus import __all__ as _tableaus
 
-__all__ = [*_tableaus, *_implicit, "CF4", "ButcherTableau", "CollocationTableau", "CommutatorFreeTableau"]
+__all__ = [*_tableaus, *_implicit, "CF4", "ButcherTableau", "CommutatorFreeTableau"]

@@ -1,4 +1,4 @@
-"""Bodies for the tests of the integrators, and an independent flight of one of them in NumPy and SciPy."""
+"""Bodies for the tests of the integrators, and an independent solution of one of them in NumPy and SciPy."""
 
 import functools
 
@@ -72,7 +72,7 @@ def forced_body() -> tx.System:
 
 
 def forced_body_reference(x0: dict[str, np.ndarray], t1: float) -> dict[str, np.ndarray]:
-    """The forced body flown by SciPy on rotation matrices, Newton and Euler written out about the origin."""
+    """The forced body integrated by SciPy on rotation matrices, Newton and Euler written out about the origin."""
     M = spatial_inertia()
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Bodies in a potential for the tests of splitting methods, and independent flights of them in NumPy and SciPy."""
+"""Bodies in a potential for the tests of splitting methods, and independent solutions of them in NumPy and SciPy."""
 
 import functools
 

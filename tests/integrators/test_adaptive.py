@@ -1,4 +1,4 @@
-"""Steps chosen by tolerances: every pair in every chart against exact flights, whatever the frame; saved times."""
+"""Steps chosen by tolerances: every pair in every chart against exact solutions, whatever the frame; saved times."""
 
 import functools
 
@@ -30,10 +30,10 @@ def end_of(sol: tx.Solution) -> dict[str, np.ndarray]:
 
 
 def slope(method: tx.RKMK, tols: tuple[float, ...]) -> tuple[float, float]:
-    """How the error of a flight falls with the tolerance, on double logarithmic axes, and the last error."""
+    """How the error of a solution falls with the tolerance, on double logarithmic axes, and the last error."""
     errors = []
     for tol in tols:
-        end = end_of(TUMBLE.fly(t1=4.0, rtol=tol, atol=tol, method=method))
+        end = end_of(TUMBLE.integrate(t1=4.0, rtol=tol, atol=tol, method=method))
         assert np.abs(end["g"][:3, :3].T @ end["g"][:3, :3] - np.eye(3)).max() < 1e-14
         errors.append(TUMBLE.error(end, 4.0))
     return float(np.polyfit(np.log(tols), np.log(errors), 1)[0]), errors[-1]
@@ -71,10 +71,10 @@ def test_a_wrong_embedded_weight_would_show(tableau: ButcherTableau) -> None:
 
 @pytest.mark.parametrize("name", ["euler-top", "heavy-top", "rocket", "low-orbit"])
 def test_other_scenes_reach_their_truth(name: str) -> None:
-    """The error of a whole flight is larger than that of a step by what the scene makes of it."""
+    """The error of a whole solution is larger than that of a step by what the scene makes of it."""
     scene = SCENES[name]
     method = tx.RKMK(tx.tableaus.DORMAND_PRINCE8)
-    loose, tight = (scene.error(end_of(scene.fly(rtol=tol, atol=tol, method=method))) for tol in (1e-6, 1e-9))
+    loose, tight = (scene.error(end_of(scene.integrate(rtol=tol, atol=tol, method=method))) for tol in (1e-6, 1e-9))
     assert tight < 1e-6
     assert 100.0 < loose / tight < 1e4
 
@@ -101,12 +101,12 @@ def test_another_world_frame_takes_the_same_steps(chart: str) -> None:
     turned[:3, :3] = turn
     method = tx.RKMK(tx.tableaus.TSIT5, CHARTS[chart])
 
-    def fly(frame: np.ndarray) -> tx.Solution:
+    def solve(frame: np.ndarray) -> tx.Solution:
         x0 = start() | {"g": frame @ start()["g"]}
         params = {"weight": frame[:3, :3] @ (MASS * GRAVITY), "pull": frame[:3, :3] @ np.array([1.0, 2.0, -0.5])}
         return tx.integrate(lit_body(), x0, t1=3.0, rtol=1e-6, atol=1e-6, params=params, method=method)
 
-    one, other = fly(np.eye(4)), fly(turned)
+    one, other = solve(np.eye(4)), solve(turned)
     assert one.stats == other.stats
     assert one.stats.accepted > 20
     # Stages of the ambient chart are no rotations, and what is made of them depends on the frame: up to the tolerance.
@@ -181,8 +181,8 @@ def doubles(jaxpr: object) -> set[str]:
 def test_saved_states_are_as_accurate_as_the_end(tableau: ButcherTableau) -> None:
     ts = np.sort(np.concatenate([[0.0, 0.0, 3.3, 3.3, 10.0, 10.0], np.random.default_rng(5).uniform(0.0, 10.0, 58)]))
     tol, method = 1e-8, tx.RKMK(tableau)
-    alone = TUMBLE.fly(rtol=tol, atol=tol, method=method)
-    sol = TUMBLE.fly(rtol=tol, atol=tol, method=method, save_at=ts)
+    alone = TUMBLE.integrate(rtol=tol, atol=tol, method=method)
+    sol = TUMBLE.integrate(rtol=tol, atol=tol, method=method, save_at=ts)
     np.testing.assert_array_equal(sol.ts, ts)
     assert (sol.stats.accepted, sol.stats.rejected) == (alone.stats.accepted, alone.stats.rejected)
     for name, value in TUMBLE.start.items():
@@ -200,13 +200,13 @@ def test_saved_states_are_as_accurate_as_the_end(tableau: ButcherTableau) -> Non
 
 def test_saved_times_close_to_each_other_are_told_apart() -> None:
     ts = 5.0 + np.array([0.0, 1e-9, 1e-6])
-    sol = TUMBLE.fly(rtol=1e-8, atol=1e-8, save_at=ts)
+    sol = TUMBLE.integrate(rtol=1e-8, atol=1e-8, save_at=ts)
     moved = [rotation_angle(np.asarray(sol.xs["g"][0, :3, :3]), np.asarray(sol.xs["g"][k, :3, :3])) for k in (1, 2)]
     speed = float(np.linalg.norm(TUMBLE.truth(5.0)["V"][3:]))
     np.testing.assert_allclose(moved, speed * (ts[1:] - 5.0), rtol=1e-3, atol=0.0)
 
 
-def test_a_flight_of_no_length_is_the_start() -> None:
+def test_a_solution_of_no_length_is_the_start() -> None:
     x0 = {"g": start()["g"], "s": np.array(0.3)}
     sol = tx.integrate(turning(), x0, t0=2.0, t1=2.0, rtol=1e-6, save_at=[2.0, 2.0])
     assert sol.result is tx.Result.SUCCESS
@@ -244,7 +244,7 @@ def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) ->
     dynamics = tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V))}))
     inertia = np.asarray(M.value)
 
-    def fly(k: float, first: float | None) -> None:
+    def solve(k: float, first: float | None) -> None:
         tx.integrate(
             dynamics,
             start(int(k)),
@@ -258,26 +258,26 @@ def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) ->
             save_at=[0.4 * k, 0.7 * k],
         )
 
-    assert compilations(caplog, lambda: fly(1.0, None))
-    assert compilations(caplog, lambda: fly(2.0, 0.01)) == []
-    assert compilations(caplog, lambda: fly(3.0, None)) == []
+    assert compilations(caplog, lambda: solve(1.0, None))
+    assert compilations(caplog, lambda: solve(2.0, 0.01)) == []
+    assert compilations(caplog, lambda: solve(3.0, None)) == []
 
 
 def test_single_precision_stays_single() -> None:
     x0 = {"g": start()["g"].astype(np.float32), "s": np.float32(0.3)}
 
-    def fly(x0: dict[str, jax.Array]) -> tx.Solution:
+    def solve(x0: dict[str, jax.Array]) -> tx.Solution:
         return tx.integrate(turning(), x0, t1=2.0, rtol=1e-5, atol=1e-5, save_at=np.array([0.0, 0.333, 1.0]))
 
-    sol = fly(x0)
+    sol = solve(x0)
     assert {value.dtype for value in (*sol.xs.values(), sol.ts)} == {jnp.dtype("float32")}
-    full = fly({name: value.astype(np.float64) for name, value in x0.items()})
+    full = solve({name: value.astype(np.float64) for name, value in x0.items()})
     np.testing.assert_allclose(sol.xs["g"], full.xs["g"], atol=1e-4)
-    assert doubles(jax.make_jaxpr(fly)(x0).jaxpr) == set()
+    assert doubles(jax.make_jaxpr(solve)(x0).jaxpr) == set()
 
 
 def test_as_tight_as_single_precision_allows() -> None:
-    """Ten times round-off: still a flight, and not one of rejections."""
+    """Ten times round-off: still a solution, and not one of rejections."""
     x0 = {"g": start()["g"].astype(np.float32), "s": np.float32(0.3)}
     sol = tx.integrate(turning(), x0, t1=2.0, rtol=1.2e-6, atol=1.2e-6, save_at=[0.5, 1.0, 2.0])
     assert sol.result is tx.Result.SUCCESS

@@ -29,7 +29,7 @@ def solve(term: tx.diffrax.AmbientTerm, x0: dict, args: object, **rest: object) 
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[str, dict]:
+def solutions() -> dict[str, dict]:
     dynamics = forced()
     fixed = tx.integrate(dynamics, start(), t1=1.0, dt=1e-3, save_at=TIMES).xs
     both = {q: solve(tx.diffrax.ambient_term(dynamics, quaternion=q), start(), None) for q in (True, False)}
@@ -37,9 +37,9 @@ def flights() -> dict[str, dict]:
 
 
 @pytest.mark.parametrize("kind", ["quaternion", "matrix"])
-def test_the_ambient_flight_is_the_flight_on_the_group(flights: dict[str, dict], kind: str) -> None:
+def test_the_ambient_solution_is_the_solution_on_the_group(solutions: dict[str, dict], kind: str) -> None:
     for name in ("g", "V"):
-        np.testing.assert_allclose(flights[kind][name], flights["fixed"][name], atol=1e-9)
+        np.testing.assert_allclose(solutions[kind][name], solutions["fixed"][name], atol=1e-9)
 
 
 def moved(dynamics: tx.Dynamics, term: tx.diffrax.AmbientTerm, x0: dict, velocity: np.ndarray) -> dict:
@@ -88,10 +88,10 @@ def test_rotations_controls_and_parameters() -> None:
         found = term.vf(0.25, y0, (u, params))
         for name in ("R", "w"):
             np.testing.assert_allclose(found[name], expected[name], atol=1e-13)
-    flown = tx.integrate(dynamics, x0, t1=1.0, dt=2e-3, u=u, params=params, save_at=TIMES).xs
+    integrated = tx.integrate(dynamics, x0, t1=1.0, dt=2e-3, u=u, params=params, save_at=TIMES).xs
     ambient = solve(term, x0, (u, params))
     for name in ("R", "w"):
-        np.testing.assert_allclose(ambient[name], flown[name], atol=1e-9)
+        np.testing.assert_allclose(ambient[name], integrated[name], atol=1e-9)
 
 
 def test_wrong_arguments_are_named() -> None:

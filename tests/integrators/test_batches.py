@@ -1,4 +1,4 @@
-"""Many flights, many numbers, many saved times: what does not fit into one small function flies the ordinary way."""
+"""Many solutions, many numbers, many saved times: what does not fit into one small function runs the ordinary way."""
 
 import jax
 import jax.numpy as jnp
@@ -21,25 +21,25 @@ WAYS = {"fixed": {"steps": 20}, "chosen": {"rtol": 1e-8, "atol": 1e-8}}
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_hundred_flights_at_once_are_each_flight(way: str) -> None:
+def test_a_hundred_solutions_at_once_are_each_solution(way: str) -> None:
     dynamics = swing()
     ws = jnp.asarray(np.random.default_rng(0).normal(size=(100, 3)))
     ks = jnp.linspace(0.0, 1.0, 100)
 
-    def fly(w: jax.Array, k: jax.Array) -> tx.Solution:
+    def solve(w: jax.Array, k: jax.Array) -> tx.Solution:
         x0 = {"R": np.eye(3), "w": w}
         return tx.integrate(dynamics, x0, t1=2.0, params={"k": k}, method=TSIT5, save_at=[0.9, 2.0], **WAYS[way])
 
-    sols = jax.jit(jax.vmap(fly))(ws, ks)
+    sols = jax.jit(jax.vmap(solve))(ws, ks)
     assert (np.asarray(sols.code) == tx.Result.SUCCESS).all()
     for i in (0, 37, 99):
-        alone = fly(ws[i], ks[i])
+        alone = solve(ws[i], ks[i])
         np.testing.assert_allclose(sols.xs["R"][i], alone.xs["R"], atol=1e-12)
         assert int(sols.stats.accepted[i]) == alone.stats.accepted
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_state_of_thousands_of_numbers_flies(way: str) -> None:
+def test_a_state_of_thousands_of_numbers_is_integrated(way: str) -> None:
     x = tx.State("x", shape=(5000,))
     start = np.linspace(0.5, 1.5, 5000)
     sol = tx.integrate(tx.compile(tx.System(rates={x: -x})), {"x": start}, t1=1.0, method=TSIT5, **WAYS[way])
@@ -59,8 +59,8 @@ def test_a_batch_may_close_over_whole_numbers() -> None:
     x, F = tx.State("x"), tx.Control("F")
     push = tx.compile(tx.System(rates={x: F}))
 
-    def fly(n: jax.Array) -> jax.Array:
+    def solve(n: jax.Array) -> jax.Array:
         sol = tx.integrate(push, {"x": 0.0}, t1=1.0, steps=5, u=lambda t: {"F": n.astype(t.dtype) * t})
         return sol.xs["x"][0]
 
-    np.testing.assert_allclose(jax.vmap(fly)(jnp.arange(4)), 0.5 * np.arange(4), rtol=1e-12)
+    np.testing.assert_allclose(jax.vmap(solve)(jnp.arange(4)), 0.5 * np.arange(4), rtol=1e-12)

@@ -131,13 +131,13 @@ def test_blocks_beyond_the_count_are_passed_over(batched: bool) -> None:
         jax.debug.callback(lambda _: calls.append(1), own)
         return y + own
 
-    def fly(y: jax.Array, count: jax.Array) -> jax.Array:
+    def solve(y: jax.Array, count: jax.Array) -> jax.Array:
         return take_steps(one, y, jnp.ones(2000), count, 2000, False)[0]
 
     if batched:
-        ends = jax.jit(jax.vmap(fly))(jnp.zeros(3), jnp.array([5, 40, 17]))
+        ends = jax.jit(jax.vmap(solve))(jnp.zeros(3), jnp.array([5, 40, 17]))
         np.testing.assert_array_equal(ends, [5.0, 40.0, 17.0])
     else:
-        assert float(jax.jit(fly)(jnp.zeros(()), jnp.asarray(40))) == 40.0
+        assert float(jax.jit(solve)(jnp.zeros(()), jnp.asarray(40))) == 40.0
     jax.effects_barrier()
     assert 40 <= len(calls) <= (3 * 48 if batched else 48)

@@ -15,7 +15,7 @@ ROWS = np.array([[1.0, 0.0], [-2.0, 1.0], [0.5, 0.5], [3.0, -1.0]])
 
 
 def integrator() -> tx.Dynamics:
-    """x' = F: the flight is the integral of the control, exact for every method where F is piecewise linear."""
+    """x' = F: the solution is the integral of the control, exact for every method where F is piecewise linear."""
     x, F = tx.State("x", shape=(2,)), tx.Control("F", shape=(2,))
     return tx.compile(tx.System(rates={x: F}))
 
@@ -86,32 +86,32 @@ def test_a_partial_traces_its_arrays() -> None:
 
     dynamics = integrator()
 
-    def fly(gain: jax.Array) -> jax.Array:
+    def solve(gain: jax.Array) -> jax.Array:
         start = {"x": np.zeros(2)}
         return tx.integrate(dynamics, start, t1=2.0, dt=0.5, u=jax.tree_util.Partial(u, gain)).xs["x"][-1]
 
-    np.testing.assert_allclose(fly(jnp.array([1.0, 3.0])), [2.0, 6.0], rtol=1e-14)
-    np.testing.assert_allclose(jax.jacrev(fly)(jnp.array([1.0, 3.0])), 2.0 * np.eye(2), rtol=1e-14)
+    np.testing.assert_allclose(solve(jnp.array([1.0, 3.0])), [2.0, 6.0], rtol=1e-14)
+    np.testing.assert_allclose(jax.jacrev(solve)(jnp.array([1.0, 3.0])), 2.0 * np.eye(2), rtol=1e-14)
 
 
 def test_derivatives_pass_through_a_function_that_closes_over_what_is_traced() -> None:
     dynamics = integrator()
-    fly = functools.partial(tx.integrate, dynamics, {"x": np.zeros(2)}, t1=2.0, dt=0.5)
-    slope = jax.grad(lambda gain: fly(u=lambda t: {"F": gain * t * jnp.ones(2)}).xs["x"].sum())(1.5)
+    solve = functools.partial(tx.integrate, dynamics, {"x": np.zeros(2)}, t1=2.0, dt=0.5)
+    slope = jax.grad(lambda gain: solve(u=lambda t: {"F": gain * t * jnp.ones(2)}).xs["x"].sum())(1.5)
     np.testing.assert_allclose(slope, 4.0, rtol=1e-14)
 
 
 def test_derivatives_with_respect_to_a_table() -> None:
     dynamics = integrator()
 
-    def fly(rows: jax.Array, form: type[tx.ZeroOrderHold] | type[tx.FirstOrderHold]) -> jax.Array:
+    def solve(rows: jax.Array, form: type[tx.ZeroOrderHold] | type[tx.FirstOrderHold]) -> jax.Array:
         return tx.integrate(dynamics, {"x": np.zeros(2)}, t1=1.5, dt=0.25, u={"F": form(TIMES, rows)}).xs["x"][0, 0]
 
     np.testing.assert_allclose(
-        jax.grad(fly)(jnp.asarray(ROWS), tx.ZeroOrderHold)[:, 0], [0.5, 0.5, 0.5, 0.0], atol=1e-13
+        jax.grad(solve)(jnp.asarray(ROWS), tx.ZeroOrderHold)[:, 0], [0.5, 0.5, 0.5, 0.0], atol=1e-13
     )
     np.testing.assert_allclose(
-        jax.grad(fly)(jnp.asarray(ROWS), tx.FirstOrderHold)[:, 0], [0.25, 0.5, 0.5, 0.25], atol=1e-13
+        jax.grad(solve)(jnp.asarray(ROWS), tx.FirstOrderHold)[:, 0], [0.25, 0.5, 0.5, 0.25], atol=1e-13
     )
 
 

@@ -1,4 +1,4 @@
-"""Dense output: the state at any time, on the manifold, as accurate as the flight."""
+"""Dense output: the state at any time, on the manifold, as accurate as the solution."""
 
 import jax
 import jax.numpy as jnp
@@ -17,13 +17,13 @@ WAYS = {"fixed": {"steps": 400}, "chosen": {"rtol": 1e-11, "atol": 1e-11}}
 CHOSEN_FIRST = ["chosen", pytest.param("fixed", marks=pytest.mark.slow)]
 
 
-def flown(**options: object) -> tx.Solution:
-    return SCENE.fly(method=DOP853, dense=True, **options)
+def integrated(**options: object) -> tx.Solution:
+    return SCENE.integrate(method=DOP853, dense=True, **options)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_every_state_is_the_true_one_and_a_rotation(way: str) -> None:
-    found = flown(**WAYS[way]).evaluate(TIMES)
+    found = integrated(**WAYS[way]).evaluate(TIMES)
     assert found["R"].shape == (41, 3, 3)
     assert float(jnp.max(jax.vmap(tx.SO3.defect)(found["R"]))) < 1e-14
     errors = [
@@ -33,8 +33,8 @@ def test_every_state_is_the_true_one_and_a_rotation(way: str) -> None:
 
 
 @pytest.mark.parametrize("way", CHOSEN_FIRST)
-def test_it_is_what_saving_gives_and_does_not_disturb_the_flight(way: str) -> None:
-    dense, plain = flown(**WAYS[way]), SCENE.fly(method=DOP853, save_at=TIMES, **WAYS[way])
+def test_it_is_what_saving_gives_and_does_not_disturb_the_solution(way: str) -> None:
+    dense, plain = integrated(**WAYS[way]), SCENE.integrate(method=DOP853, save_at=TIMES, **WAYS[way])
     assert dense.stats.accepted == plain.stats.accepted
     found = dense.evaluate(TIMES)
     for name, value in plain.xs.items():
@@ -45,7 +45,7 @@ def test_it_is_what_saving_gives_and_does_not_disturb_the_flight(way: str) -> No
 
 @pytest.mark.parametrize("way", CHOSEN_FIRST)
 def test_the_slope_in_time_is_the_rate(way: str) -> None:
-    sol = flown(**WAYS[way])
+    sol = integrated(**WAYS[way])
     state, slope = jax.jvp(lambda t: sol.evaluate(t)["w"], (jnp.asarray(3.3),), (jnp.asarray(1.0),))
     rate = SCENE.dynamics(3.3, sol.evaluate(3.3), None, SCENE.params)["w"]
     np.testing.assert_allclose(slope, rate, atol=1e-9)
@@ -53,7 +53,7 @@ def test_the_slope_in_time_is_the_rate(way: str) -> None:
 
 
 @pytest.mark.slow
-def test_its_derivative_with_respect_to_the_start_is_that_of_a_shorter_flight() -> None:
+def test_its_derivative_with_respect_to_the_start_is_that_of_a_shorter_solution() -> None:
     x, k = tx.State("x"), tx.Parameter("k", value=0.5)
     decay = tx.compile(tx.System(rates={x: -k * x * x}))
 
@@ -74,18 +74,18 @@ def test_a_state_comes_from_the_step_that_holds_it() -> None:
     np.testing.assert_allclose(sol.evaluate(np.array([0.49, 0.5, 0.51]))["x"], [0.49, 0.5, 0.45], atol=1e-14)
 
 
-def test_a_flight_that_failed_can_be_read_up_to_there() -> None:
+def test_a_solution_that_failed_can_be_read_up_to_there() -> None:
     x = tx.State("x")
     blow_up = tx.compile(tx.System(rates={x: x * x}))
     sol = tx.integrate(blow_up, {"x": 1.0}, t1=3.0, dt=0.01, dense=True, throw=False)
     assert sol.result is tx.Result.NON_FINITE
     assert float(sol.evaluate(0.5)["x"]) == pytest.approx(2.0, rel=1e-7)
-    with pytest.raises(tx.InputError, match=r"evaluate expects times in \[0, 1.\d+\], which was flown, got 2"):
+    with pytest.raises(tx.InputError, match=r"evaluate expects times in \[0, 1.\d+\], the integrated span, got 2"):
         sol.evaluate(2.0)
 
 
 def test_what_was_not_kept_cannot_be_read() -> None:
     with pytest.raises(tx.InputError, match="kept no dense output"):
-        SCENE.fly(method=DOP853, steps=100).evaluate(1.0)
+        SCENE.integrate(method=DOP853, steps=100).evaluate(1.0)
     with pytest.raises(tx.InputError, match=r"times with shape \(n,\), got shape \(1, 2\)"):
-        flown(**WAYS["fixed"]).evaluate(np.zeros((1, 2)))
+        integrated(**WAYS["fixed"]).evaluate(np.zeros((1, 2)))

@@ -1,4 +1,4 @@
-"""Derivatives of a whole flight, maps over starts, and flights inside jit."""
+"""Derivatives of a whole solution, maps over starts, and solutions inside jit."""
 
 import jax
 import jax.numpy as jnp
@@ -73,13 +73,13 @@ def test_forward_reverse_and_finite_differences_agree(body: tx.Dynamics) -> None
     assert min(float(jnp.abs(part).min()) for part in gradient.values()) > 1e-6
 
 
-def test_a_traced_flight_is_the_known_one(body: tx.Dynamics) -> None:
+def test_a_traced_solution_is_the_known_one(body: tx.Dynamics) -> None:
     ts = np.array([0.0, 0.4, 0.73, 1.0])
 
-    def fly(x0: dict[str, np.ndarray]) -> tx.Solution:
+    def solve(x0: dict[str, np.ndarray]) -> tx.Solution:
         return tx.integrate(body, x0, t1=1.0, dt=0.1, u={"F": np.ones(6)}, save_at=ts, method=HEUN)
 
-    known, traced = fly(start()), jax.jit(fly)(start())
+    known, traced = solve(start()), jax.jit(solve)(start())
     assert traced.result is tx.Result.SUCCESS
     assert traced.stats.steps == known.stats.steps
     assert traced.stats.rhs_evaluations == known.stats.rhs_evaluations
@@ -89,7 +89,7 @@ def test_a_traced_flight_is_the_known_one(body: tx.Dynamics) -> None:
     np.testing.assert_array_equal(traced.ts, known.ts)
 
 
-def test_a_map_over_starts_is_a_flight_of_each() -> None:
+def test_a_map_over_starts_is_a_solution_of_each() -> None:
     dynamics = forced()
     starts = [start(seed) for seed in (3, 4, 5)]
     batch = {name: np.stack([x0[name] for x0 in starts]) for name in starts[0]}
@@ -105,8 +105,8 @@ def test_a_map_over_starts_is_a_flight_of_each() -> None:
 def test_a_traced_failure_stays_in_the_solution() -> None:
     x = tx.State("x")
     dynamics = tx.compile(tx.System(rates={x: x * x}))
-    fly = jax.jit(lambda x0: tx.integrate(dynamics, {"x": x0}, t1=2.0, dt=0.01, save_at=np.array([0.5, 2.0])))
-    good, bad = fly(0.1), fly(1.0)
+    solve = jax.jit(lambda x0: tx.integrate(dynamics, {"x": x0}, t1=2.0, dt=0.01, save_at=np.array([0.5, 2.0])))
+    good, bad = solve(0.1), solve(1.0)
     assert good.result is tx.Result.SUCCESS
     assert bad.result is tx.Result.NON_FINITE
     assert np.isfinite(bad.xs["x"][0])
@@ -121,6 +121,6 @@ def test_a_traced_end_needs_the_number_of_steps(body: tx.Dynamics) -> None:
 def test_a_known_pose_may_stand_beside_a_traced_twist() -> None:
     x0 = start()
     g = jnp.asarray(x0["g"])
-    fly = jax.jit(lambda V: tx.integrate(forced(), {"g": g, "V": V}, t1=0.2, dt=0.1).xs["V"][0])
+    solve = jax.jit(lambda V: tx.integrate(forced(), {"g": g, "V": V}, t1=0.2, dt=0.1).xs["V"][0])
     known = tx.integrate(forced(), x0, t1=0.2, dt=0.1).xs["V"][0]
-    np.testing.assert_allclose(fly(x0["V"]), known, rtol=1e-12)
+    np.testing.assert_allclose(solve(x0["V"]), known, rtol=1e-12)

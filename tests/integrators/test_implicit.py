@@ -1,4 +1,4 @@
-"""Implicit methods: order, stiffness, failures, and everything else a flight can do."""
+"""Implicit methods: order, stiffness, failures, and everything else a solution can do."""
 
 import functools
 

@@ -45,7 +45,7 @@ def test_dt_is_rounded_to_whole_steps_and_steps_may_be_given() -> None:
 
 
 def test_saved_times_on_the_grid_are_its_points() -> None:
-    """0, a point that repeats, and the end; the rest of the flight is not disturbed."""
+    """0, a point that repeats, and the end; the rest of the solution is not disturbed."""
     sol = tx.integrate(forced(), start(), t1=1.0, dt=0.1, save_at=[0.0, 0.3, 0.3, 1.0])
     assert sol.stats.rhs_evaluations == 40
     np.testing.assert_array_equal(sol.xs["g"][0], start()["g"])
@@ -103,11 +103,11 @@ def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) ->
     dynamics = tx.compile(free_body())
     M = np.asarray(dynamics.system.parameters[0].value)
 
-    def fly(dt: float, t1: float, seed: int, size: float, ts: list[float]) -> None:
+    def solve(dt: float, t1: float, seed: int, size: float, ts: list[float]) -> None:
         tx.integrate(dynamics, start(seed), t1=t1, dt=dt, params={"M": size * M}, save_at=ts)
 
-    assert compilations(caplog, lambda: fly(0.1, 1.0, 3, 1.0, [0.11, 0.5]))
-    assert compilations(caplog, lambda: fly(0.03, 2.5, 4, 2.0, [0.2, 1.7])) == []
+    assert compilations(caplog, lambda: solve(0.1, 1.0, 3, 1.0, [0.11, 0.5]))
+    assert compilations(caplog, lambda: solve(0.03, 2.5, 4, 2.0, [0.2, 1.7])) == []
 
 
 def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
@@ -178,7 +178,7 @@ def test_a_blow_up_raises_and_names_time_state_and_cause() -> None:
     with pytest.raises(tx.IntegrationError) as caught:
         tx.integrate(blow_up(), {"x": 1.0, "y": 1.0}, t1=5.0, dt=0.01, save_at=[0.5, 5.0])
     message = str(caught.value)
-    assert message.startswith("state 'x' became infinite or not a number in the step from t = 1.0")
+    assert message.startswith("state 'x' became infinite or NaN in the step from t = 1.0")
     assert "likely cause: the step 0.01 s is too long" in message
     assert "last finite state: |x| = " in message
 

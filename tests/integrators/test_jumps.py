@@ -20,7 +20,7 @@ def lag() -> tx.Dynamics:
     return tx.compile(tx.System(rates={x: F - x}))
 
 
-def fly(u: object, t1: float = 3.0, t0: float = 0.0, tableau: object = TSIT5, **options: object) -> tx.Solution:
+def solve(u: object, t1: float = 3.0, t0: float = 0.0, tableau: object = TSIT5, **options: object) -> tx.Solution:
     settings = {"rtol": TOL, "atol": TOL, "u": u, "method": tx.RKMK(tableau)} | options
     return tx.integrate(lag(), {"x": 1.0}, t0=t0, t1=t1, **settings)
 
@@ -54,37 +54,37 @@ TS, VALUES = np.array([0.0, 0.313, 0.5, 1.7]), np.array([1.0, -2.0, 30.0, 0.5])
 
 
 @pytest.mark.parametrize("tableau", [BOGACKI_SHAMPINE3, DORMAND_PRINCE5, TSIT5, DOP853], ids=lambda t: t.name)
-def test_a_held_table_is_flown_to_tolerance_without_a_search(tableau: object) -> None:
+def test_a_held_table_is_integrated_to_tolerance_without_a_search(tableau: object) -> None:
     """The rate after a jump is not the one carried on from the step before it: that would cost a search or digits."""
     tol = 1e-6 if tableau is BOGACKI_SHAMPINE3 else TOL
-    sol = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, tableau=tableau, rtol=tol, atol=tol)
+    sol = solve({"F": tx.ZeroOrderHold(TS, VALUES)}, tableau=tableau, rtol=tol, atol=tol)
     assert float(sol.xs["x"][0]) == pytest.approx(held_exact(TS, VALUES, 3.0), abs=20 * tol)
     assert sol.stats.rejected <= 2 * (TS.size - 1)
-    smooth = fly({"F": 30.0}, tableau=tableau, rtol=tol, atol=tol)
+    smooth = solve({"F": 30.0}, tableau=tableau, rtol=tol, atol=tol)
     assert sol.stats.accepted < TS.size * smooth.stats.accepted
 
 
-def test_a_linear_table_is_flown_to_tolerance() -> None:
-    sol = fly({"F": tx.FirstOrderHold(TS, VALUES)})
+def test_a_linear_table_is_integrated_to_tolerance() -> None:
+    sol = solve({"F": tx.FirstOrderHold(TS, VALUES)})
     assert float(sol.xs["x"][0]) == pytest.approx(linear_exact(TS, VALUES, 3.0), abs=20 * TOL)
     assert sol.stats.rejected <= 2 * TS.size
 
 
 def test_jumps_that_do_not_matter_change_nothing() -> None:
-    """Outside of the flight, at its ends, or twice."""
+    """Outside of the solution, at its ends, or twice."""
     wide = np.array([-5.0, -1.0, 0.0, 0.313, 0.5, 1.7, 3.0, 9.0])
     values = np.array([7.0, 7.0, 1.0, -2.0, 30.0, 0.5, 99.0, 77.0])
-    sol = fly({"F": tx.ZeroOrderHold(wide, values)})
+    sol = solve({"F": tx.ZeroOrderHold(wide, values)})
     assert float(sol.xs["x"][0]) == pytest.approx(held_exact(TS, VALUES, 3.0), abs=20 * TOL)
-    narrow = fly({"F": tx.ZeroOrderHold(TS, VALUES)})
+    narrow = solve({"F": tx.ZeroOrderHold(TS, VALUES)})
     assert (sol.stats.accepted, sol.stats.rejected) == (narrow.stats.accepted, narrow.stats.rejected)
-    again = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, jumps=[-3.0, 0.0, 0.5, 0.5, 1.7, 3.0, 8.0])
+    again = solve({"F": tx.ZeroOrderHold(TS, VALUES)}, jumps=[-3.0, 0.0, 0.5, 0.5, 1.7, 3.0, 8.0])
     assert (again.stats.accepted, again.stats.rejected) == (narrow.stats.accepted, narrow.stats.rejected)
     np.testing.assert_allclose(again.xs["x"], narrow.xs["x"], rtol=1e-13)
 
 
-def test_a_flight_that_starts_at_a_jump_sees_what_comes_after() -> None:
-    sol = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, t0=0.5, t1=1.7)
+def test_a_solution_that_starts_at_a_jump_sees_what_comes_after() -> None:
+    sol = solve({"F": tx.ZeroOrderHold(TS, VALUES)}, t0=0.5, t1=1.7)
     assert float(sol.xs["x"][0]) == pytest.approx(30.0 - 29.0 * np.exp(-1.2), abs=30 * TOL)
     assert sol.stats.rejected <= 2
 
@@ -109,14 +109,14 @@ def test_tables_with_different_times_are_all_met() -> None:
 
 @pytest.mark.parametrize("tableau", [DORMAND_PRINCE5, DOP853], ids=lambda t: t.name)
 @pytest.mark.parametrize("side", ["before", "after"])
-def test_a_function_of_time_that_jumps_is_flown_cheaply_where_it_is_told(tableau: object, side: str) -> None:
+def test_a_function_of_time_that_jumps_is_integrated_cheaply_where_it_is_told(tableau: object, side: str) -> None:
     """Whichever value the function has at the very moment of the jump."""
 
     def u(t: jax.Array) -> dict[str, jax.Array]:
         late = t >= 0.7 if side == "after" else t > 0.7
         return {"F": jnp.where(late, -2.0, 1.0) + jnp.sin(t)}
 
-    blind, told = fly(u, tableau=tableau), fly(u, tableau=tableau, jumps=[0.7])
+    blind, told = solve(u, tableau=tableau), solve(u, tableau=tableau, jumps=[0.7])
     part = (np.exp(-3.0) - np.cos(3.0) + np.sin(3.0)) / 2.0
     exact = held_exact(np.array([0.0, 0.7]), np.array([1.0, -2.0]), 3.0) + part
     assert float(told.xs["x"][0]) == pytest.approx(exact, abs=20 * TOL)
@@ -127,7 +127,7 @@ def test_a_function_of_time_that_jumps_is_flown_cheaply_where_it_is_told(tableau
 
 
 @pytest.mark.parametrize("tableau", [TSIT5, DOP853], ids=lambda t: t.name)
-def test_a_system_that_jumps_is_flown_cheaply_where_it_is_told(tableau: object) -> None:
+def test_a_system_that_jumps_is_integrated_cheaply_where_it_is_told(tableau: object) -> None:
     x, t = tx.State("x"), tx.Time()
     dynamics = tx.compile(tx.System(rates={x: tx.Where(t >= 0.7, -2.0, 1.0) - x}))
     settings = {"t1": 3.0, "rtol": TOL, "atol": TOL, "method": tx.RKMK(tableau)}
@@ -141,10 +141,10 @@ def test_a_system_that_jumps_is_flown_cheaply_where_it_is_told(tableau: object) 
 
 def test_times_saved_at_and_around_jumps() -> None:
     ts = np.array([0.0, 0.3, 0.313, 0.313, 0.32, 0.5, 0.5 + 1e-9, 1.7, 2.9, 3.0])
-    sol = fly({"F": tx.ZeroOrderHold(TS, VALUES)}, save_at=ts)
+    sol = solve({"F": tx.ZeroOrderHold(TS, VALUES)}, save_at=ts)
     exact = [held_exact(TS, VALUES, t) for t in ts]
     np.testing.assert_allclose(sol.xs["x"], exact, rtol=0.0, atol=20 * TOL)
-    alone = fly({"F": tx.ZeroOrderHold(TS, VALUES)})
+    alone = solve({"F": tx.ZeroOrderHold(TS, VALUES)})
     assert sol.stats.accepted == alone.stats.accepted
 
 
@@ -168,10 +168,10 @@ def test_a_pulse_far_shorter_than_the_steps_around_it(offset: float) -> None:
     assert sol.stats.rejected < 20
 
 
-def test_jumps_are_inputs_and_one_flight_serves_a_batch_of_them() -> None:
+def test_jumps_are_inputs_and_one_solution_serves_a_batch_of_them() -> None:
     def end(first: jax.Array) -> tx.Solution:
         ts = jnp.stack([jnp.zeros(()), first, jnp.asarray(2.0)])
-        return fly({"F": tx.ZeroOrderHold(ts, jnp.array([1.0, -2.0, 4.0]))})
+        return solve({"F": tx.ZeroOrderHold(ts, jnp.array([1.0, -2.0, 4.0]))})
 
     firsts = np.array([0.1, 0.55, 1.9])
     lanes = jax.vmap(end)(firsts)

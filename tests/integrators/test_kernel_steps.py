@@ -1,4 +1,4 @@
-"""Fixed steps in one kernel: the flight that XLA's loop makes, one body or a batch."""
+"""Fixed steps in one kernel: the solution that XLA's loop makes, one body or a batch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.integrators.kernel_steps import KernelSteps
+from twistax.integrators.kernels import KernelSteps
 from twistax.lowering import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
@@ -26,7 +26,7 @@ METHODS = {
 
 
 def _taken(dynamics: Dynamics) -> list[Any]:
-    """The kernels that flights of a system were made with."""
+    """The kernels that solutions of a system were made with."""
     return [made for made in dynamics._functions.steps.values() if isinstance(made, KernelSteps)]
 
 
@@ -36,7 +36,7 @@ def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: flo
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_the_flight_is_that_of_the_loop(name: str) -> None:
+def test_the_solution_is_that_of_the_loop(name: str) -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     given: dict[str, Any] = {"t1": 0.7, "steps": 9, "u": U, "method": METHODS[name], "save_at": [0.0, 0.3, 0.35, 0.7]}
     found, expected = (tx.integrate(d, START, **given) for d in (dynamics, PLAIN))
@@ -45,7 +45,7 @@ def test_the_flight_is_that_of_the_loop(name: str) -> None:
     assert len(_taken(dynamics)) == 1
 
 
-def test_a_batch_is_each_flight_with_a_length_and_steps_of_its_own() -> None:
+def test_a_batch_is_each_solution_with_a_length_and_steps_of_its_own() -> None:
     lengths, pushes = jnp.linspace(0.1, 0.9, 11), jnp.linspace(0.0, 5.0, 33).reshape(11, 3)
 
     def end(dynamics: Dynamics, t1: jax.Array, push: jax.Array) -> dict[str, jax.Array]:
@@ -57,7 +57,7 @@ def test_a_batch_is_each_flight_with_a_length_and_steps_of_its_own() -> None:
     _near(found, expected)
 
 
-def test_a_flight_that_fails_ends_where_the_loop_does() -> None:
+def test_a_solution_that_fails_ends_where_the_loop_does() -> None:
     """Lane by lane: the others go on."""
     x = tx.State("x")
     fast = tx.System(rates={x: x * x})
@@ -69,7 +69,7 @@ def test_a_flight_that_fails_ends_where_the_loop_does() -> None:
         ends.append((found.xs["x"], found.result, found.stats.steps, found.stats.rhs_evaluations))
         part = tx.integrate(dynamics, {"x": 30.0}, t1=1.0, steps=40, save_at=[0.0, 0.025, 0.5, 1.0], throw=False)
         ends[-1] += (part.xs["x"], part.ts, jnp.asarray(part.result.value), jnp.asarray(part.stats.steps))
-        with pytest.raises(tx.IntegrationError, match="infinite or not a number"):
+        with pytest.raises(tx.IntegrationError, match="infinite or NaN"):
             tx.integrate(dynamics, {"x": 1e200}, t1=1.0, steps=40)
     for found, expected in zip(*ends, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-10)

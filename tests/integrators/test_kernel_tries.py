@@ -1,4 +1,4 @@
-"""Steps chosen by tolerances in one kernel: the flight that XLA's loop makes, one body or a batch."""
+"""Steps chosen by tolerances in one kernel: the solution that XLA's loop makes, one body or a batch."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ METHODS = {
 
 
 def kernels(dynamics: tx.Dynamics) -> list[Repeated]:
-    """The kernels that flights of a system were made with."""
+    """The kernels that solutions of a system were made with."""
     return [made for made in dynamics._functions.steps.values() if isinstance(made, Repeated)]
 
 
@@ -47,7 +47,7 @@ def near(found: tx.Solution, expected: tx.Solution, rtol: float = 1e-11) -> None
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_the_flight_is_that_of_the_loop(name: str) -> None:
+def test_the_solution_is_that_of_the_loop(name: str) -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     given: dict[str, Any] = {"t1": 0.7, "rtol": 1e-6, "u": U, "method": METHODS[name]}
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
@@ -69,7 +69,7 @@ def test_saved_times_limits_and_jumps() -> None:
     assert len(kernels(dynamics)) == 1
 
 
-def test_steps_are_taken_back_and_a_flight_without_length_has_none() -> None:
+def test_steps_are_taken_back_and_a_solution_without_length_has_none() -> None:
     given: dict[str, Any] = {"rtol": 1e-9, "dt": 0.5, "u": U}
     found, expected = (tx.integrate(d, START, t1=1.0, **given) for d in (NATIVE, PLAIN))
     near(found, expected)
@@ -88,24 +88,24 @@ def test_failures_are_those_of_the_loop() -> None:
     for backend in (tx.Native(), tx.XLA()):
         dynamics = tx.compile(fast, backend=backend)
 
-        def fly(x0: Any, throw: bool = True, steps: int = 900, dynamics: tx.Dynamics = dynamics) -> tx.Solution:
+        def solve(x0: Any, throw: bool = True, steps: int = 900, dynamics: tx.Dynamics = dynamics) -> tx.Solution:
             control = tx.StepControl(max_steps=steps)
             return tx.integrate(dynamics, {"x": x0}, t1=1.0, rtol=1e-6, atol=1e-9, control=control, throw=throw)
 
-        found = jax.vmap(fly)(starts)
-        one, short = fly(30.0, throw=False), fly(0.5, throw=False, steps=3)
+        found = jax.vmap(solve)(starts)
+        one, short = solve(30.0, throw=False), solve(0.5, throw=False, steps=3)
         # Close to the pole rounding decides how large x is.
         x = jnp.where(found.result == tx.Result.SUCCESS.value, found.xs["x"][:, -1], 0.0)
         ends.append((x, found.result, found.stats.steps, found.stats.rhs_evaluations))
         ends[-1] += tuple(jnp.asarray(v) for s in (one, short) for v in (s.ts[-1], s.result.value, s.stats.rejected))
         with pytest.raises(tx.IntegrationError, match="x"):
-            fly(1e200)
+            solve(1e200)
     for found, expected in zip(*ends, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-7)
     assert len(set(np.asarray(ends[0][1]).tolist())) > 1
 
 
-def test_a_batch_is_each_flight_with_tolerances_and_an_end_of_its_own() -> None:
+def test_a_batch_is_each_solution_with_tolerances_and_an_end_of_its_own() -> None:
     ends, tolerances = jnp.linspace(0.1, 0.9, 11), 10.0 ** -jnp.linspace(4.0, 9.0, 11)
 
     def end(dynamics: tx.Dynamics, t1: jax.Array, rtol: jax.Array) -> tx.Solution:

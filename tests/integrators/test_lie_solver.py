@@ -8,7 +8,7 @@ import numpy as np
 import optimistix
 import pytest
 from integrator_bodies import start as body_start
-from lie_solver_flights import apart, defect, fly, halves, last, reference, references, starts
+from lie_solver_cases import apart, defect, halves, last, reference, references, solve, starts
 
 import twistax as tx
 
@@ -18,7 +18,7 @@ SPLIT = diffrax.MultiTerm(*(tx.diffrax.lie_term(half) for half in halves()))
 
 def observed_order(solver: Any, fewest: int, **rest: Any) -> float:
     """The slope of log error over log step, the error being the root of its mean square over four starts."""
-    run = jax.jit(jax.vmap(lambda x, dt: last(fly(solver, 1.0, dt, x, **rest)), in_axes=(0, None)))
+    run = jax.jit(jax.vmap(lambda x, dt: last(solve(solver, 1.0, dt, x, **rest)), in_axes=(0, None)))
     counts = (np.array([1.0, 1.4, 2.0]) * fewest).astype(int)
     wanted, errors = references(1.0, 4), []
     for count in counts:
@@ -150,7 +150,7 @@ def test_chosen_steps_are_nearly_those_of_integrate_in_either_order() -> None:
 
 
 def test_rotations_stay_in_their_group() -> None:
-    sol = fly(diffrax.Tsit5(), 40.0, 0.02, saveat=diffrax.SaveAt(ts=np.linspace(0.0, 40.0, 7)))
+    sol = solve(diffrax.Tsit5(), 40.0, 0.02, saveat=diffrax.SaveAt(ts=np.linspace(0.0, 40.0, 7)))
     assert int(sol.stats["num_steps"]) == 2000
     assert defect(sol.ys["R"][1:]) < 2e-15
 
@@ -158,13 +158,13 @@ def test_rotations_stay_in_their_group() -> None:
 @pytest.mark.slow
 def test_a_plain_controller_works_too() -> None:
     control = diffrax.PIDController(rtol=1e-8, atol=1e-8)
-    sol = fly(diffrax.Tsit5(), 1.0, 0.01, stepsize_controller=control)
+    sol = solve(diffrax.Tsit5(), 1.0, 0.01, stepsize_controller=control)
     assert apart(last(sol), reference(1.0)) < 1e-6
 
 
 def test_a_step_that_turns_too_far_is_taken_back() -> None:
     """With ten seconds to try, the first step turns by many turns; constant steps come out as not a number."""
-    sol = fly(diffrax.Tsit5(), 10.0, 10.0, stepsize_controller=tx.diffrax.controller(1e-8))
+    sol = solve(diffrax.Tsit5(), 10.0, 10.0, stepsize_controller=tx.diffrax.controller(1e-8))
     assert int(sol.stats["num_rejected_steps"]) > 0
     assert apart(last(sol), reference(10.0)) < 1e-4
 

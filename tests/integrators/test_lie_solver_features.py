@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
-from lie_solver_flights import apart, defect, fly, last, reference, start, starts, top
+from lie_solver_cases import apart, defect, last, reference, solve, start, starts, top
 
 import twistax as tx
 
@@ -20,13 +20,13 @@ def wanted_at(ts: Any) -> dict[str, jax.Array]:
 
 
 def test_saved_times_dense_output_steps_and_functions() -> None:
-    """One flight that saves everything, the state between steps in its group."""
+    """One solution that saves everything, the state between steps in its group."""
     subs = {
         "times": diffrax.SubSaveAt(ts=TIMES),
         "steps": diffrax.SubSaveAt(t0=True, steps=1),
         "seen": diffrax.SubSaveAt(ts=TIMES, fn=lambda t, y, args: y["R"][0] @ y["w"] + t),
     }
-    sol = fly(diffrax.Tsit5(), 1.0, saveat=diffrax.SaveAt(subs=subs, dense=True), max_steps=128)
+    sol = solve(diffrax.Tsit5(), 1.0, saveat=diffrax.SaveAt(subs=subs, dense=True), max_steps=128)
     wanted = wanted_at(TIMES)
     assert apart(sol.ys["times"], wanted) < 2e-6
     assert defect(sol.ys["times"]["R"]) < 2e-15
@@ -90,7 +90,7 @@ def test_the_time_of_an_event_has_its_derivative() -> None:
 def cost(z: jax.Array, adjoint: Any) -> jax.Array:
     """Of the start's spin, how it is turned, and of a parameter."""
     x = {"R": tx.lie.so3.compose(start()["R"], tx.lie.so3.exp(z[:3])), "w": start()["w"] + z[3:6]}
-    sol = fly(
+    sol = solve(
         diffrax.Tsit5(),
         0.5,
         0.05,
@@ -130,7 +130,7 @@ def test_derivatives_through_an_implicit_solver() -> None:
     solver = diffrax.Kvaerno3(root_finder=optimistix.Newton(rtol=1e-10, atol=1e-12))
 
     def end(w: jax.Array) -> jax.Array:
-        return jnp.sum(last(fly(solver, 0.5, 0.05, {"R": start()["R"], "w": w}, max_steps=16))["R"] ** 3)
+        return jnp.sum(last(solve(solver, 0.5, 0.05, {"R": start()["R"], "w": w}, max_steps=16))["R"] ** 3)
 
     w = jnp.asarray(start()["w"])
     value, slope = jax.jit(jax.value_and_grad(end)), jax.jit(jax.grad(end))(w)
@@ -141,11 +141,11 @@ def test_derivatives_through_an_implicit_solver() -> None:
 def test_a_batch_is_its_members(capfd: pytest.CaptureFixture[str]) -> None:
     """With a progress meter, which must not mind; each member takes its own steps."""
     meter = diffrax.TextProgressMeter(minimum_increase=0.5)
-    fly_one = jax.jit(lambda x: last(fly(diffrax.Bosh3(), 0.5, x=x, progress_meter=meter)))
+    solve_one = jax.jit(lambda x: last(solve(diffrax.Bosh3(), 0.5, x=x, progress_meter=meter)))
     many = starts(3)
-    found = jax.jit(jax.vmap(lambda x: last(fly(diffrax.Bosh3(), 0.5, x=x))))(many)
+    found = jax.jit(jax.vmap(lambda x: last(solve(diffrax.Bosh3(), 0.5, x=x))))(many)
     for i in range(3):
-        one = fly_one({name: value[i] for name, value in many.items()})
+        one = solve_one({name: value[i] for name, value in many.items()})
         assert apart({name: value[i] for name, value in found.items()}, one) < 1e-12
     assert "100" in capfd.readouterr().out
 
@@ -154,7 +154,7 @@ def test_a_batch_is_its_members(capfd: pytest.CaptureFixture[str]) -> None:
 def test_backwards_and_forwards_is_home_again() -> None:
     dynamics, control = top(), tx.diffrax.controller(1e-10)
     solver = tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics)
-    there = last(fly(diffrax.Tsit5(), 1.0, stepsize_controller=control))
+    there = last(solve(diffrax.Tsit5(), 1.0, stepsize_controller=control))
     back = diffrax.diffeqsolve(
         tx.diffrax.lie_term(dynamics), solver, 1.0, 0.0, None, there, stepsize_controller=control
     )
@@ -168,7 +168,7 @@ def test_jumps_of_tables_and_functions() -> None:
     motor = tx.compile(tx.System(rates={x: F - x}))
     exact = 2.0 * np.exp(-0.5) * (1.0 - np.exp(-0.5)) - (1.0 - np.exp(-0.5))
 
-    def flown(u: Any, control: Any) -> float:
+    def integrated(u: Any, control: Any) -> float:
         sol = diffrax.diffeqsolve(
             tx.diffrax.lie_term(motor),
             tx.diffrax.LieSolver(diffrax.Tsit5(), motor),
@@ -182,7 +182,7 @@ def test_jumps_of_tables_and_functions() -> None:
         return float(sol.ys["x"][-1])
 
     table = {"F": tx.ZeroOrderHold([0.0, 0.5], [2.0, -1.0])}
-    assert abs(flown(table, diffrax.ConstantStepSize()) - exact) < 1e-9
-    assert abs(flown(table, tx.diffrax.controller(1e-10, step_ts=[0.5])) - exact) < 1e-9
+    assert abs(integrated(table, diffrax.ConstantStepSize()) - exact) < 1e-9
+    assert abs(integrated(table, tx.diffrax.controller(1e-10, step_ts=[0.5])) - exact) < 1e-9
     switched = lambda t: {"F": jnp.where(t < 0.5, 2.0, -1.0)}  # noqa: E731
-    assert abs(flown(switched, tx.diffrax.controller(1e-10, jump_ts=[0.5])) - exact) < 1e-9
+    assert abs(integrated(switched, tx.diffrax.controller(1e-10, jump_ts=[0.5])) - exact) < 1e-9

@@ -14,6 +14,7 @@ from test_charts import by_another_name, hat
 
 import twistax as tx
 from twistax.groups import Group, SpecialEuclidean, SpecialOrthogonal
+from twistax.integrators import VectorField
 from twistax.lowering import small_call as module
 from twistax.tableaus import DOP853, RK4
 
@@ -47,7 +48,7 @@ def moving(group: Group) -> tx.Dynamics:
     return tx.compile(tx.System(rates={g: rate}))
 
 
-def flown(group: Group, g: np.ndarray, velocity: Callable[[float], np.ndarray], t1: float) -> np.ndarray:
+def integrated(group: Group, g: np.ndarray, velocity: Callable[[float], np.ndarray], t1: float) -> np.ndarray:
     """g' = g hat(velocity) by SciPy on matrices."""
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
@@ -61,7 +62,7 @@ def references() -> dict[int, list[np.ndarray]]:
     """The ends of the prescribed motions, on SO(3) and on SE(3)."""
     return {
         group.dimension: [
-            flown(group, np.asarray(group.identity()), lambda t, p=p, n=group.dimension: prescribed(t, p, n), END)
+            integrated(group, np.asarray(group.identity()), lambda t, p=p, n=group.dimension: prescribed(t, p, n), END)
             for p in PHASES
         ]
         for group in (tx.SO3, tx.SE3)
@@ -79,10 +80,10 @@ def fitted_order(dynamics: tx.Dynamics, method: tx.Magnus, wanted: list[np.ndarr
     start = {"g": np.eye(len(wanted[0]))}
 
     def ends(count: int) -> np.ndarray:
-        flights = [
+        solutions = [
             tx.integrate(dynamics, start, t1=END, steps=count, method=method, params={"phase": p}) for p in PHASES
         ]
-        return np.stack([flight.xs["g"][0] for flight in flights])
+        return np.stack([solution.xs["g"][0] for solution in solutions])
 
     return slope(FEWEST[method.order] * np.array([1.0, 1.4, 2.0, 2.6]), ends, np.stack(wanted))
 
@@ -150,7 +151,7 @@ def test_methods_agree_on_fine_steps() -> None:
 
 
 def test_states_beside_the_poses() -> None:
-    """States that no pose needs fly in one step of the inner method; controls are read at the nodes."""
+    """States that no pose needs solve in one step of the inner method; controls are read at the nodes."""
     R, y, rate = tx.State("R", group=tx.SO3), tx.State("y", shape=(2, 2)), tx.Control("rate", shape=(3,))
     dynamics = tx.compile(tx.System(rates={R: rate, y: -y}))
     begin = {"R": np.eye(3), "y": np.arange(4.0).reshape(2, 2)}
@@ -183,15 +184,15 @@ def test_a_rate_that_reads_a_pose_is_refused_by_name() -> None:
         tx.Magnus().check(tx.compile(dragged))
 
 
-def test_a_group_of_your_own_flies() -> None:
+def test_a_group_of_your_own_works() -> None:
     """Its brackets come from its ad."""
     w = tx.Concat(tx.Sin(tx.Time()), tx.Cos(2.0 * tx.Time()), 0.5)
 
-    def fly(group: Group) -> np.ndarray:
+    def solve(group: Group) -> np.ndarray:
         dynamics = tx.compile(tx.System(rates={tx.State("R", group=group): w}))
         return tx.integrate(dynamics, {"R": np.eye(3)}, t1=1.0, dt=0.1, method=tx.Magnus(6)).xs["R"][0]
 
-    np.testing.assert_allclose(fly(by_another_name()), fly(tx.SO3), atol=1e-14)
+    np.testing.assert_allclose(solve(by_another_name()), solve(tx.SO3), atol=1e-14)
 
 
 @pytest.mark.parametrize("order", [4, 6])
@@ -199,7 +200,8 @@ def test_the_increment_is_the_step(order: int) -> None:
     g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
     dynamics = tx.compile(tx.System(rates={g: V, V: tx.Time() - np.arange(6.0) * V}))
     inputs = dynamics._functions.prepare(0.3, start())
-    arguments = (dynamics, inputs.t, dict(inputs.x), lambda t: {}, dict(inputs.params), jnp.asarray(0.1))
+    field = VectorField(dynamics, lambda t: {}, dict(inputs.params))
+    arguments = (field, inputs.t, dict(inputs.x), jnp.asarray(0.1))
     method = tx.Magnus(order)
     eta, end = jax.jit(lambda: (method.increment(*arguments), method.step(*arguments)))()
     there = dynamics.group.retract(inputs.x, jnp.concatenate([eta[name] for name in dynamics.group.factors]))
@@ -207,7 +209,7 @@ def test_the_increment_is_the_step(order: int) -> None:
         np.testing.assert_allclose(there[name], end[name], atol=1e-14)
 
 
-def test_flights_are_one_small_function(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_solutions_are_one_small_function(monkeypatch: pytest.MonkeyPatch) -> None:
     body = tx.compile(free_body(), bake={"M": spatial_inertia()})
     known, seen = module.known_inside, []
     monkeypatch.setattr(module, "known_inside", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
@@ -238,7 +240,7 @@ def test_derivatives_agree() -> None:
 
     def cost(z: jax.Array) -> jax.Array:
         x, params = {"R": jnp.eye(3), "w": z[:3]}, {"J": 2.0 + jnp.sin(z[3:])}
-        end = tx.Magnus().step(spin, jnp.asarray(0.0), x, lambda t: {}, params, jnp.asarray(0.3))
+        end = tx.Magnus().step(VectorField(spin, lambda t: {}, params), jnp.asarray(0.0), x, jnp.asarray(0.3))
         return jnp.sum(end["R"] * jnp.cos(jnp.arange(9.0)).reshape(3, 3)) + jnp.sum(end["w"] ** 2)
 
     check_derivatives(cost, 6)

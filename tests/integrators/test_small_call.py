@@ -80,8 +80,8 @@ def test_entries_set_at_one_place_are_inside() -> None:
 
 
 @pytest.mark.slow
-def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A JAX that has lost it flies the same, only slower. Its inertia is baked: as an input it calls LAPACK."""
+def test_without_the_attribute_solutions_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A JAX that has lost it is integrated the same, only slower. Its inertia is baked: as an input it calls LAPACK."""
     body = tx.compile(forced_body(), bake={"M": spatial_inertia()}, backend=tx.XLA())
     known, seen = module.known_inside, []
     monkeypatch.setattr(module, "known_inside", lambda jaxpr: seen.append(known(jaxpr)) or seen[-1])
@@ -98,13 +98,13 @@ def test_without_the_attribute_flights_are_the_same(monkeypatch: pytest.MonkeyPa
             np.testing.assert_allclose(fast.xs[name], plain.xs[name], rtol=1e-12, atol=1e-13)
 
 
-def test_flights_by_tables_are_small_calls() -> None:
+def test_solutions_by_tables_are_small_calls() -> None:
     """Tables are looked up by comparisons of their own kind; they must not cost the fast loop."""
     x, F = tx.State("x"), tx.Control("F")
     dynamics = tx.compile(tx.System(rates={x: F * tx.Linterp(x, [0.0, 0.5, 1.0], [1.0, 0.5, 2.0])}))
     ts, values = jnp.array([0.0, 0.5, 0.8]), jnp.array([1.0, -0.5, 0.3])
 
-    def fly(x: jax.Array, values: jax.Array) -> jax.Array:
+    def solve(x: jax.Array, values: jax.Array) -> jax.Array:
         def advance(i: jax.Array, x: jax.Array) -> jax.Array:
             t, h = 0.1 * i, jnp.asarray(0.1)
             F = tx.ZeroOrderHold(ts, values).during(t, h)(t)
@@ -112,8 +112,8 @@ def test_flights_by_tables_are_small_calls() -> None:
 
         return jax.lax.fori_loop(0, 10, advance, x)
 
-    assert MARK in compiled(lambda x, v: small_call(fly, x, v), jnp.asarray(0.2), values)
-    np.testing.assert_allclose(small_call(fly, jnp.asarray(0.2), values), fly(jnp.asarray(0.2), values), rtol=1e-13)
+    assert MARK in compiled(lambda x, v: small_call(solve, x, v), jnp.asarray(0.2), values)
+    np.testing.assert_allclose(small_call(solve, jnp.asarray(0.2), values), solve(jnp.asarray(0.2), values), rtol=1e-13)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 40])

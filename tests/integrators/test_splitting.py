@@ -26,6 +26,7 @@ from splitting_bodies import (
 
 import twistax as tx
 from twistax.compositions import ALL, KAHAN_LI6, KAHAN_LI8, STRANG, SUZUKI4
+from twistax.integrators import VectorField
 from twistax.lowering import small_call as module
 from twistax.scenes import SCENES, offset_tumble
 from twistax.scenes.free_rotation import SymmetricBody
@@ -114,7 +115,7 @@ def test_variants_fly_the_same_body(name: str, hung_end: State) -> None:
 
 @pytest.mark.slow
 def test_a_spatial_inertia_that_is_a_parameter(hung_end: State) -> None:
-    """A matrix that is none ends the flight: nothing can be raised inside of a compiled one."""
+    """A matrix that is none ends the solution: nothing can be raised inside of a compiled one."""
     M = tx.Parameter("M", value=spatial_inertia())
     dynamics, method = tx.compile(hung(matrix=M)), tx.Splitting(KAHAN_LI8, tx.FreeBody("g", "V", inertia=M))
     sol = tx.integrate(dynamics, start(), t1=END, steps=80, method=method)
@@ -126,7 +127,7 @@ def test_a_spatial_inertia_that_is_a_parameter(hung_end: State) -> None:
 
 
 def test_inertia_given_at_run_time(top_end: State) -> None:
-    """The tensor flown is none that was known when the free motion was split, and has other axes."""
+    """The tensor integrated is none that was known when the free motion was split, and has other axes."""
     R, w, J = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Parameter("J", shape=(3, 3))
     fixed = top()
     rate = fixed.rates["w"]
@@ -167,7 +168,7 @@ def test_a_point_and_an_attitude_together() -> None:
     """A satellite under the gravity gradient: the torque reads the position, which moves as a particle."""
     scene = SCENES["low-orbit"]
     method = tx.Splitting(KAHAN_LI8, [tx.FreeBody("R", "w", inertia=(10.0, 20.0, 25.0)), tx.FreeParticle("p", "v")])
-    sol = scene.fly(steps=400, method=method)
+    sol = scene.integrate(steps=400, method=method)
     assert scene.error({name: value[-1] for name, value in sol.xs.items()}) < 1e-8
 
 
@@ -175,7 +176,7 @@ def test_a_point_and_an_attitude_together() -> None:
 def test_a_free_symmetric_body_is_exact_in_one_step(name: str) -> None:
     """The fast one turns by 1.5e4 rad in this step: a unit in the last place of its rate is 1e-12 rad."""
     scene = SCENES[name]
-    sol = scene.fly(steps=1, method=tx.Splitting(STRANG, tx.FreeBody("R", "w", inertia=(1.0, 1.0, 1.5))))
+    sol = scene.integrate(steps=1, method=tx.Splitting(STRANG, tx.FreeBody("R", "w", inertia=(1.0, 1.0, 1.5))))
     assert scene.error({name: value[-1] for name, value in sol.xs.items()}) < (
         1e-13 if name == "symmetric-body" else 1e-11
     )
@@ -224,7 +225,7 @@ def test_a_step_and_back() -> None:
 
     @jax.jit
     def step(t: Any, x: Any, h: Any) -> Any:
-        return method.step(dynamics, t, x, lambda t: {}, {}, h)
+        return method.step(VectorField(dynamics, lambda t: {}, {}), t, x, h)
 
     moved = step(0.7, {name: jnp.asarray(value) for name, value in TOP_START.items()}, 0.3)
     back = step(1.0, moved, -0.3)
@@ -324,7 +325,7 @@ def stepped() -> Any:
 
     def end(z: jax.Array) -> jax.Array:
         x0, u, params = inputs(z)
-        x = method.step(dynamics, jnp.asarray(0.0), x0, lambda t: u, params, jnp.asarray(H))
+        x = method.step(VectorField(dynamics, lambda t: u, params), jnp.asarray(0.0), x0, jnp.asarray(H))
         return jnp.concatenate([x["R"].reshape(-1), x["w"]])
 
     return jax.jit(lambda z, direction: jax.jvp(end, (z,), (direction,)))
@@ -332,7 +333,7 @@ def stepped() -> Any:
 
 @pytest.mark.slow
 def test_derivatives_of_steps() -> None:
-    """With respect to the start, the moments and a control; those in reverse are with the flights."""
+    """With respect to the start, the moments and a control; those in reverse are with the solutions."""
     rng, step = np.random.default_rng(2), 1e-5
     for z, direction in rng.normal(size=(2, 2, 9)):
         _, slope = stepped()(z, direction)
@@ -348,7 +349,7 @@ def test_derivatives_at_rest() -> None:
 
 
 @pytest.mark.slow
-def test_derivatives_of_a_flight() -> None:
+def test_derivatives_of_a_solution() -> None:
     dynamics, method = pushed()
 
     def cost(z: jax.Array) -> jax.Array:
@@ -359,7 +360,7 @@ def test_derivatives_of_a_flight() -> None:
     check_derivatives(cost, 9)
 
 
-def test_a_batch_flies_as_each_alone() -> None:
+def test_a_batch_is_integrated_as_each_alone() -> None:
     dynamics, method = compiled_hung(), tx.Splitting(KAHAN_LI6, HUNG_BODY)
     twists = np.random.default_rng(1).normal(size=(3, 6))
 
@@ -382,4 +383,4 @@ def test_the_loop_is_one_small_call() -> None:
     dynamics, method = compiled_hung(), tx.Splitting(KAHAN_LI6, HUNG_BODY)
     y = method.stored(dynamics, {}).enter({name: jnp.asarray(value) for name, value in start().items()})
     t = jnp.asarray(0.0)
-    assert module.fits(lambda y, t, h: method.advance(dynamics, t, y, lambda t: {}, {}, h), y, t, t)
+    assert module.fits(lambda y, t, h: method.advance(VectorField(dynamics, lambda t: {}, {}), t, y, h), y, t, t)

@@ -1,4 +1,4 @@
-"""What a splitting method cannot fly, it refuses by name: found at random states, before a flight."""
+"""What a splitting method cannot solve, it refuses by name: found at random states, before a solution."""
 
 from typing import Any
 
@@ -137,7 +137,7 @@ def test_methods_are_values() -> None:
     assert tx.FreeBody(R, w, inertia=J) == tx.FreeBody(R, w, inertia=tx.Parameter("J", value=TENSOR))
 
 
-def test_a_flight_inside_jit_is_checked_too() -> None:
+def test_a_solution_inside_jit_is_checked_too() -> None:
     dynamics = tx.compile(tx.System(rates=turning(torque=0.1 * w[0])))
 
     @jax.jit

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.held import held
-from twistax.integrators.stages import stage_slopes
+from twistax.integrators.rkmk import stage_slopes
 from twistax.integrators.tableau import ButcherTableau, Rows
+from twistax.integrators.trees import held
 from twistax.lowering.small_call import small_call
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="small calls are for the CPU")

@@ -35,7 +35,7 @@ def top() -> tx.System:
     return tx.System(rates={R: w, w: (torque - tx.linalg.Cross(w, J * w)) / J})
 
 
-def flown(dynamics: tx.Dynamics, **options: Any) -> Cost:
+def integrated(dynamics: tx.Dynamics, **options: Any) -> Cost:
     """A cost of the end as a function of what is added to the rate at the start."""
     rotation, rate = start()["g"][:3, :3], np.array([0.4, 2.0, -0.7])
 
@@ -49,7 +49,7 @@ def flown(dynamics: tx.Dynamics, **options: Any) -> Cost:
 @functools.cache
 def in_arrays(derivative: Callable[[Cost], Cost]) -> np.ndarray:
     """A derivative by JAX alone."""
-    return run(derivative(flown(tx.compile(top(), backend=tx.JAX()), steps=3)))
+    return run(derivative(integrated(tx.compile(top(), backend=tx.JAX()), steps=3)))
 
 
 def run(function: Cost) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_derivatives_are_those_of_arrays(name: str, derivative: Callable[[Cost],
     if name == "native":
         pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
     dynamics = tx.compile(top(), backend=BACKENDS[name])
-    found = run(derivative(flown(dynamics, steps=3)))
+    found = run(derivative(integrated(dynamics, steps=3)))
     np.testing.assert_allclose(found, in_arrays(derivative), rtol=1e-11, atol=1e-12)
     assert len(programs(dynamics)) == (name != "no scalars")
 
@@ -86,7 +86,7 @@ def test_a_long_loop_of_stages_stays_a_loop_for_xla() -> None:
 def test_derivatives_may_be_larger_than_a_function_is_allowed_to_be() -> None:
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
     dynamics = tx.compile(top(), backend=tx.Native(scalars=tx.XLA(largest=1200)))
-    found = run(jax.grad(flown(dynamics, steps=3)))
+    found = run(jax.grad(integrated(dynamics, steps=3)))
     np.testing.assert_allclose(found, in_arrays(jax.grad), rtol=1e-11, atol=1e-12)
     (program,) = (found.program for found in programs(dynamics))
     assert len(program.graph.numbers) > 1200
@@ -118,7 +118,7 @@ def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
     dynamics = tx.compile(top(), backend=tx.Native())
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    cost = flown(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
+    cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
     assert [made for made in dynamics._functions.steps.values() if made is not None] == programs(dynamics)

@@ -1,4 +1,4 @@
-"""The length of steps: the first one, the formula of the controller, its bounds, and flights that end early."""
+"""The length of steps: the first one, the formula of the controller, its bounds, and solutions that end early."""
 
 import dataclasses
 import functools
@@ -107,7 +107,7 @@ def quadrature() -> tx.Dynamics:
 
 
 def by_hand(control: StepControl, t1: float, tol: float, first: float) -> tuple[float, int, int]:
-    """The flight of `quadrature` with its steps, in plain Python. Returns x, and steps taken and taken back."""
+    """The solution of `quadrature` with its steps, in plain Python. Returns x, and steps taken and taken back."""
     b, b_low, c = BOGACKI_SHAMPINE3.b, BOGACKI_SHAMPINE3.b_embedded, BOGACKI_SHAMPINE3.c
     p, i, d, order = control.pcoeff, control.icoeff, control.dcoeff, 3
     t, x, h, past, before, accepted, rejected, last_bad = 0.0, 0.3, first, 1.0, 1.0, 0, 0, False
@@ -170,7 +170,7 @@ def test_no_step_is_longer_than_dtmax() -> None:
     assert free.stats.accepted < 10
 
 
-# ---- flights that end early ------------------------------------------------------------------------------------------
+# ---- solutions that end early ---------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -206,7 +206,7 @@ def test_the_number_of_steps_that_is_needed_is_enough() -> None:
         tx.integrate(chase(), {"x": 2.0}, control=StepControl(max_steps=needed - 1), **settings)
 
 
-def test_a_singularity_ends_a_flight_by_name() -> None:
+def test_a_singularity_ends_a_solution_by_name() -> None:
     settings = {"t1": 2.0, "rtol": 1e-8, "atol": 1e-8, "save_at": [0.0, 0.5, 0.9, 1.5, 2.0], "method": METHOD}
     with pytest.raises(tx.IntegrationError) as caught:
         tx.integrate(blow_up(), UP, **settings)
@@ -214,7 +214,7 @@ def test_a_singularity_ends_a_flight_by_name() -> None:
     assert "state 'x'" in message.splitlines()[0]
     assert "t = 1 s" in message.splitlines()[0]
     assert "likely cause: " in message
-    assert "throw=False keeps the flight up to here" in message
+    assert "throw=False keeps the solution up to here" in message
     good = tx.integrate(blow_up(), UP, throw=False, **settings)
     assert good.result in (tx.Result.STEP_TOO_SMALL, tx.Result.NON_FINITE)
     np.testing.assert_array_equal(good.ts, [0.0, 0.5, 0.9])
@@ -222,7 +222,7 @@ def test_a_singularity_ends_a_flight_by_name() -> None:
     np.testing.assert_allclose(good.xs["y"], np.exp([-0.0, -0.5, -0.9]), rtol=1e-7)
 
 
-def test_dtmin_ends_a_flight() -> None:
+def test_dtmin_ends_a_solution() -> None:
     settings = {"t1": 2.0, "rtol": 1e-8, "atol": 1e-8, "method": METHOD, "control": StepControl(dtmin=1e-3)}
     with pytest.raises(tx.IntegrationError, match=r"^no step is small enough .* at t = 0.*; state 'x' has the largest"):
         tx.integrate(blow_up(), UP, **settings)

@@ -53,7 +53,7 @@ def test_numbers_arrays_and_dicts_of_the_same_value_mean_the_same() -> None:
 
 
 def test_rtol_counts_the_size_of_the_state() -> None:
-    """With a relative tolerance alone, the same flight at another size takes the same steps."""
+    """With a relative tolerance alone, the same solution at another size takes the same steps."""
     x0 = {name: 2.0**20 * value for name, value in CLOCKS.items()}
     settings = {"t1": 3.0, "rtol": 1e-7, "atol": 0.0, "method": METHOD}
     one, other = (tx.integrate(two_clocks(), start, **settings) for start in (CLOCKS, x0))
@@ -80,7 +80,7 @@ def screw(scale: float | None = None) -> tx.Dynamics:
 
 
 def screw_errors(atol: object, rtol: float = 1e-12, t1: float = 4.0) -> tuple[float, float, int]:
-    """Errors of angle and position of a split flight; the angle has a closed form, the position a fine sum."""
+    """Errors of angle and position of a split solution; the angle has a closed form, the position a fine sum."""
     method = tx.RKMK(TSIT5, tx.charts.SplitExponential())
     sol = tx.integrate(
         screw(), {"g": np.eye(4), "s": 1e-12}, t1=t1, rtol=rtol, atol={"g": atol, "s": 1.0}, method=method
@@ -120,7 +120,7 @@ def test_a_declared_scale_stands_for_the_size() -> None:
 
 
 def test_tolerances_never_fall_below_round_off() -> None:
-    """atol of zero for a state that is large and a scale that is small: the flight still comes to its end."""
+    """atol of zero for a state that is large and a scale that is small: the solution still comes to its end."""
     x = tx.State("x", scale=1e-9)
     dynamics = tx.compile(tx.System(rates={x: x}))
     sol = tx.integrate(dynamics, {"x": 1e3}, t1=1.0, rtol=1e-12, atol=0.0, method=METHOD)
@@ -130,7 +130,7 @@ def test_tolerances_never_fall_below_round_off() -> None:
     np.testing.assert_allclose(allowed, 10.0 * np.finfo(float).eps * 1e3)
 
 
-def test_a_start_at_zero_with_atol_zero_is_flown() -> None:
+def test_a_start_at_zero_with_atol_zero_is_integrated() -> None:
     sol = tx.integrate(two_clocks(), {"a": np.zeros(2), "b": np.zeros(2)}, t1=1.0, rtol=1e-6, atol=0.0, method=METHOD)
     np.testing.assert_array_equal(sol.xs["a"], np.zeros((1, 2)))
 
@@ -194,10 +194,10 @@ def test_a_method_without_an_estimate_is_refused() -> None:
 
 
 def test_traced_tolerances_are_not_checked_but_work() -> None:
-    """Inside vmap one compiled flight serves many tolerances; each lane is the flight with its own."""
+    """Inside vmap one compiled solution serves many tolerances; each lane is the solution with its own."""
     tols = np.array([1e-4, 1e-6, 1e-8])
-    fly = jax.vmap(lambda tol: tx.integrate(two_clocks(), CLOCKS, t1=2.0, rtol=tol, atol=tol, method=METHOD))
-    lanes = fly(tols)
+    solve = jax.vmap(lambda tol: tx.integrate(two_clocks(), CLOCKS, t1=2.0, rtol=tol, atol=tol, method=METHOD))
+    lanes = solve(tols)
     for k, tol in enumerate(tols):
         alone = tx.integrate(two_clocks(), CLOCKS, t1=2.0, rtol=tol, atol=tol, method=METHOD)
         assert int(lanes.stats.accepted[k]) == alone.stats.accepted

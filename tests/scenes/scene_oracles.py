@@ -1,4 +1,4 @@
-"""Flights by SciPy of equations written out in NumPy: the truth of a scene, found another way."""
+"""Solutions by SciPy of equations written out in NumPy: the truth of a scene, found another way."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = np.ndarray
 Rates = Callable[[Any, Mapping[str, Array]], dict[str, Array]]
 
 
-def scipy_flight(rates: Rates, start: Mapping[str, Any], t0: float, t1: float) -> dict[str, Array]:
+def scipy_solution(rates: Rates, start: Mapping[str, Any], t0: float, t1: float) -> dict[str, Array]:
     """The states at t1 by DOP853 near round-off. Matrices are integrated entry by entry."""
     shapes = {name: np.shape(value) for name, value in start.items()}
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])[:-1]
@@ -27,9 +27,9 @@ def scipy_flight(rates: Rates, start: Mapping[str, Any], t0: float, t1: float) -
     y0 = np.concatenate([np.ravel(value) for value in start.values()]).astype(float)
     # One absolute tolerance for each state, 1e-15 of its size or of 1.
     atol = np.concatenate([np.full(np.size(v), 1e-15 * max(1.0, float(np.max(np.abs(v))))) for v in start.values()])
-    flight = solve_ivp(rate, (t0, t1), y0, method="DOP853", rtol=1e-13, atol=atol)
-    assert flight.success
-    return unpacked(flight.y[:, -1])
+    solution = solve_ivp(rate, (t0, t1), y0, method="DOP853", rtol=1e-13, atol=atol)
+    assert solution.success
+    return unpacked(solution.y[:, -1])
 
 
 def hat(a: Array) -> Array:

@@ -1,40 +1,41 @@
 """The stored ends: found again in extended precision, by SciPy, and where there is one by a formula."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
-from scene_oracles import scipy_flight
+from scene_oracles import scipy_solution
 from scipy import special
 
-from twistax.scenes import SCENES, check_cases, heavy_top, references, spring_bodies
+from twistax.scenes import SCENES, check_cases, heavy_top, spring_bodies
 from twistax.scenes.arrays import about
 from twistax.scenes.free_rotation import TriaxialBody
-from twistax.scenes.references import RATES, STEPS, extrapolated, flown, main
+from twistax.scenes.references import REFERENCES, extrapolated, main
 from twistax.scenes.scene import rotation_angle
-from twistax.scenes.stiff_references import STIFF
 
 #: Extended precision is a double on some machines.
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
+#: Those that are not stiff.
+SMOOTH = [name for name, reference in REFERENCES.items() if reference.fastest is None]
 
 
 def test_every_scene_without_a_closed_form_is_here() -> None:
-    assert set(RATES) == set(STEPS)
-    assert {*RATES, *STIFF} == {name for name, scene in SCENES.items() if scene.exact is None}
+    assert set(REFERENCES) == {name for name, scene in SCENES.items() if scene.exact is None}
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow) if n in ("spring-bodies", "spinning-satellite") else n for n in RATES],
+    [pytest.param(n, marks=pytest.mark.slow) if n in ("spring-bodies", "spinning-satellite") else n for n in SMOOTH],
 )
 def test_the_stored_end_is_what_the_command_finds(name: str) -> None:
     """With two thirds of the steps the stored digits were found with."""
     # Round-off turns the satellite by more.
     bar = 2e-13 if name == "spinning-satellite" else 1e-15
-    assert SCENES[name].error(flown(SCENES[name], STEPS[name])) < (bar if EXTENDED else 1e3 * bar)
+    assert SCENES[name].error(REFERENCES[name].end(SCENES[name])) < (bar if EXTENDED else 1e3 * bar)
 
 
-#: How much a flight in doubles may lose: the bodies on springs amplify an error some hundred times.
+#: How much a solution in doubles may lose: the bodies on springs amplify an error some hundred times.
 LOSSES = {
     "heavy-top": 5e-12,
     "rocket": 1e-12,
@@ -49,10 +50,10 @@ LOSSES = {
 LONG = ("spinning-satellite", "spring-bodies")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in RATES])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in SMOOTH])
 def test_another_integrator_ends_there_too(name: str) -> None:
     scene = SCENES[name]
-    end = scipy_flight(lambda t, y: RATES[name](t, {**scene.params, **y}), scene.start, 0.0, scene.duration)
+    end = scipy_solution(lambda t, y: REFERENCES[name].rates(t, y, scene.params), scene.start, 0.0, scene.duration)
     assert scene.error(end) < LOSSES[name]
 
 
@@ -157,7 +158,7 @@ def test_the_springs_keep_what_they_must() -> None:
 
 
 def test_the_command_prints_python(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(references.STEPS, "rocket", 40)
+    monkeypatch.setitem(REFERENCES, "rocket", dataclasses.replace(REFERENCES["rocket"], steps=40))
     assert main(["rocket"]) == 0
     said, *lines = capsys.readouterr().out.splitlines()
     assert said.startswith("# rocket: 40 and 60 steps are")

@@ -99,7 +99,7 @@ def test_the_largest_part_is_the_error() -> None:
 
 @pytest.mark.parametrize("name", ["R", "g", "V", "q", "m"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_lost_flight_has_no_small_error(name: str, bad: float) -> None:
+def test_a_lost_solution_has_no_small_error(name: str, bad: float) -> None:
     assert not made().error(changed(name, np.full(np.shape(TRUTH[name]), bad))) < np.inf
 
 

@@ -1,19 +1,19 @@
 """The stiff scenes: their ends found again, by SciPy's Radau, by short explicit steps, and by what stiffness leaves."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
-from scene_oracles import hat, scipy_flight
+from scene_oracles import hat, scipy_solution
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.scenes import SCENES, Scene, actuator_lag, stiff_attitude, stiff_joint
 from twistax.scenes.collocation import collocated, radau
-from twistax.scenes.references import Flat
-from twistax.scenes.stiff_references import STIFF, flown, main
+from twistax.scenes.references import REFERENCES, main
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 JOINT = stiff_joint.STIFF_JOINT
@@ -33,25 +33,21 @@ JOINT = stiff_joint.STIFF_JOINT
 )
 def test_the_stored_end_is_what_the_command_finds(name: str, steps: int, bar: float) -> None:
     """With fewer steps than those the stored digits were found with."""
-    assert SCENES[name].error(flown(SCENES[name], steps)) < (bar if EXTENDED else 1e3 * bar)
+    assert SCENES[name].error(REFERENCES[name].end(SCENES[name], steps)) < (bar if EXTENDED else 1e3 * bar)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["stiff-attitude", "actuator-lag"])
 def test_so_are_those_of_other_rates(name: str) -> None:
-    for scene in STIFF[name].scenes:
-        assert scene.error(flown(scene, STIFF[name].steps)) < (1e-15 if EXTENDED else 1e-12)
+    for scene in REFERENCES[name].scenes:
+        assert scene.error(REFERENCES[name].end(scene)) < (1e-15 if EXTENDED else 1e-12)
 
 
 def by_radau(scene: Scene, rtol: float) -> dict[str, Any]:
-    flat, how = Flat.like(scene.start), STIFF[scene.name]
-
-    def rate(t: float, y: Any) -> Any:
-        return flat.pack(how.rates(t, flat.unpack(y), scene.params))
-
-    flight = solve_ivp(rate, (0.0, scene.duration), flat.pack(scene.start), method="Radau", rtol=rtol, atol=1e-2 * rtol)
-    assert flight.success
-    return flat.unpack(flight.y[:, -1])
+    rate, start, unpack = REFERENCES[scene.name].flat(scene)
+    found = solve_ivp(rate, (0.0, scene.duration), start, method="Radau", rtol=rtol, atol=1e-2 * rtol)
+    assert found.success
+    return unpack(found.y[:, -1])
 
 
 @pytest.mark.parametrize(
@@ -77,8 +73,8 @@ def test_scipys_radau_ends_there_too(scene: Scene, rtol: float, bar: float) -> N
 )
 def test_short_explicit_steps_of_the_system_end_there_too(scene: Scene, bar: float) -> None:
     """The expressions of the scene, not the equations written out in NumPy."""
-    flight = scene.fly(rtol=1e-11, method=tx.RKMK(tx.tableaus.DOP853), control=tx.StepControl(max_steps=10**6))
-    end = {name: np.asarray(value[-1]) for name, value in flight.xs.items()}
+    solution = scene.integrate(rtol=1e-11, method=tx.RKMK(tx.tableaus.DOP853), control=tx.StepControl(max_steps=10**6))
+    end = {name: np.asarray(value[-1]) for name, value in solution.xs.items()}
     assert scene.error(end) < bar
     before, after = (scene.dynamics.outputs(0.0, x, None, scene.params) for x in (scene.start, end))
     for name in scene.invariants:
@@ -107,7 +103,7 @@ def test_a_very_stiff_damper_leaves_first_order_motion() -> None:
         return {"R": y["R"] @ hat(-error(t, y["R"]))}
 
     scenes = stiff_attitude.scene(1e6), stiff_attitude.scene(1e7)
-    R = scipy_flight(rates, {"R": scenes[0].start["R"]}, 0.0, 5.0)["R"]
+    R = scipy_solution(rates, {"R": scenes[0].start["R"]}, 0.0, 5.0)["R"]
     close_and_closer(*scenes, {"R": R, "w": -error(5.0, R)})
 
 
@@ -129,7 +125,7 @@ def test_very_quick_actuators_are_their_commands() -> None:
         return {"g": y["g"] @ twist, "V": np.concatenate([v, w])}
 
     scenes = actuator_lag.scene(1e-5), actuator_lag.scene(1e-6)
-    end = scipy_flight(rates, {name: scenes[0].start[name] for name in ("g", "V")}, 0.0, 5.0)
+    end = scipy_solution(rates, {name: scenes[0].start[name] for name in ("g", "V")}, 0.0, 5.0)
     F, a = commands(5.0, end)
     close_and_closer(*scenes, {**end, "F": F, "a": a})
 
@@ -185,9 +181,8 @@ def test_collocation_of_a_stiff_line() -> None:
 
 @pytest.mark.slow
 def test_the_command_prints_a_scene(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    how = STIFF["stiff-attitude"]
-    short = {"stiff-attitude": type(how)((stiff_attitude.scene(1e3),), how.rates, 20, how.fastest)}
-    monkeypatch.setattr("twistax.scenes.stiff_references.STIFF", short)
+    short = dataclasses.replace(REFERENCES["stiff-attitude"], scenes=(stiff_attitude.scene(1e3),), steps=20)
+    monkeypatch.setitem(REFERENCES, "stiff-attitude", short)
     assert main(["stiff-attitude"]) == 0
     said = capsys.readouterr().out
     assert "# stiff-attitude, k = 1000: 20 and 30 steps are" in said

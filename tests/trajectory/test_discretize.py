@@ -10,6 +10,7 @@ import pytest
 from trajectory_systems import everything, quick_jit, sample, spinning_ball
 
 import twistax as tx
+from twistax.integrators import VectorField
 from twistax.trajectory import Discretization, discretize
 
 H, T = 0.3, 0.4
@@ -26,7 +27,7 @@ def flight(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[..
         control, params = dict(inputs.u), dict(inputs.params)
 
         def step(i: jax.Array, state: dict) -> dict:
-            return method.step(dynamics, t + i.astype(t.dtype) * h, state, lambda _: control, params, h)
+            return method.step(VectorField(dynamics, lambda _: control, params), t + i.astype(t.dtype) * h, state, h)
 
         return jax.lax.fori_loop(0, substeps, step, dict(inputs.x))
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ShapeError
-from ..groups.inputs import multiply
+from ..groups.arrays import multiply
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant, State
 from .node import Example, Expr, Numbers, Shape

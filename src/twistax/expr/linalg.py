@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError, ShapeError
-from ..groups.components import cross, unpack, vector
+from ..groups.arrays import cross, unpack, vector
 from .arithmetic import Div, Neg, is_constant, zeros_of
 from .elementwise import Abs, absolute, square_root
 from .fields import ExprLike, Operand

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ShapeError
-from ..groups.inputs import multiply
+from ..groups.arrays import multiply
 from .arithmetic import Div, MatMul, is_identity
 from .fields import Operand
 from .graph import leaves_of

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..groups import quaternion_product, rotation_from_quaternion, so3
-from ..groups.components import matrix, unpack
+from ..groups.arrays import matrix, unpack
 from .fields import Operand
 from .node import Expr, Shape
 from .shapes import expect

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ShapeError
 from twistax.groups import quaternions, se3
-from twistax.groups.inputs import Input, floats, of_shape
+from twistax.groups.arrays import Input, floats, of_shape
 
 __all__ = ["euler", "pose", "quaternion", "quaternion_product", "rotation_from_quaternion"]
 
@@ -30,7 +30,7 @@ def _rotation_of(function: str, R: Input) -> Array:
 def _from_rotation(R: Array) -> Array:
     values = _concrete(R)
     if values is not None:
-        with np.errstate(invalid="ignore"):  # not a number is refused below, in words
+        with np.errstate(invalid="ignore"):  # NaN is refused below, in words
             skew = float(np.max(np.abs(values.T @ values - np.eye(3))))
             determinant = float(np.linalg.det(values))
         allowed = float(np.sqrt(np.finfo(values.dtype).eps))

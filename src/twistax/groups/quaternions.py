@@ -5,8 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
-from twistax.groups.inputs import multiply
+from twistax.groups.arrays import Components, add, cross, dot, matrix, multiply, scale, unpack, vector
 from twistax.groups.series import exp_coefficients
 
 __all__ = ["exp", "from_rotation", "hamilton", "product", "rate", "rotate", "rotation_rows", "to_rotation", "unscaled"]

@@ -15,8 +15,20 @@ from jaxtyping import Array, Float
 
 from twistax.errors import ShapeError
 from twistax.groups import so3
-from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
-from twistax.groups.inputs import Input, floats, multiply, of_shape
+from twistax.groups.arrays import (
+    Components,
+    Input,
+    add,
+    cross,
+    dot,
+    floats,
+    matrix,
+    multiply,
+    of_shape,
+    scale,
+    unpack,
+    vector,
+)
 from twistax.groups.series import exp_coefficients, inverse_coefficients, inverse_derivative, jacobian_coefficients
 
 __all__ = [
@@ -39,6 +51,7 @@ __all__ = [
     "right_jacobian",
     "right_jacobian_inv",
     "right_jacobian_inv_apply",
+    "swept",
     "transform",
     "vee",
 ]
@@ -84,6 +97,12 @@ def transform(R: Array, p: Array) -> Array:
     return jnp.concatenate([top, jnp.asarray([[0.0, 0.0, 0.0, 1.0]], dtype=top.dtype)], axis=0)
 
 
+def swept(w: Components, v: Components, a: Array | float, b: Array) -> Components:
+    """(I + a W + b W^2) v: the position of Exp with J_l, a = (1 - cos t) / t^2 and b = (t - sin t) / t^3."""
+    once = cross(w, v)
+    return add(v, scale(a, once), scale(b, cross(w, once)))
+
+
 def exp(xi: Input) -> Float[Array, "4 4"]:
     """Exp(xi) = [Exp(w), J_l(w) v; 0, 1]: the pose reached from the origin by the constant body twist xi in unit time.
 
@@ -92,7 +111,7 @@ def exp(xi: Input) -> Float[Array, "4 4"]:
     (xi,) = of_shape("se3.exp", {"xi": (6,)}, xi)
     v, w = _halves(xi)
     first, second, third = exp_coefficients(dot(w, w))
-    return transform(so3.rigid_polynomial(w, first, second), vector(so3.swept(w, v, second, third)))
+    return transform(so3.rigid_polynomial(w, first, second), vector(swept(w, v, second, third)))
 
 
 def log(T: Input) -> Float[Array, "6"]:
@@ -103,9 +122,8 @@ def log(T: Input) -> Float[Array, "6"]:
     """
     (T,) = of_shape("se3.log", {"T": (4, 4)}, T)
     rotation = so3.log(T[:3, :3])
-    w, p = unpack(rotation), unpack(T[:3, 3])
-    once = cross(w, p)
-    v = add(p, scale(-0.5, once), scale(inverse_derivative(0, dot(w, w)), cross(w, once)))
+    w = unpack(rotation)
+    v = swept(w, unpack(T[:3, 3]), -0.5, inverse_derivative(0, dot(w, w)))
     return jnp.concatenate([vector(v), rotation])
 
 

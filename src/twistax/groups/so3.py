@@ -12,8 +12,20 @@ from jaxtyping import Array, Float
 
 from twistax.errors import ShapeError
 from twistax.groups import quaternions
-from twistax.groups.components import Components, add, cross, dot, matrix, scale, unpack, vector
-from twistax.groups.inputs import Input, floats, multiply, of_shape
+from twistax.groups.arrays import (
+    Components,
+    Input,
+    add,
+    cross,
+    dot,
+    floats,
+    matrix,
+    multiply,
+    of_shape,
+    scale,
+    unpack,
+    vector,
+)
 from twistax.groups.series import angle_ratio, exp_coefficients, inverse_derivative
 
 __all__ = [
@@ -36,7 +48,6 @@ __all__ = [
     "right_jacobian",
     "right_jacobian_inv",
     "right_jacobian_inv_apply",
-    "swept",
     "tightened",
     "vee",
 ]
@@ -225,9 +236,3 @@ def pulled_back(w: Components, u: Components, d: Array | float) -> Components:
     if isinstance(d, float) and d == 0.0:
         return add(u, scale(0.5, cross(w, u)))
     return add(u, cross(w, add(scale(0.5, u), scale(d, cross(w, u)))))
-
-
-def swept(w: Components, v: Components, second: Array, third: Array) -> Components:
-    """J_l(w) v = v + c_2 w x v + c_3 w x (w x v), c_2 = (1 - cos t) / t^2, c_3 = (t - sin t) / t^3: Exp's position."""
-    once = cross(w, v)
-    return add(v, scale(second, once), scale(third, cross(w, once)))

@@ -1,4 +1,4 @@
-"""SO(3) and SE(3) as groups of states."""
+"""SO(3) and SE(3) as groups of states, and the two orders of a twist. All maps of this package work linear first."""
 
 from __future__ import annotations
 
@@ -8,13 +8,57 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from twistax.errors import ShapeError
 from twistax.groups import quaternions, se3, so3
-from twistax.groups.components import cross, dot, unpack
+from twistax.groups.arrays import Input, cross, dot, floats, multiply, of_shape, unpack
 from twistax.groups.group import Group
-from twistax.groups.inputs import Input, multiply, of_shape
-from twistax.groups.order import LINEAR_FIRST, Order
 
-__all__ = ["SE3", "SO3", "SpecialEuclidean", "SpecialOrthogonal"]
+__all__ = ["ANGULAR_FIRST", "LINEAR_FIRST", "SE3", "SO3", "Order", "SpecialEuclidean", "SpecialOrthogonal"]
+
+
+@dataclass(frozen=True, repr=False)
+class Order:
+    """How a six-vector stacks its parts: [v; w] or [w; v]. Use the two instances LINEAR_FIRST and ANGULAR_FIRST.
+
+    It concerns six-vectors (twists, wrenches, momenta, tangents) and 6x6 matrices, never the 4x4 pose.
+    """
+
+    linear_leads: bool
+
+    def __repr__(self) -> str:
+        return "LINEAR_FIRST" if self.linear_leads else "ANGULAR_FIRST"
+
+    def split(self, xi: Input) -> tuple[Float[Array, "3 *k"], Float[Array, "3 *k"]]:
+        """(v, w): linear and angular part of a six-vector in this order, or of k columns (6, k). Raises ShapeError."""
+        (xi,) = floats(xi)
+        (xi,) = of_shape("Order.split", {"xi": (6, *_columns(xi))}, xi)
+        return (xi[:3], xi[3:]) if self.linear_leads else (xi[3:], xi[:3])
+
+    def join(self, v: Input, w: Input) -> Float[Array, "6 *k"]:
+        """The six-vector of a linear part v and an angular part w in this order, or k columns. Raises ShapeError."""
+        v, w = floats(v, w)
+        part = (3, *_columns(v))
+        v, w = of_shape("Order.join", {"v": part, "w": part}, v, w)
+        return jnp.concatenate([v, w] if self.linear_leads else [w, v])
+
+    def from_linear_first(self, a: Input) -> Float[Array, "*shape"]:
+        """A linear-first vector (6,) or matrix (6, 6), both axes, brought into this order. Raises ShapeError."""
+        (a,) = floats(a)
+        if a.shape not in ((6,), (6, 6)):
+            raise ShapeError(f"Order expects a with shape (6,) or (6, 6), got {a.shape}")
+        return a if self.linear_leads else jnp.roll(a, 3, axis=tuple(range(a.ndim)))
+
+    def to_linear_first(self, a: Input) -> Float[Array, "*shape"]:
+        """A vector (6,) or matrix (6, 6) in this order brought to linear first. Swapping the halves undoes itself."""
+        return self.from_linear_first(a)
+
+
+def _columns(a: Array) -> tuple[int, ...]:
+    return a.shape[1:] if a.ndim == 2 else ()
+
+
+LINEAR_FIRST = Order(linear_leads=True)
+ANGULAR_FIRST = Order(linear_leads=False)
 
 
 def _nearest(R: Array) -> Array:
@@ -74,12 +118,6 @@ class SpecialOrthogonal(Group):
 
     def left_jacobian_inv(self, xi: Input) -> Float[Array, "3 3"]:
         return so3.left_jacobian_inv(xi)
-
-    def right_jacobian(self, xi: Input) -> Float[Array, "3 3"]:
-        return so3.right_jacobian(xi)
-
-    def right_jacobian_inv(self, xi: Input) -> Float[Array, "3 3"]:
-        return so3.right_jacobian_inv(xi)
 
     def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "3"]:
         return so3.right_jacobian_inv_apply(eta, omega)
@@ -155,12 +193,6 @@ class SpecialEuclidean(Group):
 
     def left_jacobian_inv(self, xi: Input) -> Float[Array, "6 6"]:
         return self.order.from_linear_first(se3.left_jacobian_inv(self.order.to_linear_first(xi)))
-
-    def right_jacobian(self, xi: Input) -> Float[Array, "6 6"]:
-        return self.order.from_linear_first(se3.right_jacobian(self.order.to_linear_first(xi)))
-
-    def right_jacobian_inv(self, xi: Input) -> Float[Array, "6 6"]:
-        return self.order.from_linear_first(se3.right_jacobian_inv(self.order.to_linear_first(xi)))
 
     def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "6"]:
         linear_first = self.order.to_linear_first

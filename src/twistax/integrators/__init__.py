@@ -1,35 +1,28 @@
-"""Integration on groups: tableaus, charts, the stage loop, controls over time, fixed-step flights."""
+"""Integration on groups: methods, controls, events, solutions. Tableaus are `tx.tableaus`, charts `tx.charts`."""
 
-from .commutator_free import CF4, CommutatorFree, CommutatorFreeTableau
-from .controls import FirstOrderHold, Table, ZeroOrderHold
+from .commutator_free import CommutatorFree
+from .controls import FirstOrderHold, ZeroOrderHold
 from .events import Event
-from .implicit import CollocationTableau, ImplicitRKMK
+from .implicit import ImplicitRKMK
 from .integrate import integrate
 from .magnus import Magnus
-from .method import Method
-from .result import Result
+from .method import Method, VectorField
 from .rkmk import RKMK
-from .solution import Solution, Stats
+from .solution import Result, Solution
 from .step_control import StepControl
-from .tableau import ButcherTableau
 
 __all__ = [
-    "CF4",
     "RKMK",
-    "ButcherTableau",
-    "CollocationTableau",
     "CommutatorFree",
-    "CommutatorFreeTableau",
     "Event",
-    "ZeroOrderHold",
-    "ImplicitRKMK",
     "FirstOrderHold",
+    "ImplicitRKMK",
     "Magnus",
     "Method",
     "Result",
     "Solution",
-    "Stats",
     "StepControl",
-    "Table",
+    "VectorField",
+    "ZeroOrderHold",
     "integrate",
 ]

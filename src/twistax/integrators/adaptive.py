@@ -1,4 +1,4 @@
-"""A flight whose steps are as long as the tolerances allow."""
+"""Steps as long as the tolerances allow."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..errors import InputError
 from ..lowering.dynamics import Arrays
+from ..lowering.inputs import is_finite
 from ..lowering.small_call import small_call
-from .charts.whole import Blocks
-from .course import Course, Flown, Outcome, Part, Saved
+from .charts.coordinates import Blocks
+from .controls import Signals
 from .events import Watched
-from .finite import all_finite
-from .first_step import first_step
-from .kernel_tries import kernel_tries
-from .method import Carry
-from .result import Result
-from .rows import put, rows
-from .step_control import Errors, StepControl
-from .stepper import Stepper
+from .kernels import kernel_tries
+from .method import Carry, Stepper
+from .solution import Result
+from .step_control import Errors, StepControl, first_step
+from .steps import Outcome, Part, Run, Saved, Steps, check_saves, span_of
 from .tolerances import Tolerances
+from .trees import all_finite, put, rows
 
-__all__ = ["AdaptiveCourse", "Stops"]
+__all__ = ["AdaptiveSteps", "Stops"]
 
 #: A step that leaves less than this share of itself to the next stop goes there at once.
 _STRETCH = 0.01
@@ -37,7 +38,7 @@ class Stops:
     """Where the loop over steps halts: at saved times, which it may pass, and at limits, where a step must end.
 
     Attributes:
-        limits: (m,) times in order, the last one the end of the flight. Rates may jump there.
+        limits: (m,) times in order, the last one the end. Rates may jump there.
         ts: (k,) limits and saved times in order.
         leg: (k,) the limit that bounds the steps on the way to each.
         place: (n,) where the saved times stand in ts; None where there are none.
@@ -52,8 +53,8 @@ class Stops:
     def of(cls, limits: jax.Array, saves: jax.Array | None) -> Stops:
         """The stops of sorted limits and saved times.
 
-        Limits that coincide move together: none of the legs between them would be flown, so that the derivatives of
-        the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+        Limits that coincide move together: none of the legs between them has a step, so that the derivatives of the
+        two ends of each must be the same. Half of what both do goes to the first, half to the last.
         """
         first, last = (jnp.searchsorted(limits, limits, side=side) for side in ("left", "right"))
         limits = 0.5 * (limits[first] + limits[last - 1])
@@ -64,6 +65,28 @@ class Stops:
         ts = joined[order]
         leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
         return cls(limits, ts, leg, jnp.argsort(order)[: saves.size])
+
+    @classmethod
+    def given(cls, t0: jax.Array, t1: Any, dt: Any, save_at: Any, jumps: Any, signals: Signals) -> Stops:
+        """The stops of what a user gave: saved times; the end, jumps and those of tables as limits.
+
+        Raises:
+            InputError: what `span_of` and `check_saves` raise; jumps that are not finite times.
+        """
+        span = span_of(t0, t1, dt)
+        if save_at is not None:
+            check_saves(save_at, span)
+        if jumps is not None and (np.ndim(jumps) != 1 or not is_finite(jumps)):
+            raise InputError(f"jumps expects finite times with shape (n,), got {jumps!r}")
+        t1 = jnp.asarray(t1, t0.dtype)
+        known = [jnp.asarray(ts, t0.dtype) for ts in (*signals.jumps, *([] if jumps is None else [jumps]))]
+        # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+        inside = [jnp.where(ts <= t0, t0, jnp.where(ts >= t1, t1, ts)) for ts in known]
+        limits = jnp.append(jnp.sort(jnp.concatenate(inside)), t1) if inside else t1[None]
+        if save_at is None:
+            return cls.of(limits, None)
+        saves = jnp.asarray(save_at, t0.dtype)
+        return cls.of(limits, jnp.where(saves < t0, t0, jnp.where(saves > t1, t1, saves)))
 
 
 class _Path(NamedTuple):
@@ -85,7 +108,7 @@ class _Now(NamedTuple):
     """What the loop carries: the state, what the method carries, the next step to try, the start of the last one taken.
 
     After a failure h is the step that failed.
-    Pytrees are packed into vectors: XLA would work out the test of a step again for every scalar it guards.
+    Pytrees are packed into vectors: XLA would compute the test of a step again for every scalar it guards.
     """
 
     t: jax.Array
@@ -106,7 +129,7 @@ class _Now(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class AdaptiveCourse(Course):
+class AdaptiveSteps(Steps):
     """Steps from t0 through all stops.
 
     Attributes:
@@ -116,7 +139,7 @@ class AdaptiveCourse(Course):
         tolerances: the error allowed in a step.
         control: how the next step follows from the errors, and how many there may be.
         dense: whether the starts of all steps are kept.
-        watch: the conditions that end the flight.
+        watch: the conditions that end the integration.
     """
 
     t0: Any
@@ -131,9 +154,9 @@ class AdaptiveCourse(Course):
     def bound(self) -> int:
         return self.control.max_steps
 
-    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         stops, read = self.stops, ravel_pytree(y)[1]
-        now, found = small_call(lambda course, stepper, y: course._all_steps(stepper, y, record), self, stepper, y)
+        now, found = small_call(lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, y)
         short = (now.code == Result.SUCCESS.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         outcome = Outcome(code, now.tried, now.accepted, now.evaluations, now.t, now.h)
@@ -142,12 +165,12 @@ class AdaptiveCourse(Course):
         if stops.place is not None:
             (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
             saved = Saved(index, times, jax.vmap(read)(starts), reached)
-        return Flown(read(now.y), outcome, saved, now.path, trail, now.watched)
+        return Run(read(now.y), outcome, saved, now.path, trail, now.watched)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         stops = self.stops
-        begun, first = small_call(AdaptiveCourse._begin, self, stepper, y)
+        begun, first = small_call(AdaptiveSteps._begin, self, stepper, y)
         packed, read = ravel_pytree(y)
         carry, read_carry = ravel_pytree(begun)
         packing, zero = _Packing(read, read_carry), jnp.zeros((), int)
@@ -202,10 +225,10 @@ class AdaptiveCourse(Course):
             return (now.t < t) & (now.code == 0)
 
         def one_try(
-            given: tuple[AdaptiveCourse, jax.Array, jax.Array], stepper: Stepper, now: _Now
+            given: tuple[AdaptiveSteps, jax.Array, jax.Array], stepper: Stepper, now: _Now
         ) -> tuple[_Now, jax.Array]:
-            course, t, leg = given
-            found = course._try(stepper, packing, now, leg)
+            steps, t, leg = given
+            found = steps._try(stepper, packing, now, leg)
             return found, going(found, t)
 
         kernel = None
@@ -218,7 +241,7 @@ class AdaptiveCourse(Course):
         )
 
     def _countable(self, stepper: Stepper) -> bool:
-        """Whether all evaluations can be counted in the precision of the flight, as kernels do."""
+        """Whether all evaluations can be counted in the precision of the state, as kernels do."""
         return self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1) < 2 ** jnp.finfo(self.t0.dtype).nmant
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
@@ -260,7 +283,7 @@ class AdaptiveCourse(Course):
             ends = t == self.stops.limits[-1]
             watched = self.watch.after(stepper, now.t, step, found.y, now.watched, now.accepted == 0, ends)
             hit = good & watched.hits.any()
-            # The flight halts before the step with the event.
+            # The loop halts before the step with the event.
             good, halted, code = good & ~hit, failed | hit, jnp.where(hit, Result.EVENT.value, code)
             watched = watched._replace(values=jnp.where(good, watched.values, now.watched.values))
 

@@ -1,22 +1,22 @@
-"""The same system as a plain ODE in quaternions or matrices, as one would write it without groups. For comparison."""
+"""The same system as a plain ODE in quaternions or matrices, as one would write it without groups; diffrax's args."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from ..errors import ModelError
+from ..errors import InputError, ModelError
 from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
-from ..groups.components import unpack, vector
+from ..groups.arrays import unpack, vector
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .arguments import read_arguments
+from .controls import OfTime, Signals, controls_of
 
-__all__ = ["Ambient"]
+__all__ = ["Ambient", "Arguments", "read_arguments"]
 
 
 class Ambient:
@@ -143,3 +143,35 @@ def _coordinates(group: Group, quaternion: bool) -> _Coordinates:
     if isinstance(group, SpecialEuclidean):
         return _PoseQuaternion(group) if quaternion else _PoseMatrix(group)
     raise ModelError(f"no plain numbers are known for states on {group.name}")
+
+
+class Arguments(NamedTuple):
+    """What diffrax calls args, read as `integrate` reads u and params: what a step needs besides its length.
+
+    Attributes:
+        t: the time.
+        x: the state.
+        signals: the prepared controls.
+        params: the prepared parameters.
+    """
+
+    t: jax.Array
+    x: Arrays
+    signals: Signals
+    params: Arrays
+
+
+def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) -> Arguments:
+    """Time, state and args = (u, params), or None, checked and in one precision. Traceable.
+
+    Raises:
+        InputError: args of another form; the rest as a call of the dynamics does.
+    """
+    if args is not None and not (isinstance(args, (tuple, list)) and len(args) == 2):
+        raise InputError(f"args must be (u, params), both as tx.integrate takes them, or None; got {args!r}")
+    u, params = (None, None) if args is None else args
+    controls = controls_of(u)
+    inputs = dynamics._functions.prepare(t, x, controls.sample(t), params)
+    if isinstance(controls, OfTime):
+        controls = controls.opened(inputs.t)
+    return Arguments(inputs.t, dict(inputs.x), controls.prepared(inputs.u, inputs.dtype), dict(inputs.params))

@@ -13,13 +13,12 @@ from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
 from ..errors import ModelError
-from ..groups.inputs import multiply
+from ..groups.arrays import multiply
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
 from .charts import Exponential
-from .charts.whole import Blocks, StateCoordinates, coordinates_of
-from .method import ControlsAt, Method
-from .tableau import ButcherTableau
+from .charts.coordinates import Blocks, StateCoordinates, coordinates_of
+from .method import Method, VectorField
+from .tableau import ButcherTableau, Coefficients
 
 __all__ = ["CF4", "CommutatorFree", "CommutatorFreeTableau"]
 
@@ -28,7 +27,7 @@ Exponentials: TypeAlias = tuple[tuple[float, ...], ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class CommutatorFreeTableau:
+class CommutatorFreeTableau(Coefficients):
     """The coefficients of an explicit commutator-free method with s stages, for body velocities, g' = g Omega^.
 
         g_i = g_0 Exp(h sum_j a_i1j k_j) Exp(h sum_j a_i2j k_j) ...,   k_i = Omega(t + c_i h, g_i),
@@ -46,7 +45,7 @@ class CommutatorFreeTableau:
         underlying: the Runge-Kutta method that it is on states without a group.
 
     Raises:
-        ModelError: an exponential without weights, a weight of a stage that is still to come, one that is no number,
+        ModelError: an exponential without weights, a weight of a stage that is still to come, one that is not finite,
             or weights of the step that do not sum to 1.
 
     Source: Celledoni, Marthinsen, Owren, Commutator-free Lie group methods, Future Generation Computer Systems 19
@@ -68,6 +67,11 @@ class CommutatorFreeTableau:
         object.__setattr__(self, "underlying", underlying)
 
     @property
+    def stages(self) -> int:
+        """s, the number of rows."""
+        return len(self.a)
+
+    @property
     def c(self) -> Any:
         """The nodes."""
         return self.underlying.c
@@ -80,9 +84,6 @@ class CommutatorFreeTableau:
                 exponent[: len(given)] = given
         return table
 
-    def __repr__(self) -> str:
-        return f"CommutatorFreeTableau({self.name}, order {self.order}, {len(self.a)} stages)"
-
     def _exponentials(self, field: str, rows: Any, known: int) -> Exponentials:
         try:
             read = tuple(tuple(float(weight) for weight in row) for row in rows)
@@ -94,9 +95,6 @@ class CommutatorFreeTableau:
             if len(row) > known:
                 raise self._error(f"{field} weighs {len(row)} slopes where {known} are known: it would be implicit")
         return read
-
-    def _error(self, sentence: str) -> ModelError:
-        return ModelError(f"tableau {self.name!r}: {sentence}")
 
 
 #: The method of order 4 with two exponentials in the step; without a group it is the classical Runge-Kutta method.
@@ -147,19 +145,14 @@ class CommutatorFree(Method):
         # Only moves are used: commutators are those of a pull-back that does not happen.
         return coordinates_of(Exponential(commutators=1), dynamics.group)
 
-    def advance(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable.
 
         A loop over the stages as in `stage_slopes`; every stage has as many exponentials as the longest, some of zero.
         """
-        local, tableau = self.coordinates(dynamics), self.tableau
+        local, tableau = self.coordinates(field.dynamics), self.tableau
 
-        def rate(time: jax.Array, point: Blocks) -> Blocks:
-            return local.rate(dynamics._functions.vector_field(time, local.value(point), u_at(time), params))
-
-        start, read = ravel_pytree(rate(t, y))
+        start, read = ravel_pytree(self.rate(field, t, y))
         count = len(tableau.a)
         rows = jnp.zeros((count, start.size), start.dtype).at[0].set(start)
 
@@ -171,7 +164,7 @@ class CommutatorFree(Method):
 
         def stage(rows: jax.Array, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             number, weights, node = entry
-            found = rate(t + node * h, reached(weights, rows))
+            found = self.rate(field, t + node * h, reached(weights, rows))
             return rows.at[number].set(ravel_pytree(found)[0]), None
 
         a, c = jnp.asarray(tableau.weights(tableau.a[1:]), start.dtype), jnp.asarray(tableau.c[1:], start.dtype)

@@ -1,4 +1,4 @@
-"""Conditions that end a flight where they become zero."""
+"""Conditions that end an integration where they become zero."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_a
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts.whole import Blocks
+from .charts.coordinates import Blocks
 from .controls import Signals
-from .stepper import Stepper
+from .method import Stepper
 
 __all__ = ["Event", "Watch", "Watched", "watch_of"]
 
-#: A value at the start or the end of a flight that is this many units of round-off, or less, of the one at the other
-#: end of the step counts as zero.
+#: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
+#: of the one at the other end of the step.
 _HAIR = 1e3
 
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """A flight ends where the condition becomes zero: `tx.integrate(..., event=tx.Event(condition))`.
+    """An integration ends where the condition becomes zero: `tx.integrate(..., event=tx.Event(condition))`.
 
-    A step during which the sign of the condition changes is flown again up to the root, in its group and to round-off
+    A step during which the sign of the condition changes is taken again up to the root, in its group and to round-off
     of the time. Two roots within one step are not seen: `tx.StepControl(dtmax=...)` or dt must be shorter than the time
     between them. A condition that is zero at the start, up to round-off, is no event until it has been something else;
-    one that is zero at the end, up to round-off, is. Where it is not a number it has no sign.
+    one that is zero at the end, up to round-off, is. Where it is NaN it has no sign.
 
     Attributes:
         condition: an expression of shape (), or a traceable function f(t, x, u, params) -> (). A function is part of
@@ -93,7 +93,7 @@ class Watched(NamedTuple):
     """What a loop over steps knows of the conditions.
 
     Attributes:
-        values: (m,) where the step begins; the last ones that were numbers.
+        values: (m,) where the step begins; the last ones that were not NaN.
         hits: (m,) whether each became zero in the last step tried.
     """
 
@@ -103,7 +103,7 @@ class Watched(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Watch:
-    """The conditions of a flight. A pytree: functions and directions are structure.
+    """The conditions of an integration. A pytree: functions and directions are structure.
 
     Attributes:
         functions: f(t, x, u, params, *inputs) each.
@@ -117,14 +117,14 @@ class Watch:
 
     def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Blocks) -> jax.Array:
         """(m,) the conditions at a time and a stored state, within the step of length h from start."""
-        x, u = stepper.stored.value(y), stepper.controls(start, h)(t)
+        x, u = stepper.stored.value(y), stepper.field(start, h).controls(t)
         found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
 
     def begin(self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks) -> Watched:
-        """At the start of a flight whose first step is about h.
+        """At the start of an integration whose first step is about h.
 
-        The sign that counts is the one just after: where a flight goes on from an event, that at the start is noise.
+        The sign that counts is the one just after: where it goes on from an event, that at the start is noise.
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
@@ -138,7 +138,7 @@ class Watch:
         """At the end y of a step from t: values there, and which became zero on the way. Zero at the end counts.
 
         Args:
-            first, last: whether the flight begins or ends with this step.
+            first, last: whether this is the first or the last step.
         """
         now = self.values(stepper, t, h, t + h, y)
         hair = _HAIR * float(jnp.finfo(now.dtype).eps)
@@ -156,15 +156,13 @@ jax.tree_util.register_pytree_node(
 )
 
 
-def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch | None, list[jax.Array]]:
-    """The conditions that `integrate` was given, and their values at the start; None where there are none.
+def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch, list[jax.Array]]:
+    """The conditions that `integrate` was given, and their values at the start.
 
     Raises:
         InputError: neither an event nor a sequence of events; a condition that does not return one number.
         ModelError: an expression that reads what the system does not have.
     """
-    if event is None:
-        return None, []
     events: Sequence[Any] = [event] if isinstance(event, Event) else event
     if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
         raise InputError(f"event expects tx.Event(condition), or a list of them, got {event!r}")

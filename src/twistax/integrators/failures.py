@@ -1,4 +1,4 @@
-"""What is said after a flight that ended early."""
+"""What is said after an integration that ended early."""
 
 from __future__ import annotations
 
@@ -14,79 +14,68 @@ from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
-from .course import Course, Outcome
-from .result import Result
-from .stepper import Stepper
+from .method import Stepper
+from .solution import Result
+from .steps import Outcome, Steps
 
 __all__ = ["failure"]
 
-#: From this turn in a step on, in rad, it is the likely cause of a failure: stages may turn further than the start.
+#: A rotation by this in a step, in rad, is the likely cause of a failure: stages may rotate further than the start.
 _FAR = 2.0
 
 
-def failure(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> IntegrationError:
-    """The error for a flight that ended early at the state x."""
-    result = Result(int(outcome.code))
+def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
+    """The error for an integration that ended early at the state x."""
+    result, t, h = Result(int(outcome.code)), float(outcome.t), float(outcome.h)
+    last = "last state"
     if result is Result.NON_FINITE:
-        return _not_a_number(stepper, course, outcome.t, outcome.h, x)
-    if result is Result.NEWTON_FAILED:
-        return _not_solved(stepper, course, outcome, x)
-    state = course.worst(stepper, outcome, x)
-    blame = f"; state {state!r} has the largest error" if state else ""
-    if result is Result.MAX_STEPS:
-        what = f"{int(outcome.tried)} steps ran out at t = {float(outcome.t):.6g} s{blame}"
-        cause = f"steps are {float(outcome.h):.3g} s there: tolerances this tight, rates this fast, or a stiff system"
-        fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
+        last = "last finite state"
+        what, cause, fix = _not_finite_end(stepper, steps, outcome, x)
+    elif result is Result.NEWTON_FAILED:
+        what = f"the equations of a step of {stepper.method.name} could not be solved at t = {t:.6g} s"
+        cause, fix = steps.not_solved(h)
     else:
-        what = f"no step is small enough for the tolerances at t = {float(outcome.t):.6g} s{blame}"
-        cause = "a jump in the rates there, a singularity, or dtmin"
-        fix = "name times of jumps with jumps=..., or try looser tolerances"
+        state = steps.worst(stepper, outcome, x)
+        blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
+        if result is Result.MAX_STEPS:
+            what = f"{int(outcome.tried)} steps ran out{blame}"
+            cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
+            fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
+        else:
+            what = f"no step is small enough for the tolerances{blame}"
+            cause = "a jump in the rates there, a singularity, or dtmin"
+            fix = "name times of jumps with jumps=..., or try looser tolerances"
     return IntegrationError(
-        f"{what}.\n  likely cause: {cause}\n  last state: {_sizes(x)} (largest entries)\n"
-        f"  fix: {fix}; throw=False keeps the flight up to here"
+        f"{what}.\n  likely cause: {cause}\n  {last}: {_sizes(x)} (largest entries)\n"
+        f"  fix: {fix}; throw=False keeps the solution up to here"
     )
 
 
-def _not_a_number(stepper: Stepper, course: Course, t: jax.Array, h: jax.Array, x: Arrays) -> IntegrationError:
-    """The error for the step of length h from (t, x) whose end is not finite."""
-    controls_at = stepper.controls(t, h)
-    rates = stepper.dynamics._functions.vector_field(t, x, controls_at(t), stepper.params)
-    moved = stepper.method.step(stepper.dynamics, t, x, controls_at, stepper.params, h)
+def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> tuple[str, str, str]:
+    """What happened in the step from x whose end is not finite, the likely cause and what to do."""
+    t, h = outcome.t, outcome.h
+    field = stepper.field(t, h)
+    rates, moved = field(t, x), stepper.method.step(field, t, x, h)
     # The end may be finite and the rate there not.
     bad = _not_finite(moved) or list(moved)
-    turns = {name: angle for name, angle in _turns(stepper.dynamics, rates, h).items() if name in bad}
-    far = max(turns, key=turns.__getitem__, default=None)
-    bad_controls = _not_finite(controls_at(t)) or _not_finite(controls_at(t + h))
+    names = ", ".join(map(repr, bad))
+    what = f"state {names} became infinite or NaN in the step from t = {float(t):.6g} s"
+    angles = {name: angle for name, angle in _angles(stepper.dynamics, rates, h).items() if name in bad}
+    far = max(angles, key=angles.__getitem__, default=None)
+    bad_controls = _not_finite(field.controls(t)) or _not_finite(field.controls(t + h))
     if bad_controls:
         cause = f"control {bad_controls[0]!r} is not finite there"
-        fix = "look at u between the start and the end of this step"
-    elif _not_finite(rates) and not _is_huge(x):
+        return what, cause, "look at u between the start and the end of this step"
+    if _not_finite(rates) and not _is_huge(x):
         cause = f"the rate of {_not_finite(rates)[0]!r} is not finite there, e.g. a division by zero"
-        fix = "guard the expression, or stop before that state"
-    elif far is not None and turns[far] > _FAR:
+        return what, cause, "guard the expression, or stop before that state"
+    if far is not None and angles[far] > _FAR:
         cause = (
-            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {float(h):.6g} s, too far for one step: "
+            f"{far!r} turns by some {angles[far]:.3g} rad in this step of {float(h):.6g} s, too far for one step: "
             "exponential coordinates hold half a turn as polynomials, a full one in closed form"
         )
-        fix = "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
-    else:
-        cause, fix = course.too_long(float(h))
-    names = ", ".join(map(repr, bad))
-    return IntegrationError(
-        f"state {names} became infinite or not a number in the step from t = {float(t):.6g} s.\n"
-        f"  likely cause: {cause}\n  last finite state: {_sizes(x)} (largest entries)\n"
-        f"  fix: {fix}; throw=False keeps the flight up to here"
-    )
-
-
-def _not_solved(stepper: Stepper, course: Course, outcome: Outcome, x: Arrays) -> IntegrationError:
-    """The error for a step whose equations could not be solved."""
-    cause, fix = course.not_solved(float(outcome.h))
-    return IntegrationError(
-        f"the equations of a step of {stepper.method.name} could not be solved at t = {float(outcome.t):.6g} s.\n"
-        f"  likely cause: {cause}\n  last state: {_sizes(x)} (largest entries)\n"
-        f"  fix: {fix}; throw=False keeps the flight up to here"
-    )
+        return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
+    return what, *steps.too_long(float(h))
 
 
 def _sizes(x: Arrays) -> str:
@@ -106,7 +95,7 @@ def _largest(value: Any) -> float:
     return float(np.abs(np.asarray(value)).max())
 
 
-def _turns(dynamics: Dynamics, rates: Arrays, h: jax.Array) -> dict[str, float]:
+def _angles(dynamics: Dynamics, rates: Arrays, h: jax.Array) -> dict[str, float]:
     """By how many rad each rotation and pose turns in a step, if its rate stays as it is."""
     angular = {}
     for name, group in dynamics.group.factors.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from math import sqrt
 from typing import cast
 
@@ -16,66 +16,56 @@ from ..groups import Euclidean, Group
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Exponential
-from .charts.whole import Blocks, StateCoordinates, coordinates_of
-from .method import ControlsAt, Method
-from .stages import stage_slopes
+from .charts.coordinates import Blocks, StateCoordinates, coordinates_of
+from .method import Method, VectorField
+from .rkmk import stage_slopes
 from .tableau import ButcherTableau
 from .tableaus import DOP853, RK4
 
 __all__ = ["Magnus"]
 
 
-class _Expansion(ABC):
+@dataclasses.dataclass(frozen=True)
+class _Expansion:
     """Omega with g(t + h) = g(t) Exp(Omega), from the velocities at the Gauss nodes of the step.
 
     The formulas are those for Y' = A Y. Here g' = g A^, which is Y' = -A Y for Y = g^-1, so that Omega is minus the
     Omega of -A: every bracket changes its sign.
+
+    Attributes:
+        count: how many nodes there are.
+        inner: the tableau that brings states without a group to the nodes if none is given.
+        omega: Omega from the velocities at the nodes, one a row, the length of the step and the group.
     """
 
-    #: How many nodes there are.
     count: int
-    #: The tableau that brings states without a group to the nodes if none is given.
     inner: ButcherTableau
+    omega: Callable[[jax.Array, jax.Array, Group], jax.Array]
 
     @property
     def nodes(self) -> np.ndarray:
         """Those of Gauss and Legendre in [0, 1]."""
         return 0.5 * (np.polynomial.legendre.leggauss(self.count)[0] + 1.0)
 
-    @abstractmethod
-    def omega(self, A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
-        """Omega from the velocities A at the nodes, one a row."""
 
-
-class _Fourth(_Expansion):
+def _fourth(A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
     """Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods, Acta Numerica 9 (2000), on Magnus methods."""
-
-    count, inner = 2, RK4
-
-    def omega(self, A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
-        return 0.5 * h * (A[0] + A[1]) + sqrt(3.0) / 12.0 * h * h * group.bracket(A[0], A[1])
+    return 0.5 * h * (A[0] + A[1]) + sqrt(3.0) / 12.0 * h * h * group.bracket(A[0], A[1])
 
 
-class _Sixth(_Expansion):
+def _sixth(A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
     """Source: Blanes, Casas, Oteo, Ros, The Magnus expansion and some of its applications, Physics Reports 470 (2009),
     on numerical integrators: the method of order 6 with Gauss nodes and three commutators.
     """
-
-    count, inner = 3, DOP853
-
-    def omega(self, A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
-        first, second, third = (
-            h * A[1],
-            sqrt(15.0) / 3.0 * h * (A[2] - A[0]),
-            10.0 / 3.0 * h * (A[2] - 2.0 * A[1] + A[0]),
-        )
-        once = -group.bracket(first, second)
-        twice = group.bracket(first, 2.0 * third + once) / 60.0
-        outer = group.bracket(-20.0 * first - third + once, second + twice)
-        return first + third / 12.0 - outer / 240.0
+    first, second = h * A[1], sqrt(15.0) / 3.0 * h * (A[2] - A[0])
+    third = 10.0 / 3.0 * h * (A[2] - 2.0 * A[1] + A[0])
+    once = -group.bracket(first, second)
+    twice = group.bracket(first, 2.0 * third + once) / 60.0
+    outer = group.bracket(-20.0 * first - third + once, second + twice)
+    return first + third / 12.0 - outer / 240.0
 
 
-_EXPANSIONS: dict[int, _Expansion] = {4: _Fourth(), 6: _Sixth()}
+_EXPANSIONS = {4: _Expansion(2, RK4, _fourth), 6: _Expansion(3, DOP853, _sixth)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +81,8 @@ class Magnus(Method):
         inner: the tableau for states without a group, RK4 or DOP853 if left out.
 
     Raises:
-        ModelError: another order, or an inner that is no tableau. When flown: a rate that reads a rotation or a pose.
+        ModelError: another order, or an inner that is no tableau. When integrated: a rate that reads a rotation or a
+            pose.
 
     Source: Magnus, On the exponential solution of differential equations for a linear operator (1954); the papers of
     the two expansions.
@@ -142,37 +133,31 @@ class Magnus(Method):
                 raise ModelError(
                     f"{self.name} needs rates that do not depend on rotations and poses, but the rate of "
                     f"{state.name!r} reads {', '.join(map(repr, read))}.\n"
-                    "  fix: use tx.RKMK(tx.tableaus.RK4) or another tableau, which fly every system"
+                    "  fix: use tx.RKMK(tx.tableaus.RK4) or another tableau, which take every system"
                 )
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
         return coordinates_of(Exponential(), dynamics.group)
 
-    def advance(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable."""
-        local = self.coordinates(dynamics)
-        return local.settle(local.move(y, self._moves(dynamics, t, y, u_at, params, h)))
+        local = self.coordinates(field.dynamics)
+        return local.settle(local.move(y, self._moves(field, t, y, h)))
 
-    def increment(
-        self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Arrays:
+    def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
         """The tangent eta of one step, so that the step ends at x Exp(eta): Omega, and what is added to the others."""
-        local = self.coordinates(dynamics)
-        return local.tangent(self._moves(dynamics, t, local.enter(x), u_at, params, h))
+        local = self.coordinates(field.dynamics)
+        return local.tangent(self._moves(field, t, local.enter(x), h))
 
-    def _moves(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
+    def _moves(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The coordinates of the end of the step around its start."""
+        dynamics = field.dynamics
         local, flat = self.coordinates(dynamics), _flat_names(dynamics)
         own = StateCoordinates({name: local.parts[name] for name in flat})
 
         def rates(time: jax.Array, moved: Blocks) -> Arrays:
             # Rotations and poses stay where they were: no rate reads them.
-            x = local.value(y | own.move({name: y[name] for name in flat}, moved))
-            return dynamics._functions.vector_field(time, x, u_at(time), params)
+            return field(time, local.value(y | own.move({name: y[name] for name in flat}, moved)))
 
         def part(moved: Blocks, share: jax.Array, length: jax.Array) -> tuple[Blocks, Arrays]:
             """Some way on from a share of the step; and the velocities there."""

@@ -1,26 +1,46 @@
-"""What every integration method offers to the loops over steps."""
+"""What every integration method offers, and a method bound to a system: what every loop over steps calls."""
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
+import jax.numpy as jnp
 
 from ..errors import ModelError
-from ..lowering import Dynamics
+from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
-from .charts.whole import Blocks, StateCoordinates, StoredState
+from .charts.coordinates import Blocks, StateCoordinates, StoredState
+from .controls import Signals
 from .tolerances import Tolerances
 
-__all__ = ["Attempt", "Carry", "ControlsAt", "Method"]
-
-#: The prepared controls at a stage time.
-ControlsAt: TypeAlias = Callable[[jax.Array], Arrays]
+__all__ = ["Attempt", "Carry", "Method", "Stepper", "VectorField"]
 
 #: What a method carries from one step to the next, its own affair: a pytree of arrays of the state's precision.
 Carry: TypeAlias = Any
+
+
+class VectorField(NamedTuple):
+    """The right-hand side of a system within one step: x' = f(t, x, u(t), params).
+
+    Attributes:
+        dynamics: the compiled system.
+        controls: the prepared controls as a function of the times within the step.
+        params: the prepared parameters.
+        clock: the time that rates see.
+    """
+
+    dynamics: Dynamics
+    controls: Callable[[jax.Array], Arrays]
+    params: Arrays
+    clock: Callable[[jax.Array], jax.Array] = lambda t: t
+
+    def __call__(self, t: jax.Array, x: Arrays) -> Arrays:
+        """The rates at a time within the step."""
+        return self.dynamics._functions.vector_field(self.clock(t), x, self.controls(t), self.params)
 
 
 class Attempt(NamedTuple):
@@ -70,7 +90,7 @@ class Method(ABC):
         return self.evaluations
 
     def check(self, dynamics: Dynamics) -> None:
-        """Refuse a system that the method cannot fly. Raises ModelError with the reason; most methods fly all."""
+        """Refuse a system that the method cannot integrate. Raises ModelError with the reason; most take all."""
         return
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
@@ -86,9 +106,7 @@ class Method(ABC):
         return self.coordinates(dynamics)
 
     @abstractmethod
-    def advance(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable."""
 
     @property
@@ -103,22 +121,20 @@ class Method(ABC):
             "  fix: give dt or steps in place of rtol, or take a pair: tx.RKMK(tx.tableaus.TSIT5)"
         )
 
-    def rate(self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays) -> Blocks:
+    def rate(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
         """The rate of a stored state."""
-        local = self.coordinates(dynamics)
-        return local.rate(dynamics._functions.vector_field(t, local.value(y), u_at(t), params))
+        local = self.coordinates(field.dynamics)
+        return local.rate(field(t, local.value(y)))
 
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        """What `follow` is given at the start of a flight."""
+        """What the first `follow` is given."""
         return ()
 
-    def follow(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Attempt:
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
         """The step of `advance`, after a step that left `carry`. Pure and traceable."""
-        return Attempt(self.advance(dynamics, t, y, u_at, params, h), carry, (), self.evaluations_of(dynamics))
+        return Attempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
 
     # ---- steps chosen by tolerances ------------------------------------------------------------------------------
 
@@ -126,25 +142,15 @@ class Method(ABC):
     resume_evaluations: int = 1
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        """What `attempt` is given at the start of a flight: the rate there, if a method wants nothing else."""
+        """What the first `attempt` is given: the rate there, if a method wants nothing else."""
         return rate
 
-    def resume(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays
-    ) -> Carry:
+    def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
         """What `attempt` is given at a time where rates may have jumped."""
-        return self.rate(dynamics, t, y, u_at, params)
+        return self.rate(field, t, y)
 
     def attempt(
-        self,
-        dynamics: Dynamics,
-        t: jax.Array,
-        y: Blocks,
-        carry: Carry,
-        u_at: ControlsAt,
-        params: Arrays,
-        h: jax.Array,
-        tolerances: Tolerances,
+        self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
         """One step of length h with its error. Pure and traceable.
 
@@ -155,9 +161,7 @@ class Method(ABC):
 
     # ---- derivatives and values ----------------------------------------------------------------------------------
 
-    def increment(
-        self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Arrays:
+    def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
         """The tangent eta of one step, name -> (dimension,), so that the step ends at x Exp(eta). For derivatives.
 
         Raises:
@@ -168,9 +172,87 @@ class Method(ABC):
             "  fix: use tx.RKMK(tableau), or a chart tx.charts.Exponential(...)"
         )
 
-    def step(
-        self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Arrays:
-        """The state after one step of length h, from prepared arguments. Pure and traceable."""
-        stored = self.stored(dynamics, params)
-        return stored.value(self.advance(dynamics, t, stored.enter(x), u_at, params, h))
+    def step(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
+        """The state after one step of length h, from a prepared state. Pure and traceable."""
+        stored = self.stored(field.dynamics, field.params)
+        return stored.value(self.advance(field, t, stored.enter(x), h))
+
+
+@dataclasses.dataclass(frozen=True)
+class Stepper:
+    """A method, a system and its inputs. A pytree: dynamics and method are structure, the rest are inputs.
+
+    Attributes:
+        dynamics, method: what is integrated and how.
+        signals: the prepared controls.
+        params: the prepared parameters.
+        inward: whether rates see times just inside of a step in place of its ends, because they may jump there: a step
+            that ends at a jump must not see the other side.
+    """
+
+    dynamics: Dynamics
+    method: Method
+    signals: Signals
+    params: dict[str, Any]  # not `Arrays`: JAX rebuilds pytrees with stand-ins for arrays
+    inward: bool = False
+
+    @property
+    def coordinates(self) -> StateCoordinates:
+        """Coordinates around the start of a step, of methods that have them."""
+        return self.method.coordinates(self.dynamics)
+
+    @property
+    def stored(self) -> StoredState:
+        """How states are stored between steps."""
+        return self.method.stored(self.dynamics, self.params)
+
+    @property
+    def in_arrays(self) -> Stepper:
+        """The same, rates as arrays: for what is scalarised as a whole."""
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.run_by(JAX())))
+
+    def field(self, t: jax.Array, h: jax.Array) -> VectorField:
+        """The right-hand side within the step from t to t + h."""
+        during = self.signals.during(self.dynamics, t, h)
+        if not self.inward:
+            return VectorField(self.dynamics, during, self.params)
+
+        def clock(time: jax.Array) -> jax.Array:
+            return _inside(time, t, h)
+
+        return VectorField(self.dynamics, lambda time: during(clock(time)), self.params, clock)
+
+    def advance(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        """The stored state after a step of length h."""
+        return self.method.advance(self.field(t, h), t, y, h)
+
+    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        """A step of fixed length h after another one."""
+        return self.method.follow(self.field(t, h), t, y, carry, h)
+
+    def rate(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        """The rate at the start of a step of about length h."""
+        return self.method.rate(self.field(t, h), t, y)
+
+    def resume(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Carry:
+        """What a step of about length h begins with where rates may have jumped."""
+        return self.method.resume(self.field(t, h), t, y, carry)
+
+    def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
+        """A step of length h that may be taken back, with its error."""
+        return self.method.attempt(self.field(t, h), t, y, carry, h, tolerances)
+
+
+jax.tree_util.register_pytree_node(
+    Stepper,
+    lambda s: ((s.signals, s.params), (s.dynamics, s.method, s.inward)),
+    lambda structure, inputs: Stepper(*structure[:2], *inputs, inward=structure[2]),
+)
+
+
+def _inside(time: jax.Array, t: jax.Array, h: jax.Array) -> jax.Array:
+    """The time, or a few units of round-off inside of the step from t to t + h where it is one of its ends."""
+    small = 4.0 * jnp.finfo(time.dtype).eps
+    hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
+    first, last = t + hair, t + h - hair
+    return jnp.where(time < first, first, jnp.where(time > last, last, time))

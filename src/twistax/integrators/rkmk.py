@@ -1,24 +1,31 @@
-"""Runge-Kutta-Munthe-Kaas: a Runge-Kutta method in coordinates around the start of each step."""
+"""Runge-Kutta-Munthe-Kaas: a Runge-Kutta method in coordinates around the start of each step, and the stage loop."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
+from numpy.typing import NDArray
 
 from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts import Chart, Exponential, chart_of
-from .charts.whole import Blocks, StateCoordinates, coordinates_of
-from .held import held
-from .method import Attempt, Carry, ControlsAt, Method
-from .stages import stage_slopes
-from .tableau import ButcherTableau
+from ..lowering.small_call import inside_small_call
+from .charts import Chart, Exponential
+from .charts.coordinates import Blocks, StateCoordinates, chart_of, coordinates_of
+from .method import Attempt, Carry, Method, VectorField
+from .tableau import ButcherTableau, Rows
 from .tolerances import Tolerances
+from .trees import held
 
-__all__ = ["RKMK"]
+__all__ = ["RKMK", "Slopes", "stage_slopes"]
+
+Aside = TypeVar("Aside")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,42 +75,32 @@ class RKMK(Method):
     def error_order(self) -> int:
         return self.tableau.error_order
 
-    def advance(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable.
 
         Rounding takes rotations out of their group, linearly in the number of steps where the twist is constant;
         settling once a step keeps them at round-off.
         """
-        local = self.coordinates(dynamics)
+        local = self.coordinates(field.dynamics)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             moved = held(local.move(y, z))
-            return local.slope(z, moved, held(self.rate(dynamics, time, moved, u_at, params))), None
+            return local.slope(z, moved, held(self.rate(field, time, moved))), None
 
-        first = local.first_slope(y, self.rate(dynamics, t, y, u_at, params))
+        first = local.first_slope(y, self.rate(field, t, y))
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
         return local.settle(local.move(y, slopes.combine(self.tableau.b, h)))
 
     def attempt(
-        self,
-        dynamics: Dynamics,
-        t: jax.Array,
-        y: Blocks,
-        carry: Carry,
-        u_at: ControlsAt,
-        params: Arrays,
-        h: jax.Array,
-        tolerances: Tolerances,
+        self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
         """A step whose last stage is its end, so that the rate there, which it carries, serves the next step too."""
-        local = self.coordinates(dynamics)
+        local = self.coordinates(field.dynamics)
         (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(carry)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[jax.Array, jax.Array]]:
             moved = held(local.move(y, z))
-            rate = held(self.rate(dynamics, time, moved, u_at, params))
+            rate = held(self.rate(field, time, moved))
             # Packed: the loop would carry every scalar by itself.
             return local.slope(z, moved, rate), (ravel_pytree(moved)[0], ravel_pytree(rate)[0])
 
@@ -114,9 +111,7 @@ class RKMK(Method):
         errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
         return Attempt(local.settle(read_state(moved)), read_rate(rate), errors, len(stages.c) - 1)
 
-    def increment(
-        self, dynamics: Dynamics, t: jax.Array, x: Arrays, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Arrays:
+    def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
         """The tangent eta of one step, so that the step ends at x (+) eta = x Exp(eta).
 
         With Omega(t, x) the body velocities of all states, stage i stands at x Exp(eta_i) and
@@ -126,24 +121,102 @@ class RKMK(Method):
         because eta' = J_r(eta)^-1 Omega for g = g_0 Exp(eta) and g' = g Omega^, with J_r the right Jacobian, cut after
         the chart's commutators. It is the step of `advance` on the values themselves, for derivatives.
 
-        Args:
-            u_at: the prepared controls at a stage time.
-            h: the length of the step in s.
         Returns:
             name -> tangent (dimension of the state,), of states without a group read row by row.
         Raises:
             ModelError: a chart whose coordinates are no tangents.
         """
-        local, factors = self.coordinates(dynamics), dynamics.group.factors
-
-        def omega(time: jax.Array, point: Arrays) -> Blocks:
-            return local.rate(dynamics._functions.vector_field(time, point, u_at(time), params))
+        local, factors = self.coordinates(field.dynamics), field.dynamics.group.factors
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
             eta = local.tangent(z)
             point = {name: group.retract(x[name], eta[name]) for name, group in factors.items()}
-            return local.slope(z, z, omega(time, point)), None
+            return local.slope(z, z, local.rate(field(time, point))), None
 
         # At the start of a step exponential coordinates change as the body velocity does.
-        slopes, _ = stage_slopes(self.tableau.counted, slope, omega(t, x), None, t, h)
+        slopes, _ = stage_slopes(self.tableau.counted, slope, local.rate(field(t, x)), None, t, h)
         return local.tangent(slopes.combine(self.tableau.b, h))
+
+
+# ---- the stages of an explicit method: one loop for every tableau, on any pytree of slopes -------------------------
+
+
+class Slopes:
+    """The slopes of all stages, one a row, and how to read a row as the pytree it is."""
+
+    def __init__(self, rows: jax.Array, read: Callable[[jax.Array], Any]) -> None:
+        self.rows = rows
+        self.read = read
+
+    def combine(self, weights: Any, h: jax.Array) -> Any:
+        """h sum_i weights[i] k_i over the stages there are; stages beyond the weights count zero."""
+        known = np.zeros(len(self.rows))
+        known[: len(weights)] = weights[: len(self.rows)]
+        return self.read(h * _combination(known, self.rows))
+
+
+def stage_slopes(
+    stages: Rows,
+    slope: Callable[[jax.Array, Any], tuple[Any, Aside]],
+    first: Any,
+    aside: Aside,
+    t: jax.Array,
+    h: jax.Array,
+) -> tuple[Slopes, Aside]:
+    """k_1, k_2, ... with k_i = slope(t + c_i h, h sum_j a_ij k_j) and k_1 = first, by a loop over the stages.
+
+    The loop is traced once whatever the tableau: a step of thirteen stages compiles as fast as one of four, and as one
+    small function it runs as fast as unrolled. Pure and traceable, and differentiable both ways.
+
+    Args:
+        stages: a and c of the stages to run, the first one included.
+        slope: gives the slope of a stage and, aside, what of the last stage the caller wants.
+        first, aside: both of the first stage.
+    Returns:
+        The slopes of all stages, and what the last one set aside.
+    """
+    start, read = ravel_pytree(first)
+    a, c = (np.asarray(table) for table in stages)
+    count = len(c)
+    rows = jnp.zeros((count, start.size), start.dtype).at[0].set(start)
+    combination = _combinations(a, start.dtype)
+
+    def stage(carried: tuple[jax.Array, Aside], entry: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
+        rows, _ = carried
+        number, node = entry
+        found, aside = slope(t + node * h, read(h * combination(number, rows)))
+        k = ravel_pytree(found)[0]
+        return (jax.lax.dynamic_update_index_in_dim(rows, k, number, 0, allow_negative_indices=False), aside), None
+
+    if count > 1:
+        (rows, aside), _ = jax.lax.scan(stage, (rows, aside), (jnp.arange(1, count), jnp.asarray(c[1:], start.dtype)))
+    return Slopes(rows, read), aside
+
+
+def _combinations(a: NDArray[Any], dtype: Any) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """(i, rows) -> sum_j a_ij rows_j, i a traced number.
+
+    Inside a small function a branch for every i, without the zeros of the tableau; elsewhere, where branches are slow,
+    a row of weights.
+    """
+    if inside_small_call():
+        branches = [lambda rows, row=row: _sum(row, rows) for row in a[1:]]
+        return lambda number, rows: jax.lax.switch(number - 1, branches, rows)
+    weights = jnp.asarray(a, dtype)
+    return lambda number, rows: _weighted(weights[number], rows)
+
+
+def _combination(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
+    """weights @ rows for known weights; see `_combinations`."""
+    return _sum(weights, rows) if inside_small_call() else _weighted(jnp.asarray(weights, rows.dtype), rows)
+
+
+def _sum(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
+    """weights @ rows for weights that are known, term by term."""
+    terms = [float(weights[j]) * rows[j] for j in np.flatnonzero(weights)]
+    return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(rows[0])
+
+
+def _weighted(weights: jax.Array, rows: jax.Array) -> jax.Array:
+    """weights @ rows as a sum: a product of matrices may call a library, or lose digits on an accelerator."""
+    return jnp.sum(weights[:, None] * rows, axis=0)

@@ -1,4 +1,4 @@
-"""How long the next step is, from the errors of the last ones."""
+"""How long steps are: the next one from the errors of the last ones, and the first one to try."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError
+from .charts.coordinates import Blocks
+from .method import Stepper
+from .tolerances import Tolerances
+from .trees import held
 
-__all__ = ["Errors", "StepControl"]
+__all__ = ["Errors", "StepControl", "first_step"]
 
 #: Errors below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12
@@ -45,9 +49,9 @@ class StepControl:
         pcoeff, icoeff, dcoeff: p, i and d. Zero, one and zero is the plain controller.
         safety: below 1: how far below the allowed error steps aim.
         factormin, factormax: bounds of h_(n+1) / h_n; no growth right after a step that was taken back.
-        dtmin: a flight whose steps would have to be shorter ends; in s.
+        dtmin: an integration whose steps would have to be shorter ends; in s.
         dtmax: no step is longer; in s.
-        max_steps: steps tried before the flight ends.
+        max_steps: steps tried before the integration ends.
 
     Raises:
         ModelError: a number that makes no sense.
@@ -72,7 +76,7 @@ class StepControl:
             if value is not None and (isinstance(value, bool) or not np.isfinite(float(value))):
                 raise ModelError(f"StepControl: {field.name} must be a finite number, got {value!r}")
             if isinstance(value, np.floating):
-                # A Python number takes the precision of the flight, a NumPy one does not.
+                # A Python number takes the precision of the state, a NumPy one does not.
                 object.__setattr__(self, field.name, float(value))
         self._need(0.0 < self.safety < 1.0, "safety", "between 0 and 1")
         self._need(0.0 < self.factormin < 1.0, "factormin", "between 0 and 1")
@@ -105,3 +109,38 @@ def _log(square: jax.Array) -> jax.Array:
     """The logarithm of the root; of an infinite error that of the largest number."""
     largest = jnp.finfo(square.dtype).max
     return 0.5 * jnp.log(jnp.clip(square, _LEAST**2, largest))
+
+
+def first_step(
+    stepper: Stepper,
+    tolerances: Tolerances,
+    t: jax.Array,
+    y: Blocks,
+    rate: Blocks,
+    fallback: jax.Array,
+    room: jax.Array,
+) -> jax.Array:
+    """A step whose error should be near the tolerance, judged by the rate and how it changes over a short Euler step.
+
+    Pure and traceable; `fallback` where the rates say nothing.
+
+    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.4, starting step size.
+    """
+    local, order = stepper.coordinates, stepper.method.error_order
+
+    def size(e: Blocks) -> jax.Array:
+        return jnp.sqrt(tolerances.mean_square(local, e, y, y))
+
+    slope = held(local.first_slope(y, rate))
+    reach, speed = tolerances.reach(local, y), size(slope)
+    short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
+    # Controls beyond the end may not be defined.
+    short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
+    z = jax.tree.map(lambda k: short * k, slope)
+    moved = held(local.move(y, z))
+    later = local.slope(z, moved, held(stepper.rate(t + short, moved, short)))
+    bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
+    largest = jnp.maximum(speed, bend)
+    h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))
+    h = jnp.minimum(100.0 * short, h)
+    return jnp.where(jnp.isfinite(h) & (h > 0.0), h, fallback)

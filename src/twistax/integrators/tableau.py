@@ -10,12 +10,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
-from .coefficients import coefficients
 
-__all__ = ["ButcherTableau", "Rows", "lower_triangle"]
+__all__ = ["ButcherTableau", "Coefficients", "Rows", "lower_triangle"]
 
 #: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
 _TOLERANCE = 1e-13
+
+
+class Coefficients:
+    """What the data of all methods share: a name, an order, numbers that are checked when it is made, and messages."""
+
+    name: str
+    order: int
+    #: How messages call it.
+    kind = "tableau"
+
+    @property
+    def stages(self) -> int:
+        """How many there are."""
+        raise NotImplementedError
+
+    def _read(self, field: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+        """Make a field an array in double precision, finite, read-only, and of that shape if one is given."""
+        try:
+            array = np.array(getattr(self, field), dtype=np.float64)
+        except (TypeError, ValueError) as wrong:
+            raise self._error(f"{field} is not an array of numbers: {wrong}") from None
+        if not np.isfinite(array).all():
+            raise self._error(f"{field} has entries that are not finite")
+        if shape is not None and array.shape != shape:
+            raise self._error(f"{field} must have shape {shape}, got {array.shape}")
+        array.setflags(write=False)
+        object.__setattr__(self, field, array)
+        return array
+
+    def _check_order(self, field: str = "order") -> None:
+        order = getattr(self, field)
+        if isinstance(order, bool) or not isinstance(order, int) or order < 1:
+            raise self._error(f"{field} must be a positive whole number, got {order!r}")
+
+    def _error(self, sentence: str) -> ModelError:
+        return ModelError(f"{self.kind} {self.name!r}: {sentence}")
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name}, order {self.order}, {self.stages} stages)"
 
 
 class Rows(NamedTuple):
@@ -26,7 +64,7 @@ class Rows(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class ButcherTableau:
+class ButcherTableau(Coefficients):
     """The coefficients of an explicit Runge-Kutta method with s stages. Arrays are read-only.
 
     For y' = f(t, y):  k_i = f(t + c_i h, y + h sum_j a_ij k_j),  y_1 = y + h sum_i b_i k_i.
@@ -57,14 +95,12 @@ class ButcherTableau:
     b_second_embedded: Any = None
 
     def __post_init__(self) -> None:
-        for field in ("a", "b", "c"):
-            object.__setattr__(self, field, coefficients(field, getattr(self, field), self._error))
-        if self.b.ndim != 1 or not self.b.size:
-            raise self._error(f"b must be a vector, got shape {self.b.shape}")
-        s = self.b.size
-        for field, shape in (("c", (s,)), ("a", (s, s))):
-            if getattr(self, field).shape != shape:
-                raise self._error(f"{field} must have shape {shape} for {s} stages, got {getattr(self, field).shape}")
+        b = self._read("b")
+        if b.ndim != 1 or not b.size:
+            raise self._error(f"b must be a vector, got shape {b.shape}")
+        s = b.size
+        self._read("c", (s,))
+        self._read("a", (s, s))
         if np.triu(self.a).any():
             row = int(np.argmax(np.triu(self.a).any(axis=1)))
             raise self._error(f"row {row} of a has entries on or right of the diagonal: the method is not explicit")
@@ -73,7 +109,7 @@ class ButcherTableau:
             row = int(np.argmax(off))
             raise self._error(f"row {row} of a sums to {self.a[row].sum():.16g}, but c[{row}] is {self.c[row]:.16g}")
         self._check_weights("b", self.b)
-        self._check_order("order")
+        self._check_order()
         self._check_embedded("embedded_order", "b_embedded")
         self._check_embedded("second_embedded_order", "b_second_embedded")
         if self.b_second_embedded is not None and self.b_embedded is None:
@@ -123,32 +159,17 @@ class ButcherTableau:
             return self.embedded_order + 1
         return 2 * (self.embedded_order + 1) - (self.second_embedded_order + 1)
 
-    def __repr__(self) -> str:
-        return f"ButcherTableau({self.name}, order {self.order}, {self.stages} stages)"
-
     def _check_embedded(self, order: str, weights: str) -> None:
         if (getattr(self, order) is None) != (getattr(self, weights) is None):
             raise self._error(f"a pair needs both {order} and {weights}")
         if getattr(self, weights) is None:
             return
         self._check_order(order)
-        array = coefficients(weights, getattr(self, weights), self._error)
-        object.__setattr__(self, weights, array)
-        if array.shape != self.b.shape:
-            raise self._error(f"{weights} must have shape {self.b.shape}, got {array.shape}")
-        self._check_weights(weights, array)
-
-    def _check_order(self, field: str) -> None:
-        order = getattr(self, field)
-        if not isinstance(order, int) or order < 1:
-            raise self._error(f"{field} must be a positive whole number, got {order!r}")
+        self._check_weights(weights, self._read(weights, self.b.shape))
 
     def _check_weights(self, field: str, weights: np.ndarray) -> None:
         if abs(weights.sum() - 1.0) > _TOLERANCE:
             raise self._error(f"{field} must sum to 1, it sums to {weights.sum():.16g}")
-
-    def _error(self, sentence: str) -> ModelError:
-        return ModelError(f"tableau {self.name!r}: {sentence}")
 
 
 def lower_triangle(rows: Sequence[Sequence[float | int]]) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from ..expr import State
 from ..groups import Euclidean, SpecialEuclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from .charts.whole import Blocks, StateCoordinates
+from .charts.coordinates import Blocks, StateCoordinates
 
 __all__ = ["Tolerances", "tolerances_of"]
 
@@ -85,7 +85,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
     if np.shape(rtol) != ():
         raise InputError(f"rtol must be one number, got shape {np.shape(rtol)}; atol may be a dict by state")
     finest = _FINEST * float(jnp.finfo(dtype).eps)
-    # Not >=, so that a tolerance that is not a number is refused too.
+    # Not >=, so that NaN is refused too.
     if not is_traced(rtol) and not float(rtol) >= finest:
         precise = (
             'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double precision, '

@@ -109,7 +109,7 @@ class JAX(Backend):
 class XLA(Backend):
     """Scalars without structural zeros and ones, compiled by XLA, where a function is large enough to gain by it.
 
-    By default 0 x, 0 / x and x - x are zero, also where x is infinite or not a number; numbers are folded; x / d, y / d
+    By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; numbers are folded; x / d, y / d
     share 1 / d. What has no scalar form is called as it is.
 
     Attributes:

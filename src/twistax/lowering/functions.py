@@ -94,7 +94,6 @@ class Functions:
         }
         self.steps = Kept(32)
         self._made = Kept(64)
-        self._clock: Callable[[jax.Array], jax.Array] | None = None
         self._jit()
 
     # ---- the same functions otherwise --------------------------------------------------------------------------------
@@ -104,12 +103,6 @@ class Functions:
         found = copy.copy(self)
         found.backend = backend
         found._jit()
-        return found
-
-    def on_clock(self, clock: Callable[[jax.Array], jax.Array]) -> Functions:
-        """The same, where rates in a loop see clock(t) in place of t."""
-        found = copy.copy(self)
-        found._clock = clock
         return found
 
     def _jit(self) -> None:
@@ -163,7 +156,7 @@ class Functions:
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop."""
-        return self.evaluate("rates", t if self._clock is None else self._clock(t), x, u, params)
+        return self.evaluate("rates", t, x, u, params)
 
     def evaluate(
         self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True

@@ -18,8 +18,7 @@ from ..expr import Parameter, State
 from ..groups import SE3, SO3, SpecialEuclidean
 from ..integrators import RKMK, integrate
 from ..integrators.charts import Chart
-from ..integrators.charts.coordinates import Block, Coordinates
-from ..integrators.charts.generic import GroupCoordinates
+from ..integrators.charts.coordinates import Block, Coordinates, GroupCoordinates
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics, compile
 from ..system import System

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..integrators import RKMK
+from ..integrators import RKMK, VectorField
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics, compile
 from ..scenes.powered_descent import Start, Vehicle, initial, system
@@ -111,9 +111,8 @@ def _moved_end(dynamics: Dynamics, x: Any, u: Any) -> Callable[[jax.Array], jax.
     def end(z: jax.Array) -> Any:
         inputs = dynamics._functions.prepare(0.0, dynamics.retract(x, z[:n]), {"T": u["T"] + z[n : n + 3]})
         control = dict(inputs.u)
-        return RKMK(RK4).step(
-            dynamics, inputs.t, dict(inputs.x), lambda _: control, dict(inputs.params), _STEP + z[n + 3]
-        )
+        field = VectorField(dynamics, lambda _: control, dict(inputs.params))
+        return RKMK(RK4).step(field, inputs.t, dict(inputs.x), _STEP + z[n + 3])
 
     planned = end(jnp.zeros(n + 4))
     return lambda z: dynamics.difference(planned, end(z))

@@ -19,7 +19,7 @@ from ..expr import State
 from ..expr.lie import AdjointDual, wrench
 from ..expr.solve import Solve
 from ..groups import SE3
-from ..integrators import RKMK
+from ..integrators import RKMK, VectorField
 from ..integrators.charts import Ambient, Chart, Exponential, SplitExponential
 from ..integrators.tableaus import DOP853, RK4, TSIT5
 from ..lowering import Dynamics, compile
@@ -70,7 +70,7 @@ def _flight(dynamics: Dynamics, method: RKMK, small: bool) -> Any:
 
     def loop(x: Any, steps: jax.Array) -> Any:
         def advance(i: jax.Array, y: Any) -> Any:
-            return method.advance(dynamics, i * _STEP, y, lambda t: {}, {}, jnp.asarray(_STEP))
+            return method.advance(VectorField(dynamics, lambda t: {}, {}), i * _STEP, y, jnp.asarray(_STEP))
 
         return local.value(jax.lax.fori_loop(0, steps, advance, local.enter(x)))
 

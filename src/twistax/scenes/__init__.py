@@ -4,17 +4,15 @@ Importing builds nothing: a scene's system is made and compiled when it is first
 """
 
 from .actuator_lag import ACTUATOR_LAG
-from .euler_top import EULER_TOP
+from .free_bodies import EULER_TOP, FAST_SPIN, SYMMETRIC_BODY
 from .heavy_top import HEAVY_TOP, LONG_HEAVY_TOP
-from .low_orbit import LOW_ORBIT
+from .low_orbit import LOW_ORBIT, SPINNING_SATELLITE
 from .offset_tumble import OFFSET_TUMBLE
 from .rocket import ROCKET
 from .scene import Scene
-from .spinning_satellite import SPINNING_SATELLITE
 from .spring_bodies import SPRING_BODIES
 from .stiff_attitude import STIFF_ATTITUDE
 from .stiff_joint import STIFF_JOINT
-from .symmetric_body import FAST_SPIN, SYMMETRIC_BODY
 from .tumbling_brick import TUMBLING_BRICK
 
 __all__ = ["SCENES", "Scene"]

@@ -23,7 +23,7 @@ MOMENT = 2.0
 def system() -> tx.System:
     """R' = R [w]x and J w' = (J w) x w + (R' e_z) x (MOMENT e_z). States R (body to world, z up) and w (3,), rad/s.
 
-    Outputs, constant in a true flight: energy, J; vertical_momentum and axial_momentum, N m s.
+    Outputs, constant in the true motion: energy, J; vertical_momentum and axial_momentum, N m s.
     """
     J = np.array(INERTIA)
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))

@@ -29,7 +29,7 @@ INERTIA = _PRINCIPAL @ np.diag(_MOMENTS) @ _PRINCIPAL.T
 def system() -> tx.System:
     """g' = g V^ and M V' = -ad*_V(M V). States g (pose, body to world) and V (body twist of the frame's origin).
 
-    Outputs, constant in a true flight: energy, J; linear_momentum (3,), N s, and angular_momentum (3,) about the
+    Outputs, constant in the true motion: energy, J; linear_momentum (3,), N s, and angular_momentum (3,) about the
     world's origin, N m s, in world axes.
     """
     g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))

@@ -3,30 +3,38 @@
     python -m twistax.scenes.references [SCENE ...]
 
 prints them, and how far two step sizes are apart. Nothing here uses the package's expressions or integrators: the
-equations are written out in NumPy, and flown by extrapolation of the modified midpoint rule (Gragg, Bulirsch, Stoer;
-Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.9) in the longest float NumPy has. On x86
-that is 64 bits of mantissa, 1e-19; elsewhere it may be a double, and the last digits differ.
+equations are NumPy, solved by extrapolation of the modified midpoint rule (Gragg, Bulirsch, Stoer; Hairer, Norsett,
+Wanner, Solving Ordinary Differential Equations I, section II.9), stiff ones by `collocation`, in NumPy's longest float.
+On x86 that is 64 bits of mantissa, 1e-19; elsewhere it may be a double, and the last digits differ.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import functools
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from . import heavy_top, low_orbit, rocket, spinning_satellite, spring_bodies, tumbling_brick
-from .arrays import Array, cross_matrix
+from . import (
+    actuator_lag,
+    heavy_top,
+    low_orbit,
+    rocket,
+    spring_bodies,
+    stiff_attitude,
+    stiff_joint,
+    tumbling_brick,
+)
+from .arrays import Array, about, cross_matrix
+from .collocation import collocated
 from .scene import Scene
 
-__all__ = ["RATES", "STEPS", "Flat", "cross", "extrapolated", "flown", "main", "moved", "printed"]
+__all__ = ["REFERENCES", "Reference", "extrapolated", "main"]
 
 Values = Mapping[str, Array]
-Rates = Callable[[Any, Values], dict[str, Array]]
 
 #: Midpoint steps inside of a step; the error of the extrapolation is of order twice their number.
 _PARTS = (2, 4, 6, 8, 10, 12, 14, 16)
@@ -35,26 +43,26 @@ _PARTS = (2, 4, 6, 8, 10, 12, 14, 16)
 # ---- the equations: matrices and vectors as plain numbers -----------------------------------------------------------
 
 
-def cross(a: Array, b: Array) -> Array:
+def _cross(a: Array, b: Array) -> Array:
     """The cross product (3,) in the precision of its factors."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def moved(g: Array, V: Array) -> Array:
+def _moved(g: Array, V: Array) -> Array:
     """The rate (4, 4) of a pose with body twist V: R' = R [w]x, p' = R v."""
     rate = np.zeros_like(g)
     rate[:3, :3], rate[:3, 3] = g[:3, :3] @ cross_matrix(V[3:]), g[:3, :3] @ V[:3]
     return rate
 
 
-def _heavy_top(t: Any, y: Values) -> dict[str, Array]:
+def _heavy_top(t: Any, y: Values, params: Values) -> dict[str, Array]:
     J, R, w = np.array(heavy_top.INERTIA), y["R"], y["w"]
     # The weight acts at a lever arm along the axis: MOMENT e_z x (-R' e_z).
     lever = np.array([0.0, 0.0, heavy_top.MOMENT])
-    return {"R": R @ cross_matrix(w), "w": (cross(lever, -R[2]) - cross(w, J * w)) / J}
+    return {"R": R @ cross_matrix(w), "w": (_cross(lever, -R[2]) - _cross(w, J * w)) / J}
 
 
-def _rocket(t: Any, y: Values) -> dict[str, Array]:
+def _rocket(t: Any, y: Values, params: Values) -> dict[str, Array]:
     R, v, w, m = y["g"][:3, :3], y["V"][:3], y["V"][3:], y["m"]
     k = np.array(rocket.RADII_SQUARED)
     F, gimbal = 30 * (1 - 0.02 * t), 0.02 * np.sin(1.3 * t)
@@ -64,10 +72,10 @@ def _rocket(t: Any, y: Values) -> dict[str, Array]:
     roll = 0.05 - 0.05 * w[0]
     pitch = 0.5 * lift - 0.3 * w[1] + 0.02 * v[2]
     yaw = -0.5 * side - 0.3 * w[2] - 0.02 * v[1]
-    torque = np.array([roll, pitch, yaw]) - cross(w, m * k * w) - rocket.MASS_FLOW * k * w
+    torque = np.array([roll, pitch, yaw]) - _cross(w, m * k * w) - rocket.MASS_FLOW * k * w
     return {
-        "g": moved(y["g"], y["V"]),
-        "V": np.concatenate([force / m - cross(w, v), torque / (m * k)]),
+        "g": _moved(y["g"], y["V"]),
+        "V": np.concatenate([force / m - _cross(w, v), torque / (m * k)]),
         "m": np.asarray(rocket.MASS_FLOW),
     }
 
@@ -80,20 +88,23 @@ def _gravity(p: Array, gm: float, radius: float, j2: float) -> Array:
     return -gm / r**3 * (p + 1.5 * j2 * (radius / r) ** 2 * pull * p)
 
 
-def _orbit(inertia: Sequence[float], t: Any, y: Values) -> dict[str, Array]:
-    J, earth, w, p = np.array(inertia), low_orbit.EARTH, y["w"], y["p"]
-    r = np.sqrt(p @ p)
-    down = -(y["R"].T @ p) / r
-    torque = 3 * earth.gm / r**3 * cross(down, J * down)
-    return {
-        "R": y["R"] @ cross_matrix(w),
-        "w": (torque - cross(w, J * w)) / J,
-        "p": y["v"],
-        "v": _gravity(p, earth.gm, earth.radius, earth.j2),
-    }
+def _orbit(inertia: Sequence[float]) -> Callable[[Any, Values, Values], dict[str, Array]]:
+    def rates(t: Any, y: Values, params: Values) -> dict[str, Array]:
+        J, earth, w, p = np.array(inertia), low_orbit.EARTH, y["w"], y["p"]
+        r = np.sqrt(p @ p)
+        down = -(y["R"].T @ p) / r
+        torque = 3 * earth.gm / r**3 * _cross(down, J * down)
+        return {
+            "R": y["R"] @ cross_matrix(w),
+            "w": (torque - _cross(w, J * w)) / J,
+            "p": y["v"],
+            "v": _gravity(p, earth.gm, earth.radius, earth.j2),
+        }
+
+    return rates
 
 
-def _spring_bodies(t: Any, y: Values) -> dict[str, Array]:
+def _spring_bodies(t: Any, y: Values, params: Values) -> dict[str, Array]:
     count = len(y) // 2
     before, after = spring_bodies.POINTS
     found: dict[str, Array] = {}
@@ -105,66 +116,123 @@ def _spring_bodies(t: Any, y: Values) -> dict[str, Array]:
         force = spring_bodies.STIFFNESS * (d - spring_bodies.LENGTH) * line / d
         for pull, pose, arm, f in ((pulls[i], g, after, force), (pulls[i + 1], h, before, -force)):
             pull[:3] += f
-            pull[3:] += cross(arm, pose[:3, :3].T @ f)
+            pull[3:] += _cross(arm, pose[:3, :3].T @ f)
     for i, pull in enumerate(pulls):
         g, V = y[f"g{i + 1}"], y[f"V{i + 1}"]
         m, J = spring_bodies.MASSES[i % 3], np.array(spring_bodies.MOMENTS[i % 3])
         v, w = V[:3], V[3:]
-        linear = g[:3, :3].T @ pull[:3] / m - cross(w, v)
-        found[f"g{i + 1}"] = moved(g, V)
-        found[f"V{i + 1}"] = np.concatenate([linear, (pull[3:] - cross(w, J * w)) / J])
+        linear = g[:3, :3].T @ pull[:3] / m - _cross(w, v)
+        found[f"g{i + 1}"] = _moved(g, V)
+        found[f"V{i + 1}"] = np.concatenate([linear, (pull[3:] - _cross(w, J * w)) / J])
     return found
 
 
-def _tumbling_brick(t: Any, y: Values) -> dict[str, Array]:
-    earth, J = tumbling_brick.EARTH, tumbling_brick.TUMBLING_BRICK.params["inertia"]
+def _tumbling_brick(t: Any, y: Values, params: Values) -> dict[str, Array]:
+    earth, J = tumbling_brick.EARTH, params["inertia"]
     g, v, w = y["g"], y["V"][:3], y["V"][3:]
     fall = g[:3, :3].T @ _gravity(g[:3, 3], earth.gm, earth.radius, earth.j2)
-    return {"g": moved(g, y["V"]), "V": np.concatenate([fall - cross(w, v), -cross(w, J * w) / J])}
+    return {"g": _moved(g, y["V"]), "V": np.concatenate([fall - _cross(w, v), -_cross(w, J * w) / J])}
 
 
-#: Rates of the states as plain numbers, by scene.
-RATES: dict[str, Rates] = {
-    "heavy-top": _heavy_top,
-    "rocket": _rocket,
-    "low-orbit": functools.partial(_orbit, low_orbit.INERTIA),
-    "spinning-satellite": functools.partial(_orbit, spinning_satellite.INERTIA),
-    "spring-bodies": _spring_bodies,
-    "tumbling-brick": _tumbling_brick,
-}
-#: Steps that suffice, by scene.
-STEPS = {
-    "heavy-top": 300,
-    "rocket": 100,
-    "low-orbit": 100,
-    "spinning-satellite": 24_000,
-    "spring-bodies": 150,
-    "tumbling-brick": 100,
-}
+def _stiff_attitude(t: Any, y: Values, params: Values) -> dict[str, Array]:
+    R, w, k, J = y["R"], y["w"], params["k"], np.array(stiff_attitude.INERTIA)
+    axis = np.array(stiff_attitude.AXIS, w.dtype)
+    between = about(axis, stiff_attitude.SWING * np.sin(t)).T @ R
+    skew = (between - between.T) / 2
+    e = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    return {"R": R @ cross_matrix(w), "w": (_cross(J * w, w) - k * (e + w)) / J}
 
 
-# ---- flying them ----------------------------------------------------------------------------------------------------
+def _actuator_lag(t: Any, y: Values, params: Values) -> dict[str, Array]:
+    v, w, F, a = y["V"][:3], y["V"][3:], y["F"], y["a"]
+    m, J, n = actuator_lag.MASS, np.array(actuator_lag.INERTIA), y["g"][2, :3]
+    side = F * a
+    force = np.array([side[0], side[1], F]) - 9.81 * m * n - m * _cross(w, v)
+    torque = actuator_lag.ARM * np.array([side[1], -side[0], 0 * F]) - _cross(w, J * w)
+    command = 9.81 * m * (1 + 0.1 * np.cos(0.7 * t)) - 2 * v[2]
+    gimbals = [-0.3 * n[0] + 0.15 * w[1] + 0.02 * np.sin(t), -0.3 * n[1] - 0.15 * w[0] + 0.02 * np.cos(2 * t)]
+    return {
+        "g": _moved(y["g"], y["V"]),
+        "V": np.concatenate([force / m, torque / J]),
+        "F": (command - F) / params["tau"],
+        "a": (np.array(gimbals) - a) / params["tau"],
+    }
+
+
+def _stiff_joint(t: Any, y: Values, params: Values) -> dict[str, Array]:
+    places, speeds = [], []
+    for g, V, point in zip((y["g1"], y["g2"]), (y["V1"], y["V2"]), stiff_joint.POINTS):
+        places.append(g[:3, 3] + g[:3, :3] @ point)
+        speeds.append(g[:3, :3] @ (V[:3] + _cross(V[3:], point)))
+    pull = params["k"] * (places[1] - places[0]) + params["c"] * (speeds[1] - speeds[0])
+    found = {}
+    for i, force in enumerate((pull, -pull)):
+        g, V, m, J = y[f"g{i + 1}"], y[f"V{i + 1}"], stiff_joint.MASSES[i], np.array(stiff_joint.MOMENTS[i])
+        torque = g[:3, :3].T @ _cross((places[0] + places[1]) / 2 - g[:3, 3], force)
+        linear = g[:3, :3].T @ force / m - _cross(V[3:], V[:3])
+        found[f"g{i + 1}"] = _moved(g, V)
+        found[f"V{i + 1}"] = np.concatenate([linear, (torque - _cross(V[3:], J * V[3:])) / J])
+    return found
 
 
 @dataclasses.dataclass(frozen=True)
-class Flat:
-    """States by name as one vector, in the order and the shapes of an example."""
+class Reference:
+    """How the end of a scene is found.
 
-    shapes: dict[str, tuple[int, ...]]
+    Attributes:
+        scenes: the scene, once for each set of numbers for which the end is stored.
+        rates: rates of the states as plain numbers, from (t, states, parameters).
+        steps: that suffice.
+        fastest: of a stiff scene the rate of the fastest transient, 1/s, from the parameters; else None.
+    """
 
-    @staticmethod
-    def like(y: Mapping[str, Any]) -> Flat:
-        return Flat({name: np.shape(value) for name, value in y.items()})
+    scenes: tuple[Scene, ...]
+    rates: Callable[[Any, Values, Values], dict[str, Array]]
+    steps: int
+    fastest: Callable[[Values], float] | None = None
 
-    def pack(self, y: Mapping[str, Any]) -> Array:
-        """One vector, in the precision of the values."""
-        return np.concatenate([np.ravel(y[name]) for name in self.shapes])
+    def end(self, scene: Scene, steps: int | None = None) -> dict[str, Array]:
+        """The end of one of the scenes, in extended precision."""
+        rate, start, unpack = self.flat(scene)
+        y0, steps = start.astype(np.longdouble), steps or self.steps
+        if self.fastest is None:
+            return unpack(extrapolated(rate, y0, scene.duration, steps))
+        return unpack(collocated(rate, y0, scene.duration, steps, self.fastest(scene.params)))
 
-    def unpack(self, vector: Array) -> dict[str, Array]:
-        """The states by name."""
-        ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes.values()])
-        parts = np.split(vector, ends[:-1])
-        return {name: part.reshape(shape) for (name, shape), part in zip(self.shapes.items(), parts)}
+    def flat(self, scene: Scene) -> tuple[Callable[[Any, Array], Array], Array, Callable[[Array], dict[str, Array]]]:
+        """Rates and start as vectors, in the order and the shapes of the start, and how to read one."""
+        shapes = {name: np.shape(value) for name, value in scene.start.items()}
+        ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
+
+        def pack(y: Mapping[str, Any]) -> Array:
+            return np.concatenate([np.ravel(y[name]) for name in shapes])
+
+        def unpack(vector: Array) -> dict[str, Array]:
+            parts = np.split(vector, ends[:-1])
+            return {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts)}
+
+        return lambda t, y: pack(self.rates(t, unpack(y), scene.params)), pack(scene.start), unpack
+
+
+#: By the name of the scene.
+REFERENCES = {
+    "heavy-top": Reference((heavy_top.HEAVY_TOP,), _heavy_top, 300),
+    "rocket": Reference((rocket.ROCKET,), _rocket, 100),
+    "low-orbit": Reference((low_orbit.LOW_ORBIT,), _orbit(low_orbit.INERTIA), 100),
+    "spinning-satellite": Reference((low_orbit.SPINNING_SATELLITE,), _orbit(low_orbit.SPINNING_INERTIA), 24_000),
+    "spring-bodies": Reference((spring_bodies.SPRING_BODIES,), _spring_bodies, 150),
+    "tumbling-brick": Reference((tumbling_brick.TUMBLING_BRICK,), _tumbling_brick, 100),
+    "stiff-attitude": Reference(
+        tuple(map(stiff_attitude.scene, stiff_attitude.RATES)), _stiff_attitude, 100, lambda params: float(params["k"])
+    ),
+    "actuator-lag": Reference(
+        tuple(map(actuator_lag.scene, actuator_lag.LAGS)), _actuator_lag, 100, lambda params: float(1 / params["tau"])
+    ),
+    "stiff-joint": Reference((stiff_joint.STIFF_JOINT,), _stiff_joint, 200, lambda params: 2e5),
+}
+
+
+# ---- extrapolation --------------------------------------------------------------------------------------------------
 
 
 def extrapolated(rate: Callable[[Any, Array], Array], y0: Array, duration: float, steps: int) -> Array:
@@ -192,19 +260,8 @@ def _extrapolated_step(rate: Callable[[Any, Array], Array], t: Any, y: Array, h:
     return y + row[-1]
 
 
-def flown(scene: Scene, steps: int) -> dict[str, Array]:
-    """The end of a scene in `RATES`, in extended precision."""
-    flat = Flat.like(scene.start)
-    start = flat.pack(scene.start).astype(np.longdouble)
-
-    def rate(t: Any, y: Array) -> Array:
-        return flat.pack(RATES[scene.name](t, flat.unpack(y)))
-
-    return flat.unpack(extrapolated(rate, start, scene.duration, steps))
-
-
-def printed(scene: Scene, steps: int, coarse: Values, fine: Values) -> None:
-    """Prints the end of a scene as Python, and how far those of two step sizes are apart."""
+def _print(scene: Scene, steps: int, coarse: Values, fine: Values) -> None:
+    """Print the end of a scene as Python, and how far those of two step sizes are apart."""
     apart = max(float(np.max(np.abs(fine[s] - coarse[s]) / max(1.0, float(np.max(np.abs(fine[s])))))) for s in fine)
     values = ", ".join(f"{name} = {value:g}" for name, value in scene.params.items() if value.shape == ())
     which = f"{scene.name}, {values}" if values else scene.name
@@ -214,17 +271,16 @@ def printed(scene: Scene, steps: int, coarse: Values, fine: Values) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the ends as Python."""
-    from . import SCENES
-
+    """Print the ends as Python."""
     parser = argparse.ArgumentParser(prog="python -m twistax.scenes.references", description=__doc__.split("\n")[0])
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(RATES)}; all if left out")
-    names = parser.parse_args(arguments).scenes or list(RATES)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(REFERENCES)}; all if left out")
+    names = parser.parse_args(arguments).scenes or list(REFERENCES)
     for name in names:
-        if name not in RATES:
-            parser.error(f"no scene {name!r} here; there are {', '.join(RATES)}")
-    for name in names:
-        printed(SCENES[name], STEPS[name], *(flown(SCENES[name], n * STEPS[name] // 2) for n in (2, 3)))
+        if name not in REFERENCES:
+            parser.error(f"no scene {name!r} here; there are {', '.join(REFERENCES)}")
+    for how in (REFERENCES[name] for name in names):
+        for scene in how.scenes:
+            _print(scene, how.steps, how.end(scene), how.end(scene, 3 * how.steps // 2))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""One physical case with a known answer, and how far a flight of it is from that answer."""
+"""One physical case with a known answer, and how far a solution is from that answer."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Scene:
         source: where the equations or the answer come from.
         build: makes the system.
         start: the state at t = 0, by name, in double precision.
-        duration: length of the flight, s.
+        duration: from the start to the end, s.
         reference: the state at the end from an independently converged computation; None where `exact` is given.
         exact: the true state at a time in s; None where there is no closed form.
         invariants: outputs of the system that stay constant.
@@ -98,7 +98,7 @@ class Scene:
         )
         raise tx.InputError(f"scene {self.name!r} at t = {t!r} s: there is no exact solution, {known}")
 
-    def fly(self, **options: Any) -> tx.Solution:
+    def integrate(self, **options: Any) -> tx.Solution:
         """`tx.integrate` from the start to the end; options are its others: dt, method, save_at and so on."""
         settings = {"t1": self.duration, "u": self.u, "params": self.params, **options}
         return tx.integrate(self.dynamics, self.start, **settings)
@@ -109,7 +109,7 @@ class Scene:
         A rotation counts with the angle to the true one in rad, or, where it has left the group, with its distance
         from it if that is more. Any other part counts with its Euclidean distance over max(1, size of the truth):
         a position, the linear and the angular half of a body twist, any other state as a whole.
-        Not a number gives not a number.
+        NaN gives NaN.
 
         Args:
             x: a state by name, without a leading axis.
@@ -126,7 +126,7 @@ class Scene:
             if found.shape != wanted.shape:
                 raise tx.InputError(
                     f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {found.shape}.\n"
-                    "  fix: one state at a time; of a flight's end, {name: value[-1] for name, value in sol.xs.items()}"
+                    "  fix: give one state; a solution's end is {name: value[-1] for name, value in sol.xs.items()}"
                 )
             with np.errstate(invalid="ignore", over="ignore"):
                 if state.group == tx.SO3:

@@ -29,7 +29,7 @@ def system(count: int = 4) -> tx.System:
     M V' = F - ad*_V(M V), with F from the springs: f = STIFFNESS (d - LENGTH) along the line between the points, d
     apart, as a wrench in world axes at each point, brought to the body by Ad*.
 
-    Outputs, constant in a true flight: energy, J; linear_momentum (3,), N s, and angular_momentum (3,) about the
+    Outputs, constant in the true motion: energy, J; linear_momentum (3,), N s, and angular_momentum (3,) about the
     world's origin, N m s, in world axes.
 
     Raises:

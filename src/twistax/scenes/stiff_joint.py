@@ -27,7 +27,7 @@ def system() -> tx.System:
     together with k d + c d'. Both forces act at the middle of the gap, so that they balance as wrenches too.
     Parameters: k, N/m; c, N s/m.
 
-    Outputs: gap, |d|, m; and, constant in a true flight, linear_momentum (3,), N s, and angular_momentum (3,) about
+    Outputs: gap, |d|, m; and, constant in the true motion, linear_momentum (3,), N s, and angular_momentum (3,) about
     the world's origin, N m s, in world axes.
     """
     poses = [tx.State("g1", group=tx.SE3), tx.State("g2", group=tx.SE3)]

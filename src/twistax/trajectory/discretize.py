@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..errors import TrajectoryError
-from ..integrators import RKMK
+from ..integrators import RKMK, VectorField
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
@@ -141,7 +141,7 @@ def step_derivatives(
     def eta(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         held = controls.split(z[n : n + m])
         moved = group.retract(x, z[:n])
-        parts = method.increment(dynamics, z[n + m + 1], moved, lambda _: held, params, z[n + m])
+        parts = method.increment(VectorField(dynamics, lambda _: held, params), z[n + m + 1], moved, z[n + m])
         flat = group.join(parts)
         return flat, flat
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 import jax
 
 from ...groups import LINEAR_FIRST, Order
-from ...groups.inputs import multiply
+from ...groups.arrays import multiply
 from ..arithmetic import MatMul, is_constant, is_identity
 from ..fields import Operand
 from ..linalg import Cross, cross_columns

@@ -5,10 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from ...groups import SpecialEuclidean, quaternions
-from ...groups.components import Components, add, scale
-from .chart import Chart
-from .coordinates import Coordinates
-from .stored import StoredPose, StoredRotation, unit
+from ...groups.arrays import Components, add, scale
+from .coordinates import Chart, Coordinates, StoredPose, StoredRotation, unit
 
 __all__ = ["Ambient"]
 

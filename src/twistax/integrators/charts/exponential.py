@@ -3,57 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from math import pi
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...groups import SpecialEuclidean, quaternions, se3, so3
-from ...groups.components import Components, add, dot, scale, vector
+from ...groups.arrays import Components, add, dot, scale, vector
 from ...groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
-from ..held import held
-from .chart import Chart
-from .coordinates import Coordinates
-from .stored import StoredPose, StoredRotation, tightened
+from ..trees import held
+from .coordinates import Chart, Coordinates, StoredPose, StoredRotation
 
 __all__ = ["Exponential", "SplitExponential"]
 
 
-class _Maps(ABC):
-    """The scalar functions of x = |w|^2 in Exp and in the inverse right Jacobian."""
+@dataclasses.dataclass(frozen=True)
+class _Closed:
+    """The scalar functions of x = |w|^2 in Exp and in the inverse right Jacobian, in closed form, guarded near zero.
 
-    @abstractmethod
+    Beyond a full turn, where J_r is singular, the result is NaN.
+    """
+
     def half_turn(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """cos(t/2) and sin(t/2)/t: the quaternion of Exp(w) is (cos(t/2), sin(t/2)/t w)."""
-
-    @abstractmethod
-    def third(self, x: jax.Array) -> jax.Array:
-        """(t - sin t)/t^3."""
-
-    @abstractmethod
-    def inverse(self, x: jax.Array) -> tuple[jax.Array | float, jax.Array | float]:
-        """d and d' with J_r^-1 = I + W/2 + d W^2."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Closed(_Maps):
-    """Closed forms, guarded near zero. Beyond a full turn, where J_r is singular, the result is not a number."""
-
-    def half_turn(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jnp.where(x < 4.0 * pi**2, stumpff(0, 0.25 * x), jnp.nan), 0.5 * stumpff(1, 0.25 * x)
 
     def third(self, x: jax.Array) -> jax.Array:
+        """(t - sin t)/t^3."""
         return stumpff(3, x)
 
     def inverse(self, x: jax.Array) -> tuple[jax.Array | float, jax.Array | float]:
+        """d and d' with J_r^-1 = I + W/2 + d W^2."""
         return held(inverse_coefficients(x))
 
 
 @dataclasses.dataclass(frozen=True)
-class _Series(_Maps):
-    """Polynomials only. Exp is exact to round-off up to a half turn; beyond it the result is not a number."""
+class _Series:
+    """The same as polynomials. Exp is exact to round-off up to a half turn; beyond it the result is NaN."""
 
     commutators: int
 
@@ -69,6 +57,9 @@ class _Series(_Maps):
         terms = self.commutators // 2
         found = inverse_polynomial(0, x, terms), inverse_polynomial(1, x, terms)
         return held(found) if terms > 2 else (held(found[0]), found[1])
+
+
+_Maps: TypeAlias = _Closed | _Series
 
 
 def _maps(commutators: int | None) -> _Maps:
@@ -96,14 +87,8 @@ class _Rotation(StoredRotation):
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         return so3.pulled_back(z, omega, self.maps.inverse(dot(z, z))[0])
 
-    def first_slope(self, y: Components, omega: Components) -> Components:
-        return omega
-
     def tangent(self, z: Components) -> jax.Array:
         return vector(z)
-
-    def settle(self, moved: Components) -> Components:
-        return tightened(moved)
 
 
 class _Pose(StoredPose):
@@ -118,20 +103,14 @@ class _Pose(StoredPose):
         x = dot(w, w)
         cosine, sine, third = held((*self.maps.half_turn(x), self.maps.third(x)))
         # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2: the sine of the quaternion serves again.
-        shift = held(so3.swept(w, v, 2.0 * sine * sine, third))
+        shift = held(se3.swept(w, v, 2.0 * sine * sine, third))
         return (*_turned(y[:4], w, cosine, sine), *add(y[4:], quaternions.rotate(y[:4], shift)))
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         return se3.pulled_back(z, omega, *self.maps.inverse(dot(z[3:], z[3:])))
 
-    def first_slope(self, y: Components, omega: Components) -> Components:
-        return omega
-
     def tangent(self, z: Components) -> jax.Array:
         return self.order.from_linear_first(vector(z))
-
-    def settle(self, moved: Components) -> Components:
-        return (*tightened(moved[:4]), *moved[4:])
 
 
 class _SplitPose(StoredPose):
@@ -152,9 +131,6 @@ class _SplitPose(StoredPose):
 
     def first_slope(self, y: Components, omega: Components) -> Components:
         return (*quaternions.rotate(y[:4], omega[:3]), *omega[3:])
-
-    def settle(self, moved: Components) -> Components:
-        return (*tightened(moved[:4]), *moved[4:])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,17 +13,15 @@ import jax
 import jax.numpy as jnp
 
 from ...errors import ModelError
-from ..arguments import read_arguments
+from ..ambient import read_arguments
 from ..charts import Exponential
-from ..charts.whole import StateCoordinates
-from ..first_step import first_step
+from ..charts.coordinates import StateCoordinates
+from ..method import Stepper
 from ..rkmk import RKMK
-from ..step_control import StepControl
-from ..stepper import Stepper
+from ..step_control import StepControl, first_step
 from ..tableaus import EULER
 from ..tolerances import Tolerances, tolerances_of
-from .chart_step import Frame
-from .errors_at import deviations_in
+from .frame import Frame
 from .term import parts_of
 
 __all__ = ["LieController", "controller"]
@@ -82,7 +80,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
         if type(getattr(func, "__self__", None)) is diffrax.HalfSolver:
             raise ModelError(
                 "HalfSolver(LieSolver(...)) compares matrices entry by entry.\n"
-                "  fix: turn it round: tx.diffrax.LieSolver(diffrax.HalfSolver(...), dynamics)"
+                "  fix: wrap the other way round: tx.diffrax.LieSolver(diffrax.HalfSolver(...), dynamics)"
             )
         dynamics, direction = parts[0]
         given = read_arguments(dynamics, direction * t0, y0, args)
@@ -120,9 +118,9 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
 
 
 def _scaled(tolerances: Tolerances, frame: Frame, before: Any, after: Any, error: Any) -> jax.Array:
-    """The errors of a step in units of what is allowed; infinite where they are not a number."""
+    """The errors of a step in units of what is allowed; infinite where they are NaN."""
     local: StateCoordinates = frame.local
-    e = deviations_in(frame.ambient, local, after, error)
+    e = frame.deviations(after, error)
     scaled = tolerances.scaled(local, e, local.enter(before), local.enter(after))
     return jnp.where(jnp.isfinite(scaled), scaled, jnp.inf)
 
@@ -158,7 +156,7 @@ def controller(
         step_ts, jump_ts: times at which steps end, and at which rates or controls jump, as in
             diffrax.ClipStepSizeController.
     Raises:
-        InputError: when the flight begins, for tolerances that do not fit the system.
+        InputError: when the integration begins, for tolerances that do not fit the system.
     """
     pid = diffrax.PIDController(
         rtol=0.0,

@@ -16,11 +16,11 @@ from ...errors import InputError, ModelError
 from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..arguments import Arguments, read_arguments
-from ..charts import Chart, Exponential, SplitExponential, chart_of
-from ..charts.whole import Blocks
+from ..ambient import Arguments, read_arguments
+from ..charts import Chart, Exponential, SplitExponential
+from ..charts.coordinates import Blocks, chart_of
 from ..controls import ByName
-from .chart_step import ChartStep, Frame
+from .frame import ChartStep, Frame
 from .term import LieTerms, Part, parts_of
 
 __all__ = ["LieInterpolation", "LieSolver"]
@@ -97,7 +97,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
 
     @property
     def term_structure(self) -> Any:
-        """Terms of `lie_term`; diffrax asks before the flight begins."""
+        """Terms of `lie_term`; diffrax asks before the first step."""
         return LieTerms
 
     @property
@@ -184,7 +184,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         frame, local = self.frame, self.frame.local
         start = local.enter(given.x)
 
-        turned, _ = wrapped_terms()
+        WrapTerm, _ = wrapped_terms()
 
         def of(part: Part) -> Any:
             def slope(t: Any, z: jax.Array, args: None) -> jax.Array:
@@ -193,7 +193,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
                 at = given._replace(t=jnp.asarray(t, z.dtype), x=local.value(moved))
                 return ravel_pytree(local.slope(blocks, moved, frame.rate(part.dynamics, at, given.t, h)))[0]
 
-            return turned(diffrax.ODETerm(slope), part.direction)
+            return WrapTerm(diffrax.ODETerm(slope), part.direction)
 
         members = tuple(of(part) for part in self._parts(terms))
         return diffrax.MultiTerm(*members) if len(members) > 1 else members[0]
@@ -222,7 +222,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return jnp.zeros_like(ravel_pytree(local.first_slope(local.enter(x), self.frame.still(x)))[0])
 
     def _begin(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> tuple[Arguments, jax.Array]:
-        """The arguments where a step begins, and its length, negative for a flight backwards."""
+        """The arguments where a step begins, and its length, negative where diffrax integrates backwards."""
         direction = self._parts(terms)[0].direction
         given = read_arguments(self.frame.dynamics, direction * t0, y0, args)
         return given, jnp.asarray(direction * (t1 - t0), given.t.dtype)

@@ -12,7 +12,7 @@ from ...errors import ModelError
 from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..arguments import read_arguments
+from ..ambient import read_arguments
 
 __all__ = ["LieTerm", "LieTerms", "Part", "lie_term", "parts_of"]
 
@@ -68,7 +68,7 @@ class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
 
 
 class Part(NamedTuple):
-    """One system among the terms, and the sense of time: 1, or -1 where diffrax flies backwards."""
+    """One system among the terms, and the sense of time: 1, or -1 where diffrax integrates backwards."""
 
     dynamics: Dynamics
     direction: Any
@@ -91,8 +91,8 @@ def _part(term: Any) -> Part:
         direction, term = direction * term.direction, term.term
     if isinstance(term, AdjointTerm):
         raise ModelError(
-            "BacksolveAdjoint cannot work on groups: it flies the state backwards together with an adjoint that would "
-            "have to live in the cotangent space of every pose.\n"
+            "BacksolveAdjoint cannot work on groups: it integrates the state backwards together with an adjoint that "
+            "would have to live in the cotangent space of every pose.\n"
             "  fix: leave adjoint out, or take diffrax.RecursiveCheckpointAdjoint(); for forward derivatives "
             "diffrax.ForwardMode()"
         )

@@ -1,16 +1,7 @@
 """Implicit methods: collocation tableaus, the equations of their stages, Newton's method, derivatives."""
 
-from .collocation import CollocationTableau
+from .collocation import *  # noqa: F403
+from .collocation import __all__ as _tableaus
 from .implicit_rkmk import ImplicitRKMK
-from .radau_gauss import GAUSS_LEGENDRE4, GAUSS_LEGENDRE6, IMPLICIT, RADAU_IIA3, RADAU_IIA5, RADAU_IIA9
 
-__all__ = [
-    "GAUSS_LEGENDRE4",
-    "GAUSS_LEGENDRE6",
-    "IMPLICIT",
-    "RADAU_IIA3",
-    "RADAU_IIA5",
-    "RADAU_IIA9",
-    "CollocationTableau",
-    "ImplicitRKMK",
-]
+__all__ = [*_tableaus, "ImplicitRKMK"]

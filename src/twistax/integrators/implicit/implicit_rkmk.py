@@ -12,17 +12,15 @@ from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
 from ...lowering.small_call import small_call
-from ..charts import Chart, Exponential, chart_of
-from ..charts.whole import Blocks, StateCoordinates, coordinates_of
-from ..finite import all_finite
-from ..method import Attempt, Carry, ControlsAt, Method
+from ..charts import Chart, Exponential
+from ..charts.coordinates import Blocks, StateCoordinates, chart_of, coordinates_of
+from ..method import Attempt, Carry, Method, VectorField
 from ..tolerances import Tolerances
+from ..trees import all_finite
 from .collocation import CollocationTableau
-from .inverses import Parts
-from .newton import newton
-from .stage_equations import Factors, StageEquations, combined, zero_coordinates
+from .newton import Factors, Parts, combined, newton
+from .stage_equations import StageEquations, zero_coordinates
 
 __all__ = ["ImplicitRKMK"]
 
@@ -70,7 +68,7 @@ class ImplicitRKMK(Method):
     polynomial of the step before carried on.
 
     - `tx.tableaus.RADAU_IIA5`, `RADAU_IIA9` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm.
-      They fly with fixed steps, or choose their own.
+      They take fixed steps, or choose their own.
     - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are those around the
       middle of the step, half the way to its end: then the method is symmetric. Over 1e5 steps of 0.05 s the energy of
       a heavy top stays within 1e-6 with the first of them; around the starts of steps it drifts by ten times that. The
@@ -79,7 +77,7 @@ class ImplicitRKMK(Method):
     Where steps are chosen the equations are solved to a share of the tolerance; with fixed steps, saved times and
     derivatives to round-off. Derivatives are those of the solution, by the implicit function theorem: forward, reverse
     and of second order. A step whose equations cannot be solved is taken back and halved; with fixed steps, or where no
-    step is short enough, the flight ends with `Result.NEWTON_FAILED`.
+    step is short enough, the integration ends with `Result.NEWTON_FAILED`.
 
     Attributes:
         tableau: the coefficients, a `CollocationTableau`.
@@ -127,14 +125,12 @@ class ImplicitRKMK(Method):
 
     # ---- one step by itself --------------------------------------------------------------------------------------
 
-    def advance(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
-        equations = self._equations(dynamics, t, y, u_at, params, h)
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        equations = self._equations(field, t, y, h)
         return self._moved(equations, self._solution(equations))
 
     def _solution(self, equations: StageEquations) -> jax.Array:
-        """The stages, differentiable by the implicit function theorem; not a number where they are not found."""
+        """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
             found = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
@@ -153,10 +149,8 @@ class ImplicitRKMK(Method):
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
         return self._nothing(zero_coordinates(self.coordinates(dynamics), dynamics, y)[0])
 
-    def follow(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Attempt:
-        equations = self._equations(dynamics, t, y, u_at, params, h)
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        equations = self._equations(field, t, y, h)
         found = self._to_round_off(equations, carry)
         return Attempt(self._moved(equations, found.last.Z), found.last, (), found.evaluations, found.solved)
 
@@ -168,29 +162,19 @@ class ImplicitRKMK(Method):
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
         return self._unlearned(dynamics, y)
 
-    def resume(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, carry: Carry, u_at: ControlsAt, params: Arrays
-    ) -> Carry:
+    def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
         # Inverses from before a jump would take a long step across slow rates for one across stiff ones: the update
         # and the error both come out small.
-        return self._unlearned(dynamics, y)
+        return self._unlearned(field.dynamics, y)
 
     def _unlearned(self, dynamics: Dynamics, y: Blocks) -> _Learned:
         last = self.before(dynamics, y)
         return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
 
     def attempt(
-        self,
-        dynamics: Dynamics,
-        t: jax.Array,
-        y: Blocks,
-        carry: Carry,
-        u_at: ControlsAt,
-        params: Arrays,
-        h: jax.Array,
-        tolerances: Tolerances,
+        self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
-        equations = self._equations(dynamics, t, y, u_at, params, h)
+        equations = self._equations(field, t, y, h)
         local, read = equations.local, equations.read
         eps = float(jnp.finfo(h.dtype).eps)
         rounding = 10.0 * eps / tolerances.rtol
@@ -220,13 +204,8 @@ class ImplicitRKMK(Method):
 
     # ---- what all of them share ----------------------------------------------------------------------------------
 
-    def _equations(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> StageEquations:
-        def rate(time: jax.Array, moved: Blocks) -> Blocks:
-            return self.rate(dynamics, time, moved, u_at, params)
-
-        return StageEquations(self.tableau, self.coordinates(dynamics), rate, dynamics, t, y, h)
+    def _equations(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> StageEquations:
+        return StageEquations(self.tableau, self.coordinates(field.dynamics), field, t, y, h)
 
     def _nothing(self, zero: jax.Array) -> _Last:
         """What is known before the first step."""
@@ -267,7 +246,7 @@ class ImplicitRKMK(Method):
 
         solved = newton(update, size, guess, last.contraction, most, again, rounding)
         evaluations = 1 + self.tableau.stages * solved.iterations
-        # Where rates are no numbers to begin with it is not the equations that are at fault.
+        # Where rates are NaN to begin with it is not the equations that are at fault.
         good = solved.done | ~all_finite(given)
         return _Found(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 

@@ -1,7 +1,7 @@
-"""Splitting methods for long runs: free motions flown exactly, and kicks by the forces in between."""
+"""Splitting methods for long runs: exact flows of free motions, and kicks by the forces in between."""
 
 from .body import FreeBody
-from .composition import Composition
+from .compositions import Composition
 from .motion import FreeMotion
 from .particle import FreeParticle
 from .splitting import Splitting

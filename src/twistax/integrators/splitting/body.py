@@ -1,8 +1,8 @@
-"""A rigid body in free motion."""
+"""A rigid body in free motion. Its momenta stand still in the world, and are stored there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -11,12 +11,15 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Constant, Expr, Inputs, Parameter, evaluate_all, leaves_of
-from ...groups import SpecialEuclidean, SpecialOrthogonal, se3, so3
+from ...groups import Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
+from ...groups.arrays import Components, add, scale, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from .body_flows import AttitudeFlows, PoseFlows
+from ..charts import Ambient
+from ..charts.coordinates import Blocks, tightened
 from .inertia import CenteredInertia, RotationalInertia, rigid, rotational
-from .motion import Flows, FreeMotion, name_of
+from .motion import Flows, FreeMotion, Sum, begun, increased, name_of, value
+from .spin import arrays, conjugate
 
 __all__ = ["FreeBody"]
 
@@ -38,9 +41,9 @@ class FreeBody(FreeMotion):
             far where parameters make a matrix: then the principal axes are not known.
 
     Raises:
-        ModelError: not one of velocity and momentum; an inertia that reads anything but parameters. When flown: states
-            of another kind, or an inertia that belongs to no body. A matrix of parameters that belongs to none cannot
-            be told apart before a flight, which then ends at its first step.
+        ModelError: not one of velocity and momentum; an inertia that reads anything but parameters. When integrated:
+            states of another kind, or an inertia that belongs to no body. A matrix of parameters that belongs to none
+            cannot be told apart before the first step, which then ends with NaN.
     """
 
     def __init__(self, pose: Any, velocity: Any = None, *, momentum: Any = None, inertia: Any) -> None:
@@ -116,8 +119,8 @@ class FreeBody(FreeMotion):
         names = (self.position, self.velocity)
         into, out = (own.centered, own.about_origin) if self._is_momentum else (own.momenta, own.velocity)
         if isinstance(own, CenteredInertia) and isinstance(group, SpecialEuclidean):
-            return PoseFlows(names, group, own, into, out)
-        return AttitudeFlows(names, group, own, into, out)
+            return _PoseFlows(names, group, own, into, out)
+        return _AttitudeFlows(names, group, own, into, out)
 
     def _source(self, dynamics: Dynamics) -> Expr | np.ndarray:
         """The inertia, a name replaced by its parameter."""
@@ -129,7 +132,7 @@ class FreeBody(FreeMotion):
         source = self._source(dynamics)
         return source if isinstance(source, np.ndarray) else _evaluated(source, params)
 
-    def _of_body(self, dynamics: Dynamics, value: Any, known: np.ndarray | None) -> RotationalInertia | CenteredInertia:
+    def _of_body(self, dynamics: Dynamics, value: Any, known: np.ndarray | None) -> RotationalInertia:
         """The inertia from its value, constant or traced, and its default where there is one."""
         group, place = dynamics.group.factors[self.position], f"{self!r}: inertia"
         if not isinstance(group, SpecialEuclidean):
@@ -191,3 +194,104 @@ def _default(source: Expr) -> np.ndarray | None:
 def _swapped(M: Any) -> Any:
     """A spatial inertia, or its diagonal, with linear and angular part exchanged."""
     return (np if isinstance(M, np.ndarray) else jnp).roll(M, 3, axis=tuple(range(M.ndim)))
+
+
+# ---- the flows ----------------------------------------------------------------------------------------------------
+
+Map = Callable[[Components], Components]
+
+
+class _AttitudeFlows(Flows):
+    """A body that turns about the origin of its frame. Stored: (q,) and the sum of momentum in world axes.
+
+    Args:
+        names: of the attitude, and of its velocity or momentum.
+        group: of the attitude.
+        own: the inertia.
+        into, out: from the second state, or its rate at rest, to momenta in body axes, and back.
+    """
+
+    def __init__(self, names: tuple[str, str], group: Group, own: RotationalInertia, into: Map, out: Map) -> None:
+        self.position, self.velocity = names
+        self.group, self.spin, self.into, self.out = group, own.spin, into, out
+        self.part = Ambient().coordinates(group)
+
+    def enter(self, x: Arrays) -> Blocks:
+        pose = self.part.enter(x[self.position])
+        momenta = self.into(self.part.rate(x[self.velocity]))
+        return {self.position: self._to_center(pose), self.velocity: begun(_turned(pose[:4], momenta))}
+
+    def value(self, y: Blocks) -> Arrays:
+        pose, momenta = y[self.position], value(y[self.velocity])
+        own = self.out(_turned(conjugate(pose[:4]), momenta))
+        return {self.position: self.part.value(self._from_center(pose)), self.velocity: self._array(own)}
+
+    def at_rest(self, y: Blocks) -> Arrays:
+        pose = self.part.value(self._from_center(y[self.position]))
+        return {self.position: pose, self.velocity: jnp.zeros(self.group.dimension, pose.dtype)}
+
+    def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
+        pose, momenta = y[self.position], value(y[self.velocity])
+        q = self.spin.symmetric(pose[:4], momenta[:3], dt)
+        return {self.position: (*q, *self._carried(pose[4:], momenta, dt)), self.velocity: y[self.velocity]}
+
+    def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
+        pose, momenta = y[self.position], y[self.velocity]
+        q = self.spin.others_flow(pose[:4], momenta[:3], dt, backwards)
+        return {self.position: (*q, *pose[4:]), self.velocity: momenta}
+
+    def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
+        pose, momenta = y[self.position], y[self.velocity]
+        force = _turned(pose[:4], self.into(self.part.rate(rates[self.velocity])))
+        return {self.position: pose, self.velocity: increased(momenta, scale(dt, force))}
+
+    def settle(self, y: Blocks) -> Blocks:
+        pose = y[self.position]
+        return {self.position: (*tightened(pose[:4]), *pose[4:]), self.velocity: y[self.velocity]}
+
+    def _array(self, own: Components) -> jax.Array:
+        return vector(own)
+
+    def _to_center(self, pose: Components) -> Components:
+        return pose
+
+    def _from_center(self, stored: Components) -> Components:
+        return stored
+
+    def _carried(self, center: Sum, momenta: Components, dt: jax.Array) -> Sum:
+        return center
+
+
+class _PoseFlows(_AttitudeFlows):
+    """A body that also moves. Stored: q and the sum of the centre of mass; that of L about the centre of mass and of p.
+
+    Momenta and the centre of mass are in world axes.
+    """
+
+    def __init__(
+        self, names: tuple[str, str], group: SpecialEuclidean, own: CenteredInertia, into: Map, out: Map
+    ) -> None:
+        super().__init__(names, group, own, into, out)
+        self.mass, self.center, self.order = own.mass, own.center, group.order
+
+    def _array(self, own: Components) -> jax.Array:
+        return self.order.from_linear_first(vector(own))
+
+    def _to_center(self, pose: Components) -> Components:
+        return (*pose[:4], *begun(add(pose[4:], self._arm(pose))))
+
+    def _from_center(self, stored: Components) -> Components:
+        return (*stored[:4], *add(value(stored[4:]), scale(-1.0, self._arm(stored))))
+
+    def _carried(self, center: Sum, momenta: Components, dt: jax.Array) -> Sum:
+        return increased(center, scale(dt / self.mass, momenta[3:]))
+
+    def _arm(self, pose: Components) -> Components:
+        """From the origin of the frame to the centre of mass, in world axes."""
+        return quaternions.rotate(pose[:4], arrays(self.center, pose[0]))
+
+
+def _turned(q: Components, vectors: Components) -> Components:
+    """Every three numbers turned by q."""
+    parts = [quaternions.rotate(q, vectors[i : i + 3]) for i in range(0, len(vectors), 3)]
+    return tuple(number for part in parts for number in part)

@@ -21,7 +21,7 @@ __all__ = ["check_motions"]
 #: Random states to look at.
 _DRAWS = 3
 
-_OTHERWISE = "tx.RKMK(tableau) flies every system"
+_OTHERWISE = "tx.RKMK(tableau) takes every system"
 
 
 def check_motions(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:

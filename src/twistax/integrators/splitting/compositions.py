@@ -1,10 +1,78 @@
-"""Symmetric compositions, as data."""
+"""Symmetric compositions: their data, checked when they are made."""
 
 from __future__ import annotations
 
-from .composition import Composition
+import dataclasses
+from typing import Any
 
-__all__ = ["ALL", "KAHAN_LI6", "KAHAN_LI8", "STRANG", "SUZUKI4"]
+import numpy as np
+
+from ..tableau import Coefficients
+
+__all__ = ["ALL", "KAHAN_LI6", "KAHAN_LI8", "STRANG", "SUZUKI4", "Composition"]
+
+#: Weights are given in double precision; sums of them may be off by a few units in the last place.
+_TOLERANCE = 1e-14
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Composition(Coefficients):
+    """A symmetric composition of a symmetric method of order 2: its steps of length w_1 h, ..., w_s h in a row.
+
+    The order is that of the whole. Some weights are negative from order 4 on: steps back in time.
+
+    Attributes:
+        name: how tables call it.
+        order: 2, 4, 6, ...
+        weights: (s,), read-only: the same read backwards; they sum to 1, and from order 4 on their cubes, from order 6
+            on also their fifth powers and so on, sum to 0.
+
+    Raises:
+        ModelError: another order, a wrong shape, a value that is not finite, or a sum that is off.
+
+    Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section V.3.
+    """
+
+    name: str
+    order: int
+    weights: Any
+    kind = "composition"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.order, int) or self.order < 2 or self.order % 2:
+            raise self._error(f"order must be an even whole number, got {self.order!r}")
+        weights = self._read("weights")
+        if weights.ndim != 1 or not weights.size:
+            raise self._error(f"weights must have shape (s,), got {weights.shape}")
+        if not np.array_equal(weights, weights[::-1]):
+            raise self._error("weights must read the same backwards")
+        for power in range(1, self.order, 2):
+            wanted = 1.0 if power == 1 else 0.0
+            total = (weights**power).sum()
+            if abs(total - wanted) > _TOLERANCE * np.abs(weights**power).sum():
+                what = "weights" if power == 1 else f"powers {power} of the weights"
+                raise self._error(f"{what} must sum to {wanted:g} for order {self.order}, they sum to {total:.16g}")
+
+    @property
+    def stages(self) -> int:
+        """s, the number of weights."""
+        return int(self.weights.size)
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """The middles of the stages, in steps: where forces act."""
+        return np.cumsum(self.weights) - 0.5 * self.weights
+
+    @property
+    def between(self) -> np.ndarray:
+        """(s + 1,): how far it is to the first node, from one to the next, and from the last to the end, in steps."""
+        return 0.5 * (np.append(0.0, self.weights) + np.append(self.weights, 0.0))
+
+
+def _mirrored(*half: float) -> list[float]:
+    """Weights that read the same backwards, from the first one to that in the middle."""
+    return [*half, *reversed(half[:-1])]
+
 
 _OUTER = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 
@@ -18,24 +86,20 @@ SUZUKI4 = Composition("Suzuki 4", 4, [_OUTER, _OUTER, 1.0 - 4.0 * _OUTER, _OUTER
 KAHAN_LI6 = Composition(
     "Kahan-Li 6",
     6,
-    [
+    _mirrored(
         0.39216144400731413927925056,
         0.33259913678935943859974864,
         -0.70624617255763935980996482,
         0.08221359629355080023149045,
         0.79854399093482996339895035,
-        0.08221359629355080023149045,
-        -0.70624617255763935980996482,
-        0.33259913678935943859974864,
-        0.39216144400731413927925056,
-    ],
+    ),
 )
 
 #: Seventeen stages. Source: as `KAHAN_LI6`.
 KAHAN_LI8 = Composition(
     "Kahan-Li 8",
     8,
-    [
+    _mirrored(
         0.13020248308889008087881763,
         0.56116298177510838456196441,
         -0.38947496264484728640807860,
@@ -45,15 +109,7 @@ KAHAN_LI8 = Composition(
         0.25837438768632204729397911,
         0.29501172360931029887096624,
         -0.60550853383003451169892108,
-        0.29501172360931029887096624,
-        0.25837438768632204729397911,
-        0.18453964097831570709183254,
-        -0.39590389413323757733623154,
-        0.15884190655515560089621075,
-        -0.38947496264484728640807860,
-        0.56116298177510838456196441,
-        0.13020248308889008087881763,
-    ],
+    ),
 )
 
 #: Every composition, by order.

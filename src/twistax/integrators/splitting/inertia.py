@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from typing import Any
 
 import jax
@@ -12,74 +11,55 @@ import numpy as np
 
 from ...errors import ModelError
 from ...groups import so3
-from ...groups.components import Components, add, cross, scale, unpack
+from ...groups.arrays import Components, add, cross, scale, unpack
 from .spin import Frame, Number, Spin, arrays, times
 
-__all__ = ["CenteredInertia", "Inertia", "RotationalInertia", "rigid", "rotational"]
+__all__ = ["CenteredInertia", "RotationalInertia", "rigid", "rotational"]
 
 #: How far, relative to its largest entry, a matrix may be from that of a rigid body; a float32 one by round-off.
 _ROUND_OFF = 1e-5
 
 
-class Inertia(ABC):
-    """Velocities of a body and its momenta, both in body axes; momenta are about the centre of free motion.
+@dataclasses.dataclass(frozen=True)
+class RotationalInertia:
+    """A body that turns about the origin of its frame: L = J w. Velocities and momenta are in body axes.
 
     Attributes:
-        spin: the rotation about that centre.
+        spin: the rotation about the centre of free motion.
     """
 
     spin: Spin
 
-    @abstractmethod
     def momenta(self, velocity: Components) -> Components:
         """The momenta of a velocity of the body's frame, angular first; linear, as is that of a rate of both."""
-
-    @abstractmethod
-    def velocity(self, momenta: Components) -> Components:
-        """The inverse of `momenta`."""
-
-    @abstractmethod
-    def centered(self, momentum: Components) -> Components:
-        """Momenta about the frame's origin, linear first where there is a linear part, as momenta about the centre."""
-
-    @abstractmethod
-    def about_origin(self, momenta: Components) -> Components:
-        """The inverse of `centered`."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RotationalInertia(Inertia):
-    """A body that turns about the origin of its frame: L = J w."""
-
-    spin: Spin
-
-    def momenta(self, velocity: Components) -> Components:
         return times(self.spin.tensor, velocity)
 
     def velocity(self, momenta: Components) -> Components:
+        """The inverse of `momenta`."""
         return times(self.spin.inverse, momenta)
 
     def centered(self, momentum: Components) -> Components:
+        """Momenta about the frame's origin, linear first where there is a linear part, as momenta about the centre."""
         return momentum
 
     def about_origin(self, momenta: Components) -> Components:
+        """The inverse of `centered`."""
         return momenta
 
 
 @dataclasses.dataclass(frozen=True)
-class CenteredInertia(Inertia):
+class CenteredInertia(RotationalInertia):
     """A rigid body with mass m and centre of mass c in its frame: L = J w about c, and p = m (v + w x c).
 
     These are Ad* and Ad of the shift to c, [p; L] -> [p; L - c x p] and [v; w] -> [v + w x c; w].
 
     Attributes:
-        mass, center: m and c.
         spin: with J about c.
+        mass, center: m and c.
     """
 
     mass: Number
     center: tuple[Number, ...]
-    spin: Spin
 
     def momenta(self, velocity: Components) -> Components:
         v, w = velocity[:3], velocity[3:]
@@ -121,7 +101,7 @@ def rotational(place: str, value: np.ndarray | jax.Array, known: np.ndarray | No
 def rigid(place: str, value: np.ndarray | jax.Array, known: np.ndarray | None) -> CenteredInertia:
     """The inertia of a spatial inertia (6, 6), linear first, or of its diagonal (6,).
 
-    With m and c its blocks are m I, -m [c], m [c] and J - m [c]^2. A traced matrix of another form gives not a number.
+    With m and c its blocks are m I, -m [c], m [c] and J - m [c]^2. A traced matrix of another form gives NaN.
 
     Args:
         place, value, known: as for `rotational`.
@@ -138,17 +118,17 @@ def rigid(place: str, value: np.ndarray | jax.Array, known: np.ndarray | None) -
             raise ModelError(
                 f"{place} is not the spatial inertia of a rigid body: with [v; w] its blocks must be m I, -m [c], "
                 "m [c] and J - m [c]^2 of a mass m and a centre of mass c.\n"
-                "  fix: give the matrix of the system in the order of the state; tx.RKMK flies bodies of other inertia"
+                "  fix: give the matrix of the system in the order of the state; tx.RKMK takes bodies of other inertia"
             )
         tensor = 0.5 * (tensor + tensor.T)
         _check_tensor(place, tensor)
-        return CenteredInertia(float(m), tuple(c.tolist()), Spin.of(tensor))
+        return CenteredInertia(Spin.of(tensor), float(m), tuple(c.tolist()))
     m, c, tensor = _parts(value, jnp)
     off = jnp.abs(_assembled(m, c, tensor, jnp) - value).max()
-    # Nothing can be raised here; not a number ends a flight at its first step.
+    # Nothing can be raised here; NaN ends an integration at its first step.
     m = jnp.where(off <= _ROUND_OFF * jnp.abs(value).max(), m, jnp.nan)
     frame = Frame.of(None if known is None else _parts(known, np)[2])
-    return CenteredInertia(m, unpack(c), Spin.of_traced(tensor, frame))
+    return CenteredInertia(Spin.of_traced(tensor, frame), m, unpack(c))
 
 
 def _parts(M: Any, xp: Any) -> tuple[Any, Any, Any]:

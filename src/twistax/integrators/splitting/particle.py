@@ -10,13 +10,11 @@ import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...groups import Euclidean
-from ...groups.components import scale
+from ...groups.arrays import scale
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.coordinates import FlatCoordinates
-from ..charts.whole import Blocks
-from .motion import Flows, FreeMotion, name_of
-from .sums import begun, increased, value
+from ..charts.coordinates import Blocks, FlatCoordinates
+from .motion import Flows, FreeMotion, begun, increased, name_of, value
 
 __all__ = ["FreeParticle"]
 
@@ -31,7 +29,7 @@ class FreeParticle(FreeMotion):
         position, velocity: p and v, states or their names.
 
     Raises:
-        ModelError: when flown: states of another kind.
+        ModelError: when integrated: states of another kind.
     """
 
     position: Any
@@ -80,10 +78,7 @@ class _ParticleFlows(Flows):
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
         return self._own(y) | {self.position: increased(y[self.position], scale(dt, value(y[self.velocity])))}
 
-    def inner(self, y: Blocks, dt: jax.Array) -> Blocks:
-        return self._own(y)
-
-    def inner_backwards(self, y: Blocks, dt: jax.Array) -> Blocks:
+    def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
         return self._own(y)
 
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...groups import quaternions
-from ...groups.components import Components, cross, dot, matrix, scale, unpack, vector
+from ...groups.arrays import Components, cross, dot, matrix, scale, unpack, vector
 
 __all__ = ["Frame", "Number", "Rows", "Spin", "arrays", "conjugate", "times"]
 
@@ -93,7 +93,7 @@ class _Axis:
 
 @dataclasses.dataclass(frozen=True)
 class Spin:
-    """L . J^-1 L / 2 for the momentum L, as a sum whose terms are flown exactly: L stays in the world.
+    """L . J^-1 L / 2 for the momentum L, as a sum whose terms have exact flows: L stays in the world.
 
     J^-1 = k I + sum_i s_i n_i n_i^T over fixed axes n_i. The first two terms together are a symmetric body: it turns
     about L at the rate k |L| and about its axis at s (n . L). Each of the others turns it about its own axis. Three
@@ -171,7 +171,7 @@ class Spin:
         """The attitude after dt by every other part, one after the other."""
         if len(self.others) < 2:
             return self.others[0].flow(q, L, dt) if self.others else q
-        # A loop: written out, derivatives of so many turns in a row take minutes to compile.
+        # A loop: unrolled, derivatives of so many rotations in a row take minutes to compile.
         directions = jnp.asarray(np.array([axis.n for axis in self.others]), dt.dtype)
         strengths = vector(arrays([axis.strength for axis in self.others], dt))
 

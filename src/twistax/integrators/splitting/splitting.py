@@ -1,4 +1,4 @@
-"""Splitting methods: free motion and kicks in turn."""
+"""Splitting methods: free motion and kicks, one after the other."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ import jax.numpy as jnp
 from ...errors import ModelError
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.whole import Blocks
-from ..method import ControlsAt, Method
+from ..charts.coordinates import Blocks
+from ..method import Method, VectorField
 from .check import check_motions
-from .composition import Composition
-from .motion import FreeMotion
-from .whole import AllFlows
+from .compositions import Composition
+from .motion import AllFlows, FreeMotion
 
 __all__ = ["Splitting"]
 
@@ -36,7 +35,7 @@ class Splitting(Method):
         S(h/2) r_1(h/2) r_2(h/2) ... K(h) ... r_2(h/2) r_1(h/2) S(h/2),
 
     neighbouring S made one: an evaluation of the rates a stage, never at the ends of a step. The rates at rest are the
-    kicks, so any compiled system of this form flies; others are refused. Between steps momenta are stored in world
+    kicks, so any compiled system of this form will do; others are refused. Between steps momenta are stored in world
     axes: what no force changes stays to the last bit. Energy errors stay bounded as long as steps resolve the motion.
     Fixed steps.
 
@@ -45,7 +44,7 @@ class Splitting(Method):
         bodies: what moves, a `tx.FreeBody` or `tx.FreeParticle` or several, which share all states of the system.
 
     Raises:
-        ModelError: no composition, or no bodies. When flown: states that no body covers; forces that depend on
+        ModelError: no composition, or no bodies. When integrated: states that no body covers; forces that depend on
             velocities; an inertia that is not that of the system.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), sections II.5 and V.3 (splitting and
@@ -92,19 +91,17 @@ class Splitting(Method):
     def stored(self, dynamics: Dynamics, params: Arrays) -> AllFlows:
         return AllFlows([body.flows(dynamics, params) for body in self.bodies])
 
-    def advance(
-        self, dynamics: Dynamics, t: jax.Array, y: Blocks, u_at: ControlsAt, params: Arrays, h: jax.Array
-    ) -> Blocks:
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable. The clock goes with the free motion."""
-        flows = self.stored(dynamics, params)
+        flows = self.stored(field.dynamics, field.params)
 
         def stage(y: Blocks, entry: tuple[jax.Array, ...]) -> tuple[Blocks, None]:
             weight, node, further = entry
-            y = flows.inner(y, 0.5 * weight * h)
+            y = flows.inner(y, 0.5 * weight * h, backwards=False)
             time = t + node * h
-            rates = dynamics._functions.vector_field(time, flows.at_rest(y), u_at(time), params)
+            rates = field(time, flows.at_rest(y))
             y = flows.kick(y, rates, weight * h)
-            y = flows.inner_backwards(y, 0.5 * weight * h)
+            y = flows.inner(y, 0.5 * weight * h, backwards=True)
             return flows.settle(flows.outer(y, further * h)), None
 
         first, *_ = between = self.composition.between

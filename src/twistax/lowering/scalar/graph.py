@@ -80,7 +80,7 @@ class Graph(Algebra):
     Args:
         dtype: the floating-point type of the program.
         checked: keep what depends on all numbers being finite: 0 x, 0 / x and x - x stay as they are, and so does every
-            division. By default they are zero, also where x is infinite or not a number. The sign of a zero is not
+            division. By default they are zero, also where x is infinite or NaN. The sign of a zero is not
             kept in either mode.
         largest: refuse to grow beyond this many nodes.
         limits: up to which size parts are written out that a library does as well.

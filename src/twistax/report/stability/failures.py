@@ -128,7 +128,7 @@ FAILURES = Section(
             "a control stops being a number at 0.7 s, steps of 0.1 s",
             "RK4",
             _message(_driven, {"x": 0.0}, 2.0, dt=0.1, u=_spoiled),
-            Refused(tx.IntegrationError, "'x' became infinite or not a number in the step from t = 0.6"),
+            Refused(tx.IntegrationError, "'x' became infinite or NaN in the step from t = 0.6"),
             "The message names state and time, and its next lines the control.",
         ),
         Row(

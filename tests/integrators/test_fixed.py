@@ -1,4 +1,4 @@
-"""Flights against physics: momentum, both twist orders, other groups, several bodies, long runs."""
+"""Solutions against physics: momentum, both twist orders, other groups, several bodies, long runs."""
 
 import re
 
@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 import twistax as tx
 from twistax.groups import so3
+from twistax.integrators import VectorField
 from twistax.tableaus import RK4
 
 
@@ -118,7 +119,7 @@ def test_a_euclidean_step_is_a_plain_runge_kutta_step() -> None:
     x0 = {"x": jnp.array([1.0, 2.0]), "y": jnp.array(0.5)}
 
     def eta(x0: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        return tx.RKMK(RK4).increment(dynamics, jnp.zeros(()), x0, lambda t: {}, {}, jnp.asarray(0.1))
+        return tx.RKMK(RK4).increment(VectorField(dynamics, lambda t: {}, {}), jnp.zeros(()), x0, jnp.asarray(0.1))
 
     written = str(jax.make_jaxpr(eta)(x0))
     assert not [name for name in ("sin", "cos", "sqrt", "div") if re.search(rf"= {name}\b", written)]

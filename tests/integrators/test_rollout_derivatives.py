@@ -1,4 +1,4 @@
-"""Derivatives of whole flights, both ways and with respect to everything; batches of flights."""
+"""Derivatives of whole solutions, both ways and with respect to everything; batches of solutions."""
 
 import functools
 from collections.abc import Callable
@@ -102,7 +102,7 @@ def checked(f: Callable[[Inputs], jax.Array], z: Inputs, e: float, rtol: float) 
 
 
 def test_derivatives_of_chosen_steps() -> None:
-    """The steps stay as they were chosen; their ends move with the times of the controls and of the flight."""
+    """The steps stay as they were chosen; their ends move with the times of the controls and of the solution."""
     gradient = checked(functools.partial(cost, rtol=1e-11, atol=1e-11, control=FEW), inputs(), 1e-3, 1e-7)
     for name, part in gradient.items():
         sizes = np.abs(np.asarray(part)).reshape(-1)
@@ -155,7 +155,7 @@ def test_second_derivatives(how: str) -> None:
     options = {"rtol": 1e-12, "atol": 1e-12, "control": StepControl(max_steps=400)} if how == "chosen" else {"steps": 8}
 
     def value(z: jax.Array) -> jax.Array:
-        # Equal steps must end at the jump, whose time therefore scales with the flight.
+        # Equal steps must end at the jump, whose time therefore scales with the solution.
         jump = z[3] if how == "chosen" else 0.5 * z[4]
         u = {"F": tx.ZeroOrderHold(jnp.stack([jnp.zeros(()), jump]), jnp.array([0.5, -1.0]))}
         sol = tx.integrate(dynamics, {"x": z[:2]}, t1=z[4], u=u, params={"k": z[2]}, method=METHOD, **options)
@@ -206,13 +206,13 @@ def test_derivatives_at_no_turn_and_at_a_half_turn(chart: object) -> None:
 
 
 @pytest.mark.slow
-def test_lanes_of_a_batch_are_single_flights_and_so_are_their_derivatives() -> None:
+def test_lanes_of_a_batch_are_single_solutions_and_so_are_their_derivatives() -> None:
     """Lanes need different numbers of steps: each has its own."""
     dynamics = oscillator()
     starts = np.array([[0.1, 0.0], [3.0, 0.5], [1.0, 9.0]])
     ks = np.array([0.5, 30.0, 2.0])
 
-    def fly(x: jax.Array, k: jax.Array) -> tx.Solution:
+    def solve(x: jax.Array, k: jax.Array) -> tx.Solution:
         return tx.integrate(
             dynamics,
             {"x": x},
@@ -227,16 +227,16 @@ def test_lanes_of_a_batch_are_single_flights_and_so_are_their_derivatives() -> N
         )
 
     def value(x: jax.Array, k: jax.Array) -> jax.Array:
-        sol = fly(x, k)
+        sol = solve(x, k)
         return jnp.sum(sol.xs["x"][1]) * sol.xs["x"][2, 0]
 
-    lanes = jax.jit(jax.vmap(fly))(starts, ks)
+    lanes = jax.jit(jax.vmap(solve))(starts, ks)
     slopes = jax.jit(jax.grad(lambda x, k: jnp.sum(jax.vmap(value)(x, k)), argnums=(0, 1)), compiler_options=QUICK)(
         starts, ks
     )
     counts = []
     for i in range(3):
-        alone = fly(starts[i], ks[i])
+        alone = solve(starts[i], ks[i])
         counts.append(alone.stats.accepted)
         # The two programs round differently, which may tip a step over.
         assert int(lanes.stats.accepted[i]) == pytest.approx(alone.stats.accepted, abs=1)
@@ -255,7 +255,7 @@ def test_a_traced_failure_is_not_a_number_and_says_why() -> None:
     dynamics = tx.compile(tx.System(rates={x: tx.Where(k >= 0.0, x * x * x, tx.Cos(1e4 * k * tx.Time()))}))
     ts = np.array([0.0, 0.25, 2.0])
 
-    def fly(x: jax.Array, k: jax.Array) -> tx.Solution:
+    def solve(x: jax.Array, k: jax.Array) -> tx.Solution:
         return tx.integrate(
             dynamics,
             {"x": x},
@@ -269,7 +269,7 @@ def test_a_traced_failure_is_not_a_number_and_says_why() -> None:
         )
 
     starts, ks = np.array([0.1, 1.0, 0.0]), np.array([1.0, 1.0, -1.0])
-    sol = jax.jit(jax.vmap(fly))(starts, ks)
+    sol = jax.jit(jax.vmap(solve))(starts, ks)
     codes = [tx.Result(int(code)) for code in sol.code]
     assert codes[0] is tx.Result.SUCCESS
     assert codes[1] in (tx.Result.STEP_TOO_SMALL, tx.Result.NON_FINITE)
@@ -279,7 +279,7 @@ def test_a_traced_failure_is_not_a_number_and_says_why() -> None:
     )
     np.testing.assert_allclose(sol.xs["x"][0], 0.1 / np.sqrt(1.0 - 0.02 * ts), rtol=1e-6)
     np.testing.assert_allclose(sol.xs["x"][1, :2], [1.0, np.sqrt(2.0)], rtol=1e-5)
-    slopes = jax.jit(jax.vmap(jax.grad(lambda x, k: fly(x, k).xs["x"][1])))(starts[:2], ks[:2])
+    slopes = jax.jit(jax.vmap(jax.grad(lambda x, k: solve(x, k).xs["x"][1])))(starts[:2], ks[:2])
     np.testing.assert_allclose(slopes, (1.0 - 0.5 * starts[:2] ** 2) ** -1.5, rtol=1e-4)
 
 

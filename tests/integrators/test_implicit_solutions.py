@@ -1,4 +1,4 @@
-"""Flights by implicit methods: failures by name, saved times, derivatives, batches, precision, compiling once."""
+"""Solutions by implicit methods: failures by name, saved times, derivatives, batches, precision, compiling once."""
 
 import functools
 import logging
@@ -33,7 +33,7 @@ def wall() -> tx.Dynamics:
 # ---- failures --------------------------------------------------------------------------------------------------------
 
 
-def test_a_fixed_step_without_a_solution_ends_the_flight_by_name() -> None:
+def test_a_fixed_step_without_a_solution_ends_the_solution_by_name() -> None:
     sol = tx.integrate(wall(), {"x": 0.0}, t1=1.0, steps=7, method=RADAU, throw=False)
     assert sol.result is tx.Result.NEWTON_FAILED
     assert sol.stats.accepted == 3
@@ -54,7 +54,7 @@ def test_chosen_steps_shrink_until_none_has_a_solution() -> None:
     assert "jumps=" in str(caught.value)
 
 
-def test_a_step_taken_back_is_halved_and_the_flight_goes_on() -> None:
+def test_a_step_taken_back_is_halved_and_the_solution_goes_on() -> None:
     """A first step far too long for a rate that bends hard."""
     x = tx.State("x")
     dynamics = tx.compile(tx.System(rates={x: -tx.Exp(20.0 * x)}))
@@ -88,7 +88,7 @@ def test_what_is_no_tableau_or_chart_is_refused(unchecked: None) -> None:
 
 
 @pytest.mark.slow
-def test_saved_times_change_no_step_and_are_as_accurate_as_the_flight() -> None:
+def test_saved_times_change_no_step_and_are_as_accurate_as_the_solution() -> None:
     start = {"R": tx.lie.so3.exp(jnp.array([0.3, -0.2, 0.5])), "w": jnp.asarray(0.4)}
     options = {"params": {"k": 1e5}, "atol": 1e-8, "method": RADAU}
     ts = np.array([0.0, 1e-5, 0.3, 0.30001, 2.0, 5.0])
@@ -108,7 +108,7 @@ def test_saved_times_change_no_step_and_are_as_accurate_as_the_flight() -> None:
 
 @pytest.mark.slow
 def test_steps_that_learn_from_the_last_one_end_where_steps_alone_do() -> None:
-    """With fixed steps both are solved to round-off: a flight of twenty steps is twenty flights of one."""
+    """With fixed steps both are solved to round-off: a solution of twenty steps is twenty solutions of one."""
     options = {"params": SCENE.params, "method": RADAU}
     start = {"p": 0.3, "w": 0.4}
     together = tx.integrate(actuator(), start, t1=0.4, steps=20, **options)
@@ -204,13 +204,13 @@ def test_second_derivatives() -> None:
 def test_a_batch_is_a_loop() -> None:
     rates = jnp.array([1e2, 1e5, 1e8])
 
-    def fly(k: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+    def solve(k: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         start = {"p": jnp.asarray(0.3), "w": jnp.asarray(0.4)}
         sol = tx.integrate(actuator(), start, t1=1.0, rtol=1e-7, atol=1e-7, params={"k": k}, method=RADAU)
         return sol.xs, sol.stats.steps
 
-    batch, steps = jax.jit(jax.vmap(fly))(rates)
-    one = jax.jit(fly)
+    batch, steps = jax.jit(jax.vmap(solve))(rates)
+    one = jax.jit(solve)
     for i, k in enumerate(rates):
         alone, count = one(k)
         assert steps[i] == count
@@ -248,13 +248,13 @@ def test_methods_are_values() -> None:
 
 
 @pytest.mark.slow
-def test_another_flight_does_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
-    def fly(k: float, **options: float) -> None:
+def test_another_solution_does_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+    def solve(k: float, **options: float) -> None:
         tx.integrate(actuator(), {"p": 0.3, "w": 0.4}, params={"k": k}, method=tx.ImplicitRKMK(RADAU_IIA5), **options)
 
-    fly(1e3, t1=0.1, dt=0.01)
-    fly(1e3, t1=0.1, rtol=1e-5)
+    solve(1e3, t1=0.1, dt=0.01)
+    solve(1e3, t1=0.1, rtol=1e-5)
     with jax.log_compiles(), caplog.at_level(logging.WARNING):
-        fly(1e6, t1=0.2, dt=0.02)
-        fly(1e6, t1=0.2, rtol=1e-7)
-    assert not [record for record in caplog.records if "fly" in record.getMessage()]
+        solve(1e6, t1=0.2, dt=0.02)
+        solve(1e6, t1=0.2, rtol=1e-7)
+    assert not [record for record in caplog.records if "solve" in record.getMessage()]

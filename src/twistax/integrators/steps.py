@@ -1,4 +1,4 @@
-"""How a flight goes from its start to its end: the steps it takes, and where saved times fall between them."""
+"""How an integration goes from its start to its end: the steps it takes, and where saved times fall between them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from ..errors import InputError
+from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
-from .charts.whole import Blocks
+from ..lowering.inputs import is_finite
+from .charts.coordinates import Blocks
 from .events import Watched
-from .stepper import Stepper
+from .method import Stepper
 
-__all__ = ["Course", "Flown", "Outcome", "Part", "Saved", "Trail"]
+__all__ = ["Outcome", "Part", "Run", "Saved", "Steps", "Trail", "check_saves", "span_of"]
 
 
 class Outcome(NamedTuple):
@@ -55,7 +59,7 @@ class Saved(NamedTuple):
     Attributes:
         steps: the accepted steps before each.
         t, y: time and stored state after that many steps.
-        reached: whether the flight came so far.
+        reached: whether the loop came so far.
     """
 
     steps: jax.Array
@@ -64,16 +68,16 @@ class Saved(NamedTuple):
     reached: jax.Array
 
 
-class Flown(NamedTuple):
+class Run(NamedTuple):
     """What a loop over steps leaves behind.
 
     Attributes:
         end: the stored state it reached.
         outcome: how the steps went.
         saved: for the saved times; None where the end alone is asked for.
-        path: what a course needs to take the same steps again, where it was asked for.
-        trail: the starts of all steps, where a course keeps them.
-        watched: what is known of the conditions, where there are any. A course halts before the step with an event.
+        path: what is needed to take the same steps again, where it was asked for.
+        trail: the starts of all steps, where they are kept.
+        watched: what is known of the conditions, where there are any. A loop halts before the step with an event.
     """
 
     end: Blocks
@@ -91,12 +95,12 @@ class Part(NamedTuple):
     h: jax.Array
 
 
-class Course(ABC):
-    """A pytree: times and tolerances are inputs, rules and bounds are structure.
+class Steps(ABC):
+    """The loop over steps. A pytree: times and tolerances are inputs, rules and bounds are structure.
 
     Attributes:
         dense: whether the starts of all steps are kept.
-        watch: the conditions that end a flight; None where there are none.
+        watch: the conditions that end an integration; None where there are none.
     """
 
     dense: bool
@@ -108,7 +112,7 @@ class Course(ABC):
         """How many accepted steps there are at most, a plain number, for derivatives and dense output."""
 
     @abstractmethod
-    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Flown:
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         """Take all steps. Traceable, not differentiable in reverse.
 
         Args:
@@ -140,7 +144,7 @@ class Course(ABC):
         """Cause and fix of an implicit step of length h whose equations could not be solved."""
 
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
-        """The state with the largest error in a step from where the flight ended; None where errors are not known."""
+        """The state with the largest error in a step from the end; None where errors are not known."""
         return None
 
     def trail(self, path: Any, steps: jax.Array, every: Blocks) -> Trail:
@@ -148,3 +152,46 @@ class Course(ABC):
         known = self.steps_of(path)
         ends = jnp.concatenate([known.t[:1], known.t + known.h])
         return Trail(jnp.where(jnp.arange(ends.size) <= steps, ends, jnp.inf), every, steps)
+
+
+def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
+    """(t0, t1) as plain numbers, None where they are traced.
+
+    Raises:
+        InputError: a time or dt that is no finite number; t1 before t0; dt not positive.
+    """
+    for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
+        if value is not None and (np.shape(value) != () or not is_finite(value)):
+            raise InputError(f"{name} must be a finite number, got {value!r}")
+    if dt is not None and not is_traced(dt) and float(dt) <= 0.0:
+        raise InputError(f"dt must be positive, got {float(dt):g}")
+    if is_traced((t0, t1)):
+        return None
+    span = (float(t0), float(t1))
+    if span[1] < span[0]:
+        raise InputError(f"t1 = {span[1]:g} lies before t0 = {span[0]:g}.\n  fix: integrate forward in time")
+    return span
+
+
+def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
+    """Check saved times as far as they are known; returns whether they are.
+
+    Raises:
+        InputError: not a vector of numbers, not sorted, or outside [t0, t1].
+    """
+    if np.ndim(save_at) != 1 or np.shape(save_at)[0] == 0:
+        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {np.shape(save_at)}")
+    if span is None or is_traced(save_at):
+        return False
+    times = np.asarray(save_at, float)
+    start, end = span
+    if not np.isfinite(times).all():
+        raise InputError("save_at has times that are not finite")
+    if (np.diff(times) < 0).any():
+        i = int(np.argmax(np.diff(times) < 0))
+        raise InputError(f"save_at must be sorted, got {times[i]:g} before {times[i + 1]:g}")
+    room = 1e-6 * (end - start)
+    if times[0] < start - room or times[-1] > end + room:
+        worst = times[0] if times[0] < start - room else times[-1]
+        raise InputError(f"save_at must lie inside [t0, t1] = [{start:g}, {end:g}], got {worst:g}")
+    return True

@@ -1,4 +1,4 @@
-"""Systems and flights inside diffrax for the tests of the Lie solver, with an independent reference."""
+"""Systems and solutions inside diffrax for the tests of the Lie solver, with an independent reference."""
 
 import functools
 from typing import Any
@@ -52,19 +52,19 @@ def starts(number: int) -> dict[str, np.ndarray]:
 
 @functools.cache
 def references(t1: float, number: int) -> dict[str, np.ndarray]:
-    """The flights from `starts`."""
+    """The solutions from `starts`."""
     each = [_reference(t1, start()["R"], w) for w in starts(number)["w"]]
     return {name: np.stack([end[name] for end in each]) for name in each[0]}
 
 
 @functools.cache
 def reference(t1: float) -> dict[str, np.ndarray]:
-    """The flight from `start`."""
+    """The solution from `start`."""
     return _reference(t1, start()["R"], start()["w"])
 
 
 def _reference(t1: float, R: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
-    """The top flown by SciPy on rotation matrices."""
+    """The top integrated by SciPy on rotation matrices."""
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
         R, w = y[:9].reshape(3, 3), y[9:]
@@ -76,7 +76,7 @@ def _reference(t1: float, R: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]
     return {"R": y[:9].reshape(3, 3), "w": y[9:]}
 
 
-def fly(solver: Any, t1: Any = 1.0, dt0: Any = None, x: Any = None, **rest: Any) -> diffrax.Solution:
+def solve(solver: Any, t1: Any = 1.0, dt0: Any = None, x: Any = None, **rest: Any) -> diffrax.Solution:
     """The top inside diffrax by a Lie solver; chosen steps unless a length is given."""
     dynamics = top()
     rest.setdefault("stepsize_controller", tx.diffrax.controller(1e-8) if dt0 is None else diffrax.ConstantStepSize())

@@ -1,8 +1,9 @@
-"""One step in coordinates around its start, by the tableau of an explicit diffrax solver."""
+"""A system in a chart for diffrax: rates, coordinates and errors as it wants them, and one explicit step."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import diffrax
@@ -11,17 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ...groups import Euclidean, SpecialEuclidean, so3
+from ...groups.arrays import unpack, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ...lowering.small_call import small_call
-from ..ambient import Ambient
-from ..arguments import Arguments
+from ..ambient import Ambient, Arguments
 from ..charts import Chart
-from ..charts.whole import Blocks, StateCoordinates, coordinates_of
-from ..finite import all_finite
-from ..stages import stage_slopes
+from ..charts.coordinates import Blocks, StateCoordinates, coordinates_of
+from ..rkmk import stage_slopes
 from ..tableau import Rows
-from .errors_at import errors_at
+from ..trees import all_finite
 
 __all__ = ["ChartStep", "Frame", "Stepped"]
 
@@ -68,11 +69,37 @@ class Frame:
         return ravel_pytree(local.first_slope(local.enter(x), self.still(x)))[1](flat)
 
     def errors(self, x: Arrays, end: Blocks, e: Blocks) -> Arrays:
-        """An error e of the coordinates of `end`, in the form of its value x; infinite where x is not finite."""
-        local = self.local
-        found = errors_at(self.ambient, local, x, local.deviation(e, end))
-        good = all_finite(x)
-        return {name: jnp.where(good, error, jnp.inf) for name, error in found.items()}
+        """An error e of the coordinates of `end`, as the change of the entries of its value x: [R W, R v; 0 0] for a
+        pose and a deviation [v; w]. Infinite where x is not finite.
+        """
+        deviations, good = self.local.deviation(e, end), all_finite(x)
+        velocities: dict[str, Any] = {}
+        for name, group in self.dynamics.group.factors.items():
+            if isinstance(group, Euclidean):
+                velocities[name] = self.local.parts[name].value(deviations[name])
+            else:
+                tangent = vector(deviations[name])
+                if isinstance(group, SpecialEuclidean):
+                    tangent = group.order.from_linear_first(tangent)
+                velocities[name] = tangent
+        return {name: jnp.where(good, a, jnp.inf) for name, a in self.ambient.rates(x, velocities).items()}
+
+    def deviations(self, x: Mapping[str, Any], errors: Mapping[str, Any]) -> Blocks:
+        """The deviations again, from what `errors` made of them."""
+        found: Blocks = {}
+        for name, group in self.dynamics.group.factors.items():
+            if isinstance(group, Euclidean):
+                found[name] = self.local.parts[name].enter(errors[name])
+            elif isinstance(group, SpecialEuclidean):
+                back = x[name][:3, :3].T
+                found[name] = (*unpack(so3.act(back, errors[name][:3, 3])), *_rotation(back, errors[name][:3, :3]))
+            else:
+                found[name] = _rotation(x[name].T, errors[name])
+        return found
+
+
+def _rotation(back: jax.Array, error: jax.Array) -> tuple[jax.Array, ...]:
+    return unpack(so3.vee(so3.compose(back, error)))
 
 
 class Stepped(NamedTuple):

@@ -1,0 +1,147 @@
+"""Steps as programs of scalars, where the system's backend makes them: loops in one kernel, a step for derivatives.
+
+Each is made once for a structure and types of its inputs, and kept with the system; None where there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from ..lowering.scalar.primitive import Derived, call_program
+from ..lowering.scalar.repeated import Repeated, repeat
+from .charts.coordinates import Blocks
+from .method import Attempt, Carry, Stepper
+
+__all__ = ["KernelSteps", "advance_again", "kernel_steps", "kernel_tries"]
+
+Now = TypeVar("Now")
+
+#: States of more numbers are left to XLA, whose vectors run along them.
+_WIDEST = 400
+
+
+def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) -> Any:
+    """What is kept with the system under the key, made the first time; None for states that are too wide."""
+    if sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST:
+        return None
+    return stepper.dynamics._functions.steps.get(key, make)
+
+
+def _types(leaves: list[Any]) -> tuple[Any, ...]:
+    return tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+
+
+def _shapes(types: tuple[Any, ...]) -> list[jax.ShapeDtypeStruct]:
+    return [jax.ShapeDtypeStruct(*each) for each in types]
+
+
+class KernelSteps(NamedTuple):
+    """Equal steps of a method on a system, with inputs of some types, all in one call.
+
+    Attributes:
+        repeated: the step on flat arrays.
+        evaluations: of the right-hand side in a step.
+    """
+
+    repeated: Repeated
+    evaluations: int
+
+    def run(
+        self, stepper: Stepper, t0: jax.Array, h: jax.Array, first: jax.Array, stop: jax.Array, y: Blocks, carry: Carry
+    ) -> tuple[Blocks, Carry, jax.Array]:
+        """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step.
+
+        Traceable, batched by vmap, not differentiable.
+        """
+        state, structure = jax.tree.flatten((y, carry))
+        found, count = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
+        y, carry = jax.tree.unflatten(structure, found)
+        return y, carry, count
+
+
+def kernel_steps(
+    stepper: Stepper, t0: jax.Array, h: jax.Array, number: jax.Array, y: Blocks, carry: Carry
+) -> KernelSteps | None:
+    """Equal steps in one kernel; `number` is that of a step, for its type."""
+    leaves, structure = jax.tree.flatten((number, (t0, h, stepper), (y, carry)))
+    types, count = _types(leaves), len(jax.tree.leaves((y, carry)))
+
+    def make() -> KernelSteps | None:
+        attempts: list[Attempt] = []
+
+        def step(*leaves: jax.Array) -> list[jax.Array]:
+            k, (t0, h, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
+            attempts.append(stepper.in_arrays.follow(t0 + k.astype(t0.dtype) * h, y, carry, h))
+            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry))
+
+        repeated = stepper.dynamics.backend.repeated(step, _shapes(types), count)
+        # A step that solves equations may fail, which a kernel does not see.
+        if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
+            return None
+        return KernelSteps(repeated, attempts[-1].evaluations)
+
+    found: KernelSteps | None = _made(stepper, (y, carry), (kernel_steps, structure, types), make)
+    return found
+
+
+def kernel_tries(
+    one_try: Callable[[Any, Stepper, Now], tuple[Now, jax.Array]], given: Any, stepper: Stepper, now: Now
+) -> Callable[[Now, jax.Array, jax.Array], Now] | None:
+    """A loop over now = one_try(given, stepper, now) in one kernel.
+
+    Args:
+        one_try: also says whether another one follows. What it does depends on the structure of its inputs alone.
+        given: what stays the same.
+    Returns:
+        (now, first, stop) to the last `now`, after stop - first tries at most. Traceable, batched by vmap, not
+        differentiable. Whole numbers are carried as floating-point ones.
+    """
+    fixed, structure = jax.tree.flatten((given, stepper))
+    state, form = jax.tree.flatten(now)
+    types, kinds = _types([*fixed, *state]), [jnp.result_type(leaf) for leaf in state]
+    dtype = next(kind for kind in kinds if jnp.issubdtype(kind, jnp.floating))
+
+    def cast(leaves: Any) -> Now:
+        found: Now = jax.tree.unflatten(form, [a.astype(kind) for a, kind in zip(leaves, kinds, strict=True)])
+        return found
+
+    def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
+        given, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
+        now, more = one_try(given, stepper.in_arrays, cast(leaves[len(fixed) :]))
+        return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more]
+
+    def make() -> Repeated | None:
+        shapes = [jax.ShapeDtypeStruct((), int), *_shapes(types[: len(fixed)])]
+        shapes += [jax.ShapeDtypeStruct(shape, dtype) for shape, _ in types[len(fixed) :]]
+        return stepper.dynamics.backend.repeated(iteration, shapes, len(state))
+
+    repeated: Repeated | None = _made(stepper, now, (kernel_tries, structure, form, types), make)
+    if repeated is None:
+        return None
+
+    def run(now: Now, first: jax.Array, stop: jax.Array) -> Now:
+        state = [jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(now)]
+        return cast(repeat(repeated, first, stop, fixed, state)[0])
+
+    return run
+
+
+def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+    """`stepper.advance`, for loops that are differentiated: a program is compiled faster, and runs as one function."""
+    leaves, structure = jax.tree.flatten((stepper, t, y, h))
+    types = _types(leaves)
+
+    def step(*leaves: jax.Array) -> list[jax.Array]:
+        stepper, t, y, h = jax.tree.unflatten(structure, leaves)
+        return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
+
+    program: Derived | None = _made(
+        stepper, y, (advance_again, structure, types), lambda: stepper.dynamics.backend.step(step, _shapes(types))
+    )
+    if program is None:
+        return stepper.advance(t, y, h)
+    return jax.tree.unflatten(jax.tree.structure(y), call_program(program, *leaves))

@@ -1,0 +1,189 @@
+"""A whole rollout as one function of its inputs: fast forward, differentiable both ways."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..lowering.dynamics import Arrays
+from ..lowering.small_call import small_call
+from .charts.coordinates import Blocks
+from .checkpointed import take_steps
+from .event_root import Meeting, cut_at, locate, refined, saved_before
+from .kernels import advance_again
+from .method import Stepper
+from .solution import Result
+from .steps import Outcome, Part, Run, Saved, Steps, Trail
+from .trees import all_finite
+
+__all__ = ["Rollout", "rollout"]
+
+
+class Rollout(NamedTuple):
+    """Where the steps led.
+
+    Attributes:
+        xs: the states at the saved times, leading axis n, NaN where the steps did not come so far; without saved times
+            empty.
+        end: the state they reached.
+        reached: (n,) whether they came so far.
+        outcome: how they went, those of saved times included in the evaluations.
+        trail: the starts of all steps, where they are kept.
+        event: the number of the event that ended it, -1 for none; None where none is watched for.
+    """
+
+    xs: Arrays
+    end: Arrays
+    reached: jax.Array
+    outcome: Outcome
+    trail: Trail | None
+    event: jax.Array | None
+
+
+@jax.jit
+def rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+    """Take all steps from the state x.
+
+    The loop over steps is compiled as one small function where that is known to work. Its derivatives, of any order and
+    both ways, are those of the same steps taken again with bounded memory: lengths that were chosen by tolerances are
+    kept, as shares of the way between limits, so that derivatives with respect to all times are right.
+    """
+    return _rollout(steps, stepper, x)
+
+
+@jax.custom_jvp
+def _rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+    # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
+    return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
+
+
+def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
+    """The same, all of it batched where one of the inputs is.
+
+    JAX expects the batch axes of a function in those of its derivative too, but looks at the function alone.
+    """
+    firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
+    never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
+    return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), found)
+
+
+def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+    # Without a path saved times lie as the loop left them.
+    run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
+    meeting = None if steps.watch is None else small_call(locate, stepper, steps.watch, run)
+    return _to_saved_times(
+        steps, stepper, x, run, meeting, lambda saved, parts: small_call(_one_by_one, stepper, saved.y, parts)
+    )
+
+
+def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part) -> Blocks:
+    """The states at the ends of parts of steps, one after the other."""
+
+    def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
+        y, part = entry
+        return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
+
+    return jax.lax.scan(save, None, (ys, parts))[1]
+
+
+def _to_saved_times(
+    steps: Steps,
+    stepper: Stepper,
+    x: Arrays,
+    run: Run,
+    meeting: Meeting | None,
+    advance_all: Callable[[Saved, Part], Blocks],
+) -> Rollout:
+    """From the states before the saved times, and before an event, on to them."""
+    parts = None if run.saved is None else steps.parts(run.path, run.saved)
+    saved = run.saved
+    if meeting is not None:
+        halted, run = run, cut_at(stepper, run, meeting)
+        if saved is not None and parts is not None:
+            saved, parts = saved_before(saved, parts, steps.saved_times, halted, meeting)
+    stored, outcome = stepper.stored, run.outcome
+    end = _or_start(stored.value(run.end), outcome.accepted == 0, x)
+    event = None if meeting is None else meeting.which
+    if saved is None or parts is None:
+        return Rollout({}, end, jnp.zeros(0, bool), outcome, run.trail, event)
+    # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
+    parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
+    ys = advance_all(saved, parts)
+    reached = saved.reached & jax.vmap(all_finite)(ys)
+    at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
+    xs = _or_start(jax.vmap(stored.value)(ys), at_start, x)
+    xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
+    counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
+    lost = (outcome.code == Result.SUCCESS.value) & ~reached.all()
+    code = jnp.where(lost, Result.NON_FINITE.value, outcome.code)
+    outcome = outcome._replace(evaluations=outcome.evaluations + counts, code=code)
+    return Rollout(xs, end, reached, outcome, run.trail, event)
+
+
+def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
+    """The values, but the start as it was given, to the last bit, where no step was taken; derivatives stay."""
+    found = {}
+    for name, value in values.items():
+        given = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
+        start = given + (value - jax.lax.stop_gradient(value))
+        found[name] = jnp.where(_wide(still, value), start, value)
+    return found
+
+
+def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:
+    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
+
+
+# ---- derivatives --------------------------------------------------------------------------------------------------
+
+
+def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
+    steps, stepper, x = jax.lax.stop_gradient(primals)
+    run = steps.run(stepper, stepper.stored.enter(x), record=True)
+    known = None if steps.watch is None else locate(stepper, steps.watch, run)
+    leaves, structure = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
+    moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
+
+    def again(values: list[Any]) -> Rollout:
+        given = list(leaves)
+        for i, value in zip(moving, values, strict=True):
+            given[i] = value
+        steps, stepper, x = jax.tree.unflatten(structure, given)
+        return _batched_alike(_again(steps, stepper, x, run, known), primals)
+
+    return jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+
+
+_rollout.defjvp(_differentiated, symbolic_zeros=True)
+
+
+def _is_symbolic(slope: Any) -> bool:
+    return isinstance(slope, jax.custom_derivatives.SymbolicZero)
+
+
+def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> Rollout:
+    """The same rollout, by taking its steps again."""
+
+    def step(y: Blocks, part: Part) -> Blocks:
+        return advance_again(stepper, part.t, y, part.h)
+
+    count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
+    # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is NaN.
+    taken = all_parts._replace(h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
+    recorded = steps.dense or run.saved is not None
+    end, every = take_steps(step, stepper.stored.enter(x), taken, count, steps.bound, recorded)
+    run = run._replace(end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
+    meeting = None
+    if known is not None:
+        begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
+        meeting = refined(stepper, steps.watch, end, run.outcome.h, known._replace(t=begins))
+
+    def advance_all(saved: Saved, parts: Part) -> Blocks:
+        return jax.vmap(step)(jax.tree.map(lambda a: a[saved.steps], every), parts)
+
+    return _to_saved_times(steps, stepper, x, run, meeting, advance_all)
