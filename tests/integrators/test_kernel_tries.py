@@ -11,16 +11,15 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.lowering.native import operations
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.machine_code import BuildError
 from twistax.lowering.native.processor import Processor
 from twistax.lowering.native.self_test import check_kernel
 from twistax.lowering.native.tile import native_form
 from twistax.lowering.native.turns import Turns
-from twistax.lowering.scalar.operations import by_primitive
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.repeated import Repeated
+from twistax.lowering.scalar.table import OPERATIONS
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -153,8 +152,7 @@ def test_steps_in_a_kernel_keep_to_their_side_of_a_jump() -> None:
 
 def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are checked in turns that they take: here products are sums."""
-    wrong = operations._OF_REALS | {by_primitive["mul"]: operations._OF_REALS[by_primitive["add"]]}
-    monkeypatch.setattr(operations, "_OF_REALS", wrong)
+    monkeypatch.setitem(vars(OPERATIONS["mul"]), "llvm", OPERATIONS["add"].llvm)
     number, x = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((3,), float)
     step = native_form(scalarize(lambda k, x: [0.5 * x, (x > 0.0).all()], number, x))
     with pytest.raises(BuildError, match="differ"):

@@ -12,7 +12,7 @@ import pytest
 from jax import lax
 from scalar_cases import Case, compare, oracles
 
-from twistax.lowering.scalar.operations import by_primitive
+from twistax.lowering.scalar.table import OPERATIONS
 
 _rng = np.random.default_rng(0)
 ANY = _rng.normal(size=5) * 2.0
@@ -165,4 +165,4 @@ def test_every_operation_is_compared() -> None:
     met = {
         str(g.operation(i)) for case in CASES for g in [case.program.graph] for i in case.program.live if g.operation(i)
     }
-    assert set(by_primitive) - met == set()
+    assert set(OPERATIONS) - met == set()

@@ -13,8 +13,8 @@ from scalar_cases import evaluate
 import twistax as tx
 from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
 from twistax.lowering.scalar.emitter import as_function
-from twistax.lowering.scalar.graph import Graph, TooLarge
-from twistax.lowering.scalar.passes import emitted_form, substituted
+from twistax.lowering.scalar.graph import TooLarge
+from twistax.lowering.scalar.passes import emitted_form
 from twistax.lowering.scalar.program import ScalarProgram, scalarize
 
 VECTOR = jax.ShapeDtypeStruct((3,), float)
@@ -161,17 +161,6 @@ def test_too_large() -> None:
     with pytest.raises(TooLarge, match="more than 200 scalars"):
         program_of(square, shape, largest=200)
     assert program_of(square, shape, largest=1000).operations == 465
-
-
-def test_one_program_in_another() -> None:
-    """Substitution keeps what the other graph knows."""
-    program = program_of(lambda v: [v[0] * v[1] + v[2], jnp.sort(v)], VECTOR)
-    g = Graph(float)
-    x = g.input(0, 0, np.dtype(float))
-    product, ordered = substituted(program, g, (np.array([x, g.zero, g.one]),))
-    assert int(product) == g.one
-    whole = ScalarProgram(g, (np.array(x),), (product, ordered), (np.dtype(float),) * 2)
-    np.testing.assert_array_equal(evaluate(whole, 0.5)[1], [0.0, 0.5, 1.0])
 
 
 def test_emitters_choose_by_size() -> None:

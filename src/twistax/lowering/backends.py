@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
@@ -19,6 +18,7 @@ from .scalar.primitive import Derived, call_program
 from .scalar.program import ScalarProgram, scalarize
 from .scalar.reader import trace
 from .scalar.repeated import Repeated
+from .scalar.table import entry_of
 from .small_call import known_inside
 
 __all__ = ["ANY_SIZE", "JAX", "XLA", "Backend", "Emission", "array_operations", "pure"]
@@ -29,16 +29,6 @@ _LARGEST_STEP = 10_000
 _MOST_CONSTANTS = 1000
 #: A step has derivatives of any order, and nothing else to fall back on.
 ANY_SIZE = 10**9
-
-#: Operations that only move numbers, or hold others.
-_MOVING = frozenset(
-    str.split("""
-    broadcast_in_dim concatenate convert_element_type copy copy_p dynamic_slice dynamic_update_slice expand_dims
-    gather iota optimization_barrier pad reshape rev scatter slice split squeeze stack stop_gradient tile transpose
-    unstack
-    """)
-)
-_CUBIC = ("lu", "cholesky", "triangular_solve")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,27 +184,17 @@ def _steady(jaxpr: Jaxpr) -> bool:
 
 
 def array_operations(jaxpr: Any) -> Counter[str]:
-    """Operations by name, all entries of arrays and all turns of loops counted; factorisations by their cube."""
+    """Operations by name, all entries of arrays and all iterations of loops counted; factorisations by their cube."""
     found: Counter[str] = Counter()
     for eqn in jaxpr.eqns:
-        name = eqn.primitive.name
-        inner = inner_jaxprs(eqn)
-        out = sum(v.aval.size for v in eqn.outvars)
-        if inner:
-            for each in inner:
-                for kind, count in array_operations(each.jaxpr).items():
-                    found[kind] += count * eqn.params.get("length", 1)
-        elif name == "dot_general":
-            (contracted, _), _ = eqn.params["dimension_numbers"]
-            depth = math.prod(eqn.invars[0].aval.shape[i] for i in contracted)
-            found["mul"] += depth * out
-            found["add"] += (depth - 1) * out
-        elif name in _CUBIC:
-            found[name] += max(v.aval.size for v in eqn.invars) * max(v.aval.shape[-1] for v in eqn.invars)
-        elif name.startswith(("reduce_", "cum", "arg")):
-            found[name.removeprefix("reduce_").replace("sum", "add")] += sum(v.aval.size for v in eqn.invars) - out
-        elif name not in _MOVING:
-            found[name] += out
+        entry, inner = entry_of(eqn), inner_jaxprs(eqn)
+        for each in inner:
+            for kind, count in array_operations(each.jaxpr).items():
+                found[kind] += count * (entry.repeats(eqn) if entry else 1)
+        if entry is not None:
+            found.update(entry.operations(eqn))
+        elif not inner:
+            found[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
     return +found
 
 

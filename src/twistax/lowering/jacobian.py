@@ -11,7 +11,7 @@ import numpy as np
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from .scalar.derivatives import columns_of
-from .scalar.graph import Nodes
+from .scalar.entry import Nodes
 from .scalar.passes import one_by_one
 from .scalar.program import ScalarProgram, scalarize
 from .scalar.reader import Reader, trace

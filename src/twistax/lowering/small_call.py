@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextvars
 import functools
-import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -19,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, all_equations, is_traced, jaxpr_as_fun, small_calls_exist, xla_metadata
+from .scalar.table import entry_of
 
 __all__ = ["apart", "fits", "inside_small_call", "known_inside", "small_call"]
 
@@ -26,36 +26,6 @@ Result = TypeVar("Result")
 
 #: Whether a function is being traced to become a small one.
 _INSIDE = contextvars.ContextVar("inside a small call", default=False)
-
-#: Operations that are compiled inside one function. Anything that calls a library (solvers, FFI, callbacks) is not.
-_KNOWN = frozenset(
-    str.split("""
-    abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim clamp call_hi_primitive
-    concatenate cond convert_element_type copy copy_p cos cosh cummax cummin cumprod cumsum custom_jvp_call
-    custom_vjp_call div dot_general dynamic_slice dynamic_update_slice eq exp exp2 expand_dims expm1 floor gather ge
-    gt integer_pow iota is_finite jit le le_to log log1p logistic lt lt_to max min mul ne neg not optimization_barrier
-    or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem reshape rev round rsqrt
-    scalar_program scan scatter scatter-add select_n sign sin sinh slice split sqrt square squeeze stack stop_gradient
-    sub tan tanh tile transpose unstack while xor
-    """)
-)
-
-#: Operations that move numbers, or hold others; arrays of any size are fine.
-_MOVING = frozenset(
-    str.split("""
-    broadcast_in_dim call_hi_primitive cond custom_jvp_call custom_vjp_call dynamic_slice dynamic_update_slice gather
-    jit optimization_barrier pjit reshape scalar_program scan scatter slice squeeze while
-    """)
-)
-
-#: Of these only ones at a single place, which XLA makes a slice; it has no code for others inside of a function.
-_SCATTERING = frozenset(["scatter", "scatter-add"])
-
-#: Beyond this many entries XLA shares the work of an operation between threads, or compiles it in ways of its own.
-_LARGEST_ARRAY = 4096
-
-#: Products of matrices beyond this many entries call a library.
-_LARGEST_PRODUCT = 64
 
 
 def inside_small_call() -> bool:
@@ -148,14 +118,8 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 
 
 def known_inside(jaxpr: Any) -> bool:
-    """Whether every operation, also inside of loops and branches, is one that compiles inside a function."""
-    return all(map(_is_known, all_equations(jaxpr)))
+    """Whether every operation, also inside of loops and branches, is one that compiles inside a function.
 
-
-def _is_known(equation: Any) -> bool:
-    """Whether an operation compiles inside a function, what it holds aside."""
-    name = equation.primitive.name
-    if name not in _KNOWN or (name in _SCATTERING and math.prod(equation.invars[1].aval.shape[:-1]) > 1):
-        return False
-    largest = max((v.aval.size for v in (*equation.invars, *equation.outvars)), default=0)
-    return name in _MOVING or largest <= (_LARGEST_PRODUCT if name == "dot_general" else _LARGEST_ARRAY)
+    Anything that calls a library (solvers, FFI, callbacks) is not.
+    """
+    return all((entry := entry_of(eqn)) is not None and entry.inside(eqn) for eqn in all_equations(jaxpr))

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from export_systems import Library, needs_compiler
 
-from twistax.lowering.export.c_body import body
-from twistax.lowering.export.c_forms import _FORMS
-from twistax.lowering.export.c_types import c_type
+from twistax.lowering.export.c99 import body
 from twistax.lowering.export.functions import ExportedFunction, Port
 from twistax.lowering.scalar.graph import Graph
-from twistax.lowering.scalar.operations import Operation, by_primitive, convert
+from twistax.lowering.scalar.in_c import c_type
 from twistax.lowering.scalar.program import ScalarProgram
+from twistax.lowering.scalar.table import OPERATIONS, convert
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, 2.0, -2.5, 7.0, -7.0, 1e-9, 300.7, -1e10, 1e30, np.inf, -np.inf, np.nan]
 GRID = np.array(list(itertools.product(SPECIAL, SPECIAL)))
@@ -29,11 +28,6 @@ BITS = ("and", "or", "xor", "not")
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 WHOLE = ("add", "sub", "mul", "div", "neg", "abs", "sign", "rem", "max", "min", "clamp", *BITS, *COMPARISONS)
 INTEGERS = [np.dtype(name) for name in ("int8", "uint8", "int32", "uint32", "int64", "uint64")]
-
-
-def arity(operation: Operation) -> int:
-    own = {"clamp": 3, "select": 3, "logistic": 1}
-    return own.get(operation.name) or operation.number.nin
 
 
 class Sheet:
@@ -81,7 +75,9 @@ def compare(sheet: Sheet, folder: Path, rtol: float) -> None:
 
 
 def test_every_operation_has_a_form() -> None:
-    assert set(_FORMS) == set(by_primitive.values())
+    """On real numbers, or on truth values; `test_integers_and_conversions` names those of integers."""
+    for operation in OPERATIONS.values():
+        assert operation.c.boolean if operation.name in BITS else operation.c.real, operation
 
 
 @needs_compiler
@@ -89,17 +85,17 @@ def test_every_operation_has_a_form() -> None:
 def test_real_numbers(dtype: Any, rtol: float, tmp_path: Path) -> None:
     sheet = Sheet(dtype)
     g, (a, b, c), values = sheet.g, sheet.real, sheet.values
-    less, more = g.node(by_primitive["lt"], a, b), g.node(by_primitive["ge"], b, c)
+    less, more = g.node(OPERATIONS["lt"], a, b), g.node(OPERATIONS["ge"], b, c)
     truths = [values[0] < values[1], values[1] >= values[2]]
     with np.errstate(all="ignore"):
-        for operation in by_primitive.values():
+        for operation in OPERATIONS.values():
             if operation.name in BITS:
-                pair = [less, more][: arity(operation)]
+                pair = [less, more][: operation.arity]
                 sheet.add(operation.name, g.node(operation, *pair), operation.number(*truths[: len(pair)]))
             elif operation.name == "select":
                 sheet.add("select", g.node(operation, less, b, c), operation.number(truths[0], *values[1:]))
             else:
-                n = arity(operation)
+                n = operation.arity
                 sheet.add(operation.name, g.node(operation, *(a, b, c)[:n]), operation.number(*values[:n]))
                 if n == 2:
                     sheet.add(f"{operation.name} back", g.node(operation, c, a), operation.number(values[2], values[0]))
@@ -125,7 +121,7 @@ def test_integers_and_conversions(tmp_path: Path) -> None:
     sheet = Sheet(np.float64)
     g, to_bool, to_int16 = sheet.g, convert(np.dtype(bool)), convert(np.dtype("int16"))
     cases = [
-        (own, by_primitive[name])
+        (own, OPERATIONS[name])
         for own in INTEGERS
         for name in WHOLE
         if not (own.kind == "u" and name in ("neg", "abs"))
@@ -133,7 +129,7 @@ def test_integers_and_conversions(tmp_path: Path) -> None:
 
     def by_jax(*values: jax.Array) -> dict[str, jax.Array]:
         whole = {own: [convert(own).array(v) for v in values] for own in INTEGERS}
-        found = {f"{own} {o.name}": o.array(*whole[own][: arity(o)]) for own, o in cases}
+        found = {f"{own} {o.name}": o.array(*whole[own][: o.arity]) for own, o in cases}
         for own in INTEGERS:
             found |= {f"{own} {k}": whole[own][k] for k in range(3)}
             found |= {f"{own} to {o.name}": o.array(whole[own][0]) for o in (to_bool, to_int16)}
@@ -142,7 +138,7 @@ def test_integers_and_conversions(tmp_path: Path) -> None:
     expected = jax.jit(by_jax, compiler_options={"xla_backend_optimization_level": 0})(*sheet.values)
     for own in INTEGERS:
         nodes = [g.node(convert(own), x) for x in sheet.real]
-        rows = {f"{own} {o.name}": g.node(o, *nodes[: arity(o)]) for kind, o in cases if kind == own}
+        rows = {f"{own} {o.name}": g.node(o, *nodes[: o.arity]) for kind, o in cases if kind == own}
         rows |= {f"{own} {k}": node for k, node in enumerate(nodes)}
         rows |= {f"{own} to {o.name}": g.node(o, nodes[0]) for o in (to_bool, to_int16)}
         for name, node in rows.items():

@@ -11,8 +11,8 @@ import pytest
 from export_systems import MASS, body, point
 
 import twistax as tx
-from twistax.lowering.export.casadi_forms import CasadiForms
-from twistax.lowering.scalar.operations import by_primitive, convert
+from twistax.lowering.export.casadi_function import expression
+from twistax.lowering.scalar.table import OPERATIONS, convert
 
 
 @pytest.fixture
@@ -92,35 +92,31 @@ def test_structural_zeros_stay(casadi: Any) -> None:
 
 def test_operations(casadi: Any) -> None:
     """Those that CasADi has not by one name, and branches, tables and conversions."""
-    forms, points = (
-        CasadiForms(casadi),
-        np.array([[0.3, -0.7, 0.2], [-2.5, 1.5, 3.0], [4.0, 2.0, -1.0], [1.0, 1.0, 1.0]]),
-    )
+    points = np.array([[0.3, -0.7, 0.2], [-2.5, 1.5, 3.0], [4.0, 2.0, -1.0], [1.0, 1.0, 1.0]])
     real, truth, whole = np.dtype(float), np.dtype(bool), np.dtype("int64")
     symbols = [casadi.SX.sym(n) for n in "abc"]
     rows, expected = [], []
     with np.errstate(all="ignore"):
-        for operation in by_primitive.values():
-            n = {"clamp": 3, "logistic": 1}.get(operation.name) or getattr(operation.number, "nin", 3)
+        for operation in OPERATIONS.values():
+            n = operation.arity
             bits = operation.name in ("and", "or", "xor", "not")
             given = [s > 0.5 for s in symbols[:n]] if bits else list(symbols[:n])
             values = [p > 0.5 for p in points.T[:n]] if bits else list(points.T[:n])
-            types = [truth if bits else real] * n
             if operation.name == "select":
-                given[0], values[0], types[0] = given[0] > 0.5, values[0] > 0.5, truth
-            rows.append(forms(operation, operation.result or types[-1], types, *given))
+                given[0], values[0] = given[0] > 0.5, values[0] > 0.5
+            rows.append(expression(casadi, operation, truth if bits else real, *given))
             expected.append(np.asarray(operation.number(*values)).astype(float))
-    rows.append(forms(convert(whole), whole, [real], symbols[0]))
+    rows.append(expression(casadi, convert(whole), real, symbols[0]))
     expected.append(np.trunc(points[:, 0]))
-    rows.append(forms(by_primitive["div"], whole, [whole, whole], casadi.SX(-7), casadi.SX(2)))
+    rows.append(expression(casadi, OPERATIONS["div"], whole, casadi.SX(-7), casadi.SX(2)))
     expected.append(np.full(4, -3.0))
     found = casadi.Function("f", symbols, [casadi.vertcat(*rows)])
-    names = [o.name for o in by_primitive.values()] + ["whole", "divided"]
+    names = [o.name for o in OPERATIONS.values()] + ["whole", "divided"]
     for k, row in enumerate(points):
         for name, own, other in zip(names, np.array(found(*row)).reshape(-1), expected, strict=True):
             np.testing.assert_allclose(own, other[k], rtol=1e-14, atol=1e-15, err_msg=f"{name} at {row}")
     with pytest.raises(tx.ModelError, match="CasADi has no and of int64"):
-        forms(by_primitive["and"], whole, [whole, whole], *symbols[:2])
+        expression(casadi, OPERATIONS["and"], whole, *symbols[:2])
 
 
 def test_names_that_meet_are_refused(casadi: Any) -> None:

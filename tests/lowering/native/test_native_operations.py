@@ -15,7 +15,7 @@ from native_programs import processors, program_of, run
 from twistax.lowering.native.code import NotNative
 from twistax.lowering.native.processor import Processor
 from twistax.lowering.native.tile import native_form
-from twistax.lowering.scalar.operations import by_primitive, convert
+from twistax.lowering.scalar.table import OPERATIONS, convert
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -3.0, np.inf, -np.inf, np.nan, 1e-30, -1e-30, 7.25, -7.75, 1e9, 3.0]
 RANDOM = np.random.default_rng(0)
@@ -69,7 +69,7 @@ def test_operations_on_reals(dtype: Any) -> None:
     a, b = (values.astype(dtype) for values in _pairs())
     with np.errstate(all="ignore"):
         for names, columns in ((UNARY, [x]), (BINARY, [a, b])):
-            operations = [by_primitive[name] for name in names]
+            operations = [OPERATIONS[name] for name in names]
             found = run(program_of(operations, dtype, len(columns)), Processor.host(), *columns)
             arrays = _as_xla(operations, columns)
             for operation, own, array in zip(operations, found, arrays, strict=True):
@@ -80,7 +80,7 @@ def test_operations_on_reals(dtype: Any) -> None:
 def test_vectors_of_every_width() -> None:
     """Narrow ones have no masks, and single entries of rows; without fused products too."""
     names = ["add", "mul", "div", "max", "atan2", "lt"]
-    operations = [by_primitive[name] for name in names]
+    operations = [OPERATIONS[name] for name in names]
     a, b = _pairs()
     with np.errstate(all="ignore"):
         for processor in processors():
@@ -94,11 +94,11 @@ def test_vectors_of_every_width() -> None:
 def test_three_arguments() -> None:
     low, high = -1.0, 2.0
     x = np.array(SPECIAL)
-    found = run(program_of([by_primitive["clamp"]], float, 3), Processor.host(), low, x, high)[0]
+    found = run(program_of([OPERATIONS["clamp"]], float, 3), Processor.host(), low, x, high)[0]
     np.testing.assert_array_equal(found, np.clip(x, low, high))
-    program = program_of([by_primitive["lt"]], float, 2)
+    program = program_of([OPERATIONS["lt"]], float, 2)
     graph = program.graph
-    chosen = graph.node(by_primitive["select"], program.flat[0], *(int(i[0]) for i in program.inputs))
+    chosen = graph.node(OPERATIONS["select"], program.flat[0], *(int(i[0]) for i in program.inputs))
     program = program.restricted([np.array([chosen])])
     a, b = _pairs()
     np.testing.assert_array_equal(run(program, Processor.host(), a, b)[0], np.where(a < b, a, b))
@@ -109,15 +109,15 @@ def test_operations_on_integers_and_truth(dtype: Any) -> None:
     values = np.array([False, True] if dtype == np.bool_ else [0, 1, -1, 5, -7, 2**30, -(2**31)], dtype)
     a, b = (v.ravel() for v in np.meshgrid(values, values))
     names = ON_TRUTH if dtype == np.bool_ else ON_INTEGERS
-    operations = [by_primitive[name] for name in names]
+    operations = [OPERATIONS[name] for name in names]
     with np.errstate(all="ignore"):
         found = run(program_of(operations, dtype, 2), Processor.host(), a, b)
         for operation, own in zip(operations, found, strict=True):
             np.testing.assert_array_equal(own, operation.number(a, b), err_msg=operation.name)
         single = ["not"] if dtype == np.bool_ else ["not", "neg", "abs", "sign"]
-        found = run(program_of([by_primitive[name] for name in single], dtype, 1), Processor.host(), values)
+        found = run(program_of([OPERATIONS[name] for name in single], dtype, 1), Processor.host(), values)
         for name, own in zip(single, found, strict=True):
-            np.testing.assert_array_equal(own, by_primitive[name].number(values), err_msg=name)
+            np.testing.assert_array_equal(own, OPERATIONS[name].number(values), err_msg=name)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int32, np.int64, np.bool_])
@@ -136,10 +136,10 @@ def test_conversions(dtype: Any) -> None:
 @pytest.mark.parametrize("name", ["div", "rem"])
 def test_division_of_integers_is_not_native(name: str) -> None:
     with pytest.raises(NotNative, match=f"{name} of i64"):
-        native_form(program_of([by_primitive[name]], np.int64, 2))
+        native_form(program_of([OPERATIONS[name]], np.int64, 2))
 
 
 def test_every_operation_is_tried() -> None:
     """So that a new operation gets a rule, or is refused on purpose."""
     tried = {*UNARY, *BINARY, *ON_INTEGERS, *ON_TRUTH, "not", "clamp", "select"}
-    assert tried == set(by_primitive)
+    assert tried == set(OPERATIONS)

@@ -24,13 +24,13 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 import twistax as tx
 from twistax import jax_inside
 from twistax.lowering.native import kernel as kernel_module
-from twistax.lowering.native import machine_code, operations, self_test
+from twistax.lowering.native import machine_code, self_test
 from twistax.lowering.native.code import Module
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.processor import Processor
 from twistax.lowering.native.tile import Straight, native_form
-from twistax.lowering.scalar.operations import by_primitive
 from twistax.lowering.scalar.program import scalarize
+from twistax.lowering.scalar.table import OPERATIONS
 
 w, mass, R = tx.State("w", (3,)), tx.State("mass"), tx.State("R", group=tx.SO3)
 J, F = tx.Parameter("J", value=np.diag([1.0, 2.0, 3.0])), tx.Control("F", (3,))
@@ -117,8 +117,7 @@ def test_without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Products that are sums: the first call finds out, XLA runs instead."""
-    wrong = operations._OF_REALS | {by_primitive["mul"]: operations._OF_REALS[by_primitive["add"]]}
-    monkeypatch.setattr(operations, "_OF_REALS", wrong)
+    monkeypatch.setitem(vars(OPERATIONS["mul"]), "llvm", OPERATIONS["add"].llvm)
     dynamics = tx.compile(SMALL, backend=tx.Native(least=0))
     with pytest.warns(RuntimeWarning, match="its results differ from those of NumPy") as messages:
         rates = dynamics(0.0, AT)["s"]

@@ -12,9 +12,9 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import processors, program_of, run
 
-from twistax.lowering.scalar.operations import by_primitive
+from twistax.lowering.scalar.table import OPERATIONS
 
-OPERATIONS = [by_primitive["sin"], by_primitive["cos"]]
+BOTH = [OPERATIONS["sin"], OPERATIONS["cos"]]
 BAR = 2.0
 
 
@@ -44,7 +44,7 @@ def _check(count: int, dtype: Any) -> None:
     x = _angles(count).astype(dtype)
     x = x[np.abs(x) <= 1e9]
     for processor in processors():
-        for own, function in zip(run(program_of(OPERATIONS, dtype, 1), processor, x), (mpmath.sin, mpmath.cos)):
+        for own, function in zip(run(program_of(BOTH, dtype, 1), processor, x), (mpmath.sin, mpmath.cos)):
             assert own.dtype == dtype
             assert _worst(x, own, function) <= BAR, (processor, function)
 
@@ -69,7 +69,7 @@ def test_far_angles_do_not_touch_their_neighbours(dtype: Any) -> None:
     places = np.arange(1, 40, 7)
     mixed[places] = far
     for processor in processors():
-        program = program_of(OPERATIONS, dtype, 1)
+        program = program_of(BOTH, dtype, 1)
         alone, beside = run(program, processor, near), run(program, processor, mixed)
         rest = np.setdiff1d(np.arange(40), places)
         for before, after, function in zip(alone, beside, (mpmath.sin, mpmath.cos)):
@@ -80,6 +80,6 @@ def test_far_angles_do_not_touch_their_neighbours(dtype: Any) -> None:
 
 def test_sign_of_zero() -> None:
     for processor in processors():
-        sine, cosine = run(program_of(OPERATIONS, float, 1), processor, np.array([0.0, -0.0]))
+        sine, cosine = run(program_of(BOTH, float, 1), processor, np.array([0.0, -0.0]))
         np.testing.assert_array_equal(np.signbit(sine), [False, True])
         np.testing.assert_array_equal(cosine, [1.0, 1.0])

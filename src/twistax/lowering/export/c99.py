@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,15 @@ import numpy as np
 
 from ...errors import InputError, ModelError
 from ..functions import Functions
+from ..scalar.in_c import CType, c_type
 from . import CFiles
-from .c_body import body
 from .c_header import MARK, declaration, defaults, header
 from .c_names import checked_name, identifiers
 from .c_test import Point, drawn_points, test_main
-from .c_types import CType, c_type
 from .functions import ExportedFunction, Exporter, Port
 from .version import version
 
-__all__ = ["write_c"]
+__all__ = ["body", "write_c"]
 
 #: Of references at which the test main gives up, relative to the largest one of a function.
 _TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
@@ -119,6 +118,47 @@ def _source(
         *bodies,
     ]
     return "\n".join(part for part in parts if part)
+
+
+def body(
+    function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]
+) -> tuple[str, dict[str, str]]:
+    """The lines of a function, and the helpers that they call, by name.
+
+    Raises:
+        ModelError: a type that C has not, or has no such operation of.
+    """
+    program, g = function.program, function.program.graph
+    values: dict[int, str] = {}
+    lines: list[str] = []
+    helpers: dict[str, str] = {}
+    used: set[int] = set()
+    for i in program.live:
+        place, operation, own = g.input_of(i), g.operation(i), c_type(g.dtypes[i])
+        if place is not None:
+            used.add(place[0])
+            port = arguments[place[0]]
+            values[i] = names[port] if port.kind == "t" else f"{names[port]}[{place[1]}]"
+        elif operation is None:
+            values[i] = own.literal(g.numbers[i])
+        else:
+            read = g.arguments(i)
+            argument = c_type(g.dtypes[read[-1]])
+            form = operation.c.of(argument.dtype)
+            if form is None:
+                raise ModelError(f"C99 code has no {operation.name} of {argument.name}")
+            written = form(argument, *(values[a] for a in read))
+            helpers.update(written.helpers)
+            values[i] = f"v{len(lines)}"
+            lines.append(f"const {own.name} {values[i]} = {written.text};")
+    unused = [f"(void){names[port]};" for k, port in enumerate(arguments) if k not in used]
+    results = []
+    real = c_type(g.dtype)
+    for port, nodes in zip(function.results, program.outputs, strict=True):
+        for k, i in enumerate(nodes.reshape(-1).tolist()):
+            cast = "" if g.dtypes[i] == g.dtype else f"({real.name})"
+            results.append(f"{names[port]}[{k}] = {cast}{values[i]};")
+    return "".join(f"    {line}\n" for line in (*unused, *lines, *results)), helpers
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:

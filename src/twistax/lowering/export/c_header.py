@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ...groups import Euclidean
+from ..scalar.in_c import CType
 from .c_names import comment
-from .c_types import CType
 from .functions import ExportedFunction, Exporter, Port
 from .version import version
 

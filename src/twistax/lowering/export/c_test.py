@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...groups import Euclidean
+from ..scalar.in_c import CType
 from .c_header import MARK
-from .c_types import CType
 from .functions import ExportedFunction, Exporter, Port
 from .version import version
 

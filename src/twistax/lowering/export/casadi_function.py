@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import InputError, ModelError
 from ..functions import Functions
-from .casadi_forms import CasadiForms
+from ..scalar.operation import Operation
 from .functions import ExportedFunction, Exporter, Port
 
 __all__ = ["to_casadi"]
@@ -81,7 +81,7 @@ def _place(shape: tuple[int, ...], place: int) -> tuple[int, int]:
 
 def _results(casadi: Any, function: ExportedFunction, arguments: Sequence[Port], symbols: Sequence[Any]) -> list[Any]:
     """The results as matrices of expressions in the symbols."""
-    g, forms = function.program.graph, CasadiForms(casadi)
+    g = function.program.graph
     values: dict[int, Any] = {}
     for i in function.program.live:
         place, operation = g.input_of(i), g.operation(i)
@@ -91,7 +91,7 @@ def _results(casadi: Any, function: ExportedFunction, arguments: Sequence[Port],
             values[i] = casadi.SX(float(g.numbers[i]))
         else:
             read = g.arguments(i)
-            values[i] = forms(operation, g.dtypes[i], [g.dtypes[a] for a in read], *(values[a] for a in read))
+            values[i] = expression(casadi, operation, g.dtypes[read[-1]], *(values[a] for a in read))
     found = []
     for port, nodes in zip(function.results, function.program.outputs, strict=True):
         result = casadi.SX(*_matrix(port.shape))  # what is structurally zero stays so
@@ -100,3 +100,15 @@ def _results(casadi: Any, function: ExportedFunction, arguments: Sequence[Port],
                 result[_place(port.shape, entry)] = values[i]
         found.append(result)
     return found
+
+
+def expression(casadi: Any, operation: Operation, dtype: np.dtype[Any], *arguments: Any) -> Any:
+    """An operation on arguments of a type in CasADi.
+
+    Raises:
+        ModelError: CasADi has no such operation.
+    """
+    form = operation.casadi.of(dtype)
+    if form is None:
+        raise ModelError(f"CasADi has no {operation.name} of {dtype.name}")
+    return form(casadi, *arguments)

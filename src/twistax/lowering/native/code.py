@@ -10,21 +10,12 @@ import numpy as np
 
 from .processor import Processor
 
-__all__ = ["NAMES", "Code", "Module", "NotNative"]
+__all__ = ["Code", "Module", "NotNative"]
 
 
 class NotNative(Exception):
     """A program has no native form; the message says why."""
 
-
-#: LLVM's names of the types that numbers may have.
-NAMES: dict[np.dtype[Any], str] = {
-    np.dtype(np.float64): "double",
-    np.dtype(np.float32): "float",
-    np.dtype(np.int64): "i64",
-    np.dtype(np.int32): "i32",
-    np.dtype(bool): "i1",
-}
 
 #: LLVM's names of vectors in the names of functions on them.
 _SUFFIXES = {"double": "f64", "float": "f32"}
@@ -58,6 +49,8 @@ class Code:
         self.module = module
         self.lanes = lanes
         self.lines: list[str] = []
+        #: Angles of which sine and cosine are there.
+        self.turned: dict[str, tuple[str, ...]] = {}
         self._count = 0
 
     def emit(self, instruction: str) -> str:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .code import NAMES, Code
+from ..scalar.in_llvm import NAMES
+from .code import Code
 
 __all__ = ["Array", "Rows"]
 

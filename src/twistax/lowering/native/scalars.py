@@ -1,15 +1,35 @@
-"""The scalars of a program as instructions, each worked out once."""
+"""The scalars of a program as instructions, each computed once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
+
+from ..scalar.in_llvm import NAMES
+from ..scalar.operation import Operation
 from ..scalar.program import ScalarProgram
-from .code import NAMES, Code
-from .operations import TURNING, instructions
+from ..scalar.table import OPERATIONS
+from .code import Code, NotNative
 from .trigonometry import sines_and_cosines
 
-__all__ = ["Scalars"]
+__all__ = ["Scalars", "form_of"]
+
+#: Computed several at a time, by `sines_and_cosines`.
+_TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
+
+
+def form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
+    """How an operation on arguments of a type is written.
+
+    Raises:
+        NotNative: it is not.
+    """
+    form = operation.llvm.of(dtype)
+    if form is None:
+        raise NotNative(f"{operation.name} of {NAMES[dtype]} has no native form")
+    return form
 
 
 class Scalars:
@@ -26,7 +46,6 @@ class Scalars:
         self._form = form
         self._read = read
         self._values: dict[int, str] = {}
-        self._turned: dict[int, tuple[str, ...]] = {}
 
     def work_out(self, nodes: Sequence[int]) -> list[str]:
         """The values of nodes; sines and cosines that do not wait for one another together."""
@@ -34,7 +53,7 @@ class Scalars:
         for angles in self._angles(live):
             self._in_turn(self._form.graph.live(angles))
             found = sines_and_cosines(self._code, NAMES[self._form.graph.dtype], [self._values[i] for i in angles])
-            self._turned.update(zip(angles, found, strict=True))
+            self._code.turned.update(zip((self._values[i] for i in angles), found, strict=True))
         self._in_turn(live)
         return [self._values[i] for i in nodes]
 
@@ -48,11 +67,9 @@ class Scalars:
                 values[i] = self._read(*place)
             elif operation is None:
                 values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
-            elif operation in TURNING:
-                values[i] = self._turned[arguments[0]][TURNING.index(operation)]
             else:
-                kinds = [NAMES[g.dtypes[a]] for a in arguments]
-                values[i] = instructions(self._code, operation, kinds, [values[a] for a in arguments])
+                own = g.dtypes[arguments[-1]]
+                values[i] = form_of(operation, own)(self._code, NAMES[own], *(values[a] for a in arguments))
 
     def _angles(self, live: Sequence[int]) -> list[list[int]]:
         """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
@@ -64,7 +81,7 @@ class Scalars:
                 continue
             arguments = g.arguments(i)
             depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
-            if g.operation(i) in TURNING and arguments[0] not in self._turned:
+            if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.turned:
                 angles = found.setdefault(depth[i], [])
                 if arguments[0] not in angles:
                     angles.append(arguments[0])

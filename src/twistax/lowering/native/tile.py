@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scalar.graph import Limits, TooLarge
+from ..scalar.in_llvm import NAMES
 from ..scalar.passes import emitted_form
 from ..scalar.program import ScalarProgram
-from .code import NAMES, Code, Module, NotNative
-from .operations import check
-from .plain import work_out
+from .code import Code, Module, NotNative
 from .rows import Array, Rows
-from .scalars import Scalars
+from .scalars import Scalars, form_of
 
-__all__ = ["NATIVE_LIMITS", "Shape", "Signature", "Straight", "Tile", "native_form", "rows_of", "shapes_of"]
+__all__ = ["NATIVE_LIMITS", "Shape", "Signature", "Straight", "Tile", "by_numpy", "native_form", "rows_of", "shapes_of"]
 
 #: Kernels call no library: more is written out than for XLA.
 NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
@@ -122,7 +121,7 @@ class Straight(Tile):
         self.end(code)
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        return work_out(self.form, arguments)
+        return by_numpy(self.form, arguments)
 
 
 def native_form(program: ScalarProgram) -> ScalarProgram:
@@ -144,7 +143,7 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
             raise NotNative(f"{g.dtypes[i]} has no native form")
         operation = g.operation(i)
         if operation is not None:
-            check(operation, [NAMES[g.dtypes[a]] for a in g.arguments(i)])
+            form_of(operation, g.dtypes[g.arguments(i)[-1]])
     if g.dtype not in (np.float32, np.float64):
         raise NotNative(f"{g.dtype} has no native form")
     return form
@@ -163,6 +162,26 @@ def rows_of(shapes: Sequence[Shape], read: set[int] | None = None) -> dict[int, 
         for k, (shape, dtype) in enumerate(shapes)
         if np.prod(shape) and (read is None or k in read)
     }
+
+
+def by_numpy(program: ScalarProgram, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+    """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
+    g = program.graph
+    count = len(arguments[0]) if arguments else 1
+    values: dict[int, NDArray[Any]] = {}
+    with np.errstate(all="ignore"):
+        for i in program.live:
+            place, operation = g.input_of(i), g.operation(i)
+            if place is not None:
+                values[i] = arguments[place[0]][:, place[1]]
+            elif operation is None:
+                values[i] = np.full(count, g.numbers[i], g.dtypes[i])
+            else:
+                values[i] = np.asarray(operation.number(*(values[a] for a in g.arguments(i)))).astype(g.dtypes[i])
+    return [
+        np.stack([values[i] for i in nodes.reshape(-1).tolist()], 1) if nodes.size else np.zeros((count, 0), dtype)
+        for nodes, dtype in zip(program.outputs, program.types, strict=True)
+    ]
 
 
 def _place(code: Code, lane: int) -> str:

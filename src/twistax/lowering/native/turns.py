@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scalar.in_llvm import NAMES
 from ..scalar.program import ScalarProgram
-from .code import NAMES, Code, Module
-from .plain import work_out
+from .code import Code, Module
 from .scalars import Scalars
-from .tile import Signature, Tile, rows_of, shapes_of
+from .tile import Signature, Tile, by_numpy, rows_of, shapes_of
 
 __all__ = ["Turns"]
 
@@ -107,7 +107,7 @@ class Turns(Tile):
         fixed, state, turn = rest[: len(rest) - count], rest[len(rest) - count :], first.copy()
         live = turn < stop
         while live.any():
-            found = work_out(self.step, [turn, *fixed, *state])
+            found = by_numpy(self.step, [turn, *fixed, *state])
             more = found.pop() if self._says else live
             for values in [] if self._says else found:
                 live = live & np.isfinite(values).all(1, keepdims=True)

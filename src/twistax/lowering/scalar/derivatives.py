@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...jax_inside import jaxpr_as_fun
-from .graph import Call, Graph, Nodes
+from .entry import Nodes
+from .graph import Call, Graph
 from .program import ScalarProgram
 from .reader import Reader, trace
 

@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr
-from .algebra import Algebra
-from .operations import Operation, by_primitive
+from .entry import Nodes
+from .operation import Operation
+from .table.arithmetic import ARITHMETIC
+from .table.logic import LOGIC
 
-__all__ = ["LIMITS", "Call", "Graph", "Limits", "Nodes", "TooLarge"]
+__all__ = ["LIMITS", "Call", "Graph", "Limits", "TooLarge"]
 
-#: An array of nodes.
-Nodes = NDArray[Any]
-
-_ADD, _SUB, _MUL, _DIV = (by_primitive[name] for name in ("add", "sub", "mul", "div"))
-_NEG, _SELECT, _NOT = (by_primitive[name] for name in ("neg", "select", "not"))
+_ADD, _SUB, _MUL, _DIV, _NEG = (ARITHMETIC[name] for name in ("add", "sub", "mul", "div", "neg"))
+_SELECT, _NOT = LOGIC["select"], LOGIC["not"]
 
 #: First entries of nodes that are no operations: a number, an input, a result of a call.
 _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
@@ -74,7 +73,7 @@ class Limits:
 LIMITS = Limits()
 
 
-class Graph(Algebra):
+class Graph:
     """A growing graph of scalars.
 
     Args:
@@ -98,8 +97,8 @@ class Graph(Algebra):
         self.calls: list[Call] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._called: dict[Any, Call] = {}
-        self.zero = self.constant(0.0)
-        self.one = self.constant(1.0)
+        self.zero: int = self.constant(0.0)
+        self.one: int = self.constant(1.0)
 
     # ---- making nodes --------------------------------------------------------------------------------------------
 

@@ -1,29 +1,21 @@
-"""A program written anew before it is emitted: calls written out, reciprocals shared."""
+"""A program written anew before it is emitted: calls unrolled, reciprocals shared."""
 
 from __future__ import annotations
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-import numpy as np
-
-from .graph import LIMITS, Call, Graph, Limits, Nodes
-from .operations import Extreme, by_primitive
+from .entry import Nodes, nodes
+from .graph import LIMITS, Call, Graph, Limits
+from .operation import Extreme
 from .program import ScalarProgram
 from .reader import Reader
+from .table.arithmetic import ARITHMETIC
 
-__all__ = ["emitted_form", "one_by_one", "substituted"]
+__all__ = ["emitted_form", "one_by_one"]
 
-_ALGEBRA: dict[object, Callable[..., int]] = {
-    by_primitive["add"]: Graph.add,
-    by_primitive["sub"]: Graph.sub,
-    by_primitive["mul"]: Graph.mul,
-    by_primitive["div"]: Graph.div,
-    by_primitive["neg"]: Graph.neg,
-    by_primitive["select"]: Graph.select,
-}
-_DIV = by_primitive["div"]
+_DIV = ARITHMETIC["div"]
 
 
 def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgram:
@@ -35,23 +27,13 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     Args:
         limits: up to which size parts are written out; larger for emitters that cannot call a library.
     """
-    expanded = _rebuilt(program, {}, whole=False, limits=limits)
+    expanded = _rebuilt(program, set(), whole=False, limits=limits)
     if program.graph.checked:
         return expanded
     g = expanded.graph
     uses = Counter(g.arguments(i)[1] for i in expanded.live if g.operation(i) is _DIV and g.dtypes[i] == g.dtype)
     shared = {divisor for divisor, count in uses.items() if count > 1}
-    return _rebuilt(expanded, {_DIV: shared}, whole=False, limits=limits) if shared else expanded
-
-
-def substituted(program: ScalarProgram, graph: Graph, arguments: tuple[Nodes, ...]) -> list[Nodes]:
-    """The results of a program on nodes of another graph."""
-    known = {
-        i: j
-        for own, given in zip(program.inputs, arguments, strict=True)
-        for i, j in zip(own.reshape(-1).tolist(), given.reshape(-1).tolist(), strict=True)
-    }
-    return _copied(program, graph, known, set(), whole=True)
+    return _rebuilt(expanded, shared, whole=False, limits=limits) if shared else expanded
 
 
 def one_by_one(program: ScalarProgram) -> ScalarProgram:
@@ -60,44 +42,32 @@ def one_by_one(program: ScalarProgram) -> ScalarProgram:
     Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
     of the program need fewer of one another.
     """
-    return _rebuilt(program, {}, True, program.graph.limits, program.graph.in_turn(program.flat))
+    return _rebuilt(program, set(), True, program.graph.limits, program.graph.in_turn(program.flat))
 
 
 def _rebuilt(
     program: ScalarProgram,
-    divisors: dict[object, set[int]],
+    shared: set[int],
     whole: bool,
     limits: Limits,
     order: Sequence[int] | None = None,
 ) -> ScalarProgram:
-    """The program in a graph of its own; `order` is that of its nodes, as they are if None."""
+    """The program in a graph of its own.
+
+    Args:
+        shared: divisors of which the reciprocal is taken once.
+        whole: keep calls.
+        order: of the nodes; as they are if None.
+    """
     old = program.graph
     new = Graph(old.dtype, old.checked, old.largest, limits)
     inputs: list[Nodes] = []
     known: dict[int, int] = {}
-    for k, nodes in enumerate(program.inputs):
-        flat = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(nodes.reshape(-1).tolist())]
-        known.update(zip(nodes.reshape(-1).tolist(), flat, strict=True))
-        inputs.append(np.array(flat, np.int64).reshape(nodes.shape))
-    outputs = _copied(program, new, known, divisors.get(_DIV, set()), whole, order)
-    return ScalarProgram(new, tuple(inputs), tuple(outputs), program.types)
-
-
-def _copied(
-    program: ScalarProgram,
-    new: Graph,
-    known: dict[int, int],
-    shared: set[int],
-    whole: bool,
-    order: Sequence[int] | None = None,
-) -> list[Nodes]:
-    """The outputs of a program as nodes of `new`, from what is known of its inputs.
-
-    Args:
-        shared: divisors of which the reciprocal is taken once.
-        order: of the nodes.
-    """
-    old, reader = program.graph, Reader(new, whole)
+    for k, own in enumerate(program.inputs):
+        flat = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(own.reshape(-1).tolist())]
+        known.update(zip(own.reshape(-1).tolist(), flat, strict=True))
+        inputs.append(nodes(flat, own.shape))
+    reader = Reader(new, whole)
     done: set[int] = set()
     for i in program.live if order is None else order:
         if i in known:
@@ -115,21 +85,23 @@ def _copied(
                 known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
             elif isinstance(operation, Extreme) and not whole:
                 known[i] = functools.reduce(functools.partial(new.node, operation.pair), arguments)
-            elif operation in _ALGEBRA:
-                known[i] = _ALGEBRA[operation](new, *arguments)
             else:
-                known[i] = new.node(operation, *arguments)
-    return [np.array([known[i] for i in o.reshape(-1).tolist()], np.int64).reshape(o.shape) for o in program.outputs]
+                known[i] = operation.node(new, *arguments)
+    outputs = tuple(_renamed(known, own) for own in program.outputs)
+    return ScalarProgram(new, tuple(inputs), outputs, program.types)
 
 
 def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], whole: bool) -> None:
-    arguments = [
-        np.array([known[i] for i in a.reshape(-1).tolist()], np.int64).reshape(a.shape) for a in call.arguments
-    ]
-    # What was a call for its size may fit a graph that writes out more.
+    arguments = [_renamed(known, own) for own in call.arguments]
+    # What was a call for its size may fit a graph that unrolls more.
     if not whole and (call.inline or new.limits != LIMITS):
         results = reader.read(call.jaxpr, arguments)
     else:
         results = list(new.call(call.jaxpr, call.key, arguments, call.inline).results)
     for mine, theirs in zip(call.results, results, strict=True):
         known.update(zip(mine.reshape(-1).tolist(), theirs.reshape(-1).tolist(), strict=True))
+
+
+def _renamed(known: dict[int, int], own: Nodes) -> Nodes:
+    """An array of nodes of the old graph, in the new one."""
+    return nodes([known[i] for i in own.reshape(-1).tolist()], own.shape)

@@ -12,7 +12,8 @@ import jax
 import numpy as np
 
 from ...jax_inside import ClosedJaxpr
-from .graph import LIMITS, Call, Graph, Limits, Nodes
+from .entry import Nodes
+from .graph import LIMITS, Call, Graph, Limits
 from .reader import Reader, trace
 
 __all__ = ["ScalarProgram", "scalarize"]

@@ -1,24 +1,32 @@
-"""Factorisations and solves of small matrices, written out."""
+"""Factorisations and solves of small matrices, unrolled."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jax import lax
 
-from ..graph import Graph, Nodes
-from ..operations import by_primitive
-from .rule import Rule
+from ..entry import ANY, Entry, Nodes, entries, takes
+from .arithmetic import ARITHMETIC
+from .elementary import ELEMENTARY
+from .logic import LOGIC
+
+if TYPE_CHECKING:
+    from ..reader import Reader
 
 __all__ = ["LINEAR_ALGEBRA"]
 
 #: Larger matrices call the library.
 _LARGEST = 12
 
+_A = np.array([[4.0, 1.0], [1.0, 3.0]])
 
-def _cholesky(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
+
+def _cholesky(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     """The lower factor of each matrix, of its lower triangle."""
-    n = a.shape[-1]
+    g, n = reader.graph, a.shape[-1]
     if n > _LARGEST:
         return None
     found = np.full(a.shape, g.zero)
@@ -29,23 +37,24 @@ def _cholesky(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
                 rest = int(A[i, j])
                 for k in range(j):
                     rest = g.sub(rest, g.mul(int(L[i, k]), int(L[j, k])))
-                L[i, j] = g.node(by_primitive["sqrt"], rest) if i == j else g.div(rest, int(L[j, j]))
+                L[i, j] = g.node(ELEMENTARY["sqrt"], rest) if i == j else g.div(rest, int(L[j, j]))
     return [found]
 
 
-def _lu(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
+def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     """LU with partial pivoting: [L and U in one, the rows swapped with, the permutation].
 
     The first of the largest entries on or below the diagonal becomes the pivot; entries that are structurally zero are
     never compared.
     """
+    g = reader.graph
     if a.ndim != 2 or a.shape[0] != a.shape[1] or a.shape[0] > g.limits.pivoted:
         return None
     n, A = a.shape[0], a.copy()
     index = np.dtype(eqn.outvars[1].aval.dtype)
     rows = [g.constant(i, index) for i in range(n)]
     pivots, order = list(rows), list(rows)
-    magnitude, larger, equal = (by_primitive[name] for name in ("abs", "gt", "eq"))
+    magnitude, larger, equal = ARITHMETIC["abs"], LOGIC["gt"], LOGIC["eq"]
     for k in range(n):
         others = [i for i in range(k + 1, n) if A[i, k] != g.zero]
         best = g.node(magnitude, int(A[k, k]))
@@ -68,8 +77,8 @@ def _lu(g: Graph, eqn: Any, a: Nodes) -> list[Nodes] | None:
     return [A, np.array(pivots), np.array(order)]
 
 
-def _triangular_solve(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | None:
-    p, n = eqn.params, a.shape[-1]
+def _triangular_solve(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | None:
+    g, p, n = reader.graph, eqn.params, a.shape[-1]
     if n > _LARGEST or a.ndim != 2:
         return None
     A, B, lower = a, b, p["lower"]
@@ -88,4 +97,20 @@ def _triangular_solve(g: Graph, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | N
     return [X if p["left_side"] else X.T]
 
 
-LINEAR_ALGEBRA: dict[str, Rule] = {"cholesky": _cholesky, "lu": _lu, "triangular_solve": _triangular_solve}
+def _cubic(eqn: Any) -> Mapping[str, int]:
+    size = max(v.aval.size for v in eqn.invars) * max(v.aval.shape[-1] for v in eqn.invars)
+    return {eqn.primitive.name: size}
+
+
+LINEAR_ALGEBRA: dict[str, Entry] = entries(
+    Entry(name="cholesky", read=_cholesky, work=_cubic, example=(lambda a: lax.linalg.cholesky(a), _A)),
+    Entry(name="lu", read=_lu, work=_cubic, example=(lambda a: lax.linalg.lu(a), _A)),
+    Entry(
+        name="triangular_solve",
+        # Matrices that are conjugated are complex, which are not read.
+        takes=(takes(left_side=ANY, lower=ANY, transpose_a=ANY, conjugate_a=ANY, unit_diagonal=ANY),),
+        read=_triangular_solve,
+        work=_cubic,
+        example=(lambda a: lax.linalg.triangular_solve(a, a, left_side=True, lower=True), _A),
+    ),
+)
