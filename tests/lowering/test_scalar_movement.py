@@ -101,6 +101,7 @@ MOVES = [
     ),
     Case("index unknown", lambda a, k: (a[k], a[k + 3], a[-k], a[jnp.stack([k, k - 1])]), (V, K)),
     Case("row unknown", lambda a, k: a[k], (M, K)),
+    Case("place among sorted", lambda a, b: jnp.searchsorted(jnp.cumsum(jnp.abs(a)), b), (V, W)),
     Case("long table, place unknown", lambda a, k: jnp.tile(a, 4)[k], (V, K)),
     Case("mask", lambda a: (a[MASK], jnp.where(MASK, a, 0.0)), (V,)),
     Case("take", lambda a: [jnp.take(a, jnp.array([-7, -2, 1, 6, 13]), mode=m) for m in ("clip", "wrap")], (V,)),

@@ -95,19 +95,18 @@ def _gather(reader: Reader, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] |
 def _taken(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
     """Whole slices along one short axis, at places known only at run time."""
     numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
-    if len(numbers.start_index_map) != 1 or tuple(numbers.collapsed_slice_dims) != tuple(numbers.start_index_map):
+    if len(numbers.start_index_map) != 1 or not set(numbers.collapsed_slice_dims) <= set(numbers.start_index_map):
         return None
     (axis,) = numbers.start_index_map
     rest = [n for i, n in enumerate(a.shape) if i != axis]
-    if a.shape[axis] > g.limits.table or [m for i, m in enumerate(sizes) if i != axis] != rest:
+    if a.shape[axis] > g.limits.table or sizes[axis] != 1 or [m for i, m in enumerate(sizes) if i != axis] != rest:
         return None
     columns = np.moveaxis(a, axis, -1).reshape(-1, a.shape[axis]).tolist()
-    places = indices.reshape(-1).tolist()
-    found = nodes([_lookup(g, column, place) for place in places for column in columns], (len(places), *rest))
+    flat = [_lookup(g, column, place) for place in indices.reshape(-1).tolist() for column in columns]
     shape = eqn.outvars[0].aval.shape
     batch = [i for i in range(len(shape)) if i not in numbers.offset_dims]
-    found = found.reshape(*(shape[i] for i in batch), *rest)
-    return [found.transpose(np.argsort([*batch, *numbers.offset_dims]))]
+    order = [*batch, *numbers.offset_dims]
+    return [nodes(flat, (shape[i] for i in order)).transpose(np.argsort(order))]
 
 
 def _start(rank: int, axes: Any, values: Any) -> list[int]:
