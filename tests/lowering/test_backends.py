@@ -1,0 +1,169 @@
+"""Whichever backend runs a system: the same numbers to rounding, in every use, and no warning."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.lowering.backends import Backend
+from twistax.lowering.functions import Kept
+from twistax.mechanics import chain_models, forward_dynamics
+
+RNG = np.random.default_rng(0)
+
+
+@functools.cache
+def case(name: str) -> tuple[tx.System, dict[str, Any], dict[str, Any]]:
+    """A system, a state and controls."""
+    if name == "free body":
+        g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+        F, M = (
+            tx.Control("F", shape=(6,)),
+            tx.Parameter("M", shape=(6, 6), value=np.diag([2.0, 2.0, 2.0, 0.1, 0.2, 0.3])),
+        )
+        system = tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V))})
+        return system, {"g": np.asarray(tx.lie.se3.exp(RNG.normal(size=6))), "V": RNG.normal(size=6)}, {"F": np.ones(6)}
+    if name == "Panda":
+        q, qd, tau = tx.State("q", shape=(7,)), tx.State("qd", shape=(7,)), tx.Control("tau", shape=(7,))
+        system = tx.System(rates={q: qd, qd: forward_dynamics(chain_models.panda(), q, qd, tau)})
+        return system, {"q": RNG.normal(size=7), "qd": RNG.normal(size=7)}, {"tau": RNG.normal(size=7)}
+    x, u, t = tx.State("x", shape=(3,)), tx.Control("u"), tx.Time()
+    drag = tx.Linterp(x[0], [-1.0, 0.0, 0.5, 2.0], [0.3, 0.1, 0.2, 0.9])
+    pushed = tx.Cond(x[1] >= 0.2, u * tx.Sin(x), tx.Cos(t) * x)
+    system = tx.System(
+        rates={x: tx.Where(x >= 0.0, -drag * x, x**2) + pushed},
+        outputs={"drag": drag},
+        constraints=[tx.linalg.Norm(x) <= 3.0],
+    )
+    return system, {"x": np.array([0.3, 0.7, -0.4])}, {"u": np.array(1.5)}
+
+
+def results(dynamics: tx.Dynamics, x: dict[str, Any], u: dict[str, Any]) -> dict[str, Any]:
+    """What is asked of a system, compiled as one function."""
+
+    def everything(x: dict[str, Any], u: dict[str, Any]) -> dict[str, Any]:
+        def total(x: dict[str, Any], u: dict[str, Any]) -> jax.Array:
+            return sum((jnp.sin(rate).sum() for rate in dynamics(0.2, x, u).values()), jnp.zeros(()))
+
+        def end(u: dict[str, Any], **steps: Any) -> jax.Array:
+            found = tx.integrate(dynamics, x, t0=0.0, t1=0.05, u=u, throw=False, **steps).xs
+            return jnp.concatenate([value.reshape(-1) for value in found.values()])
+
+        batch = {name: jnp.stack([0.5 * value, value, 2.0 * value]) for name, value in u.items()}
+        found = {
+            "rates": dynamics(0.2, x, u),
+            "outputs": dynamics.outputs(0.2, x, u),
+            "constraints": dynamics.constraints(0.2, x, u),
+            "grad": jax.grad(total, (0, 1))(x, u),
+            "vmap": jax.vmap(lambda u: dynamics(0.2, x, u))(batch),
+            "fixed steps": end(u, dt=0.025),
+        }
+        if dynamics.dimension < 14:  # what takes long to compile, of small systems alone
+            found |= {"jacobian": dynamics.jacobian(0.2, x, u), "chosen steps": end(u, rtol=1e-9, atol=1e-9)}
+        if dynamics.dimension < 12:
+            found["gradient of steps"] = jax.grad(lambda u: end(u, dt=0.025).sum())(u)
+        return found
+
+    return jax.jit(everything, compiler_options={"xla_backend_optimization_level": 0})(x, u)
+
+
+@functools.cache
+def as_written(name: str) -> dict[str, Any]:
+    system, x, u = case(name)
+    return results(tx.compile(system, backend=tx.JAX()), x, u)
+
+
+@pytest.mark.parametrize("name", ["free body", "Panda", "tables and conditions"])
+@pytest.mark.parametrize("backend", ["auto", "auto without llvmlite", tx.Native(least=0)], ids=str)
+def test_the_same_numbers_to_rounding(backend: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    if backend == "auto without llvmlite":  # then all is as with tx.XLA()
+        backend = "auto"
+        monkeypatch.setattr(importlib.util, "find_spec", lambda of, *a: None if of == "llvmlite" else find(of, *a))
+    elif find("llvmlite") is None:
+        pytest.skip("native kernels need llvmlite")
+    system, x, u = case(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = results(tx.compile(system, backend=backend), x, u)
+    expected = as_written(name)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for (path, own), other in zip(jax.tree.leaves_with_path(found), jax.tree.leaves(expected), strict=True):
+        assert (own.shape, own.dtype) == (other.shape, other.dtype), path
+        size = max(1.0, float(np.abs(other).max(initial=0.0)))
+        np.testing.assert_allclose(own, other, rtol=0.0, atol=1e-11 * size, err_msg=str(path))
+
+
+# ---- choosing one ----------------------------------------------------------------------------------------------------
+
+
+def test_the_backend_is_shown() -> None:
+    system, *_ = case("free body")
+    head = "Dynamics(states: g SE3, V (6,); controls: F (6,); parameters: M (6, 6); backend: "
+    assert repr(tx.compile(system, backend=tx.JAX())) == head + "JAX)"
+    assert repr(tx.compile(system, backend=tx.XLA(checked=True))) == head + "XLA(checked=True))"
+    assert repr(tx.compile(system, backend=tx.Native(threads=2))).startswith(head + "Native(threads=2) (llvmlite ")
+    assert repr(tx.compile(system)).startswith(head + "auto = ")
+    baked = tx.compile(tx.System(rates={tx.State("a"): 1.0}), backend=tx.XLA())
+    assert repr(baked) == "Dynamics(states: a (); backend: XLA)"
+
+
+@pytest.mark.parametrize("wrong", ["XLA", "native", "", None, tx.XLA])
+def test_another_choice_is_refused(wrong: Any, unchecked: None) -> None:
+    accepted = r'backend expects "auto", tx\.XLA\(\), tx\.Native\(\) or tx\.JAX\(\), got '
+    with pytest.raises(tx.ModelError, match=accepted):
+        tx.compile(case("free body")[0], backend=wrong)
+
+
+def test_a_backend_of_ones_own() -> None:
+    class Twice(Backend):
+        def emit(self, closed: Any, fixed: Any = ()) -> Any:
+            found = tx.JAX().emit(closed, fixed)
+            return type(found)(lambda *a: [2.0 * v for v in found.function(*a)], None, "twice")
+
+    dynamics = tx.compile(case("tables and conditions")[0], backend=Twice())
+    assert repr(dynamics).endswith("backend: Twice)")
+    assert dynamics.explain().backend == "twice"
+    _, x, u = case("tables and conditions")
+    np.testing.assert_allclose(dynamics(0.2, x, u)["x"], 2.0 * as_written("tables and conditions")["rates"]["x"])
+
+
+# ---- what is kept ----------------------------------------------------------------------------------------------------
+
+
+def test_what_was_used_longest_ago_is_dropped() -> None:
+    kept, made = Kept(2), []
+
+    def get(key: str) -> str:
+        return kept.get(key, lambda: made.append(key) or key)
+
+    assert [get(key) for key in ("a", "b", "a", "c", "a", "b")] == ["a", "b", "a", "c", "a", "b"]
+    assert made == ["a", "b", "c", "b"]
+    assert kept.values() == ["a", "b"]
+
+
+def test_none_is_kept_too() -> None:
+    kept, made = Kept(2), []
+    for _ in range(2):
+        assert kept.get("a", lambda: made.append("a")) is None
+    assert made == ["a"]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("llvmlite") is None, reason="native kernels need llvmlite")
+def test_kernels_of_integrations_are_bounded() -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}))
+    dynamics._functions.steps = steps = Kept(2)
+    for dtmax in (1.0, 1.1, 1.2, 1.0):
+        control = tx.StepControl(dtmax=dtmax)
+        sol = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, rtol=1e-8, atol=1e-8, control=control)
+        np.testing.assert_allclose(sol.xs["x"], np.exp(-0.5), rtol=1e-7)
+    assert len(steps.values()) == 2
