@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from .demo import arguments as demo_arguments
 from .demo.arguments import OneLineParser
-from .report.work_precision import arguments as report_arguments
+from .report import arguments as report_arguments
 
 __all__ = ["main"]
 
@@ -26,11 +26,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     demo.set_defaults(run=_demo, rerun="")
     report = commands.add_parser(
         "report",
-        help="error against run time: which method to use when",
-        description="Scenes with known answers, flown by our methods and by diffrax: page, figures and tables.",
+        help="what is measured: error against run time, the edges, speed, every other figure",
+        description="Error against run time: scenes with known answers, by our methods and by diffrax. With "
+        "--stability, --speed or --figures something else. Writes a page, figures and tables.",
     )
     report_arguments.add_options(report)
-    report.set_defaults(run=_report, rerun="; the same command goes on after the last scene that was finished")
+    report.set_defaults(run=_report, rerun="; the same command goes on where it stopped")
     given = parser.parse_args(arguments)
 
     import jax
@@ -51,15 +52,7 @@ def _demo(given: argparse.Namespace) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
-    if given.stability:
-        from .report.stability.command import run as run_stability
-
-        return run_stability(given)
-    if given.speed:
-        from .report.speed.command import run as run_speed
-
-        return run_speed(given)
-    from .report.work_precision.command import run
+    from .report.command import run
 
     return run(given)
 

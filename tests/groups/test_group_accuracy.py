@@ -7,36 +7,34 @@ import numpy as np
 import pytest
 
 from twistax.groups import se3
-from twistax.report import accuracy_of_maps
-from twistax.report.accuracy_of_maps import BAR, Exact, measure, twists
+from twistax.report.figures.maps import BAR, MAPS, Exact, twists, worst_units
 
 
-def rows_above_the_bar(rows):
-    return [dataclasses.astuple(row) for row in rows if not row.holds]
+def measured(each, dtype, cases):
+    return worst_units(each, twists(cases, each.largest, dtype, below=each.of_poses))
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_a_few_units_in_the_last_place(precision):
-    rows = measure(120, [precision])
-    assert len(rows) == 10
-    assert not rows_above_the_bar(rows)
+@pytest.mark.parametrize("each", MAPS, ids=lambda each: each.name)
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_a_few_units_in_the_last_place(dtype, each):
+    worst = measured(each, dtype, 120)
+    assert tuple(worst) == each.names
+    assert max(units for units, _ in worst.values()) <= BAR
 
 
 @pytest.mark.slow
-def test_a_few_units_in_the_last_place_sweep():
-    assert not rows_above_the_bar(measure(4000))
+@pytest.mark.parametrize("each", MAPS, ids=lambda each: each.name)
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_a_few_units_in_the_last_place_sweep(dtype, each):
+    assert max(units for units, _ in measured(each, dtype, 4000).values()) <= BAR
 
 
-def test_the_measure_sees_an_error(monkeypatch):
+def test_the_measure_sees_an_error():
     """Ten units too much in one coefficient must not pass."""
     spoiled = dataclasses.replace(
-        accuracy_of_maps.MAPS[0], function=lambda xi: se3.exp(xi * np.where(np.arange(6) < 3, 1.0, 1.0 + 5e-15))
+        MAPS[0], function=lambda xi: se3.exp(xi * np.where(np.arange(6) < 3, 1.0, 1.0 + 5e-15))
     )
-    monkeypatch.setattr(accuracy_of_maps, "MAPS", (spoiled,))
-    rotation, position = measure(60, ["float64"])
-    assert rotation.worst > BAR
-    assert rotation.block == "rotation"
-    assert position.block == "position"
+    assert measured(spoiled, np.float64, 60)["rotation"][0] > BAR
 
 
 def test_the_cases_cover_what_they_promise():
@@ -82,14 +80,3 @@ def test_the_exact_values_are_right(angle):
             (exact.coupling_inv, inverse[:3, 3:]),
         ):
             assert mpmath.norm(mpmath.matrix(got) - expected) < mpmath.mpf(10) ** -48
-
-
-def test_the_command_prints_the_table(monkeypatch, capsys):
-    few = measure(6, ["float64"])
-    monkeypatch.setattr(accuracy_of_maps, "measure", lambda: few)
-    assert accuracy_of_maps.main() == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 2 + len(few)
-    monkeypatch.setattr(accuracy_of_maps, "measure", lambda: [dataclasses.replace(few[0], worst=BAR + 1.0)])
-    assert accuracy_of_maps.main() == 1
-    assert "ABOVE" in capsys.readouterr().out

@@ -1,32 +1,26 @@
-"""Every row of the stability report is a test."""
+"""Every check of the stability report is a test."""
 
 import pytest
 
-from twistax.report.stability.row import Row
+from twistax.report.checks import Check, Found
 from twistax.report.stability.sections import SECTIONS
 
-ROWS = [
-    pytest.param(
-        row,
-        id=f"{section.name}: {row.case}, {row.method}",
-        marks=[pytest.mark.slow] if row.slow else [],
-    )
+CHECKS = [
+    pytest.param(check, id=f"{section.name}: {check.what}, {check.by}", marks=[pytest.mark.slow] if check.slow else [])
     for section in SECTIONS
-    for row in section.rows
+    for _, check in section
 ]
 
 
-@pytest.mark.parametrize("row", ROWS)
-def test_the_row_is_as_expected(row: Row) -> None:
-    found = row.observe()
-    assert row.expected.met(found), f"{found.text}; should: {row.expected.text}"
+@pytest.mark.parametrize("check", CHECKS)
+def test_the_row_is_what_was_asked_for(check: Check) -> None:
+    found = Found.of(check.measure)
+    assert check.expected.met(found), f"{found.number:.2g}, {found.note}; asked for: {check.expected.text}"
 
 
 def test_every_row_explains_itself() -> None:
-    seen = set()
     for section in SECTIONS:
         assert section.about.endswith(".")
-        for row in section.rows:
-            assert row.why.endswith(".")
-            assert (section.name, row.case, row.method) not in seen
-            seen.add((section.name, row.case, row.method))
+        keys = [section.key(check) for _, check in section]
+        assert len(set(keys)) == len(keys)
+        assert all(why.endswith(".") for why, _ in section)

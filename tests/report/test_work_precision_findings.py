@@ -5,18 +5,14 @@ import math
 
 import pytest
 
-from twistax.report.work_precision.agreement import doubts
-from twistax.report.work_precision.bars import outcomes
-from twistax.report.work_precision.blocks import Bullets, Details, Figure, Heading, Table, as_html, as_markdown
+from twistax.report.origin import Origin
+from twistax.report.pages.page import render
+from twistax.report.rows import Row
+from twistax.report.work_precision.contender import QUICK, Steps, Tolerances
 from twistax.report.work_precision.contenders import CONTENDERS, LONG, OURS, STIFF, suited
-from twistax.report.work_precision.curve import Curve
-from twistax.report.work_precision.effort import QUICK
-from twistax.report.work_precision.findings import Findings
-from twistax.report.work_precision.flights import Refused
-from twistax.report.work_precision.ladder import Steps, Tolerances
-from twistax.report.work_precision.origin import Origin
-from twistax.report.work_precision.page import page
-from twistax.report.work_precision.row import Row
+from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
+from twistax.report.work_precision.measure import WHAT, Refusal
+from twistax.report.work_precision.page import context
 from twistax.report.work_precision.words import (
     advice,
     advice_if_stiff,
@@ -24,18 +20,27 @@ from twistax.report.work_precision.words import (
     on_diffrax,
     on_quaternions,
     on_tolerance,
-    power,
 )
 from twistax.scenes import SCENES
 
 NAMES = {"euler-top": "Euler top", "rocket": "rocket", "fast-spin": "fast spin"}
 
 
-def row(error: float, seconds: float, scene: str = "euler-top", method: str = "dop853", setting: float = 1e-8) -> Row:
-    return Row(scene, method, "tolerance", setting, error, seconds, seconds, 9, 0.5, 100, 10, 1, "done", "then")
+def row(
+    error: float,
+    seconds: float,
+    scene: str = "euler-top",
+    method: str = "dop853",
+    setting: float = 1e-8,
+    unit: str = "tolerance",
+    note: str = "done",
+) -> Row:
+    numbers = {"setting": setting, "error": error, "compile_seconds": 0.5}
+    numbers |= {"evaluations": 100.0, "accepted": 10.0, "rejected": 1.0}
+    return Row(scene, WHAT, method, f"{unit} {setting:g}", seconds, "s", note=note, sitting="then", numbers=numbers)
 
 
-def flights(scene: str, method: str, scale: float, order: int) -> list[Row]:
+def runs(scene: str, method: str, scale: float, order: int) -> list[Row]:
     """Time scale * error^(-1 / order), so that time at 1e-6 is scale * 10^(6 / order)."""
     settings = [10.0**-k for k in range(4, 12)]
     return [row(error, scale * error ** (-1.0 / order), scene, method, error) for error in settings]
@@ -43,19 +48,19 @@ def flights(scene: str, method: str, scale: float, order: int) -> list[Row]:
 
 def found(**scales: float) -> Findings:
     """Eighth-order curves on one scene; names with underscores for dashes."""
-    rows = [r for name, scale in scales.items() for r in flights("euler-top", name.replace("_", "-"), scale, 8)]
+    rows = [r for name, scale in scales.items() for r in runs("euler-top", name.replace("_", "-"), scale, 8)]
     return Findings(rows, CONTENDERS)
 
 
 @pytest.mark.parametrize("error", [1e-6, 3e-8, 1e-9])
 def test_time_at_an_error_lies_on_the_power_law(error: float) -> None:
-    curve = Curve.of(flights("euler-top", "dop853", 1e-4, 5)[::3] + [row(1e-11, 1e-4 * 1e11 ** (1 / 5))])
+    curve = Curve.of(runs("euler-top", "dop853", 1e-4, 5)[::3] + [row(1e-11, 1e-4 * 1e11 ** (1 / 5))])
     assert curve.time_at(error) == pytest.approx(1e-4 * error ** (-1 / 5))
 
 
-def test_flights_that_are_slower_and_worse_do_not_count() -> None:
+def test_runs_that_are_slower_and_worse_do_not_count() -> None:
     good = [row(1e-4, 1e-4), row(1e-8, 1e-3)]
-    poor = [row(1e-5, 2e-2), row(1e-7, 5e-3), row(math.nan, 1e-9), dataclasses.replace(row(1e-12, 1e-9), result="no")]
+    poor = [row(1e-5, 2e-2), row(1e-7, 5e-3), row(math.nan, 1e-9), row(1e-12, 1e-9, note="no")]
     assert Curve.of(good + poor) == Curve.of(good)
 
 
@@ -69,7 +74,7 @@ def test_nothing_is_extrapolated() -> None:
 def test_a_method_that_stays_away_from_the_truth_disagrees() -> None:
     stuck = [row(error, 1e-3, method="tsit5", setting=s) for s, error in ((1e-5, 3e-4), (1e-7, 1e-4), (1e-9, 1e-4))]
     coming = [row(error, 1e-3, method="rk4", setting=s) for s, error in ((1e-5, 1e-2), (1e-7, 1e-3), (1e-9, 1e-4))]
-    fine = flights("euler-top", "dop853", 1e-4, 8)
+    fine = runs("euler-top", "dop853", 1e-4, 8)
     by_name = {doubt.method: doubt for doubt in doubts([*stuck, *coming, *fine])}
     assert set(by_name) == {"tsit5", "rk4"}
     assert by_name["tsit5"].disagrees
@@ -79,51 +84,52 @@ def test_a_method_that_stays_away_from_the_truth_disagrees() -> None:
 
 
 def test_more_steps_are_finer_and_smaller_tolerances_are() -> None:
-    steps = [dataclasses.replace(row(e, 1e-3, setting=n), unit="steps") for n, e in ((64.0, 1e-2), (128.0, 1e-3))]
+    steps = [row(e, 1e-3, setting=n, unit="steps") for n, e in ((64.0, 1e-2), (128.0, 1e-3))]
     assert not doubts(steps)[0].disagrees
-    tolerances = [dataclasses.replace(r, unit="tolerance", setting=1e-9 * r.setting) for r in steps]
+    tolerances = [row(e, 1e-3, setting=1e-9 * n) for n, e in ((64.0, 1e-2), (128.0, 1e-3))]
     assert doubts(tolerances)[0].disagrees
 
 
 def test_a_method_that_was_stopped_early_may_still_be_right() -> None:
     slow = [row(error, 1e-3, method="tsit5", setting=s) for s, error in ((1e-5, 1.3e-6), (1e-6, 2.4e-6))]
-    never = [dataclasses.replace(row(math.nan, 1e-3, method="rk4", setting=1e-6), result="too many steps")]
+    never = [row(math.nan, 1e-3, method="rk4", setting=1e-6, note="too many steps")]
     found = doubts([*slow, *never])
     assert [doubt.disagrees for doubt in found] == [False, False]
     assert "as close as its tolerance asks" in found[0].sentence
-    assert "none of its flights was finished" in found[1].sentence
+    assert "none of its runs reached the end" in found[1].sentence
     assert not Findings([*slow, *never], CONTENDERS).agreed
-    theirs = [dataclasses.replace(r, method="diffrax-tsit5") for r in never]
+    theirs = [dataclasses.replace(r, by="diffrax-tsit5") for r in never]
     assert Findings([*slow, *theirs], CONTENDERS).agreed
 
 
 def test_what_disagrees_is_not_compared() -> None:
     wrong = [row(1e-4, 1e-9, method="tsit5", setting=s) for s in (1e-5, 1e-7)]
-    findings = Findings([*wrong, *flights("euler-top", "dop853", 1e-4, 8)], CONTENDERS)
+    findings = Findings([*wrong, *runs("euler-top", "dop853", 1e-4, 8)], CONTENDERS)
     assert findings.curve("euler-top", CONTENDERS["tsit5"].line).rows == ()
 
 
 def test_bars_take_the_better_rival_and_the_better_controller() -> None:
     findings = found(dop853_quaternion=1.0, diffrax_tsit5_call=4.0, diffrax_dopri8_call=2.5, diffrax_dopri8_call_pi=2.0)
-    ratios = {(each.bar.against.name, each.error): each for each in outcomes(findings)}
-    assert ratios["diffrax in one call", 1e-6].ratio == pytest.approx(0.5)
-    assert ratios["diffrax in one call", 1e-6].verdict == "holds"
-    assert ratios["diffrax as shipped", 1e-9].verdict == "not measured"
-    slower = outcomes(found(dop853_quaternion=1.0, diffrax_tsit5_call=1.2))
-    assert {each.verdict for each in slower if not math.isnan(each.ratio)} == {"MISSED"}
+    ratios = {(each.setting, each.what): each for each in bar_rows(findings, NAMES)}
+    assert ratios["over diffrax in one call", "Euler top, error 1e-6"].value == pytest.approx(0.5)
+    assert ratios["over diffrax in one call", "Euler top, error 1e-6"].verdict == "holds"
+    assert ratios["over diffrax as shipped", "Euler top, error 1e-9"].verdict == "not run"
+    slower = bar_rows(found(dop853_quaternion=1.0, diffrax_tsit5_call=1.2), NAMES)
+    assert {each.verdict for each in slower if not math.isnan(each.value)} == {"MISSED"}
 
 
 def test_the_page_names_whoever_is_fastest() -> None:
+    refused = [Refusal(scene, "magnus6", "rates read a pose") for scene in ("rocket", "heavy-top")]
+    origin = Origin({"jax": "1"}, "abc", "a machine", dataclasses.asdict(QUICK))
+    common = {"title": "t", "command": "again", "origin": origin, "versions": "jax 1", "pictures": {}, "drawn": False}
     for fast, slow in (("dop853", "tsit5"), ("tsit5", "dop853")):
         findings = found(**{fast: 1.0, slow: 3.0})
-        origin = Origin({"jax": "1"}, "abc", "a machine", dataclasses.asdict(QUICK))
-        refused = [Refused(scene, "magnus6", "rates read a pose") for scene in ("rocket", "heavy-top")]
-        blocks = page(findings, SCENES, [], refused, origin, 1e-5, {}, "python -m twistax report")
-        for text in (as_markdown(blocks), as_html("title", blocks)):
+        told = context(findings, SCENES, bar_rows(findings, NAMES), refused, origin, 1e-5)
+        for text in render("work_precision", common | told):
             assert f"Fastest: {CONTENDERS[fast].line.title} on Euler top." in text
             assert "a machine" in text
-            assert "magnus6 does not fly rocket, heavy-top: rates read a pose." in text
-            assert "pip install 'twistax[plot]'" in text or "pip install &#x27;twistax[plot]&#x27;" in text
+            assert "magnus6 does not run rocket, heavy-top: rates read a pose." in text
+            assert "they need matplotlib" in text
 
 
 def test_stiff_scenes_have_their_own_methods_and_their_own_advice() -> None:
@@ -134,11 +140,11 @@ def test_stiff_scenes_have_their_own_methods_and_their_own_advice() -> None:
     assert "radau5" not in suited(CONTENDERS, "euler-top")
     # What is fast on one kind does not count on the other, and no method has to fly both.
     rows = [
-        *flights("euler-top", "dop853", 1.0, 8),
-        *flights("euler-top", "tsit5", 1.2, 8),
-        *flights("stiff-attitude", "radau5", 1.0, 5),
-        *flights("stiff-attitude", "diffrax-kvaerno5-pi", 3.0, 5),
-        *flights("spinning-satellite", "dopri8", 0.1, 8),
+        *runs("euler-top", "dop853", 1.0, 8),
+        *runs("euler-top", "tsit5", 1.2, 8),
+        *runs("stiff-attitude", "radau5", 1.0, 5),
+        *runs("stiff-attitude", "diffrax-kvaerno5-pi", 3.0, 5),
+        *runs("spinning-satellite", "dopri8", 0.1, 8),
     ]
     findings, names = Findings(rows, CONTENDERS), {name: scene.title for name, scene in SCENES.items()}
     assert "If in doubt, take DOP853" in advice(findings, names)
@@ -148,13 +154,13 @@ def test_stiff_scenes_have_their_own_methods_and_their_own_advice() -> None:
 
 def test_advice_is_the_smallest_worst_case() -> None:
     rows = [
-        *flights("euler-top", "tsit5", 1.0, 8),
-        *flights("euler-top", "dop853", 1.5, 8),
-        *flights("rocket", "tsit5", 9.0, 8),
-        *flights("rocket", "dop853", 1.0, 8),
+        *runs("euler-top", "tsit5", 1.0, 8),
+        *runs("euler-top", "dop853", 1.5, 8),
+        *runs("rocket", "tsit5", 9.0, 8),
+        *runs("rocket", "dop853", 1.0, 8),
         # Fastest everywhere, but not to be had by calling a library.
-        *flights("euler-top", "diffrax-tsit5-call", 0.1, 8),
-        *flights("rocket", "diffrax-tsit5-call", 0.1, 8),
+        *runs("euler-top", "diffrax-tsit5-call", 0.1, 8),
+        *runs("rocket", "diffrax-tsit5-call", 0.1, 8),
     ]
     said = advice(Findings(rows, CONTENDERS), NAMES)
     assert "take DOP853" in said
@@ -197,26 +203,10 @@ def test_tolerances_are_even_in_decades() -> None:
 
 
 def test_steps_grow_until_the_error_is_small() -> None:
-    ladder = Steps(8, 4, enough=1e-6, most=100)
+    ladder = Steps(8, 4.0, enough=1e-6, most=100)
     assert ladder.after(8.0, math.nan) == 32.0
     assert ladder.after(8.0, 1e-7) is None
     assert ladder.after(32.0, 1.0) is None
-
-
-def test_a_page_is_safe_html_and_plain_markdown() -> None:
-    blocks = [
-        Heading(1, "a < b"),
-        Bullets(["**bold** `x < 1`"]),
-        Table(["name", "value"], [["a", "1"]]),
-        Figure("figures/a.svg", b"<svg/>", "a figure"),
-        Details("more", [Heading(2, "inside")]),
-    ]
-    html, markdown = as_html("t", blocks), as_markdown(blocks)
-    assert "<strong>bold</strong> <code>x &lt; 1</code>" in html
-    assert 'src="data:image/svg+xml;base64,' in html
-    assert "http" not in html
-    assert "| a | 1 |" in markdown
-    assert "![a figure](figures/a.svg)" in markdown
 
 
 def test_every_line_has_a_name_of_its_own() -> None:
@@ -224,5 +214,3 @@ def test_every_line_has_a_name_of_its_own() -> None:
     assert len({line.title for line in lines}) == len(lines)
     assert all(name == contender.name for name, contender in CONTENDERS.items())
     assert sum(line.side == OURS for line in lines) >= 10
-    assert power(1e-6) == "1e-6"
-    assert power(1e-12) == "1e-12"

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 import twistax as tx
 
 from ...mechanics import Chain, SpatialInertia, chain_models, forward_dynamics, inverse_dynamics
-from .peers import recursions
-from .peers.algebra import Algebra
+from . import by_hand
+from .by_hand import Links, Matrices
 
 __all__ = ["CASES", "Case", "ForwardDynamics", "FreeBody", "InverseDynamics", "OfChain", "numbers"]
 
@@ -72,7 +72,7 @@ class Case(ABC):
         """What `dynamics.jacobian` takes derivatives by, in the order of the arguments."""
 
     @abstractmethod
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
+    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
         """The result in plain matrices, in as many vectors as `rates` has names."""
 
 
@@ -115,8 +115,8 @@ class FreeBody(Case):
     def inputs(self, a: Any, b: Any, c: Any) -> Inputs:
         return {"y": a, "V": b}, {"F": c}, {}
 
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
-        return recursions.free_body(algebra, self.inertia, self.mass_moment, a, b, c)
+    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
+        return by_hand.free_body(m, self.inertia, self.mass_moment, a, b, c)
 
 
 class OfChain(Case):
@@ -134,7 +134,7 @@ class OfChain(Case):
         return self._model()
 
     @functools.cached_property
-    def links(self) -> recursions.Links:
+    def links(self) -> Links:
         return [(numbers(link.mount), numbers(link.body.matrix)) for link in self.chain.links]
 
     def system(self) -> tx.System:
@@ -157,8 +157,8 @@ class InverseDynamics(OfChain):
     def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
         return inverse_dynamics(self.chain, q, qd, third)
 
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
-        return [recursions.inverse_dynamics(algebra, self.links, a, b, c)]
+    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
+        return [by_hand.inverse_dynamics(m, self.links, a, b, c)]
 
 
 class ForwardDynamics(OfChain):
@@ -167,8 +167,8 @@ class ForwardDynamics(OfChain):
     def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
         return forward_dynamics(self.chain, q, qd, third)
 
-    def by_hand(self, algebra: Algebra, a: Any, b: Any, c: Any) -> list[Any]:
-        return [recursions.forward_dynamics(algebra, self.links, a, b, c)]
+    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
+        return [by_hand.forward_dynamics(m, self.links, a, b, c)]
 
 
 def numbers(value: Any) -> Array:

@@ -1,135 +1,106 @@
-"""The page of the report."""
+"""The page of speed: its tables, its figures, and what its template is told."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from ..work_precision.blocks import Block, Bullets, Details, Figure, Heading, Paragraph, Table
-from ..work_precision.origin import Origin
-from ..work_precision.words import duration
-from .bars import Outcome
+from ..pages.drawing import as_svg, panels
+from ..pages.page import Table, bar_table, duration
+from ..rows import Row
 from .case import CASES
-from .contenders import BASES, CONTENDERS
-from .measure import AGREEMENT
-from .quantity import QUANTITIES, Quantity
-from .row import Row
-from .use import LOOP
+from .contender import PLAIN, Contender
+from .measure import AGREEMENT, Effort
+from .programs import QUANTITIES, Quantity
 
-__all__ = ["TITLE", "page"]
+__all__ = ["BASES", "context", "draw"]
 
-TITLE = "What does one evaluation cost?"
+#: Ratios are to these.
+BASES = (PLAIN.name, "CasADi C")
 
 
-def page(
+def context(
     rows: Sequence[Row],
-    outcomes: Sequence[Outcome],
+    contenders: Sequence[Contender],
+    bars: Sequence[Row],
     missing: Mapping[str, str],
-    origin: Origin,
+    effort: Effort,
     empty_call: float,
-    figures: Mapping[str, bytes],
-    command: str,
-) -> list[Block]:
-    """All blocks.
+) -> dict[str, Any]:
+    """What the template needs.
 
     Args:
-        outcomes: of the bars.
+        contenders: in the order of the tables.
+        bars: judged.
         missing: contenders that are not on this machine, and why.
-        origin: of the rows.
         empty_call: what a call of a compiled function costs that does nothing, s.
-        figures: SVG by quantity; empty without matplotlib.
-        command: how to get this page again.
     """
-    absent = [f"**{name} is absent**: {reason}." for name, reason in missing.items()]
-    wrong = [row for row in rows if row.result.startswith("disagrees")]
-    agreed = f"All results agree to {AGREEMENT:g} of the largest entry; what agrees is timed."
-    if wrong:
-        said = "; ".join(f"{row.contender} on {row.case}, {row.quantity}, {row.use} {row.result}" for row in wrong)
-        agreed = f"**Not all results agree**: {said}. What disagrees is not timed."
-    return [
-        Heading(1, TITLE),
-        Paragraph(
-            "Dynamics of a free body and of chains, with their derivatives: ours, plain jax.numpy and other packages, "
-            f"each as it runs by default. This is a {origin.effort['name']} run."
+    present = {row.by for row in rows}
+    wrong = [row for row in rows if row.note.startswith("disagrees")]
+    return {
+        "bases": BASES,
+        "agreement": f"{AGREEMENT:g}",
+        "wrong": "; ".join(f"{row.by} on {row.group}, {row.what}, {row.setting} {row.note}" for row in wrong),
+        "missing": [f"**{name} is absent**: {reason}." for name, reason in missing.items()],
+        "quantities": [_quantity(rows, quantity, contenders) for quantity in QUANTITIES],
+        "bars": bar_table(bars),
+        "missed": sum(bar.holds is False for bar in bars),
+        "bar_count": len(bars),
+        "effort": effort,
+        "usable": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "empty_call": duration(empty_call),
+        "contenders": (
+            ["contender", "how"],
+            [[each.name, each.how] for each in contenders if each.name in present],
+            2,
         ),
-        Bullets([agreed, *absent]),
-        Heading(2, "Ratios"),
-        Paragraph(
-            f"Median time over that of {BASES[0]} / of {BASES[1]}, measured in turn in one run. Below 1 is faster."
-        ),
-        *(block for quantity in QUANTITIES for block in _ratios(rows, quantity)),
-        *_bars(outcomes),
-        Heading(2, "Times"),
-        *(block for quantity in QUANTITIES for block in _times(rows, quantity, figures.get(quantity.name))),
-        *([] if figures else [Paragraph("No figures: they need matplotlib, `pip install 'twistax[plot]'`.")]),
-        Heading(2, "How it was measured"),
-        *_how(rows, origin, empty_call, command),
-    ]
-
-
-def _places(rows: Sequence[Row], quantity: Quantity) -> list[tuple[str, str]]:
-    return list(dict.fromkeys((row.case, row.use) for row in rows if row.quantity == quantity.name))
-
-
-def _shown(rows: Sequence[Row], quantity: Quantity) -> list[str]:
-    """Contenders with a time."""
-    found = {row.contender for row in rows if row.quantity == quantity.name and row.done}
-    return [each.name for each in CONTENDERS if each.name in found]
-
-
-def _ratios(rows: Sequence[Row], quantity: Quantity) -> list[Block]:
-    medians = {row.key: row.median for row in rows}
-    names = [name for name in _shown(rows, quantity) if name not in BASES]
-    if not names:
-        return []
-
-    def ratio(case: str, use: str, name: str, base: str) -> str:
-        place = (case, quantity.name, use)
-        return _number(medians.get((*place, name), math.nan) / medians.get((*place, base), math.nan))
-
-    table = [
-        [CASES[case].title, use, *(" / ".join(ratio(case, use, name, base) for base in BASES) for name in names)]
-        for case, use in _places(rows, quantity)
-    ]
-    return [Heading(3, _title(quantity)), Table(["function", "use", *names], table, words=2)]
-
-
-def _title(quantity: Quantity) -> str:
-    return quantity.title[:1].upper() + quantity.title[1:]
-
-
-def _times(rows: Sequence[Row], quantity: Quantity, figure: bytes | None) -> list[Block]:
-    names = _shown(rows, quantity)
-    if not names:
-        return []
-    found = {row.key: row for row in rows}
-    drawn = [Figure(f"figures/speed-{quantity.name}.svg", figure, f"times, {quantity.title}")] if figure else []
-    times, compiling = [], []
-    for case, use in _places(rows, quantity):
-        row = [found.get((case, quantity.name, use, name)) for name in names]
-        times.append([CASES[case].title, use, *(_spread(each) for each in row)])
-        compiling.append([CASES[case].title, use, *(_compiled(each) for each in row)])
-    notes = {
-        f"{row.contender}, {CASES[row.case].title}: {row.result}."
-        for row in rows
-        if row.quantity == quantity.name and not row.done
     }
-    return [
-        Heading(3, _title(quantity)),
-        *drawn,
-        Details(
-            "Times of one evaluation: median (lower to upper quartile)",
-            [Table(["function", "use", *names], times, words=2), Bullets(sorted(notes))],
-        ),
-        Details("Seconds to compile", [Table(["function", "use", *names], compiling, words=2)]),
-    ]
+
+
+def _quantity(rows: Sequence[Row], quantity: Quantity, contenders: Sequence[Contender]) -> dict[str, Any]:
+    """Its tables: ratios, times and seconds to compile; and why some are missing."""
+    own = [row for row in rows if row.what == quantity.name]
+    done = {row.by for row in own if row.done}
+    names = [each.name for each in contenders if each.name in done]
+    others = [name for name in names if name not in BASES]
+    found = {(row.group, row.setting, row.by): row for row in own}
+    places = list(dict.fromkeys((row.group, row.setting) for row in own))
+
+    def table(columns: Sequence[str], cell: Any) -> Table:
+        cells = [[CASES[case].title, use, *(cell(case, use, name) for name in columns)] for case, use in places]
+        return ["function", "use", *columns], cells, 2
+
+    def seconds(case: str, use: str, name: str) -> float:
+        row = found.get((case, use, name))
+        return row.value if row else math.nan
+
+    def ratios(case: str, use: str, name: str) -> str:
+        return " / ".join(_ratio(seconds(case, use, name) / seconds(case, use, base)) for base in BASES)
+
+    notes = {f"{row.by}, {CASES[row.group].title}: {row.note}." for row in own if not row.done}
+    return {
+        "name": quantity.name,
+        "title": quantity.title[:1].upper() + quantity.title[1:],
+        "ratios": table(others, ratios) if others else None,
+        "times": table(names, lambda *place: _spread(found.get(place))) if names else None,
+        "compiling": table(names, lambda *place: _compiled(found.get(place))),
+        "notes": sorted(notes),
+    }
+
+
+def _ratio(value: float) -> str:
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.2f}" if value >= 0.095 else f"{value:.3f}"
 
 
 def _spread(row: Row | None) -> str:
     if row is None or not row.done:
         return "-"
-    return f"{_nanoseconds(row.median)} ({_nanoseconds(row.lower)} to {_nanoseconds(row.upper)})"
+    lower, upper = row.numbers["lower"], row.numbers["upper"]
+    return f"{_nanoseconds(row.value)} ({_nanoseconds(lower)} to {_nanoseconds(upper)})"
 
 
 def _nanoseconds(seconds: float) -> str:
@@ -140,66 +111,32 @@ def _nanoseconds(seconds: float) -> str:
 
 
 def _compiled(row: Row | None) -> str:
-    return "-" if row is None or not math.isfinite(row.compile_seconds) else f"{row.compile_seconds:.2f}"
+    seconds = row.numbers.get("compile_seconds", math.nan) if row else math.nan
+    return f"{seconds:.2f}" if math.isfinite(seconds) else "-"
 
 
-def _bars(outcomes: Sequence[Outcome]) -> list[Block]:
-    if not outcomes:
-        return []
-    rows = [
-        [
-            CASES[each.bar.case].title,
-            each.bar.quantity.name,
-            each.bar.use.name,
-            each.bar.contender,
-            each.bar.against or "seconds to compile",
-            _number(each.found),
-            f"{each.bar.limit:g}",
-            each.verdict,
-        ]
-        for each in outcomes
-    ]
-    missed = sum(each.verdict == "MISSED" for each in outcomes)
-    known = sum(each.verdict != "not measured" for each in outcomes)
-    said = f"{missed} of {known} are missed." if missed else f"All {known} that were measured hold."
-    head = ["function", "", "use", "of", "against", "ratio or s", "at most", ""]
-    return [
-        Heading(2, "Bars"),
-        Paragraph(f"Set before measuring. {said}"),
-        Details("The bars", [Table(head, rows, words=5)]),
-    ]
+def draw(rows: Sequence[Row], quantity: Quantity, contenders: Sequence[Contender]) -> bytes:
+    """The figure of a quantity as SVG; dots at the median, lines between the quartiles.
 
-
-def _how(rows: Sequence[Row], origin: Origin, empty_call: float, command: str) -> list[Block]:
-    effort = origin.effort
-    versions = ", ".join(f"{name} {version}" for name, version in origin.versions.items())
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    present = {row.contender for row in rows}
-    lines = [
-        f"Machine: {origin.machine}; this process may use {usable} of the cores. Double precision.",
-        f"Versions: {versions}; code {origin.code}.",
-        f"Run again: `{command}` ({effort['name']} run). All figures are in `speed.csv` and `speed.json`.",
-        "Nothing is set for the process but JAX's x64 switch: no XLA flag, no compiler option.",
-        "The results of the very programs that are timed are compared with those of the first contender in the tables, "
-        "at random states, before anything is timed.",
-        f"Contenders take turns: up to {effort['rounds']} rounds of 3 calls after one that does not count (of long "
-        f"calls fewer, at least {effort['least']}; a call over {effort['longest']:g} s counts alone, and is left out "
-        "if a smaller batch foretells it). Every call is waited for. The table has medians "
-        "and quartiles; the CSV the minimum too.",
-        "A single call goes from Python with arguments that are there already, twenty at a time. Calling a compiled "
-        f"JAX function that does nothing takes {duration(empty_call)}, part of every single call of JAX here.",
-        f"In a loop: {LOOP.steps:,} evaluations in one `lax.scan` or C loop; each adds 1e-200 of the results of the "
-        "one before to all its arguments, so that nothing can be worked out once for all.",
-        "A batch is `jax.vmap` over random points, or a C loop. XLA may share large arrays among the cores that the "
-        "process may use; the loops in C and Python use one. For one core each: `taskset -c 0`.",
-        "Compiling is apart: from the expression to what can be called, the C compiler included. What took over "
-        f"{effort['patience']:g} s is not compiled for further uses.",
-    ]
-    table = Table(["contender", "how"], [[each.name, each.how] for each in CONTENDERS if each.name in present], words=2)
-    return [Bullets(lines), table]
-
-
-def _number(value: float) -> str:
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.2f}" if value >= 0.095 else f"{value:.3f}"
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    timed = [row for row in rows if row.what == quantity.name and row.done]
+    cases = [case for name, case in CASES.items() if any(row.group == name for row in timed)]
+    uses = list(dict.fromkeys(row.setting for row in timed))
+    shown = [each for each in contenders if any(row.by == each.name for row in timed)]
+    size = (7.4, 0.9 + len(cases) * (0.5 + 0.33 * len(uses)))
+    figure = panels("", ("time of one evaluation, us (to the left: faster)", ""), size, count=len(cases))
+    for axes, case in zip(figure.axes, cases, strict=True):
+        for number, contender in enumerate(shown):
+            style: dict[str, Any] = {"color": contender.colour}
+            axes.plot([], [], marker="o", ls="", label=contender.name, **style)
+            for row in (row for row in timed if (row.group, row.by) == (case.name, contender.name)):
+                height = uses.index(row.setting) + 0.7 * ((number + 0.5) / len(shown) - 0.5)
+                axes.plot([1e6 * row.numbers["lower"], 1e6 * row.numbers["upper"]], [height, height], lw=2.0, **style)
+                axes.plot([1e6 * row.value], [height], marker="o", ms=5, ls="", **style)
+        axes.set_xscale("log")
+        axes.set_yticks(range(len(uses)), uses)
+        axes.invert_yaxis()
+        axes.set_title(case.title, fontsize=11, loc="left")
+    return as_svg(figure, columns=4)

@@ -1,1 +1,1 @@
-"""Error against run time: scenes x methods, measured together, as tables, figures and a page in words."""
+"""Error against run time: scenes by methods, measured together, with a page in words."""

@@ -15,7 +15,7 @@ __all__ = ["CONTENDERS", "IN_QUICK", "LONG", "ONE_CALL", "OURS", "SHIPPED", "STI
 OURS = Side("twistax", "`tx.integrate` with its defaults")
 ONE_CALL = Side(
     "diffrax in one call",
-    "the same compiled as one small function, as twistax compiles its flights; diffrax itself does not offer that",
+    "the same compiled as one small function, as twistax compiles its own; diffrax itself does not offer that",
     ready=False,
 )
 SHIPPED = Side("diffrax as shipped", "`diffeqsolve` on the quaternions with its defaults, inside `jax.jit`")
@@ -90,7 +90,7 @@ CONTENDERS: dict[str, Contender] = {contender.name: contender for contender in [
 STIFF = ("stiff-attitude", "actuator-lag", "stiff-joint")
 _IMPLICIT = ("radau5", "radau5-quaternion", "diffrax-kvaerno5-pi")
 
-#: Scenes so long that a flight takes up to seconds: for a few methods of high order.
+#: Scenes so long that a run takes up to seconds: for a few methods of high order.
 LONG = ("long-heavy-top", "spinning-satellite")
 _HIGH_ORDER = ("dop853", "dop853-quaternion", "dopri8", "diffrax-dopri8-call-pi", "diffrax-dopri8-pi")
 
@@ -98,12 +98,12 @@ _HIGH_ORDER = ("dop853", "dop853-quaternion", "dopri8", "diffrax-dopri8-call-pi"
 _QUICK = ("tsit5", "dop853", "dop853-quaternion", "diffrax-tsit5-call", "diffrax-dopri8-call-pi", "diffrax-tsit5")
 IN_QUICK = (*_QUICK, "radau5", "diffrax-kvaerno5-pi")
 
-#: Scenes of the full run only: they take long to compile or to fly.
+#: Scenes of the full run only: they take long to compile or to run.
 TOO_LONG_FOR_QUICK = ("spring-bodies", "actuator-lag", "stiff-joint", *LONG)
 
 
 def suited(contenders: Iterable[str], scene: str) -> list[str]:
-    """Which of the methods, by name, are worth flying a scene with, where nobody asked for others."""
+    """Which of the methods, by name, are worth running a scene with, where nobody asked for others."""
     if scene in STIFF:
         return [name for name in contenders if name in _IMPLICIT]
     if scene in LONG:

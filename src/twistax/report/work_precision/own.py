@@ -14,9 +14,7 @@ import twistax as tx
 from ...integrators import Method
 from ...integrators.step_control import StepControl
 from ...scenes import Scene
-from .contender import Contender, Counts, Line, Program
-from .effort import Effort
-from .ladder import Ladder
+from .contender import Contender, Counts, Effort, Ladder, Line, Program
 
 __all__ = ["Adaptive", "FixedSteps"]
 
@@ -36,10 +34,10 @@ class Adaptive(Contender):
         return effort.tolerances
 
     def build(self, scene: Scene) -> Program:
-        def fly(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
-            return _flown(scene, start, self.method, rtol=tolerance, atol=tolerance, control=_CONTROL)
+        def solve(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
+            return _solved(scene, start, self.method, rtol=tolerance, atol=tolerance, control=_CONTROL)
 
-        return _program(scene, self.method, fly, one_for_all=True)
+        return _program(scene, self.method, solve, one_for_all=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,25 +52,25 @@ class FixedSteps(Contender):
         return effort.steps
 
     def build(self, scene: Scene) -> Program:
-        def fly(start: Any, steps: float) -> tuple[Any, Counts]:
-            return _flown(scene, start, self.method, steps=int(steps))
+        def solve(start: Any, steps: float) -> tuple[Any, Counts]:
+            return _solved(scene, start, self.method, steps=int(steps))
 
-        return _program(scene, self.method, fly, one_for_all=False)
+        return _program(scene, self.method, solve, one_for_all=False)
 
 
-def _program(scene: Scene, method: Method, fly: Any, one_for_all: bool) -> Program:
-    """The flight of one flat array, as diffrax has it: each array in or out costs JAX about a microsecond a call."""
+def _program(scene: Scene, method: Method, solve: Any, one_for_all: bool) -> Program:
+    """A function of one flat array, as diffrax has it: each array in or out costs JAX about a microsecond a call."""
     method.check(scene.dynamics)
     start, read = ravel_pytree({name: jnp.asarray(value) for name, value in scene.start.items()})
 
     def flat(start: jax.Array, setting: Any) -> tuple[jax.Array, Counts]:
-        end, counts = fly(read(start), setting)
+        end, counts = solve(read(start), setting)
         return ravel_pytree(end)[0], counts
 
     return Program(start, flat, read, one_for_all)
 
 
-def _flown(scene: Scene, start: Any, method: Method, **steps: Any) -> tuple[Any, Counts]:
+def _solved(scene: Scene, start: Any, method: Method, **steps: Any) -> tuple[Any, Counts]:
     sol = tx.integrate(
         scene.dynamics,
         start,

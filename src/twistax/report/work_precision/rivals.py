@@ -15,15 +15,13 @@ import twistax as tx
 
 from ...lowering.small_call import fits, small_call
 from ...scenes import Scene
-from .contender import Contender, Counts, Line, Program
-from .effort import Effort
-from .ladder import Ladder
+from .contender import Contender, Counts, Effort, Ladder, Line, Program
 
 __all__ = ["AsShipped", "Diffrax", "DiffraxImplicit", "Form", "Gains", "I_CONTROL", "OneSmallCall", "PI_CONTROL"]
 
-Fly = Callable[[Any, Any], tuple[Any, Counts]]
+Solve = Callable[[Any, Any], tuple[Any, Counts]]
 
-#: More steps than any flight here takes; diffrax's own limit is 4096.
+#: More steps than any run here takes; diffrax's own limit is 4096.
 _MOST_STEPS = 10**7
 
 
@@ -48,7 +46,7 @@ class Form(ABC):
         """Further arguments of `diffeqsolve`."""
 
     @abstractmethod
-    def wrap(self, fly: Fly) -> Fly:
+    def wrap(self, solve: Solve) -> Solve:
         """What is jitted."""
 
 
@@ -59,12 +57,12 @@ class AsShipped(Form):
     def options(self) -> dict[str, Any]:
         return {}
 
-    def wrap(self, fly: Fly) -> Fly:
-        return fly
+    def wrap(self, solve: Solve) -> Solve:
+        return solve
 
 
 class OneSmallCall(Form):
-    """The whole solve compiled as one small function, as our flights are.
+    """The whole solve compiled as one small function, as our own integrations are.
 
     Without diffrax's error check, a callback, which does not compile that way, and with ForwardMode, the cheapest
     way to plain numbers.
@@ -76,9 +74,9 @@ class OneSmallCall(Form):
 
         return {"throw": False, "adjoint": diffrax.ForwardMode()}
 
-    def wrap(self, fly: Fly) -> Fly:
+    def wrap(self, solve: Solve) -> Solve:
         # diffrax's loops are built on operations of equinox, all of which compile inside of one function.
-        return lambda start, tolerance: small_call(fly, start, tolerance, trusted=True)
+        return lambda start, tolerance: small_call(solve, start, tolerance, trusted=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +97,7 @@ class Diffrax(Contender):
     gains: Gains
     form: Form
 
-    #: Of a flight.
+    #: Of a run.
     most_steps: ClassVar[int] = _MOST_STEPS
 
     def ladder(self, effort: Effort) -> Ladder:
@@ -119,7 +117,7 @@ class Diffrax(Contender):
         if not fits(lambda y: rate(jnp.zeros(()), y, None), start):
             raise tx.ModelError(f"the right-hand side of {scene.name} calls a library: no small call")
 
-        def fly(y: jax.Array, tolerance: jax.Array) -> tuple[Any, Counts]:
+        def solve(y: jax.Array, tolerance: jax.Array) -> tuple[Any, Counts]:
             sol = diffrax.diffeqsolve(
                 diffrax.ODETerm(rate),
                 solver,
@@ -135,7 +133,7 @@ class Diffrax(Contender):
             evaluations = self.evaluations(solver, accepted + rejected)
             return sol.ys[0], Counts(accepted, rejected, evaluations, jnp.isfinite(sol.ys[0]).all())
 
-        return Program(start, self.form.wrap(fly), lambda y: term.from_ambient(unravel(y)), one_for_all=True)
+        return Program(start, self.form.wrap(solve), lambda y: term.from_ambient(unravel(y)), one_for_all=True)
 
     def evaluations(self, solver: Any, steps: jax.Array) -> jax.Array:
         """How often the right-hand side was evaluated."""
@@ -147,7 +145,7 @@ class Diffrax(Contender):
 class DiffraxImplicit(Diffrax):
     """An implicit solver, which does not say how often it evaluates the right-hand side: 0."""
 
-    #: Near round-off its steps may become so short that a flight takes hours.
+    #: Near round-off its steps may become so short that a run takes hours.
     most_steps: ClassVar[int] = 20_000
 
     def evaluations(self, solver: Any, steps: jax.Array) -> jax.Array:

@@ -6,32 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 
+from ..pages.page import listed
+from ..rows import plain
 from .contender import Line
 from .contenders import CONTENDERS, LONG, ONE_CALL, OURS, SHIPPED, STIFF
 from .findings import TARGETS, Findings
 
-__all__ = [
-    *("advice", "advice_if_stiff", "digits", "duration", "on_diffrax", "on_quaternions", "on_tolerance", "power"),
-    "winners",
-]
+__all__ = ["advice", "advice_if_stiff", "digits", "on_diffrax", "on_quaternions", "on_tolerance", "winners"]
 
 #: Times closer than this count as the same.
 _SAME = 1.05
-
-
-def duration(seconds: float) -> str:
-    """Three digits with a unit."""
-    if not math.isfinite(seconds):
-        return "-"
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} us"
-
-
-def power(error: float) -> str:
-    """1e-6 rather than 1e-06."""
-    return f"{error:.0e}".replace("e-0", "e-")
 
 
 def advice(findings: Findings, names: Mapping[str, str]) -> str:
@@ -46,7 +30,7 @@ def advice(findings: Findings, names: Mapping[str, str]) -> str:
 
 
 def advice_if_stiff(findings: Findings, names: Mapping[str, str]) -> list[str]:
-    """The same for the stiff scenes, where any were flown."""
+    """The same for the stiff scenes, where any were run."""
     said = _advice(findings, names, [scene for scene in findings.scenes if scene in STIFF], "If the system is stiff")
     return [said] if said else []
 
@@ -61,7 +45,7 @@ def _advice(findings: Findings, names: Mapping[str, str], scenes: Sequence[str],
     if ratio <= _SAME:
         close = "nothing else that can be had by calling a library is faster on any scene"
     else:
-        close = f"at worst it takes {ratio:.1f} times as long as the fastest ({names[scene]}, error {power(error)})"
+        close = f"at worst it takes {ratio:.1f} times as long as the fastest ({names[scene]}, error {plain(error)})"
     return f"**{when}, take {line.title}**, `{line.code}`: {close}."
 
 
@@ -92,8 +76,8 @@ def winners(findings: Findings, names: Mapping[str, str]) -> list[str]:
                 firsts.setdefault(ranking[0].line, []).append(names[scene])
         if firsts:
             most = sorted(firsts.items(), key=lambda item: -len(item[1]))
-            parts = "; ".join(f"{line.title} on {_listed(scenes)}" for line, scenes in most)
-            sentences.append(f"**Error {power(error)}** ({-math.log10(error):.0f} digits). Fastest: {parts}.")
+            parts = "; ".join(f"{line.title} on {listed(scenes)}" for line, scenes in most)
+            sentences.append(f"**Error {plain(error)}** ({-math.log10(error):.0f} digits). Fastest: {parts}.")
     return sentences
 
 
@@ -108,22 +92,23 @@ def digits(findings: Findings) -> str:
     if not costs:
         return "What a digit costs cannot be said: no method reached both errors."
     parts = ", ".join(f"{cost:.2f} with {line.title}" for line, cost in sorted(costs.items(), key=lambda c: -c[1]))
-    between = f"between errors of {power(TARGETS[0])} and {power(TARGETS[1])}"
+    between = f"between errors of {plain(TARGETS[0])} and {plain(TARGETS[1])}"
     return f"**One more digit** multiplies the time by {parts} (median over the scenes, {between})."
 
 
 def on_tolerance(findings: Findings) -> str:
     """That the tolerance is not the error."""
     name, setting = "dop853", 1e-9
-    errors = [row.error for row in findings.rows if row.method == name and row.setting == setting and row.done]
+    rows = [row for row in findings.rows if row.by == name and row.numbers["setting"] == setting and row.done]
+    errors = [row.numbers["error"] for row in rows]
     if not errors:
         return "A tolerance bounds the error of one step. The error at the end is another matter: try two of them."
-    low, high = power(min(errors)), power(max(errors))
+    low, high = plain(min(errors)), plain(max(errors))
     ended = f"an error of {low} on this scene" if len(errors) == 1 else f"errors from {low} to {high} on these scenes"
     return (
         "**A tolerance is not the error at the end**; it bounds what one step may add. With rtol = atol = "
-        f"{power(setting)} {CONTENDERS[name].line.title} ended with {ended}. "
-        "Fly once with a tolerance ten times smaller to see what yours gives."
+        f"{plain(setting)} {CONTENDERS[name].line.title} ended with {ended}. "
+        "Integrate once more with a tolerance ten times smaller to see what yours gives."
     )
 
 
@@ -137,7 +122,7 @@ def on_quaternions(findings: Findings, names: Mapping[str, str]) -> str:
     worse = [names[scene] for scene, ratio in ratios.items() if ratio > _SAME]
     same = [names[scene] for scene in ratios if names[scene] not in (*better, *worse)]
     parts = [
-        f"{word} on {_listed(scenes)}"
+        f"{word} on {listed(scenes)}"
         for word, scenes in (("faster", better), ("slower", worse), ("as fast", same))
         if scenes
     ]
@@ -162,7 +147,7 @@ def on_diffrax(findings: Findings, names: Mapping[str, str]) -> list[str]:
                     ratios.append(ours.seconds / theirs.seconds if ours else math.inf)
                     share = f"{1.0 / ratios[-1]:.2f} of our time" if ours else "none of ours got there"
                     faster += [f"{names[scene]} ({share})"] if ratios[-1] > 1.0 else []
-            wins += [f"at {power(error)} on {_listed(faster)}"] if faster else []
+            wins += [f"at {plain(error)} on {listed(faster)}"] if faster else []
         if wins:
             sentences.append(f"**{side.name} is faster** {'; '.join(wins)}.")
         elif ratios:
@@ -171,8 +156,8 @@ def on_diffrax(findings: Findings, names: Mapping[str, str]) -> list[str]:
                 "time of its fastest."
             )
     sentences.append(
-        "Explicit methods are not flown on the stiff scenes, which would move slowly but for a very fast part that has "
-        "died out: their steps are as short as that part is fast. Implicit ones are flown there alone."
+        "Explicit methods are not run on the stiff scenes, which would move slowly but for a very fast part that has "
+        "died out: their steps are as short as that part is fast. Implicit ones are run there alone."
     )
     return sentences
 
@@ -192,8 +177,3 @@ def _span(values: Iterable[float]) -> str:
     ends = sorted(values)
     low, high = f"{ends[0]:.2f}", f"{ends[-1]:.2f}"
     return low if low == high else f"{low} to {high}"
-
-
-def _listed(words: Iterable[str]) -> str:
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last

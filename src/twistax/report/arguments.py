@@ -1,0 +1,96 @@
+"""The options of `python -m twistax report`. Names are looked up only when one is given: that loads the package."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+__all__ = ["add_options"]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of `twistax report`."""
+    kinds = parser.add_mutually_exclusive_group()
+    for name, text in {
+        "stability": "another report: what happens at the edges, stiff, long, extreme or wrong",
+        "speed": "another report: what one evaluation of dynamics costs, ours and others'",
+        "figures": "another report: every other figure of docs/measured.md",
+    }.items():
+        kinds.add_argument(f"--{name}", action="store_true", help=text)
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="minutes rather than an hour: few methods or functions, coarse settings, few repeats, nothing that takes "
+        "long; the longest scenes only if asked for",
+    )
+    for name, known, text in (
+        ("scene", _scenes, "only this scene"),
+        ("method", _methods, "only this method"),
+        ("case", _cases, "with --speed, only this function"),
+        ("only", _sections, "with --stability or --figures, only this section"),
+    ):
+        several = f"{text}; may be given again. A name that is not known is answered with those there are"
+        parser.add_argument(
+            f"--{name}",
+            type=_one_of(name.replace("only", "section"), known),
+            action="append",
+            metavar="NAME",
+            help=several,
+        )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        default=Path("out/report"),
+        help="folder for page, figures and tables (./out/report); what was measured there before is kept",
+    )
+    parser.add_argument("--again", action="store_true", help="measure again what was measured there before")
+    parser.add_argument(
+        "--renew",
+        type=_file,
+        metavar="FILE",
+        help="put the tables of the reports in --out into this Markdown file, between the lines that name them",
+    )
+    parser.add_argument("--no-progress", action="store_true", help="no progress bar")
+
+
+def _one_of(what: str, names: Callable[[], Iterable[str]]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        known = list(names())
+        if text not in known:
+            raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
+        return text
+
+    return read
+
+
+def _file(text: str) -> Path:
+    if not Path(text).is_file():
+        raise argparse.ArgumentTypeError(f"there is no file {text!r}")
+    return Path(text)
+
+
+def _scenes() -> Iterable[str]:
+    from ..scenes import SCENES
+
+    return SCENES
+
+
+def _methods() -> Iterable[str]:
+    from .work_precision.contenders import CONTENDERS
+
+    return CONTENDERS
+
+
+def _cases() -> Iterable[str]:
+    from .speed.case import CASES
+
+    return CASES
+
+
+def _sections() -> Iterable[str]:
+    from .figures.sections import SECTIONS as figures
+    from .stability.sections import SECTIONS as stability
+
+    return [section.name for section in (*figures, *stability)]

@@ -1,0 +1,1 @@
+"""What docs/measured.md says, figure by figure: sections of checks."""

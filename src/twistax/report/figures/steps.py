@@ -1,0 +1,346 @@
+"""What a step costs: ours in every chart, through diffrax, and beside the same loop in C and in OpenSCvx."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+import twistax as tx
+
+from ... import diffrax as bridge
+from ...groups import quaternions, se3
+from ...integrators import VectorField
+from ...integrators.charts import Chart
+from ...lowering.backends import Backend
+from ...lowering.small_call import small_call
+from ..checks import Absent, Between, Check, Section, agree, at_most
+from ..timing import Repeats, Timed, compiled, in_turn, ratio
+from .keeping import spatial_inertia
+
+__all__ = [
+    "BESIDE",
+    "BRIDGE",
+    "SOURCE",
+    "STEPS",
+    "WRENCH",
+    "beside_c",
+    "bridged",
+    "c_body",
+    "looped",
+    "scanned",
+    "start",
+]
+
+_REPEATS = Repeats(7, 5)
+_TABLEAUS = (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
+
+# ---- tableaus and charts --------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _body() -> tx.Dynamics:
+    """A heavy asymmetric body: a pose and a twist, gravity in the body frame."""
+    M = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    weight = tx.lie.wrench(force=g[:3, :3].T @ np.array([0.0, 0.0, -19.62]), torque=np.array([0.0, 0.0, 0.1]))
+    return tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, weight - tx.lie.AdjointDual(V, M @ V))}))
+
+
+def _start() -> dict[str, jax.Array]:
+    return {"g": jnp.eye(4), "V": jnp.array([0.1, 0.2, 0.3, 1.0, 0.5, -0.3])}
+
+
+def _apart(ends: Any, others: Any) -> float:
+    """The largest difference of an entry; NaN if there is one."""
+    gaps = jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others)
+    return float(np.max(np.stack([np.asarray(gap) for gap in jax.tree.leaves(gaps)])))
+
+
+@functools.cache
+def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
+    """A loop of steps as one small function, as `tx.integrate` has it where no kernel runs, and as XLA does it.
+
+    Raises:
+        RuntimeError: their ends are more than 1e-12 apart.
+    """
+    dynamics, dt = _body(), 1e-5
+    local = method.coordinates(dynamics)
+
+    def loop(x: Any, count: jax.Array) -> Any:
+        def advance(i: jax.Array, y: Any) -> Any:
+            return method.advance(VectorField(dynamics, lambda t: {}, {}), i * dt, y, jnp.asarray(dt))
+
+        return local.value(jax.lax.fori_loop(0, count, advance, local.enter(x)))
+
+    forms = {"small": lambda x, count: small_call(loop, x, count), "default": loop}
+    timed = {name: compiled(form, _start(), jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
+    agree(_apart(timed["small"].result(), timed["default"].result()), 1e-12)
+    in_turn(list(timed.values()), _REPEATS)
+    return timed
+
+
+def _of_chart(tableau: Any, chart: Chart) -> list[Check]:
+    method = tx.RKMK(tableau, chart)
+    columns: dict[str, tuple[Callable[[], float], Between]] = {
+        "a step": (lambda: 1e6 * looped(method)["small"].seconds, Between(unit="us")),
+        "a step of the default loop": (lambda: 1e6 * looped(method)["default"].seconds, Between(unit="us")),
+        "compiling": (lambda: looped(method)["small"].compile_seconds, at_most(2.0, "s")),
+    }
+    what = f"{tableau.name}, {chart!r}"
+    return [Check(what, by, measure, expected, slow=True) for by, (measure, expected) in columns.items()]
+
+
+def _charts(commutators: int) -> list[Chart]:
+    c = tx.charts
+    return [c.Exponential(commutators), c.Exponential(), c.SplitExponential(commutators), c.Ambient()]
+
+
+STEPS = Section(
+    "steps",
+    "A step of every tableau and chart",
+    "One body with 13 states; the loop compiled as one small function, which is what integration uses where no kernel "
+    "does, and as XLA does by default. Both end alike.",
+    {"": [c for tableau in _TABLEAUS for chart in _charts(tableau.order - 2) for c in _of_chart(tableau, chart)]},
+    wide=True,
+)
+
+# ---- through diffrax ------------------------------------------------------------------------------------------------
+
+_DT, _ALLOWED = 1e-3, 1e-6
+
+
+def _controllers(adaptive: bool) -> tuple[Any, Any]:
+    """Of both; adaptive ones measure errors but may take one length only, so that both take the same steps."""
+    if not adaptive:
+        return diffrax.ConstantStepSize(), diffrax.ConstantStepSize()
+    limits: dict[str, Any] = {"rtol": _ALLOWED, "atol": _ALLOWED, "dtmin": _DT, "dtmax": _DT}
+    return bridge.controller(**limits), diffrax.PIDController(pcoeff=0.2, icoeff=0.6, **limits)
+
+
+def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000) -> float:
+    """The time of a step of `LieSolver` over that of the same solver on quaternions.
+
+    Raises:
+        RuntimeError: they take different steps, or their ends are more than 1e-9 apart.
+    """
+    dynamics, end = _body(), jnp.asarray(_DT * steps)
+    term, lie = bridge.ambient_term(dynamics), bridge.LieSolver(solver, dynamics, chart)
+    of_group, plain = _controllers(adaptive)
+
+    def run(term: Any, own: Any, control: Any, read: Callable[[Any], Any], write: Callable[[Any], Any]) -> Timed:
+        def solve(x: Any, end: jax.Array) -> Any:
+            options: dict[str, Any] = {"stepsize_controller": control, "max_steps": steps + 16}
+            sol = diffrax.diffeqsolve(term, own, jnp.zeros(()), end, _DT, write(x), **options)
+            return jax.vmap(read)(sol.ys), sol.stats["num_accepted_steps"]
+
+        return compiled(solve, _start(), end, evaluations=steps)
+
+    ours = run(bridge.lie_term(dynamics), lie, of_group, lambda y: y, lambda x: x)
+    theirs = run(term, solver, plain, term.from_ambient, term.to_ambient)
+    (ends, taken), (others, other_taken) = ours.result(), theirs.result()
+    agree(float(abs(taken - other_taken)), 0.0)
+    agree(_apart(ends, others), 1e-9)
+    in_turn([ours, theirs], _REPEATS)
+    return ratio(ours, theirs)
+
+
+BRIDGE = Section(
+    "bridge",
+    "A step through diffrax",
+    "A step of `LieSolver` over one of the same solver of diffrax on quaternions; both take the same steps.",
+    {
+        "": [
+            Check(
+                f"{solver.__name__}, {chart!r}" if chart else f"{solver.__name__}, default chart",
+                "adaptive" if adaptive else "constant steps",
+                functools.partial(lambda solver, *rest: bridged(solver(), *rest), solver, chart, adaptive),
+                at_most(1.5),
+                slow=True,
+            )
+            for solver in (diffrax.Tsit5, diffrax.Dopri8)
+            for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
+            for adaptive in (False, True)
+        ]
+    },
+    wide=True,
+)
+
+# ---- beside C -------------------------------------------------------------------------------------------------------
+
+SOURCE = Path(__file__).with_name("rkmk4.c")
+#: What C is compiled with: the usual, and what is faster where the compiler's vectors of scalars do not pay.
+_FLAGS = (("-O3", "-march=native"), ("-O3", "-march=native", "-fno-tree-vectorize"))
+_VELOCITY = np.array([1.0, 0.5, -0.3, 0.4, 1.2, -0.7])  # m/s, rad/s
+
+#: (y, step, steps): moves y = [q, p, v, w] in place.
+Loop = Callable[[NDArray[Any], float, int], None]
+
+
+def c_body(backend: Backend | Literal["auto"] = "auto") -> tx.Dynamics:
+    """The body of `rkmk4.c`: gravity, linear drag, principal moments of inertia 1, 2 and 3 kg m^2."""
+    g, V, J = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), np.array([1.0, 2.0, 3.0])
+    v, w = V[:3], V[3:]
+    acceleration = g[:3, :3].T @ np.array([0.0, 0.0, -9.81]) - 0.1 * v - tx.linalg.Cross(w, v)
+    turning = tx.linalg.Cross(J * w, w) / J
+    return tx.compile(tx.System(rates={g: V, V: tx.Concat(acceleration, turning)}), backend=backend)
+
+
+def _library(flags: Sequence[str], folder: Path) -> Loop:
+    """The loop of `rkmk4.c`. Raises Absent without gcc."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        raise Absent("not run: there is no gcc on this machine")
+    target = folder / f"rkmk4{''.join(flags)}.so"
+    subprocess.run([gcc, *flags, "-shared", "-fPIC", "-o", str(target), str(SOURCE)], check=True)
+    loop = ctypes.CDLL(str(target)).fly
+    loop.argtypes = [np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS"), ctypes.c_double, ctypes.c_long]
+    loop.restype = None
+    return loop
+
+
+@functools.cache
+def beside_c(steps: int = 500_000) -> list[Timed]:
+    """RKMK4 by `tx.integrate` with its defaults, and by C with each of the flags.
+
+    Raises:
+        Absent: there is no gcc.
+        RuntimeError: the ends are more than 1e-10 apart.
+    """
+    dt, dynamics, x0 = 1e-5, c_body(), {"g": np.eye(4), "V": _VELOCITY}
+
+    def in_c(loop: Loop) -> dict[str, Any]:
+        y = np.concatenate([[1.0], np.zeros(6), _VELOCITY])
+        loop(y, dt, steps)
+        return {"g": (y[:4], y[4:7]), "V": y[7:]}
+
+    with tempfile.TemporaryDirectory() as folder:
+        loops = [_library(flags, Path(folder)) for flags in _FLAGS]
+    ours = Timed(lambda: tx.integrate(dynamics, x0, t1=steps * dt, steps=steps).xs, steps)
+    timed = [ours, *(Timed(functools.partial(in_c, loop), steps) for loop in loops)]
+    end = ours.result()
+    for each in timed[1:]:
+        found = each.result()
+        q, p = map(jnp.asarray, found["g"])
+        pose = se3.transform(quaternions.to_rotation(q), p)
+        agree(_apart({"g": end["g"][0], "V": end["V"][0]}, {"g": pose, "V": found["V"]}), 1e-10)
+    in_turn(timed, _REPEATS)
+    return timed
+
+
+# ---- one evaluation in a scan, beside OpenSCvx ----------------------------------------------------------------------
+
+#: The coadjoint operator of OpenSCvx 0.5.2 is right for a twist [v; w] if the momentum is ordered [L; p].
+_SWAP = [3, 4, 5, 0, 1, 2]
+WRENCH = np.array([0.1, -0.2, 0.3, 0.05, 0.01, -0.02])
+
+#: (state, wrench, params) -> the state's derivative, of the state's own structure.
+Rate = Callable[[Any, Any, Any], Any]
+
+
+def start() -> dict[str, NDArray[Any]]:
+    """A tumbling start, by state name."""
+    q = np.array([0.5, 0.1, -0.7, 0.5])
+    V = np.array([1.0, 0.5, -0.3, 0.4, 2.0, -0.7])
+    return {"p": np.array([0.5, -1.0, 2.0]), "q": q / np.linalg.norm(q), "V": V}
+
+
+def _quaternion_body(solve: bool) -> tx.Dynamics:
+    """p' = R(q) v, q' = q (0, w) / 2, V' = M^-1 (F - ad*_V M V), by Solve or with M^-1 as a parameter."""
+    p, q, V = tx.State("p", shape=(3,)), tx.State("q", shape=(4,)), tx.State("V", shape=(6,))
+    F = tx.Control("F", shape=(6,))
+    M, inverse = tx.Parameter("M", shape=(6, 6)), tx.Parameter("inverse", shape=(6, 6))
+    net = F - tx.lie.AdjointDual(V, M @ V)
+    moving, turning = tx.spatial.QDCM(q) @ V[:3], 0.5 * tx.spatial.SSMP(V[3:]) @ q
+    rate = tx.linalg.Solve(M, net) if solve else inverse @ net
+    return tx.compile(tx.System(rates={p: moving, q: turning, V: rate}, parameters=[M, inverse]))
+
+
+def _openscvx(solve: bool) -> Rate:
+    """OpenSCvx's lowering of the same on flat vectors; it has no Solve. Raises ImportError where it is missing."""
+    import openscvx as ox
+    from openscvx.symbolic.lower import lower_to_jax
+
+    p, q, V = ox.State("p", shape=(3,)), ox.State("q", shape=(4,)), ox.State("V", shape=(6,))
+    F = ox.Control("F", shape=(6,))
+    for leaf, place in ((p, slice(0, 3)), (q, slice(3, 7)), (V, slice(7, 13)), (F, slice(0, 6))):
+        leaf._slice = place
+    M, inverse = (ox.Parameter(name, shape=(6, 6), value=np.eye(6)) for name in ("M", "inverse"))
+    acceleration = (ox.linalg.Inv(M) if solve else inverse) @ (F - ox.lie.AdjointDual(V, M @ V))
+    rates = ox.Concat(ox.spatial.QDCM(q) @ V[:3], 0.5 * ox.spatial.SSMP(V[3:]) @ q, acceleration)
+    lowered = lower_to_jax(rates)
+    return lambda x, wrench, params: lowered(x, wrench, 0, params)
+
+
+def scanned(solve: bool) -> tuple[Rate, tuple[Any, Any, Any]]:
+    """Our rate and its arguments: state, wrench, params."""
+    dynamics, M = _quaternion_body(solve), spatial_inertia()
+    params = {"M": jnp.asarray(M), "inverse": jnp.asarray(np.linalg.inv(M))}
+    state = {name: jnp.asarray(value) for name, value in start().items()}
+
+    def rate(x: Any, wrench: jax.Array, params: Any) -> Any:
+        return dynamics(0.0, x, {"F": wrench}, params)
+
+    return rate, (state, jnp.asarray(WRENCH), params)
+
+
+def _over_openscvx(solve: bool, evaluations: int = 20_000) -> float:
+    """The time of an evaluation over that of OpenSCvx's, each fed into the next in a compiled scan."""
+    other = _openscvx(solve)
+    rate, (state, wrench, params) = scanned(solve)
+    swap, flat = jnp.array(_SWAP), jnp.concatenate([state[name] for name in "pqV"])
+    theirs = (flat, wrench[swap], {"M": params["M"][swap], "inverse": params["inverse"][:, swap]})
+    found = jax.jit(rate)(state, wrench, params)
+    agree(_apart(jnp.concatenate([found[name] for name in "pqV"]), jax.jit(other)(*theirs)), 1e-12)
+
+    def scan(rate: Rate) -> Callable[..., Any]:
+        def run(state: Any, wrench: jax.Array, params: Any) -> Any:
+            def step(x: Any, _: None) -> tuple[Any, None]:
+                return jax.tree.map(lambda a, b: a + 1e-6 * b, x, rate(x, wrench, params)), None
+
+            return jax.lax.scan(step, state, None, length=evaluations)[0]
+
+        return run
+
+    timed = [compiled(scan(rate), state, wrench, params), compiled(scan(other), *theirs)]
+    in_turn(timed, Repeats(41, 5))
+    return ratio(*timed)
+
+
+BESIDE = Section(
+    "beside",
+    "Beside C and OpenSCvx",
+    "RKMK4 on a cheap body by `tx.integrate` with its defaults; one evaluation of a free body in a scan. Ends agree.",
+    {
+        "": [
+            Check(
+                "a step: our time over that of C",
+                f"gcc {' '.join(flags)}",
+                lambda i=i: ratio(beside_c()[0], beside_c()[i]),  # type: ignore[misc]
+                at_most(2.0) if i == 1 else Between(),
+                slow=True,
+            )
+            for i, flags in enumerate(_FLAGS, 1)
+        ],
+        " ": [
+            Check(
+                f"an evaluation: our time over that of OpenSCvx, {form}", "tx.compile", measure, at_most(1.0), slow=True
+            )
+            for form, measure in (
+                ("inverse inertia given", lambda: _over_openscvx(False)),
+                ("Solve against Inv", lambda: _over_openscvx(True)),
+            )
+        ],
+    },
+)

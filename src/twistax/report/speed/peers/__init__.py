@@ -1,1 +1,0 @@
-"""What others do, each as its own users would."""

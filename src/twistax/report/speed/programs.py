@@ -1,0 +1,184 @@
+"""What is timed: a quantity of a case, in one of its uses, as something to call."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..timing import Timed
+from .case import Case
+
+__all__ = [
+    *("CALLS", "GRADIENT", "JACOBIAN", "LOOP", "QUANTITIES", "SINGLE", "TINY", "USES", "VALUE"),
+    *("Batch", "JaxTask", "Lacks", "Quantity", "Task", "Use", "values"),
+]
+
+#: Calls from Python that are timed together.
+CALLS = 20
+#: What a loop feeds back is multiplied by this: it changes nothing, and no compiler can know.
+TINY = 1e-200
+#: Bytes that a program may need beside its arguments and results, and for these.
+_MEMORY = 8e9
+
+#: Three vectors to arrays, traceable; one after the other along the last axis they are the result.
+Function = Callable[[Any, Any, Any], list[Any]]
+
+
+class Lacks(Exception):
+    """A contender has no such task; the message says why."""
+
+
+def values(timed: Timed) -> NDArray[np.float64]:
+    """The results of a call as one array: what comes in parts is joined here, where nothing is timed."""
+    parts = jax.tree.leaves(timed.result())
+    return np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1)
+
+
+# ---- quantities -----------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """Of a function.
+
+    Attributes:
+        name, title: for tables, and for the page.
+        shape: of the result of a case.
+        by_jax: of a traceable function.
+    """
+
+    name: str
+    title: str
+    shape: Callable[[Case], tuple[int, ...]]
+    by_jax: Callable[[Function], Function]
+
+
+def _jacobian(function: Function) -> Function:
+    def joined(a: Any, b: Any, c: Any) -> Any:
+        parts = function(a, b, c)
+        return jnp.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]
+
+    slopes = jax.jacfwd(joined, argnums=(0, 1))
+    return lambda a, b, c: list(slopes(a, b, c))
+
+
+def _gradient(function: Function) -> Function:
+    slopes = jax.grad(lambda a, b, c: sum(map(jnp.sum, function(a, b, c))), argnums=(0, 1))
+    return lambda a, b, c: list(slopes(a, b, c))
+
+
+VALUE = Quantity("value", "value", lambda case: (case.results,), lambda function: function)
+JACOBIAN = Quantity(
+    "jacobian", "Jacobian by the first two arguments", lambda case: (case.results, case.columns), _jacobian
+)
+GRADIENT = Quantity(
+    "gradient", "gradient of the sum of the results by the first two arguments", lambda case: (case.columns,), _gradient
+)
+QUANTITIES = (VALUE, JACOBIAN, GRADIENT)
+
+# ---- tasks and uses -------------------------------------------------------------------------------------------------
+
+
+class Task(ABC):
+    """A quantity of a case by a contender. Each use raises `Lacks` if there is none."""
+
+    @abstractmethod
+    def single(self) -> Timed:
+        """`CALLS` calls from Python, one after the other, each waited for."""
+
+    @abstractmethod
+    def loop(self, steps: int) -> Timed:
+        """A compiled loop in which each evaluation waits for the one before."""
+
+    @abstractmethod
+    def batch(self, count: int) -> Timed:
+        """Many points at once."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Use:
+    """What a task is asked for."""
+
+    name: str
+    of: Callable[[Task], Timed]
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch(Use):
+    """For many points at once."""
+
+    count: int
+
+    @classmethod
+    def with_points(cls, count: int) -> Batch:
+        return cls(f"batch of {count:,}", lambda task: task.batch(count), count)
+
+
+SINGLE = Use("single call", lambda task: task.single())
+LOOP = Use("in a loop", lambda task: task.loop(1000))
+USES: tuple[Use, ...] = (SINGLE, LOOP, *map(Batch.with_points, (64, 4096, 65536)))
+
+
+class JaxTask(Task):
+    """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives the parts of the result.
+
+    Args:
+        make: makes the function anew, so that what is found when it is traced counts as compiling.
+    """
+
+    def __init__(self, case: Case, make: Callable[[], Callable[..., Any]]) -> None:
+        self._case, self._make = case, make
+
+    def single(self) -> Timed:
+        run, arguments, seconds = self._compiled(lambda function: function, *self._point())
+
+        def calls() -> Any:
+            for _ in range(CALLS):
+                result = jax.block_until_ready(run(*arguments))
+            return result
+
+        return Timed(calls, CALLS, seconds)
+
+    def loop(self, steps: int) -> Timed:
+        def looped(function: Callable[..., Any]) -> Callable[..., Any]:
+            def step(carry: tuple[Any, Any], _: None) -> tuple[Any, None]:
+                arguments, _before = carry
+                result = function(*arguments)
+                # The first part is as long as any argument.
+                fed = result[0].reshape(-1)
+                return (tuple(a + TINY * fed[: a.size] for a in arguments), result), None
+
+            def run(*arguments: Any) -> Any:
+                first = jax.tree.map(lambda r: jnp.zeros(r.shape, r.dtype), jax.eval_shape(function, *arguments))
+                return jax.lax.scan(step, (arguments, first), None, length=steps)[0][1]
+
+            return run
+
+        run, arguments, seconds = self._compiled(looped, *self._point())
+        return Timed(lambda: run(*arguments), steps, seconds)
+
+    def batch(self, count: int) -> Timed:
+        run, arguments, seconds = self._compiled(jax.vmap, *map(jnp.asarray, self._case.points(count)))
+        return Timed(lambda: run(*arguments), count, seconds)
+
+    def _point(self) -> list[jax.Array]:
+        return [jnp.asarray(each[0]) for each in self._case.points(1)]
+
+    def _compiled(self, use: Callable[..., Any], *arguments: jax.Array) -> tuple[Any, Sequence[jax.Array], float]:
+        """The jitted function, which calls from Python find faster than the compiled one."""
+        begin = time.perf_counter()
+        run = jax.jit(use(self._make()))
+        compiled = run.lower(*arguments).compile()
+        seconds, needed = time.perf_counter() - begin, compiled.memory_analysis()
+        total = 0 if needed is None else needed.temp_size_in_bytes + needed.output_size_in_bytes
+        if total > _MEMORY:
+            raise Lacks(f"it would need {total / 1e9:.0f} GB")
+        return run, arguments, seconds

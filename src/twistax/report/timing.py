@@ -1,0 +1,137 @@
+"""The one way to time: compiling apart, calls waited for, competitors in turn, medians."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from statistics import median, quantiles
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .progress import Tell, quiet
+
+__all__ = ["Repeats", "Timed", "compiled", "empty_call_seconds", "in_turn", "ratio", "seconds_of"]
+
+#: Timed calls in a row on each visit, after one that is not timed; what is longer (s) is called once.
+_CALLS, _SHORT = 3, 5e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Repeats:
+    """How often calls are timed.
+
+    Attributes:
+        rounds: at most.
+        least: and at least, however long the call.
+        share: time for all repeats of one call, s; a longer one is repeated less often.
+    """
+
+    rounds: int = 15
+    least: int = 5
+    share: float = 2.0
+
+    def visits(self, rough: float) -> int:
+        """In how many rounds a call of so many seconds takes part."""
+        visit = rough * (1 + _CALLS if rough < _SHORT else 1)
+        return min(self.rounds, max(self.least, int(self.share / max(visit, 1e-9))))
+
+
+@dataclasses.dataclass
+class Timed:
+    """What is called, and the samples of its time.
+
+    Attributes:
+        call: gives arrays, waited for or to be waited for.
+        evaluations: in one call; times are of one evaluation.
+        compile_seconds: tracing and compiling.
+        memory: bytes that the program needs beside arguments and results.
+        rough: about how long a call takes, s; NaN until somebody looked.
+        samples: of a call, s.
+    """
+
+    call: Callable[[], Any]
+    evaluations: int = 1
+    compile_seconds: float = math.nan
+    memory: float = math.nan
+    rough: float = math.nan
+    samples: list[float] = dataclasses.field(default_factory=list)
+
+    def result(self) -> Any:
+        """Of a call."""
+        return jax.block_until_ready(self.call())
+
+    def look(self) -> float:
+        """About how long a call takes, s: of two where one is short."""
+        self.rough = seconds_of(self.result)
+        if self.rough < _SHORT:
+            self.rough = min(self.rough, seconds_of(self.result))
+        return self.rough
+
+    @property
+    def seconds(self) -> float:
+        """The median."""
+        return median(self.samples) / self.evaluations
+
+    @property
+    def fastest(self) -> float:
+        return min(self.samples) / self.evaluations
+
+    @property
+    def quartiles(self) -> tuple[float, float]:
+        """The lower and the upper one."""
+        if len(self.samples) == 1:
+            return self.seconds, self.seconds
+        lower, _, upper = quantiles(self.samples, method="inclusive")
+        return lower / self.evaluations, upper / self.evaluations
+
+
+def compiled(function: Callable[..., Any], *arguments: Any, evaluations: int = 1) -> Timed:
+    """A traceable function compiled for its arguments."""
+    begin = time.perf_counter()
+    run = jax.jit(function).lower(*arguments).compile()
+    seconds, needed = time.perf_counter() - begin, run.memory_analysis()
+    memory = math.nan if needed is None else float(needed.temp_size_in_bytes)
+    return Timed(lambda: run(*arguments), evaluations, seconds, memory)
+
+
+def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> None:
+    """Take samples in rounds over all, so that whatever else the machine does falls on all alike.
+
+    What takes long takes part in some of the rounds, evenly spread.
+    """
+    for each in timed:
+        if math.isnan(each.rough):
+            each.look()
+    visits = [repeats.visits(each.rough) for each in timed]
+    for number in range(repeats.rounds):
+        tell("timing", 0.5 + 0.5 * number / repeats.rounds)
+        for each, wanted in zip(timed, visits, strict=True):
+            if (number + 1) * wanted // repeats.rounds > number * wanted // repeats.rounds:
+                short = each.rough < _SHORT
+                if short:
+                    each.result()
+                each.samples.extend(seconds_of(each.result) for _ in range(_CALLS if short else 1))
+
+
+def ratio(one: Timed, other: Timed) -> float:
+    """The median time of an evaluation over that of another."""
+    return one.seconds / other.seconds
+
+
+def seconds_of(call: Callable[[], Any]) -> float:
+    """Of one call, its results waited for."""
+    begin = time.perf_counter()
+    jax.block_until_ready(call())
+    return time.perf_counter() - begin
+
+
+def empty_call_seconds() -> float:
+    """What calling a compiled function costs that does nothing: part of every time."""
+    call = jax.jit(lambda x, setting: (x, setting))
+    x, setting = {"R": jnp.eye(3), "w": jnp.ones(3)}, jnp.asarray(1.0)
+    jax.block_until_ready(call(x, setting))
+    return median(seconds_of(lambda: call(x, setting)) for _ in range(201))

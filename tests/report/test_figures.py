@@ -1,0 +1,214 @@
+"""The figures measure what they say, here in small, and see what is wrong."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.lowering.native.backend import installed
+from twistax.mechanics import SpatialInertia
+from twistax.mechanics.joints import screws
+from twistax.report.checks import Absent, Check, Found
+from twistax.report.figures import identities, keeping, scalars, steps
+from twistax.report.figures.sections import SECTIONS
+from twistax.report.speed.case import CASES
+from twistax.scenes import SCENES
+
+needs_llvmlite = pytest.mark.skipif(not installed(), reason="native kernels need llvmlite")
+
+
+def test_every_row_has_a_key_of_its_own() -> None:
+    for section in SECTIONS:
+        keys = [section.key(check) for _, check in section]
+        assert len(set(keys)) == len(keys)
+        assert section.about.endswith(".")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("check", [c for section in SECTIONS for _, c in section if not c.slow], ids=lambda c: c.what)
+def test_what_is_quick_is_what_was_asked_for(check: Check) -> None:
+    found = Found.of(check.measure)
+    assert found.absent or check.expected.met(found), f"{found.number:.2g}, {found.note}"
+
+
+# ---- identities ------------------------------------------------------------------------------------------------------
+
+
+def test_a_wrong_formula_stands_out_and_the_others_hold() -> None:
+    """Each pair of operators that sources confuse, put in each other's place."""
+    lie, (T, xi, eta, F) = tx.lie, (getattr(identities, f"_{name}") for name in ("T", "xi", "eta", "F"))
+    for order in (tx.LINEAR_FIRST, tx.ANGULAR_FIRST):
+        confused = {
+            "Ad_T eta": lie.SE3AdjointDual(T, order=order) @ eta,
+            "Ad*_T F": lie.SE3Adjoint(T, order=order) @ F,
+            "J_r^-1": lie.LeftJacobianInverse(xi, order=order),
+            "<ad*": tx.linalg.Dot(lie.AdjointDual(xi, F, order=order), eta),
+        }
+        right = identities.lie_identities(order)
+        wrong = [
+            dataclasses.replace(each, name=f"wrong {each.name}", expression=expression)
+            for each in right
+            for start, expression in confused.items()
+            if each.name.startswith(start)
+        ]
+        assert len(wrong) == len(confused)
+        worst = identities.worst_errors([*right, *wrong], order, cases=5)
+        assert all((error > 0.1) == name.startswith("wrong") for name, error in worst.items())
+        assert max(error for error in worst.values() if error < 0.1) < 1e-12
+
+
+def test_every_statement_on_joints_and_bodies_holds() -> None:
+    worst = identities.worst_errors([*identities.joint_identities(), *identities.body_identities()], cases=10)
+    assert len(worst) == 17
+    assert max(worst.values()) < 1e-13
+
+
+def test_wrenches_moved_as_twists_stand_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(screws, "SE3AdjointDual", tx.lie.SE3Adjoint)
+    monkeypatch.setattr(identities, "JOINTS", identities.JOINTS[:1])
+    worst = identities.worst_errors(identities.joint_identities(), cases=3)
+    for statement in ("h*^T H = I", "reciprocity: H^T H-bar* = 0", "power of an actuator = tau . q'"):
+        assert worst[statement] > 0.1
+
+
+def test_a_body_about_the_wrong_point_stands_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tensor read as one about the origin of the frame."""
+    monkeypatch.setattr(identities, "SpatialInertia", SpatialInertia.about_origin)
+    worst = identities.worst_errors([e for e in identities.body_identities() if e.name in ("M", "momentum")], cases=3)
+    assert min(worst.values()) > 1e-3
+
+
+# ---- what is kept ----------------------------------------------------------------------------------------------------
+
+
+def test_momenta_of_the_exact_motion_stay() -> None:
+    kept = keeping._torque_free()[1].kept["momentum"]
+    states = [SCENES["offset-tumble"].truth(t) for t in np.linspace(0.0, 10.0, 11)]
+    xs = {name: np.stack([state[name] for state in states]) for name in ("g", "V")}
+    values, size = kept(xs)
+    assert np.abs(values - values[0]).max() < 1e-12
+    assert size.min() > 3.0
+    for i in range(6):
+        off = xs["V"] + 1e-6 * np.outer(np.arange(11.0), np.eye(6)[i])
+        values, _ = kept(xs | {"V": off})
+        assert np.abs(values - values[0]).max() > 1e-6
+
+
+@pytest.mark.slow
+def test_a_top_keeps_its_vertical_momentum_alone() -> None:
+    """The horizontal ones change: what is measured is no constant. Another method loses it."""
+    top = keeping.top((1.0, 1.3, 0.5))
+    method = tx.Splitting(tx.compositions.SUZUKI4, top.bodies)
+    found = keeping.changes(top, method, 1e-2, (2_000,))
+    assert found["vertical momentum"].relative[-1] < 1e-13
+    assert 1e-14 < found["energy"].relative[-1] < 1e-8
+    lost = keeping.changes(top, tx.RKMK(tx.tableaus.RK4), 1e-2, (2_000,))
+    assert min(lost[name].relative[-1] for name in ("vertical momentum", "energy")) > 1e-9
+    end = tx.integrate(top.dynamics, dict(top.start), t1=20.0, steps=2_000, method=method).xs
+    J = np.array([1.0, 1.3, 0.5])
+    moved, start = end["R"][-1] @ (J * end["w"][-1]), top.start["R"] @ (J * top.start["w"])
+    assert np.abs(np.asarray(moved)[:2] - start[:2]).max() > 0.1
+
+
+@pytest.mark.slow
+def test_quaternions_stay_and_matrices_drift() -> None:
+    for motion in (keeping.constant_twist(), keeping.free_body()):
+        ends = [
+            keeping.changes(motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (1_000, 10_000))["R'R - I"].absolute[-1]
+            for chart in (None, keeping.Matrices())
+        ]
+        assert ends[0] < 4e-15 < 5e-15 < ends[1] < 1e-11
+
+
+@pytest.mark.slow
+def test_changes_shrink_with_the_order() -> None:
+    for tableau, factor in ((tx.tableaus.EULER, 2.0), (tx.tableaus.HEUN, 4.0), (tx.tableaus.RK4, 16.0)):
+        coarse, fine = (
+            keeping.changes(keeping.free_body(), tx.RKMK(tableau), 0.5 / count, (count,))["linear momentum"].absolute[0]
+            for count in (25, 50)
+        )
+        assert 0.6 * factor < coarse / fine < 1.6 * factor
+
+
+# ---- steps -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_both_loops_end_alike() -> None:
+    found = steps.looped(tx.RKMK(tx.tableaus.HEUN), 200)
+    assert all(each.seconds > 0.0 and each.compile_seconds > 0.0 for each in found.values())
+
+
+def test_c_steps_the_same_body_and_the_difference_sees_another(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With another drag the ends are far more than the bar apart; without a compiler it says so."""
+    monkeypatch.setattr(steps.shutil, "which", lambda name: None)
+    with pytest.raises(Absent, match="no gcc on this machine"):
+        steps.beside_c.__wrapped__(2_000)
+    monkeypatch.undo()
+    if steps.shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
+    monkeypatch.setattr(steps, "_REPEATS", steps.Repeats(1, 1))
+    assert len(steps.beside_c.__wrapped__(2_000)) == 3
+    changed = tmp_path / "rkmk4.c"
+    changed.write_text(steps.SOURCE.read_text().replace("DRAG = 0.1;", "DRAG = 0.1001;"))
+    monkeypatch.setattr(steps, "SOURCE", changed)
+    with pytest.raises(RuntimeError, match="DISAGREES"):
+        steps.beside_c.__wrapped__(2_000)
+
+
+@pytest.mark.parametrize("solve", [False, True])
+def test_the_body_of_the_scan_is_newton_and_euler_by_hand(solve: bool) -> None:
+    rate, arguments = steps.scanned(solve)
+    found, state = rate(*arguments), steps.start()
+    M, (w, x, y, z) = keeping.spatial_inertia(), state["q"]
+    v, omega = state["V"][:3], state["V"][3:]
+    R = 2.0 * np.array([[x * x, x * y, x * z], [x * y, y * y, y * z], [x * z, y * z, z * z]])
+    R += 2.0 * w * np.array([[w, -z, y], [z, w, -x], [-y, x, w]]) - np.eye(3)
+    momentum = M @ state["V"]
+    bias = np.concatenate([np.cross(omega, momentum[:3]), np.cross(omega, momentum[3:]) + np.cross(v, momentum[:3])])
+    turn = 0.5 * np.concatenate([[-omega @ state["q"][1:]], w * omega + np.cross(state["q"][1:], omega)])
+    expected = {"p": R @ v, "q": turn, "V": np.linalg.solve(M, steps.WRENCH - bias)}
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, atol=1e-13)
+
+
+# ---- scalars and kernels ---------------------------------------------------------------------------------------------
+
+
+def test_scalars_agree_with_arrays_and_a_disagreement_is_seen() -> None:
+    case = CASES["free-body"]
+    program, function = scalars.program_of(case), scalars.in_arrays(case)
+    assert program.operations <= 230
+    assert scalars.disagreement(program, function, case, derivative=False) < 1e-13
+    off = scalars.disagreement(program, lambda *a: [1.0 + 1e-9 + r for r in function(*a)], case, derivative=False)
+    assert math.isfinite(off)
+    assert off > 1e-3
+
+
+@needs_llvmlite
+def test_integrations_in_a_kernel_end_where_those_by_xla_do() -> None:
+    ratio, apart = scalars.batch_ratio(20, 10)
+    assert ratio > 0.0
+    assert 0.0 <= apart < 1e-13
+
+
+@needs_llvmlite
+def test_sine_and_cosine_are_judged_by_the_last_place() -> None:
+    x = scalars.angles(100)
+    assert 0.3 < scalars.units_off(x, tx.Native()) < 2.0
+    assert scalars.units_off(x, tx.XLA(), lambda s: tx.Sin(s * (1.0 + 1e-14))) > 2.0
+    assert np.isnan(scalars.units_off(x, tx.XLA(), lambda s: tx.Sin(s + tx.Where(s <= 1.0, 0.0, np.nan))))
+
+
+def test_what_runs_no_kernel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RuntimeError, match="no kernel runs the function"):
+        scalars._native(jax.jit(lambda x: x + 1.0), np.ones(3))
+    monkeypatch.setattr(scalars, "installed", lambda: False)
+    kernels = next(section for section in SECTIONS if section.name == "kernels")
+    absent: list[Any] = [Found.of(check.measure) for _, check in kernels if not check.slow]
+    assert all(found.absent and "llvmlite is not installed" in found.note for found in absent)

@@ -1,0 +1,365 @@
+"""What all reports share: rows and their store, timing in turn, checks and their bars, the command, the pages."""
+
+import argparse
+import csv
+import dataclasses
+import importlib.util
+import io
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.__main__ import main
+from twistax.report.checked import Checked, draw
+from twistax.report.checks import (
+    Absent,
+    Between,
+    Check,
+    Either,
+    Ended,
+    Ends,
+    Found,
+    Place,
+    Refused,
+    Section,
+    agree,
+    at_least,
+    at_most,
+    simulated,
+)
+from twistax.report.command import run_report
+from twistax.report.origin import Origin
+from twistax.report.pages.page import Picture, duration, render, renew, section_table
+from twistax.report.progress import Progress
+from twistax.report.rows import Row, number, plain
+from twistax.report.store import Store
+from twistax.report.timing import Repeats, Timed, compiled, in_turn, ratio
+
+LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
+ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
+
+# ---- rows and their store --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1e5, "1e5"), (1e-12, "1e-12"), (0.05, "0.05"), (500.0, "500"), (0.0, "0")]
+)
+def test_round_numbers(value: float, text: str) -> None:
+    assert plain(value) == text
+
+
+def test_measured_numbers_have_two_or_three_digits() -> None:
+    assert [number(v) for v in (1501.0, 0.2345, 1.234e-6, 0.0)] == ["1,501", "0.234", "1.2e-6", "0"]
+    assert [duration(v) for v in (2.0, 1.5e-3, 4.2e-5, math.nan)] == ["2 s", "1.5 ms", "42 us", "-"]
+
+
+def test_rows_come_back_from_disk_until_something_else_is_measured(tmp_path: Path) -> None:
+    path = tmp_path / "rows.json"
+    row = Row("scene", "one call", "RK4", "steps 8", math.nan, "s", numbers={"error": 1e-3, "fastest": math.nan})
+    Store(path, ORIGIN).add([row])
+    again = Store(path, ORIGIN)
+    assert (len(again), again.dropped) == (1, 0)
+    found = again.get("scene", "one call", "RK4", "steps 8")
+    assert math.isnan(found.value)
+    assert found.numbers["error"] == 1e-3
+    assert math.isnan(found.numbers["fastest"])
+    for change in ({"versions": {"jax": "2"}}, {"code": "abd"}, {"machine": "another"}, {"effort": {"rounds": 5}}):
+        other = Store(path, dataclasses.replace(ORIGIN, **change))
+        assert (len(other), other.dropped) == (0, 1)
+    path.write_text(path.read_text()[:60])
+    assert len(Store(path, ORIGIN)) == 0
+
+
+# ---- timing ----------------------------------------------------------------------------------------------------------
+
+
+def test_competitors_take_turns() -> None:
+    """Long ones in some of the rounds; a short one in bursts, whose first call, with cold caches, does not count."""
+    order: list[str] = []
+    timed = {
+        n: Timed(lambda n=n: order.append(n), rough=r) for n, r in {"a": 1.0, "b": 1.0, "c": 6e-3, "d": 1e-3}.items()
+    }
+    in_turn(list(timed.values()), Repeats(rounds=6, least=3, share=0.05))
+    assert "".join(order) == 3 * "cddddabcdddd"
+    assert [len(each.samples) for each in timed.values()] == [3, 3, 6, 18]
+
+
+def test_times_are_medians_of_an_evaluation() -> None:
+    timed = Timed(lambda: None, evaluations=10, samples=[3.0, 1.0, 2.0])
+    assert (timed.seconds, timed.fastest, timed.quartiles) == (0.2, 0.1, (0.15, 0.25))
+    assert ratio(timed, Timed(lambda: None, samples=[0.1])) == pytest.approx(2.0)
+    run = compiled(lambda x: x + 1.0, np.ones(3))
+    assert run.compile_seconds > 0.0
+    np.testing.assert_array_equal(run.result(), [2.0, 2.0, 2.0])
+
+
+# ---- what counts -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "expected", [Between(), at_most(1.0), at_least(1.0), Ends(tx.Result.SUCCESS), Refused(tx.InputError, "")]
+)
+@pytest.mark.parametrize("found", [Found(math.nan), Found(math.inf), Found(failure=LOST), Found(failure=TypeError())])
+def test_nan_and_unforeseen_failures_are_never_what_was_asked_for(expected: Any, found: Found) -> None:
+    assert not expected.met(found)
+
+
+def test_numbers_are_held_against_bars() -> None:
+    assert at_most(1e-3).met(Found(1e-3))
+    assert not at_most(1e-3).met(Found(1.1e-3))
+    assert at_least(4.0).met(Found(4.0))
+    assert not at_least(4.0).met(Found(3.9))
+    assert Between(4.8, 5.2).text == "at least 4.8, at most 5.2"
+    assert Either(at_most(1.0), Ends(tx.Result.MAX_STEPS)).met(Found(failure=Ended(tx.Result.MAX_STEPS, 0.1)))
+    assert not Either(at_most(1.0), Ends(tx.Result.MAX_STEPS)).met(Found(2.0))
+
+
+def test_an_end_needs_its_name_and_its_time() -> None:
+    expected = Ends(tx.Result.NON_FINITE, 0.9, 1.1)
+    assert expected.met(Found(failure=Ended(tx.Result.NON_FINITE, 1.0)))
+    assert not expected.met(Found(failure=Ended(tx.Result.NON_FINITE, 1.2)))
+    assert not expected.met(Found(failure=Ended(tx.Result.MAX_STEPS, 1.0)))
+
+
+def test_an_error_needs_its_type_and_its_words_in_the_first_line() -> None:
+    assert Refused(tx.IntegrationError, "'x' became infinite").met(Found(failure=LOST))
+    assert not Refused(tx.IntegrationError, "fix").met(Found(failure=LOST))
+    assert not Refused(tx.InputError, "'x' became infinite").met(Found(failure=LOST))
+
+
+def test_an_integration_that_ends_early_raises_how_and_when() -> None:
+    x = tx.State("x")
+    growing = tx.compile(tx.System(rates={x: x * x}))
+    with pytest.raises(Ended, match="NON_FINITE at t = 1") as ended:
+        simulated(growing, {"x": 1.0}, t1=2.0, dt=0.02)
+    assert ended.value.result is tx.Result.NON_FINITE
+
+
+def test_results_must_agree_before_times_count() -> None:
+    agree(1e-12, 1e-9)
+    for apart in (1e-8, math.nan):
+        with pytest.raises(RuntimeError, match="DISAGREES by"):
+            agree(apart, 1e-9)
+
+
+# ---- a report of checks ----------------------------------------------------------------------------------------------
+
+
+def raising(error: Exception) -> Callable[[], float]:
+    def measure() -> float:
+        raise error
+
+    return measure
+
+
+def section(*more: Check, wide: bool = False) -> Section:
+    lost = raising(Ended(tx.Result.NON_FINITE, 0.5))
+    reasons = {
+        "Short steps.": [Check("a small error", "RK4", lambda: 2e-9, at_most(1e-8), place=Place("RK4", 1.0))],
+        "Long steps.": [Check("a larger one", "RK4", lambda: 2e-5, at_most(1e-4), place=Place("RK4", 10.0))],
+        "Too long steps.": [
+            Check("too far | beyond", "RK4", lost, Ends(tx.Result.NON_FINITE), slow=True, place=Place("RK4", 100.0))
+        ],
+        "For a test.": list(more),
+    }
+    return Section("made", "Made up", "For a test.", reasons, axes=("step", "error"), wide=wide)
+
+
+SILENT = Check("a silent one", "RK4", lambda: math.nan, at_most(1.0))
+ABSENT = Check("needs a package", "none", raising(Absent("not run: it is not installed")), at_most(1.0))
+BROKEN = Check("without a bar", "RK4", raising(RuntimeError("DISAGREES by 1.0e-03")))
+
+
+class Made(Checked):
+    name, title, about = "stability", "Title", "About."
+
+
+def run(folder: Path, *more: Check, quick: bool = False, again: bool = False, renewed: Path | None = None) -> int:
+    given = argparse.Namespace(
+        out=folder,
+        quick=quick,
+        again=again,
+        renew=renewed,
+        no_progress=True,
+        only=None,
+        stability=True,
+        speed=False,
+        figures=False,
+        scene=None,
+        method=None,
+        case=None,
+    )
+    return run_report(Made(given, [section(*more)]), given)
+
+
+def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, quick=True) == 0
+    assert "made                  2 rows" in capsys.readouterr().out
+    assert run(tmp_path) == 0
+    assert "made                  1 rows" in capsys.readouterr().out  # those that were there are kept
+    assert run(tmp_path, again=True) == 0
+    assert "made                  3 rows" in capsys.readouterr().out
+    with (tmp_path / "stability.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [row["holds"] for row in table] == ["True"] * 3
+    assert len(json.loads((tmp_path / "stability.json").read_text())["rows"]) == 3
+    markdown, page = ((tmp_path / f"stability.{kind}").read_text() for kind in ("md", "html"))
+    for text in (markdown, page):
+        assert "All 3 rows are what was asked for. No row ended with NaN" in text
+        assert "Too long steps." in text
+        assert "NON_FINITE at t = 0.5 s" in text
+        assert "python -m twistax report --stability --out" in text
+    assert "figures/stability-made.svg" in markdown
+    assert "too far \\| beyond" in markdown
+    assert "data:image/svg+xml" in page
+    assert (tmp_path / "figures/stability-made.svg").exists()
+
+
+def test_a_bar_that_fails_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, SILENT, BROKEN) == 1
+    said, markdown = capsys.readouterr().out, (tmp_path / "stability.md").read_text()
+    assert "doubt     a silent one (RK4): NaN OR INFINITE, AND NOTHING SAID SO; asked for: at most 1" in said
+    assert "without a bar (RK4): RuntimeError: DISAGREES by 1.0e-03" in said
+    assert "**2 of 5 rows are not what was asked for**" in markdown
+    assert "1 rows ended with NaN" in markdown
+    assert markdown.count("MISSED") == 2
+
+
+def test_what_is_not_installed_is_named_and_no_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, ABSENT) == 0
+    assert "not run: it is not installed" in (tmp_path / "stability.md").read_text()
+    assert "1 rows were not run" in (tmp_path / "stability.md").read_text()
+    assert run(tmp_path, ABSENT) == 0  # looked for again
+    assert "made                  0 rows" in capsys.readouterr().out.split("time")[1]
+
+
+def test_without_matplotlib_everything_but_the_figures_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert run(tmp_path) == 0
+    assert "get it with pip install 'twistax[plot]'" in capsys.readouterr().out
+    assert "No figures: they need matplotlib" in (tmp_path / "stability.md").read_text()
+
+
+def test_the_figure_shows_numbers_and_ends() -> None:
+    made = section()
+    text = draw(made, [check.row(made) for _, check in made]).decode()
+    assert "Made up" in text
+    assert "x: ends by name" in text
+
+
+def test_a_wide_table_has_a_column_for_each_contender_and_bars_they_share_in_its_head() -> None:
+    rows = [
+        Row("g", "exp", "float64", value=2.0, unit="ulp", bar="at most 8 ulp", holds=True),
+        Row("g", "log", "float64", value=9.0, unit="ulp", bar="at most 8 ulp", holds=False),
+        Row("g", "log", "float32", value=3.0, unit="ulp"),
+    ]
+    head, table, _ = section_table(rows, wide=True)
+    assert head == ["", "float64 (at most 8 ulp)", "float32"]
+    assert table == [["exp", "2 ulp", ""], ["log", "**9 ulp MISSED**", "3 ulp"]]
+
+
+# ---- pages -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_page_is_safe_html_and_plain_markdown() -> None:
+    table = (["name", "value"], [["a | `x < 1`", "**1**"]], 1)
+    markdown, page = render("table", {"title": "a < b", "table": table})
+    assert markdown == "| name | value |\n| --- | ---: |\n| a \\| `x < 1` | **1** |\n"
+    assert "<title>a &lt; b</title>" in page
+    assert '<td class="word">a | <code>x &lt; 1</code></td><td><strong>1</strong></td>' in page
+    assert "http" not in page
+    assert Picture("a.svg", b"<svg/>").data.startswith("data:image/svg+xml;base64,")
+
+
+def test_tables_of_a_document_are_renewed_and_its_prose_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "measured.md"
+    path.write_text(
+        "Before.\n\n<!-- figures: a -->\nold\n<!-- end -->\n\nAfter.\n\n<!-- figures: b -->\nkept\n<!-- end -->\n"
+    )
+    assert renew(path, {"figures: a": (["x"], [["1"]], 1), "figures: c": (["x"], [["2"]], 1)}) == ["figures: a"]
+    text = path.read_text()
+    assert "Before.\n\n<!-- figures: a -->\n\n| x |\n| --- |\n| 1 |\n\n<!-- end -->\n\nAfter." in text
+    assert "kept" in text
+    assert "old" not in text
+    renew(path, {"figures: a": (["x"], [["1"]], 1)})
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize(("terminal", "shown"), [(True, True), (True, False), (False, True)])
+def test_the_progress_bar_is_for_terminals(terminal: bool, shown: bool) -> None:
+    stream = io.StringIO()
+    stream.isatty = lambda: terminal  # type: ignore[method-assign]
+    progress = Progress(stream, 2, shown)
+    progress.start("euler-top")
+    progress.tell("timing", 0.5)
+    progress.end()
+    assert (" 25% " in stream.getvalue() and "euler-top  timing" in stream.getvalue()) == (terminal and shown)
+
+
+# ---- the command -----------------------------------------------------------------------------------------------------
+
+NONSENSE = {
+    "--scene moon": "there is no scene 'moon'; there are euler-top, ",
+    "--method rk5": "there is no method 'rk5'; there are rk4, ",
+    "--speed --case moon": "there is no case 'moon'; there are free-body, ",
+    "--figures --only moon": "there is no section 'moon'; there are identities, ",
+    "--renew moon": "there is no file 'moon'",
+    "--fast": "unrecognized arguments: --fast",
+    "--speed --figures": "not allowed with argument",
+}
+
+
+@pytest.mark.parametrize("words", NONSENSE)
+def test_nonsense_ends_in_one_clear_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["report", *words.split()])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.count("\n") == 1
+    assert NONSENSE[words] in said
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["report", "--figures", "--out", str(tmp_path / "file")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_without_jinja2_it_names_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "jinja2" else find(name, *rest)
+    )
+    assert main(["report", "--figures"]) == 2
+    assert "pip install 'twistax[report]'" in capsys.readouterr().err
+
+
+def test_an_interrupted_run_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checked, "measure", interrupt)
+    assert main(["report", "--figures", "--out", str(tmp_path)]) == 130
+    assert "interrupted; the same command goes on" in capsys.readouterr().err
+
+
+def test_options_are_read_before_anything_heavy_is_loaded() -> None:
+    code = (
+        "import sys, contextlib, twistax.__main__ as m\n"
+        "with contextlib.suppress(SystemExit): m.main(['report', '--fast'])\n"
+        "print([n for n in sys.modules if n.startswith(('diffrax', 'jinja2', 'matplotlib', 'twistax.report.checks'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

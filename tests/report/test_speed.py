@@ -1,0 +1,254 @@
+"""`python -m twistax report --speed`: what agrees is timed, what is missing is named."""
+
+import argparse
+import csv
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.report.command import run_report
+from twistax.report.origin import Origin
+from twistax.report.progress import quiet
+from twistax.report.rows import Row
+from twistax.report.speed import report
+from twistax.report.speed.by_hand import Matrices
+from twistax.report.speed.casadi import Casadi
+from twistax.report.speed.case import CASES, Case, FreeBody
+from twistax.report.speed.contender import PLAIN, SCALARS, Contender
+from twistax.report.speed.measure import QUICK, apart, measure
+from twistax.report.speed.programs import JACOBIAN, LOOP, SINGLE, VALUE, Batch, Lacks, Quantity, Task, values
+from twistax.report.store import Store
+from twistax.report.timing import Repeats, Timed
+
+ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
+SHORT = dataclasses.replace(QUICK, cases=("free-body",), largest=64, repeats=Repeats(2, 1, 1e-3))
+
+
+class Pretending(Task):
+    """Results that are ones, off by a factor; some uses may be refused."""
+
+    def __init__(self, shape: tuple[int, ...], factor: float, seconds: float, refuses: str) -> None:
+        self._shape, self._factor, self._seconds, self._refuses = shape, factor, seconds, refuses
+
+    def _program(self, evaluations: int, *points: int) -> Timed:
+        return Timed(lambda: np.full((*points, *self._shape), self._factor), evaluations, self._seconds)
+
+    def single(self) -> Timed:
+        return self._program(1)
+
+    def loop(self, steps: int) -> Timed:
+        if self._refuses == "loop":
+            raise Lacks("it has no loop")
+        return self._program(steps)
+
+    def batch(self, count: int) -> Timed:
+        return self._program(count, count)
+
+
+class Pretender(Contender):
+    how, colour = "pretends", "C0"
+
+    def __init__(
+        self, name: str, factor: float = 1.0, gone: str | None = None, seconds: float = 0.1, refuses: str = ""
+    ) -> None:
+        self.name, self.factor, self.gone, self.seconds, self.refuses = name, factor, gone, seconds, refuses
+
+    def absent(self) -> str | None:
+        return self.gone
+
+    def task(self, case: Case, quantity: Quantity) -> Task:
+        return Pretending(quantity.shape(case), self.factor, self.seconds, self.refuses)
+
+
+def run(folder: Path, *contenders: Contender) -> int:
+    given = argparse.Namespace(
+        out=folder,
+        quick=True,
+        again=False,
+        renew=None,
+        no_progress=True,
+        only=None,
+        stability=False,
+        speed=True,
+        figures=False,
+        scene=None,
+        method=None,
+        case=None,
+    )
+    return run_report(report.Speed(given, contenders), given)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "QUICK", SHORT)
+
+
+def test_a_run_says_who_is_absent_and_who_disagrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gone = Pretender("gone", gone="gone is not installed")
+    assert run(tmp_path, Pretender("ours"), Pretender("plain JAX", 1 + 1e-12), Pretender("wrong", 1 + 1e-6), gone) == 1
+    said = capsys.readouterr().out
+    assert "absent    gone: gone is not installed" in said
+    assert "doubt     wrong disagrees by 1e-06: free-body value in a loop" in said
+
+    with (tmp_path / "speed.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert {row["by"] for row in table} == {"ours", "plain JAX", "wrong"}
+    assert len(table) == 3 * 3  # a call, a loop, a batch of 64
+    for row in table:
+        timed = row["by"] != "wrong"
+        assert (row["note"] == "done") == timed
+        assert (row["value"] != "") == timed
+        if timed:
+            assert 0.0 < float(row["fastest"]) <= float(row["lower"]) <= float(row["value"]) <= float(row["upper"])
+    document = json.loads((tmp_path / "speed.json").read_text())
+    assert len(document["rows"]) == 9
+    for name in ("speed.md", "speed.html"):
+        text = (tmp_path / name).read_text()
+        assert "gone is absent" in text
+        assert "Not all results agree" in text
+        assert document["machine"] in text
+        assert "no XLA flag" in text
+    assert (tmp_path / "figures/speed-value.svg").stat().st_size < 100_000
+
+
+def test_what_was_measured_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    both = Pretender("ours"), Pretender("plain JAX")
+    assert run(tmp_path, *both) == 0
+    assert "   6 rows" in capsys.readouterr().out
+    document = json.loads((tmp_path / "speed.json").read_text())
+    del document["rows"][-2:]
+    (tmp_path / "speed.json").write_text(json.dumps(document))
+    assert run(tmp_path, *both) == 0
+    assert "   2 rows" in capsys.readouterr().out  # the last use, in which two rows were missing
+    assert run(tmp_path, *both) == 0
+    assert "   0 rows" in capsys.readouterr().out
+
+
+def test_bars_are_ratios_and_seconds_to_compile() -> None:
+    def row(by: str, value: float, use: str = "in a loop") -> Row:
+        return Row("aba-7", "value", by, use, value, numbers={"compile_seconds": 2.0})
+
+    found = {
+        (each.by, each.setting): each for each in report.bar_rows([row("twistax XLA", 1.0), row("plain JAX", 4.0)])
+    }
+    assert (found["twistax XLA", "over plain JAX"].value, found["twistax XLA", "over plain JAX"].verdict) == (
+        0.25,
+        "MISSED",
+    )
+    assert found["twistax XLA", "compiling"].came == "2 s"
+    assert found["twistax XLA", "compiling"].holds is False
+    assert found["twistax native", "over CasADi C"].verdict == "not run"
+
+
+def measured(store: Store, contenders: Sequence[Contender], case: Case = CASES["free-body"]) -> dict[Any, Row]:
+    measure(case, VALUE, [SINGLE, LOOP, Batch.with_points(8)], contenders, SHORT, store, quiet)
+    return {(row.by, row.setting): row for row in store}
+
+
+def test_what_would_take_too_long_is_left_out(tmp_path: Path) -> None:
+    """It goes by the batch before; calls from Python and loops say nothing of a batch."""
+    store, hurried = Store(tmp_path / "rows.json", ORIGIN), dataclasses.replace(SHORT, longest=1e-12)
+    uses = [SINGLE, Batch.with_points(64), Batch.with_points(4096)]
+    measure(CASES["free-body"], VALUE, uses, [Pretender("ours")], hurried, store, quiet)
+    results = {row.setting: row.note for row in store}
+    assert [results[use.name] for use in uses] == ["done", "done", "a call would take 0 s"]
+
+
+def test_a_use_that_is_refused_says_why(tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows.json", ORIGIN)
+    rows = measured(store, [Pretender("ours"), Pretender("peer", refuses="loop")])
+    assert rows["peer", "in a loop"].note == "it has no loop"
+    assert rows["peer", "batch of 8"].done
+    again = Store(tmp_path / "rows.json", ORIGIN)
+    assert len(again) == 6
+    assert again.get("free-body", "value", "ours", "single call") == rows["ours", "single call"]
+
+
+def test_what_compiles_for_too_long_is_not_compiled_again(tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows.json", ORIGIN)
+    rows = measured(store, [Pretender("ours"), Pretender("slow", seconds=SHORT.patience + 1.0)])
+    assert rows["slow", "single call"].done
+    assert rows["slow", "in a loop"].note == f"compiling another use took {SHORT.patience + 1.0:.0f} s"
+
+
+def test_a_failure_of_a_peer_ends_its_row_alone(tmp_path: Path) -> None:
+    class Failing(Pretender):
+        def task(self, case: Case, quantity: Quantity) -> Task:
+            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nand more")
+
+    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [Pretender("ours"), Failing("peer")])
+    assert rows["peer", "in a loop"].note == "failed: RESOURCE_EXHAUSTED: Out of memory"
+    assert rows["ours", "in a loop"].done
+
+
+def test_the_difference_is_relative_to_the_largest_entry_of_a_point() -> None:
+    reference = np.array([[1.0, 2.0], [100.0, 0.0]])
+    assert apart(reference, reference, 1) == 0.0
+    assert apart(reference + np.array([[0.0, 0.0], [0.0, 1.0]]), reference, 1) == pytest.approx(1e-2)
+    assert apart(reference + np.array([[1.0, 0.0], [0.0, 0.0]]), reference, 1) == pytest.approx(0.5)
+    assert apart(reference[:, :1], reference, 1) == np.inf
+    assert apart(np.full((2, 2), np.nan), reference, 1) == np.inf
+
+
+def test_ours_and_plain_jax_agree_in_every_use(tmp_path: Path) -> None:
+    """The free body, compiled."""
+    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [SCALARS, PLAIN], FreeBody())
+    assert len(rows) == 6
+    for row in rows.values():
+        assert row.done
+        assert row.numbers["difference"] < 1e-13
+        assert row.numbers["compile_seconds"] > 0.0
+
+
+def test_a_package_that_is_not_there_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert Casadi().absent() == "casadi is not installed"
+
+
+def test_c_of_casadi_gives_what_the_matrices_give() -> None:
+    """Values and Jacobians, row by row, in all three uses."""
+    pytest.importorskip("casadi")
+    case = CASES["free-body"]
+    for quantity in (VALUE, JACOBIAN):
+        ours, task = PLAIN.task(case, quantity), Casadi().task(case, quantity)
+        expected = values(ours.batch(3))
+        assert apart(values(task.batch(3)), expected, len(quantity.shape(case))) < 1e-13
+        assert apart(values(task.loop(5)), expected[0], len(quantity.shape(case))) < 1e-13
+        assert apart(values(task.single()), expected[0], len(quantity.shape(case))) < 1e-13
+
+
+def test_parts_of_a_result_are_joined_for_the_comparison_alone() -> None:
+    """What is timed gives the rates of the pose and of the twist as they are: no copy that others do not make."""
+    for contender in (SCALARS, PLAIN):
+        program = contender.task(FreeBody(), VALUE).batch(3)
+        assert [part.shape for part in program.call()] == [(3, 7), (3, 6)]
+        assert values(program).shape == (3, 13)
+
+
+def by_hand(name: str, *arguments: Any) -> Any:
+    return np.concatenate(CASES[name].by_hand(Matrices(np), *arguments))
+
+
+def test_forces_and_accelerations_are_inverse_to_each_other() -> None:
+    q, qd, tau = (points[0] for points in CASES["aba-7"].points(1))
+    accelerations = by_hand("aba-7", q, qd, tau)
+    assert np.allclose(by_hand("rnea-7", q, qd, accelerations), tau, rtol=0.0, atol=1e-10)
+
+
+def test_they_agree_with_ours() -> None:
+    for name in ("free-body", "rnea-7"):
+        case = CASES[name]
+        dynamics = tx.compile(case.system(), backend=tx.XLA())
+        # A quaternion of another length too: else derivatives by its entries would differ.
+        point = [jnp.asarray(1.3 * points[0]) for points in case.points(1)]
+        rates = jax.jit(lambda *point, case=case, dynamics=dynamics: dynamics(0.0, *case.inputs(*point)))(*point)
+        ours = np.concatenate([rates[name] for name in case.rates])
+        assert np.max(np.abs(by_hand(name, *map(np.asarray, point)) - ours)) < 1e-13 * np.max(np.abs(ours))
