@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import functools
+import re
 from typing import Any
 
 import jax
@@ -12,6 +14,8 @@ import pytest
 from scipy.linalg import expm
 
 import twistax as tx
+from twistax.lowering import jacobian
+from twistax.lowering.scalar.graph import TooLarge
 
 INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
 V, mass = tx.State("V", (6,)), tx.State("mass")
@@ -395,6 +399,25 @@ def test_explain_counts_scalars_and_shows_the_pattern() -> None:
     assert explanation.picture().splitlines()[3] == "|...#..#|#..|"
     assert "runs as arrays: fewer than 500" in str(explanation)
     assert explanation.as_dict()["patterns"]["params"] == [[False]] * 3 + [[True]] * 3 + [[False]]
+
+
+def test_explain_leaves_out_a_jacobian_that_is_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As that of thirty links; all else is told."""
+
+    def refused(*arguments: Any) -> Any:
+        raise TooLarge("the function takes more than 200000 scalars")
+
+    monkeypatch.setattr(jacobian, "columns_of", refused)
+    y = tx.State("y", shape=(2,))
+    shared = functools.reduce(lambda e, _: e + tx.Sin(e), range(40), y)
+    explanation = tx.compile(tx.System(rates={y: shared})).explain()
+    assert explanation.operations[1] == {"add": 80, "sin": 80}
+    assert explanation.patterns == {}
+    assert "the Jacobian is left out: it takes too many scalars" in str(explanation)
+    assert "the Jacobian is left out" in explanation.picture()
+    assert re.search(r"nodes of the rates: \d\.\de\+\d+ as written", str(explanation))
+    with pytest.raises(tx.ModelError, match="no pattern to plot"):
+        explanation.plot(None)
 
 
 def test_explain_of_one_entry() -> None:
