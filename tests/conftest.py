@@ -55,6 +55,39 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
+#: Quick tests that touch every package: the smoke tier. Files, or tests of a file.
+SMOKE = (
+    "test_jax_inside.py",
+    "test_system.py",
+    "test_docs.py::test_code_blocks_run[README.md]",
+    "demo/test_arguments.py",
+    "expr/test_kinks.py",
+    "expr/test_vmap.py",
+    "groups/test_se3_forms.py",
+    "integrators/test_controls.py::test_an_array_is_held",
+    "integrators/test_events.py::test_directions",
+    "integrators/test_implicit.py::test_one_step_takes_a_fast_transient_away",
+    "integrators/test_lie_solver.py::test_a_plain_controller_works_too",
+    "integrators/test_magnus.py",
+    "integrators/test_small_call.py::test_the_attribute_reaches_the_compiled_program",
+    "lowering/export/test_casadi_function.py::test_values_names_and_shapes",
+    "lowering/export/test_saved.py::test_a_system_comes_back",
+    "lowering/native/test_native_systems.py::test_as_in_arrays",
+    "lowering/test_scalar_graph.py",
+    "mechanics/test_two_bodies.py",
+    "scenes/test_scene.py",
+    "trajectory/test_discretize.py::test_euclidean_states_reduce_to_the_matrix_exponential",
+    "trajectory/test_known_answers.py::test_least_energy_of_a_double_integrator",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the smoke tier. Names that are gone are told by test_architecture.py."""
+    for item in items:
+        if item.nodeid.removeprefix("tests/").startswith(SMOKE) and not item.get_closest_marker("slow"):
+            item.add_marker("smoke")
+
+
 #: Megabytes that a worker may hold before what JAX keeps of earlier tests is dropped.
 MEMORY = 1100
 

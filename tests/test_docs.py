@@ -19,8 +19,8 @@ def test_code_blocks_run(page: Path) -> None:
     exec(compile(blocks(page), str(page), "exec"), {"__name__": "docs"})
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
-        if "://" not in target:
-            assert (page.parent / target).exists(), target
+def test_links_lead_somewhere() -> None:
+    links = [(page, target) for page in PAGES for target in re.findall(r"\]\(([^)#]+)\)", page.read_text())]
+    inside = [(page, target) for page, target in links if "://" not in target]
+    assert len(inside) > 20
+    assert [f"{page.name}: {target}" for page, target in inside if not (page.parent / target).exists()] == []

@@ -1,0 +1,706 @@
+"""Errors of one line, put into a copy of the tree one at a time: the tests must fail for each.
+
+    python tests/mutations.py [--jobs N] [--only NAME ...] [--list]
+
+An entry names the tests that are expected to see it; they run first, and the whole default tier where they do not. The
+table says which test saw the error. The exit status is 0 if each one was seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import concurrent.futures
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+#: What a run of the tests reads.
+PARTS = ("src", "tests", "docs", "examples", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml")
+
+#: Seconds after which a run of the named tests is stopped: an endless loop is an error that is seen.
+LIMIT = 900
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """An error of one line.
+
+    Attributes:
+        name: what is wrong, in a few words.
+        file: the file below src/twistax.
+        old: text that stands there once.
+        new: what stands there instead.
+        tests: files or test ids below tests/ that should see it.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    def applied(self, text: str) -> str:
+        """The text of the file with the error in it."""
+        if (found := text.count(self.old)) != 1:
+            raise ValueError(f"{self.name}: {self.old!r} stands {found} times in {self.file}, not once; mend the entry")
+        return text.replace(self.old, self.new)
+
+
+def _at(file: str, *entries: tuple[str, str, str, str]) -> list[Mutation]:
+    """Errors of one file: (name, what stands there, what stands there instead, tests) each."""
+    return [Mutation(name, file, old, new, tuple(tests.split())) for name, old, new, tests in entries]
+
+
+MUTATIONS: list[Mutation] = [
+    # ---- groups ------------------------------------------------------------------------------------------------------
+    *_at(
+        "groups/se3.py",
+        ("sign in ad*", "add(cross(v, p), cross(w, L))", "add(cross(p, v), cross(w, L))", "groups/test_se3_forms.py"),
+        ("sign in Log", "scale(-0.5, once)", "scale(0.5, once)", "groups/test_group_laws.py"),
+        (
+            "half a term of the inverse Jacobian",
+            "scale(2.0 * rise * dot(w, v), turn)",
+            "scale(rise * dot(w, v), turn)",
+            "groups/test_se3_forms.py groups/test_group_laws.py",
+        ),
+        (
+            "inverse pose by R in place of R^T",
+            "return transform(Rt, -multiply(Rt, T[:3, 3]))",
+            "return transform(Rt, -multiply(T[:3, :3], T[:3, 3]))",
+            "groups/test_se3_forms.py",
+        ),
+    ),
+    *_at(
+        "groups/so3.py",
+        (
+            "turns the other way",
+            "return rigid_polynomial(parts, first, second)",
+            "return rigid_polynomial(parts, -first, second)",
+            "groups/test_group_laws.py",
+        ),
+        (
+            "tightening by the whole defect",
+            "0.5 * (dot(column, column) - 1.0)",
+            "(dot(column, column) - 1.0)",
+            "groups/test_group_interface.py integrators/test_flights.py",
+        ),
+    ),
+    *_at(
+        "groups/series.py",
+        (
+            "gradient rule of the Stumpff functions",
+            "0.5 * (k * stumpff(k + 2, x) - stumpff(k + 1, x)) * dx",
+            "0.5 * (k * stumpff(k + 2, x) + stumpff(k + 1, x)) * dx",
+            "groups/test_group_series.py",
+        ),
+        (
+            "angle without its guard at zero",
+            "jnp.sqrt(jnp.maximum(x, float(jnp.finfo(x.dtype).tiny)))",
+            "jnp.sqrt(x)",
+            "groups/test_group_series.py groups/test_group_laws.py",
+        ),
+        (
+            "series taken where the closed form is meant",
+            "jnp.where(x < switch, series, closed)",
+            "jnp.where(x > switch, series, closed)",
+            "groups/test_group_series.py",
+        ),
+    ),
+    *_at(
+        "groups/quaternions.py",
+        (
+            "axis of a half turn",
+            "return jnp.where(leading < 0.0, -q, q)",
+            "return jnp.where(leading > 0.0, -q, q)",
+            "groups/test_se3_forms.py groups/test_poses.py",
+        ),
+    ),
+    *_at(
+        "groups/special.py",
+        (
+            "Ad keeps linear first in another order",
+            "return self.order.from_linear_first(se3.Ad(g))",
+            "return se3.Ad(g)",
+            "groups/test_se3_forms.py groups/test_group_laws.py",
+        ),
+    ),
+    *_at(
+        "groups/pose.py",
+        (
+            "Euler angles in the other order",
+            "quaternions.hamilton(quaternions.hamilton(about_z, about_y), about_x)",
+            "quaternions.hamilton(quaternions.hamilton(about_x, about_y), about_z)",
+            "groups/test_poses.py",
+        ),
+    ),
+    # ---- expr and system ---------------------------------------------------------------------------------------------
+    *_at(
+        "expr/interpolation.py",
+        (
+            "a corner of the cell is another one",
+            "low = (1.0 - t) * fp[i, j] + t * fp[i, j + 1]",
+            "low = (1.0 - t) * fp[i, j] + t * fp[i + 1, j]",
+            "expr/test_node_values.py",
+        ),
+    ),
+    *_at(
+        "expr/lie/transforms.py",
+        (
+            "inverse of a translation is itself",
+            "return Pose(inner.rotation, Neg(inner.position))",
+            "return Pose(inner.rotation, inner.position)",
+            "expr/test_lie_rewrites.py",
+        ),
+    ),
+    *_at(
+        "expr/lie/actions.py",
+        (
+            "moment of the wrong half",
+            "return turn(moved - moment(turned)), turn(turned)",
+            "return turn(moved + moment(turned)), turn(turned)",
+            "expr/test_lie_columns.py expr/test_lie_nodes.py",
+        ),
+    ),
+    *_at(
+        "expr/arithmetic.py",
+        ("0 - x is x", "return Neg(self.right)", "return self.right", "expr/test_canonicalize.py"),
+        (
+            "a sum of opposites keeps the wrong one",
+            "opposite = waiting.get((key, not negative))",
+            "opposite = waiting.get((key, negative))",
+            "expr/test_canonicalize.py",
+        ),
+    ),
+    *_at(
+        "expr/trigonometry.py",
+        (
+            "acos is asin",
+            "jnp.arctan2(_leg(values[0]), values[0])",
+            "jnp.arctan2(values[0], _leg(values[0]))",
+            "expr/test_node_values.py",
+        ),
+    ),
+    *_at(
+        "expr/vmap.py",
+        ("nested maps share placeholders", "_depth.set(depth + 1)", "_depth.set(depth)", "expr/test_vmap.py"),
+    ),
+    *_at(
+        "expr/node.py",
+        (
+            "a key without the static fields",
+            "digest.update(repr(self.static_key()).encode())",
+            "pass",
+            "expr/test_canonicalize.py",
+        ),
+    ),
+    *_at(
+        "expr/constraint.py",
+        ("a constraint turned round", "return self.lhs - self.rhs", "return self.rhs - self.lhs", "expr/test_vmap.py"),
+    ),
+    *_at(
+        "system.py",
+        (
+            "a rate of the state's shape on a group",
+            "wanted = state.shape if euclidean else (state.group.dimension,)",
+            "wanted = state.shape",
+            "test_system.py test_unified_notation.py",
+        ),
+    ),
+    # ---- lowering ----------------------------------------------------------------------------------------------------
+    *_at(
+        "lowering/scalar/operations.py",
+        (
+            "cotangents of a choice swapped",
+            "return [None, g.select(c, cotangent, zero), g.select(c, zero, cotangent)]",
+            "return [None, g.select(c, zero, cotangent), g.select(c, cotangent, zero)]",
+            "lowering/test_scalar_elementwise.py",
+        ),
+        (
+            "derivative of atan2",
+            "return [g.mul(a[1], inverse), g.neg(g.mul(a[0], inverse))]",
+            "return [g.mul(a[1], inverse), g.mul(a[0], inverse)]",
+            "lowering/test_scalar_elementwise.py",
+        ),
+        (
+            "slope of max where both are equal",
+            'g.select(g.node(by_primitive["eq"], *a), _half(g), g.zero)',
+            "g.zero",
+            "lowering/test_scalar_elementwise.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/graph.py",
+        (
+            "a - b for b - a",
+            "return self.neg(self._known[_SUB, b, a])",
+            "return int(self._known[_SUB, b, a])",
+            "lowering/test_scalar_graph.py lowering/test_scalar_trees.py",
+        ),
+        (
+            "a choice by not c",
+            "return self.select(self.nodes[c][1], b, a)",
+            "return self.select(self.nodes[c][1], a, b)",
+            "lowering/test_scalar_control.py lowering/test_scalar_elementwise.py lowering/test_scalar_graph.py",
+        ),
+        (
+            "0 x is 0 in checked programs too",
+            "if factor == 0.0 and not self.checked:",
+            "if factor == 0.0:",
+            "lowering/test_scalar_graph.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/passes.py",
+        (
+            "product with the divisor",
+            "known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))",
+            "known[i] = new.mul(arguments[0], arguments[1])",
+            "lowering/test_scalar_graph.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/derivatives.py",
+        (
+            "rows of tangents one after the other",
+            "seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True))",
+            "seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist()[::-1], strict=True))",
+            "lowering/test_scalar_elementwise.py",
+        ),
+        (
+            "a cotangent in place of the sum",
+            "found[node] = g.joined(found[node], term) if node in found else term",
+            "found[node] = term",
+            "lowering/test_scalar_elementwise.py lowering/test_scalar_composition.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/rules/movement.py",
+        (
+            "inner padding",
+            "places = low + np.arange(size) * (between + 1)",
+            "places = low + np.arange(size) * between",
+            "lowering/test_scalar_movement.py",
+        ),
+        (
+            "sorted downwards",
+            "swap = g.node(less, rows[0][k + 1], rows[0][k])",
+            "swap = g.node(less, rows[0][k], rows[0][k + 1])",
+            "lowering/test_scalar_movement.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/rules/contraction.py",
+        (
+            "place of the largest",
+            "enumerate(entries[1:], start=1)",
+            "enumerate(entries[1:], start=0)",
+            "lowering/test_scalar_elementwise.py lowering/test_scalar_movement.py lowering/test_scalar_control.py",
+        ),
+    ),
+    # ---- lowering, native kernels ------------------------------------------------------------------------------------
+    *_at(
+        "lowering/native/tile.py",
+        (
+            "lane of the row before",
+            'i64 %last, i64 {lane})")',
+            'i64 %last, i64 {lane - 1})")',
+            "lowering/native/test_native_transformations.py lowering/native/test_native_operations.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/operations.py",
+        (
+            "max loses NaN",
+            'code.emit(f"fcmp uno {code.vector(kind)} {a}, {a}"), a, first)',
+            'code.emit(f"fcmp uno {code.vector(kind)} {b}, {b}"), a, first)',
+            "lowering/native/test_native_operations.py",
+        ),
+        (
+            "integers widened without their sign",
+            '"sext" if target == "i64" else "trunc"',
+            '"zext" if target == "i64" else "trunc"',
+            "lowering/native/test_native_operations.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/kernel.py",
+        (
+            "one name for every kernel",
+            "parts = (text, processor.name,",
+            "parts = (processor.name,",
+            "lowering/native/test_native_systems.py",
+        ),
+    ),
+    # ---- lowering, export --------------------------------------------------------------------------------------------
+    *_at(
+        "lowering/export/c_forms.py",
+        (
+            "max in C loses NaN",
+            '_LARGER = "(a > b || isnan(a)) ? a : b"',
+            '_LARGER = "(a > b) ? a : b"',
+            "lowering/export/test_c_operations.py",
+        ),
+        (
+            "a choice in C the other way",
+            'return Written(f"{which} ? {a} : {b}")',
+            'return Written(f"{which} ? {b} : {a}")',
+            "lowering/export/test_c_operations.py",
+        ),
+    ),
+    *_at(
+        "lowering/export/casadi_forms.py",
+        (
+            "whole part in CasADi",
+            "return casadi.sign(a) * casadi.floor(casadi.fabs(a))",
+            "return casadi.floor(a)",
+            "lowering/export/test_casadi_function.py",
+        ),
+    ),
+    *_at(
+        "lowering/export/saved.py",
+        (
+            "keys of rates alone",
+            "for own in (system.rates, system.outputs, system.constraints) for e",
+            "for own in (system.rates,) for e",
+            "lowering/export/test_saved.py",
+        ),
+    ),
+    # ---- integrators -------------------------------------------------------------------------------------------------
+    *_at(
+        "integrators/tableaus/low_order.py",
+        (
+            "a weight of the embedded method",
+            "b_embedded=[7 / 24, 1 / 4, 1 / 3, 1 / 8]",
+            "b_embedded=[7 / 24, 1 / 3, 1 / 4, 1 / 8]",
+            "integrators/test_order_conditions.py integrators/test_tableaus.py",
+        ),
+    ),
+    *_at(
+        "integrators/tolerances.py",
+        (
+            "error without the size of the state",
+            "self.atol[name] + self.rtol * typical",
+            "self.atol[name] + self.rtol",
+            "integrators/test_tolerances.py",
+        ),
+        (
+            "tolerances of position and rotation swapped",
+            "jnp.stack([position] * 3 + [rotation] * 3)",
+            "jnp.stack([rotation] * 3 + [position] * 3)",
+            "integrators/test_tolerances.py",
+        ),
+    ),
+    *_at(
+        "integrators/step_control.py",
+        (
+            "sign of the proportional part",
+            "exponent = -(p + i + d) * now + (p + 2.0 * d) * past.last",
+            "exponent = -(p + i + d) * now - (p + 2.0 * d) * past.last",
+            "integrators/test_step_control.py",
+        ),
+    ),
+    *_at(
+        "integrators/adaptive.py",
+        (
+            "steps are never taken back",
+            "good = square <= 1.0",
+            "good = square <= 1e6",
+            "integrators/test_tolerances.py integrators/test_adaptive.py",
+        ),
+    ),
+    *_at(
+        "integrators/charts/ambient.py",
+        (
+            "ambient position in the body's axes",
+            "(*quaternions.rate(moved[:4], omega[3:]), *quaternions.rotate(moved[:4], omega[:3]))",
+            "(*quaternions.rate(moved[:4], omega[3:]), *omega[:3])",
+            "integrators/test_charts.py::test_coordinates_follow_the_rate",
+        ),
+    ),
+    *_at(
+        "integrators/commutator_free.py",
+        (
+            "exponentials in the other order",
+            "b=[[1 / 4, 1 / 6, 1 / 6, -1 / 12], [-1 / 12, 1 / 6, 1 / 6, 1 / 4]]",
+            "b=[[-1 / 12, 1 / 6, 1 / 6, 1 / 4], [1 / 4, 1 / 6, 1 / 6, -1 / 12]]",
+            "integrators/test_commutator_free.py::test_the_order_is_four",
+        ),
+    ),
+    *_at(
+        "integrators/magnus.py",
+        (
+            "sign of the bracket",
+            "+ sqrt(3.0) / 12.0 * h * h * group.bracket(A[0], A[1])",
+            "- sqrt(3.0) / 12.0 * h * h * group.bracket(A[0], A[1])",
+            "integrators/test_magnus.py",
+        ),
+    ),
+    *_at(
+        "integrators/events.py",
+        (
+            "rising for falling",
+            "(falls & (wanted <= 0)) | (rises & (wanted >= 0))",
+            "(falls & (wanted >= 0)) | (rises & (wanted <= 0))",
+            "integrators/test_events.py::test_directions",
+        ),
+    ),
+    *_at(
+        "integrators/controls.py",
+        (
+            "row after the one that holds",
+            'side="right", method=method) - 1',
+            'side="right", method=method)',
+            "integrators/test_controls.py",
+        ),
+    ),
+    *_at(
+        "integrators/dense.py",
+        (
+            "state of the step before",
+            "k = jnp.clip(before, 0, last)",
+            "k = jnp.clip(before - 1, 0, last)",
+            "integrators/test_dense.py",
+        ),
+    ),
+    *_at(
+        "integrators/checkpointed.py",
+        (
+            "one step beyond the count",
+            "jnp.where(k < count, new, old), step(y, own), y)",
+            "jnp.where(k <= count, new, old), step(y, own), y)",
+            "integrators/test_checkpointed.py",
+        ),
+    ),
+    *_at(
+        "integrators/implicit/stage_equations.py",
+        (
+            "stages not around the middle",
+            "Z - half[None, :]",
+            "Z",
+            "integrators/test_implicit.py",
+        ),
+        (
+            "imaginary part of the solution",
+            "found += [x, -y]",
+            "found += [x, y]",
+            "integrators/test_implicit.py",
+        ),
+    ),
+    *_at(
+        "integrators/implicit/implicit_rkmk.py",
+        (
+            "transpose of the tangent's equations",
+            "jnp.linalg.solve(columns.T, b.reshape(-1))",
+            "jnp.linalg.solve(columns, b.reshape(-1))",
+            "integrators/test_implicit_flights.py",
+        ),
+    ),
+    *_at(
+        "integrators/implicit/newton.py",
+        (
+            "solved too early",
+            "left * found < 1.0",
+            "left * found < 1e9",
+            "integrators/test_implicit.py",
+        ),
+    ),
+    *_at(
+        "integrators/splitting/spin.py",
+        (
+            "twice the turn about an axis",
+            "half = 0.5 * dt * self.strength * _weighted(self.n, own)",
+            "half = dt * self.strength * _weighted(self.n, own)",
+            "integrators/test_splitting.py",
+        ),
+    ),
+    *_at(
+        "integrators/diffrax_bridge/errors_at.py",
+        (
+            "error read in world axes",
+            "back = x[name][:3, :3].T",
+            "back = x[name][:3, :3]",
+            "integrators/test_lie_solver.py",
+        ),
+    ),
+    # ---- mechanics ---------------------------------------------------------------------------------------------------
+    *_at(
+        "mechanics/bodies.py",
+        (
+            "inertia turned the other way",
+            "R @ self.inertia @ R.T",
+            "R.T @ self.inertia @ R",
+            "mechanics/test_bodies.py",
+        ),
+    ),
+    *_at(
+        "mechanics/chain_dynamics.py",
+        (
+            "Coriolis acceleration of a slide",
+            "linear=Cross(before + w, slide)",
+            "linear=Cross(before, slide)",
+            "mechanics/test_serial_chain.py",
+        ),
+        (
+            "gravity upwards",
+            "linear=-chain.gravity",
+            "linear=chain.gravity",
+            "mechanics/test_serial_chain.py",
+        ),
+    ),
+    *_at(
+        "mechanics/environment/atmosphere.py",
+        (
+            "kilograms for grams",
+            "molar_mass=28.9644",
+            "molar_mass=28.9644e-3",
+            "mechanics/test_environment.py",
+        ),
+        (
+            "geometric for geopotential altitude",
+            "H = altitude / (1.0 + altitude / air.radius)",
+            "H = altitude",
+            "mechanics/test_environment.py",
+        ),
+    ),
+    # ---- trajectory and scenes ---------------------------------------------------------------------------------------
+    *_at(
+        "trajectory/linearize.py",
+        (
+            "transport the other way",
+            "jacobian[:, :n] - dynamics.group.ad(rate)",
+            "jacobian[:, :n] + dynamics.group.ad(rate)",
+            "trajectory/test_linearize.py",
+        ),
+    ),
+    *_at(
+        "trajectory/discretize.py",
+        (
+            "substeps that all start at once",
+            "by_h = (by_length + number * by_time) / substeps",
+            "by_h = by_length / substeps",
+            "trajectory/test_discretize.py",
+        ),
+    ),
+    *_at(
+        "trajectory/transcription.py",
+        (
+            "left Jacobian of the defect",
+            "group.ad(defect) - back",
+            "-back",
+            "trajectory/test_transcription.py",
+        ),
+        ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_transcription.py"),
+    ),
+    *_at(
+        "trajectory/rows.py",
+        (
+            "the last end is not asked",
+            "mask[-1, -1, row] = True",
+            "mask[-1, -1, row] = False",
+            "trajectory/test_transcription.py trajectory/test_known_answers.py",
+        ),
+    ),
+    *_at(
+        "scenes/free_rotation.py",
+        (
+            "modulus of the elliptic functions",
+            "m = (b - a) * below / ((c - b) * above)",
+            "m = (b - a) * above / ((c - b) * below)",
+            "scenes/test_exact_solutions.py",
+        ),
+    ),
+]
+
+
+def pytest(tree: Path, tests: tuple[str, ...], *options: str) -> tuple[int, str]:
+    """Exit status and output of the tests of a tree."""
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=no", "-rfE", *options, *tests]
+    environment = os.environ | {"PYTHONPATH": str(tree / "src"), "JAX_PLATFORMS": "cpu"}
+    try:
+        run = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        return 1, f"FAILED no end within {LIMIT} s"
+    return run.returncode, run.stdout + run.stderr
+
+
+def copy_to(folder: str) -> Path:
+    """A copy of the tree, with the times of its files: what Python has compiled of them stays good."""
+    tree = Path(folder)
+    for part in PARTS:
+        source = ROOT / part
+        (shutil.copytree if source.is_dir() else shutil.copy2)(source, tree / part)
+    return tree
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the tests made of an error: `seen_by` is empty if nothing failed, `trouble` says why no test ran."""
+
+    mutation: Mutation
+    seen_by: str
+    expected: bool
+    trouble: str
+    seconds: float
+
+
+def tried(mutation: Mutation) -> Outcome:
+    """The named tests on a tree with the error, then the whole default tier if they pass."""
+    start = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="mutation_") as folder:
+        tree = copy_to(folder)
+        path = tree / "src" / "twistax" / mutation.file
+        path.write_text(mutation.applied(path.read_text()))
+        named = tuple(f"tests/{test}" for test in mutation.tests)
+        for tests in (named, ()):
+            status, output = pytest(tree, tests, "-x", "-n", "0")
+            if status:
+                break
+    seen = re.search(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", output, re.MULTILINE)
+    # 1 is a test that failed; any other status is a tree whose tests could not run, which shows nothing.
+    trouble = output[-2000:] if status not in (0, 1) else ""
+    seen_by = seen[1] if status == 1 and seen else ""
+    return Outcome(mutation, seen_by, tests == named, trouble, time.monotonic() - start)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=1, help="how many trees are tested at a time")
+    parser.add_argument("--only", nargs="+", help="names of errors")
+    parser.add_argument("--list", action="store_true", help="check that each error can be made, and run nothing")
+    arguments = parser.parse_args()
+    chosen = [m for m in MUTATIONS if not arguments.only or m.name in arguments.only]
+    for mutation in chosen:
+        mutation.applied((ROOT / "src" / "twistax" / mutation.file).read_text())
+    print(f"{len(chosen)} errors in {len({m.file for m in chosen})} files", flush=True)
+    if arguments.list:
+        return 0
+
+    # A test that fails anyway sees nothing.
+    named = tuple(sorted({f"tests/{test}" for mutation in chosen for test in mutation.tests}))
+    with tempfile.TemporaryDirectory(prefix="mutation_") as folder:
+        status, output = pytest(copy_to(folder), named, "-n", str(arguments.jobs))
+    if status:
+        print(output, "\nThe named tests fail without any error.", sep="")
+        return 1
+
+    missed = 0
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
+        for outcome in pool.map(tried, chosen):
+            said = outcome.seen_by or outcome.trouble or "NOT SEEN"
+            note = "" if outcome.expected or not outcome.seen_by else " (not by the tests that are named)"
+            print(f"{outcome.seconds:6.0f} s  {outcome.mutation.name:50}  {said}{note}", flush=True)
+            missed += not outcome.seen_by
+    print(f"{len(chosen) - missed} of {len(chosen)} errors are seen")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
