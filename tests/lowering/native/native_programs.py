@@ -39,12 +39,11 @@ def run(program: ScalarProgram, processor: Processor, *columns: Any) -> list[np.
     return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.signature.arguments])]
 
 
+#: Every vector that this machine has: SSE2, AVX2, AVX-512.
+PROCESSORS = [Processor.host(bits) for bits in Processor.widths()]
+at_every_width = pytest.mark.parametrize("processor", PROCESSORS, ids=lambda p: f"{p.bits} bits")
+
+
 def processors() -> list[Processor]:
-    """The host, and the same with narrower vectors, without masks, without fused products."""
-    host = Processor.host()
-    found = [host]
-    for bits, fma in ((256, True), (128, True), (128, False)):
-        if bits <= host.bits and (host.fma or not fma):
-            features = host.features if fma else f"{host.features},-fma,-avx512f,-avx2,-fma4"
-            found.append(dataclasses.replace(host, features=features, bits=bits, fma=fma, masks=False))
-    return found
+    """These, and the narrowest with fused products, as ARM has it."""
+    return [*PROCESSORS, dataclasses.replace(PROCESSORS[-1], bits=128, masks=False)]

@@ -17,7 +17,10 @@ from transformations import agree, transformed
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
+from native_programs import at_every_width
+
 import twistax as tx
+from twistax.lowering.native.processor import Processor
 from twistax.lowering.native.tile import Straight
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
@@ -77,9 +80,11 @@ def wide(x: jax.Array) -> list[jax.Array]:
     return [y[:1], y[:3], y, jnp.concatenate([y, x, y[2:5]]), (x > 0.0)[:5], jnp.argmax(x[:2]), jnp.zeros((0, 2))]
 
 
+@at_every_width
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_any_number_of_bodies(dtype: Any) -> None:
+def test_any_number_of_bodies(dtype: Any, processor: Processor, monkeypatch: pytest.MonkeyPatch) -> None:
     """None, one, remainders of all lengths: each body bit by bit as in any other batch, and as by itself."""
+    monkeypatch.setattr(Processor, "host", lambda: processor)
     function, rows = native(wide), TEN.astype(dtype)
     expected = jax.vmap(lambda x: jax.tree.leaves(wide(x)))(rows)
     everything = jax.vmap(function)(rows)

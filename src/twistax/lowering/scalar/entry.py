@@ -134,9 +134,11 @@ class Entry:
         Raises:
             Unread: it has other parameters than are known.
         """
-        given = parameters(eqn, *self.takes)
-        known = next(form for form in self.takes if set(form) == set(given))
-        return all(reads(given[name]) for name, reads in known.items())
+        for form in self.takes:
+            if form.keys() == eqn.params.keys():
+                return all(reads(eqn.params[name]) for name, reads in form.items() if reads is not ANY)
+        parameters(eqn, *self.takes)
+        return False
 
     def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
         """The results of an equation as nodes; None: it stays a call of JAX.

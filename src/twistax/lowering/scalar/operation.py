@@ -58,7 +58,7 @@ class Operation(Entry):
         result: the type of the result, None: that of the arguments.
         symmetric: whether arguments may be swapped.
         parity: -1 for odd functions, 1 for even ones, 0 for others.
-        made: makes its node with what is known left out, as sums do of zeros; None: the graph does as with all others.
+        maker: graph -> what makes its node, with what is known left out, as sums do of zeros; None: as of all others.
         llvm, c, casadi: how it is written in these languages.
     """
 
@@ -69,7 +69,7 @@ class Operation(Entry):
     result: np.dtype[Any] | None = None
     symmetric: bool = False
     parity: int = 0
-    made: Callable[..., int] | None = None
+    maker: Callable[[Graph], Callable[..., int]] | None = None
     inside: Callable[[Any], bool] = small_inside
     llvm: Forms = Forms()
     c: Forms = Forms()
@@ -78,14 +78,14 @@ class Operation(Entry):
     def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
         if self.read is not None:
             return self.read(reader, eqn, *arrays)
-        return [each(functools.partial(self.node, reader.graph), *arrays)]
+        return [each(self.on(reader.graph), *arrays)]
 
     def sample(self) -> tuple[Any, ...]:
         return self.example or (self.array, *[np.array([0.5, 0.25])] * self.arity)
 
-    def node(self, g: Graph, *arguments: int) -> int:
-        """Its node."""
-        return g.node(self, *arguments) if self.made is None else self.made(g, *arguments)
+    def on(self, g: Graph) -> Callable[..., int]:
+        """What makes its node from those of the arguments."""
+        return functools.partial(g.node, self) if self.maker is None else self.maker(g)
 
     def tangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, along: Sequence[Sequence[int | None]]

@@ -86,7 +86,7 @@ def _rebuilt(
             elif isinstance(operation, Extreme) and not whole:
                 known[i] = functools.reduce(functools.partial(new.node, operation.pair), arguments)
             else:
-                known[i] = operation.node(new, *arguments)
+                known[i] = operation.on(new)(*arguments)
     outputs = tuple(_renamed(known, own) for own in program.outputs)
     return ScalarProgram(new, tuple(inputs), outputs, program.types)
 

@@ -92,7 +92,7 @@ def _reduction(
         real = jnp.issubdtype(eqn.outvars[0].aval.dtype, jnp.floating)
         if many is not None and real and max(map(len, lists), default=0) > 2:
             return [nodes([g.node(many, *each) for each in lists], shape)]
-        return [nodes([functools.reduce(functools.partial(pair.node, g), each) for each in lists], shape)]
+        return [nodes([functools.reduce(pair.on(g), each) for each in lists], shape)]
 
     return Entry(
         name=name,
@@ -113,7 +113,7 @@ def _cumulative(name: str, pair: Operation, example: Any) -> Entry:
         for index in np.ndindex(*found.shape[:-1]):
             for k in range(1, found.shape[-1]):
                 before, own = int(found[(*index, k - 1)]), int(found[(*index, k)])
-                found[(*index, k)] = pair.node(reader.graph, before, own)
+                found[(*index, k)] = pair.on(reader.graph)(before, own)
         return [np.moveaxis(found[..., ::-1] if reverse else found, -1, axis)]
 
     return Entry(

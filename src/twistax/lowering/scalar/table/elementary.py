@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -112,7 +113,7 @@ ELEMENTARY: dict[str, Operation] = {
             array=lax.pow,
             arity=2,
             partials=_power,
-            made=_power_node,
+            maker=lambda g: functools.partial(_power_node, g),
             llvm=Forms(in_llvm.library("pow")),
             c=Forms(in_c.function("pow")),
             casadi=everywhere(lambda casadi, a, b: a**b),

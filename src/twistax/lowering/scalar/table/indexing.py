@@ -162,7 +162,7 @@ def _scatter(combine: str | None) -> Any:
             target = tuple(slice(s, s + m) for s, m in zip(inside, extent, strict=True))
             if combine is not None:
                 pairs = zip(found[target].reshape(-1).tolist(), new.reshape(-1).tolist(), strict=True)
-                new = nodes([ARITHMETIC[combine].node(g, old, one) for old, one in pairs], extent)
+                new = nodes([ARITHMETIC[combine].on(g)(old, one) for old, one in pairs], extent)
             found[target] = new
         return [found]
 

@@ -54,7 +54,7 @@ def _pair(name: str, absorbing: bool, g: Graph, a: int, b: int) -> int:
     return a if a == b else g.node(LOGIC[name], a, b)
 
 
-def _bits(name: str, number: Any, array: Any, signs: tuple[str, str], casadi: Any, made: Any = None) -> Operation:
+def _bits(name: str, number: Any, array: Any, signs: tuple[str, str], casadi: Any, maker: Any = None) -> Operation:
     """Of truth values, or of integers bit by bit; `signs` are those of C. CasADi has no bits of integers."""
     instruction = in_llvm.instruction(name)
     return Operation(
@@ -63,7 +63,7 @@ def _bits(name: str, number: Any, array: Any, signs: tuple[str, str], casadi: An
         array=array,
         arity=2,
         symmetric=True,
-        made=made,
+        maker=maker,
         example=(array, _TRUTH, _TRUTH[::-1]),
         llvm=Forms(None, instruction, instruction),
         c=Forms(None, in_c.bits(signs[0]), in_c.infix(signs[1])),
@@ -95,7 +95,7 @@ LOGIC: dict[str, Operation] = {
             lax.bitwise_and,
             ("&", "&&"),
             lambda casadi, a, b: casadi.logic_and(a, b),
-            functools.partial(_pair, "and", False),
+            lambda g: functools.partial(_pair, "and", False, g),
         ),
         _bits(
             "or",
@@ -103,7 +103,7 @@ LOGIC: dict[str, Operation] = {
             lax.bitwise_or,
             ("|", "||"),
             lambda casadi, a, b: casadi.logic_or(a, b),
-            functools.partial(_pair, "or", True),
+            lambda g: functools.partial(_pair, "or", True, g),
         ),
         _bits("xor", np.bitwise_xor, lax.bitwise_xor, ("^", "!="), lambda casadi, a, b: a != b),
         Operation(
@@ -119,7 +119,7 @@ LOGIC: dict[str, Operation] = {
             name="stop_gradient",
             number=np.positive,
             array=lambda x: x,
-            made=lambda g, x: x if g.numbers[x] is not None else g.node(LOGIC["stop_gradient"], x),
+            maker=lambda g: lambda x: x if g.numbers[x] is not None else g.node(LOGIC["stop_gradient"], x),
             example=(lax.stop_gradient, _REAL),
             moves=True,
             llvm=everywhere(in_llvm.same),
@@ -133,7 +133,7 @@ LOGIC: dict[str, Operation] = {
             number=np.where,
             array=lambda c, a, b: lax.select(c, a, b),
             arity=3,
-            made=lambda g, c, a, b: g.select(c, a, b),
+            maker=lambda g: g.select,
             llvm=everywhere(in_llvm.selected),
             c=everywhere(in_c.selected),
             casadi=everywhere(lambda casadi, c, a, b: casadi.if_else(c, a, b)),
@@ -182,8 +182,8 @@ def _ordered(name: str) -> Any:
     def compare(g: Graph, a: int, b: int) -> int:
         behind = g.node(LOGIC["ne"], b, b)
         if name == "lt":
-            behind = LOGIC["and"].node(g, behind, g.node(LOGIC["eq"], a, a))
-        return LOGIC["or"].node(g, g.node(LOGIC[name], a, b), behind)
+            behind = LOGIC["and"].on(g)(behind, g.node(LOGIC["eq"], a, a))
+        return LOGIC["or"].on(g)(g.node(LOGIC[name], a, b), behind)
 
     return lambda reader, eqn, *arrays: [each(functools.partial(compare, reader.graph), *arrays)]
 
