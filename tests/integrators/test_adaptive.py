@@ -56,6 +56,22 @@ def test_the_error_falls_with_the_tolerance(tableau: ButcherTableau, chart: str)
     assert 0.1 * tols[-1] < error < 50.0 * tols[-1]
 
 
+@pytest.mark.parametrize(
+    ("steps", "method"),
+    [({"rtol": 1e-8}, tx.RKMK(tx.tableaus.DOP853, tx.charts.Ambient())), ({"dt": 0.1}, tx.RKMK(tx.tableaus.RK4))],
+    ids=["tolerances", "fixed"],
+)
+def test_what_is_taken_without_a_method(
+    steps: dict[str, float], method: tx.RKMK, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What the report advises for tolerances, and the classical method for fixed steps: nothing compiles again."""
+    expected = TUMBLE.integrate(t1=1.0, method=method, **steps)
+    assert compilations(caplog, lambda: TUMBLE.integrate(t1=1.0, **steps)) == []
+    found = TUMBLE.integrate(t1=1.0, **steps)
+    assert found.stats == expected.stats
+    np.testing.assert_array_equal(found.xs["g"], expected.xs["g"])
+
+
 @pytest.mark.parametrize("tableau", [tx.tableaus.TSIT5, tx.tableaus.DOP853], ids=lambda tableau: tableau.name)
 def test_a_wrong_embedded_weight_would_show(tableau: ButcherTableau) -> None:
     """The estimate then falls too slowly, and steps shrink more than the tolerance asks."""
@@ -63,7 +79,7 @@ def test_a_wrong_embedded_weight_would_show(tableau: ButcherTableau) -> None:
     if tableau.b_second_embedded is not None:
         fields |= {f: getattr(tableau, f) for f in ("second_embedded_order", "b_second_embedded")}
     off = np.zeros(tableau.stages)
-    off[0], off[tableau.counted_stages - 1] = 1e-3, -1e-3
+    off[0], off[len(tableau.counted.c) - 1] = 1e-3, -1e-3
     wrong = ButcherTableau("wrong", **fields | {"b_embedded": fields["b_embedded"] + off})
     found, error = slope(tx.RKMK(wrong), (1e-5, 1e-6, 1e-7))
     assert found > 1.3 or error < 1e-9

@@ -13,8 +13,7 @@ import pytest
 import twistax as tx
 from twistax.integrators.rkmk import stage_slopes
 from twistax.integrators.tableau import ButcherTableau, Rows
-from twistax.integrators.trees import held
-from twistax.lowering.small_call import small_call
+from twistax.lowering.small_call import held, small_call
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="small calls are for the CPU")
 

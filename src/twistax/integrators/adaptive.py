@@ -22,9 +22,8 @@ from .kernels import kernel_tries
 from .method import Carry, Stepper
 from .solution import Result
 from .step_control import Errors, StepControl, first_step
-from .steps import Outcome, Part, Run, Saved, Steps, check_saves, span_of
+from .steps import Outcome, Part, Run, Saved, Steps, all_finite, check_saves, put, rows, span_of
 from .tolerances import Tolerances
-from .trees import all_finite, put, rows
 
 __all__ = ["AdaptiveSteps", "Stops"]
 

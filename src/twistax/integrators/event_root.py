@@ -12,8 +12,7 @@ from .charts.coordinates import Blocks
 from .events import Watch
 from .method import Stepper
 from .solution import Result
-from .steps import Part, Run, Saved, Trail
-from .trees import put
+from .steps import Part, Run, Saved, Trail, put
 
 __all__ = ["Meeting", "bracketed_root", "cut_at", "locate", "refined", "saved_before"]
 

@@ -17,8 +17,7 @@ from .events import Watched
 from .kernels import KernelSteps, kernel_steps
 from .method import Carry, Stepper
 from .solution import Result
-from .steps import Outcome, Part, Run, Saved, Steps, check_saves, span_of
-from .trees import all_finite, put, rows
+from .steps import Outcome, Part, Run, Saved, Steps, all_finite, check_saves, put, rows, span_of
 
 __all__ = ["FixedSteps", "fixed_steps"]
 

@@ -110,7 +110,7 @@ class Magnus(Method):
 
     def evaluations_of(self, dynamics: Dynamics) -> int:
         """Evaluations of the right-hand side in a step on a system."""
-        stages, flat = self._tableau.counted_stages, _flat_names(dynamics)
+        stages, flat = len(self._tableau.counted.c), _flat_names(dynamics)
         if _fed(dynamics):
             # The first stage of each part is the evaluation at the node.
             return (self._expansion.count + 1) * stages

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from ..lowering.small_call import inside_small_call
+from ..lowering.small_call import held, inside_small_call
 from .charts import Chart, Exponential
 from .charts.coordinates import Blocks, StateCoordinates, chart_of, coordinates_of
 from .method import Attempt, Carry, Method, VectorField
 from .tableau import ButcherTableau, Rows
 from .tolerances import Tolerances
-from .trees import held
 
 __all__ = ["RKMK", "Slopes", "stage_slopes"]
 
@@ -66,7 +65,7 @@ class RKMK(Method):
 
     @property
     def evaluations(self) -> int:
-        return self.tableau.counted_stages
+        return len(self.tableau.counted.c)
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
         return coordinates_of(self.chart, dynamics.group)

@@ -17,8 +17,7 @@ from .event_root import Meeting, cut_at, locate, refined, saved_before
 from .kernels import advance_again
 from .method import Stepper
 from .solution import Result
-from .steps import Outcome, Part, Run, Saved, Steps, Trail
-from .trees import all_finite
+from .steps import Outcome, Part, Run, Saved, Steps, Trail, all_finite
 
 __all__ = ["Rollout", "rollout"]
 

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError
+from ..lowering.small_call import held
 from .charts.coordinates import Blocks
 from .method import Stepper
 from .tolerances import Tolerances
-from .trees import held
 
 __all__ = ["Errors", "StepControl", "first_step"]
 

@@ -1,4 +1,4 @@
-"""How an integration goes from its start to its end: the steps it takes, and where saved times fall between them."""
+"""How an integration goes from its start to its end: the steps, where saved times fall in them, and what loops need."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ..errors import InputError
 from ..jax_inside import is_traced
@@ -17,7 +18,19 @@ from .charts.coordinates import Blocks
 from .events import Watched
 from .method import Stepper
 
-__all__ = ["Outcome", "Part", "Run", "Saved", "Steps", "Trail", "check_saves", "span_of"]
+__all__ = [
+    "Outcome",
+    "Part",
+    "Run",
+    "Saved",
+    "Steps",
+    "Trail",
+    "all_finite",
+    "check_saves",
+    "put",
+    "rows",
+    "span_of",
+]
 
 
 class Outcome(NamedTuple):
@@ -195,3 +208,21 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
         worst = times[0] if times[0] < start - room else times[-1]
         raise InputError(f"save_at must lie inside [t0, t1] = [{start:g}, {end:g}], got {worst:g}")
     return True
+
+
+def all_finite(tree: Any) -> jax.Array:
+    """Whether every entry of a pytree is finite. Traceable.
+
+    One reduction of all entries: XLA would compute a chain of scalar tests again at every place that reads the result.
+    """
+    return jnp.isfinite(ravel_pytree(tree)[0]).all()
+
+
+def rows(like: Any, count: int) -> Any:
+    """Zeros with a leading axis in front of every leaf of a pytree."""
+    return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), like)
+
+
+def put(table: Any, row: Any, value: Any) -> Any:
+    """The table with one row of every leaf set."""
+    return jax.tree.map(lambda a, b: a.at[row].set(jnp.asarray(b, a.dtype)), table, value)

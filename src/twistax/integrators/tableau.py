@@ -77,6 +77,7 @@ class ButcherTableau(Coefficients):
         embedded_order, b_embedded: for pairs, order and weights of the solution that estimates the error, else None.
         second_embedded_order, b_second_embedded: a second such solution, of lower order, for methods that weigh two
             estimates against each other.
+        counted: the stages up to the last one that b counts; later ones serve the embedded solutions or the next step.
 
     Raises:
         ModelError: a wrong shape, a value that is not finite, an implicit stage, or a sum that is off.
@@ -93,6 +94,7 @@ class ButcherTableau(Coefficients):
     b_embedded: Any = None
     second_embedded_order: int | None = None
     b_second_embedded: Any = None
+    counted: Rows = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         b = self._read("b")
@@ -114,22 +116,13 @@ class ButcherTableau(Coefficients):
         self._check_embedded("second_embedded_order", "b_second_embedded")
         if self.b_second_embedded is not None and self.b_embedded is None:
             raise self._error("a second embedded solution needs a first one")
+        n = int(np.flatnonzero(b)[-1]) + 1
+        object.__setattr__(self, "counted", Rows(self.a[:n, :n], self.c[:n]))
 
     @property
     def stages(self) -> int:
         """s, the number of rows of the tableau."""
         return int(self.b.size)
-
-    @property
-    def counted_stages(self) -> int:
-        """The stages up to the last one that b counts; later ones serve the embedded solutions or the next step."""
-        return int(np.flatnonzero(self.b)[-1]) + 1
-
-    @property
-    def counted(self) -> Rows:
-        """The stages that b counts."""
-        n = self.counted_stages
-        return Rows(self.a[:n, :n], self.c[:n])
 
     @property
     def to_the_end(self) -> Rows:

@@ -16,13 +16,15 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from ..jax_inside import ClosedJaxpr, all_equations, is_traced, jaxpr_as_fun, small_calls_exist, xla_metadata
 from .scalar.table import entry_of
 
-__all__ = ["apart", "fits", "inside_small_call", "known_inside", "small_call"]
+__all__ = ["apart", "fits", "held", "inside_small_call", "known_inside", "small_call"]
 
 Result = TypeVar("Result")
+Tree = TypeVar("Tree")
 
 #: Whether a function is being traced to become a small one.
 _INSIDE = contextvars.ContextVar("inside a small call", default=False)
@@ -31,6 +33,15 @@ _INSIDE = contextvars.ContextVar("inside a small call", default=False)
 def inside_small_call() -> bool:
     """Whether what is being traced becomes part of a small function."""
     return _INSIDE.get()
+
+
+def held(tree: Tree) -> Tree:
+    """The same numbers, kept in one array. Inside a small function XLA else computes scalars anew at every reader."""
+    if not inside_small_call():
+        return tree
+    packed, read = ravel_pytree(tree)
+    kept: Tree = read(jax.lax.optimization_barrier(packed))
+    return kept
 
 
 def fits(function: Callable[..., Any], *arguments: Any) -> bool:

@@ -13,7 +13,7 @@ from ...errors import ModelError
 from ...groups import SpecialEuclidean, quaternions, se3, so3
 from ...groups.arrays import Components, add, dot, scale, vector
 from ...groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
-from ..trees import held
+from ...lowering.small_call import held
 from .coordinates import Chart, Coordinates, StoredPose, StoredRotation
 
 __all__ = ["Exponential", "SplitExponential"]

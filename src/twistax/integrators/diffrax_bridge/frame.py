@@ -21,8 +21,8 @@ from ..ambient import Ambient, Arguments
 from ..charts import Chart
 from ..charts.coordinates import Blocks, StateCoordinates, coordinates_of
 from ..rkmk import stage_slopes
+from ..steps import all_finite
 from ..tableau import Rows
-from ..trees import all_finite
 
 __all__ = ["ChartStep", "Frame", "Stepped"]
 

@@ -16,8 +16,8 @@ from ...lowering.small_call import small_call
 from ..charts import Chart, Exponential
 from ..charts.coordinates import Blocks, StateCoordinates, chart_of, coordinates_of
 from ..method import Attempt, Carry, Method, VectorField
+from ..steps import all_finite
 from ..tolerances import Tolerances
-from ..trees import all_finite
 from .collocation import CollocationTableau
 from .newton import Factors, Parts, combined, newton
 from .stage_equations import StageEquations, zero_coordinates

@@ -1,0 +1,69 @@
+"""How far one reads: the files of the package whose functions a first integration enters.
+
+`python tests/integrators/test_journey.py` prints them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+
+SOURCE = str(Path(tx.__file__).parent)
+
+
+def entered(call: Callable[[], Any]) -> list[str]:
+    """The files in which a function is entered during the call; bodies of modules that are imported do not count."""
+    files = set()
+
+    def look(frame: FrameType, event: str, argument: Any) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_name != "<module>" and code.co_filename.startswith(SOURCE):
+            files.add(code.co_filename[len(SOURCE) + 1 :])
+
+    before = sys.getprofile()
+    sys.setprofile(look)
+    try:
+        call()
+    finally:
+        sys.setprofile(before)
+    return sorted(files)
+
+
+def journey(backend: Any, **steps: Any) -> list[str]:
+    """The files of a first integration of the body in the README."""
+    g, V, F = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
+    M = tx.Parameter("M", shape=(6, 6), value=np.diag([1.0, 1.0, 1.0, 0.2, 0.3, 0.4]))
+    body = tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V))})
+    dynamics, integrate = tx.compile(body, backend=backend), tx.integrate
+    start = {"g": np.eye(4), "V": np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])}
+    return entered(lambda: integrate(dynamics, start, t1=1.0, u={"F": np.zeros(6)}, **steps))
+
+
+@pytest.mark.parametrize(
+    ("backend", "steps", "bar"),
+    [
+        # diffrax's own call of the same system enters 36 of its files.
+        pytest.param(tx.JAX(), {"dt": 0.01}, 33, id="fixed"),
+        pytest.param(tx.JAX(), {"rtol": 1e-4}, 36, id="adaptive"),
+        # The default without llvmlite: what makes scalars of the rates comes on top.
+        pytest.param(tx.XLA(), {"dt": 0.01}, 46, id="fixed, as scalars"),
+    ],
+)
+def test_the_files_that_a_first_integration_enters(backend: Any, steps: dict[str, Any], bar: int) -> None:
+    files = journey(backend, **steps)
+    assert len(files) <= bar, files
+
+
+if __name__ == "__main__":
+    for backend in (tx.JAX(), tx.XLA(), tx.Native()):
+        for steps in ({"dt": 0.01}, {"rtol": 1e-4}):
+            found = journey(backend, **steps)
+            print(f"{backend!r}, {steps}: {len(found)} files", *found, sep="\n  ")
