@@ -24,3 +24,13 @@ def test_links_lead_somewhere() -> None:
     inside = [(page, target) for page, target in links if "://" not in target]
     assert len(inside) > 20
     assert [f"{page.name}: {target}" for page, target in inside if not (page.parent / target).exists()] == []
+
+
+def test_files_that_are_named_exist() -> None:
+    named = [
+        (page, name)
+        for page in PAGES
+        for name in re.findall(r"`((?:src|tests|examples|docs)/[\w/.]*\w)", page.read_text())
+    ]
+    assert len(named) > 20
+    assert [f"{page.name}: {name}" for page, name in named if not (ROOT / name).exists()] == []
