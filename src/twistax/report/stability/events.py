@@ -58,7 +58,8 @@ def _tilted() -> float:
     """
     R = tx.State("R", group=tx.SO3)
     turning = tx.compile(tx.System(rates={R: np.array([1.0, 2.0, -2.0]) / 3.0}))
-    sol = simulated(turning, {"R": np.eye(3)}, t1=3.0, rtol=1e-11, event=tx.Event(R[0, 0] + 5.0 / 9.0))
+    event, method = tx.Event(R[0, 0] + 5.0 / 9.0), tx.RKMK(tx.tableaus.TSIT5)
+    sol = simulated(turning, {"R": np.eye(3)}, t1=3.0, rtol=1e-11, method=method, event=event)
     return abs(float(sol.ts[-1]) - np.arccos(-0.75))
 
 
