@@ -66,7 +66,7 @@ def test_the_transpose_is_the_dual_of_the_inverse(
 def test_known_parts_of_columns(order: tx.Order) -> None:
     """Parts taken and joined again, and a translation and a rotation of columns."""
     linear, angular = lie.linear(h, order), lie.angular(h, order)
-    swapped = batched(lie.JoinedParts(angular, linear, order=order), H=H)
+    swapped = batched(lie.twist(linear=angular, angular=linear, order=order), H=H)
     agree(swapped, np.roll(H, 3, axis=1))
     R, P = T[:, :3, :3], T[:, :3, 3]
     zero = np.zeros((3, 3))
@@ -130,7 +130,7 @@ def test_shapes_are_checked() -> None:
         with pytest.raises(tx.ShapeError, match=rf"{node.__name__} expects \w+ with shape \(6,\), got \(3, 6\)"):
             node(g, h.T).check_shape()
     with pytest.raises(tx.ShapeError, match=r"JoinedParts expects angular with shape \(3, 3\), got \(3,\)"):
-        lie.JoinedParts(lie.linear(h), p).check_shape()
+        lie.twist(linear=lie.linear(h), angular=p).check_shape()
     with pytest.raises(tx.ShapeError, match=r"Pose expects position with shape \(3,\), got \(6,\)"):
         lie.translation(b).check_shape()
     with pytest.raises(TypeError, match="AdjointAction expects inverse=True or inverse=False, got 1"):

@@ -17,7 +17,7 @@ H, T = 0.3, 0.4
 N, M = 19, 4
 
 
-def flight(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[..., dict]:
+def rollout(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[..., dict]:
     """The end of an interval by the integrators' own step: (x, z) with z = [d, du, dh, dt]."""
 
     def end(x: dict, u: dict, z: jax.Array) -> dict:
@@ -41,7 +41,7 @@ def case(
     dynamics = tx.compile(everything(tx.ANGULAR_FIRST if angular else tx.LINEAR_FIRST))
     method = tx.RKMK(tx.tableaus.RK4)
     found = quick_jit(lambda x, u: discretize(dynamics, T, x, u, H, method=method, substeps=substeps))
-    return dynamics, flight(dynamics, method, substeps), found
+    return dynamics, rollout(dynamics, method, substeps), found
 
 
 def stacked(step: Discretization) -> np.ndarray:
@@ -104,7 +104,7 @@ def test_it_maps_over_intervals_and_keeps_precision() -> None:
     )
     many = quick_jit(jax.vmap(lambda x, u, h: discretize(dynamics, T, x, u, h)))(xs, us, lengths)
     assert many.A.dtype == np.float32
-    # A turn about z at 1 rad/s: the attitude error turns back by the angle that was flown.
+    # A turn about z at 1 rad/s: the attitude error turns back by the angle that was turned.
     c, s = np.cos(0.3), np.sin(0.3)
     np.testing.assert_allclose(many.A[2, :3, :3], [[c, s, 0], [-s, c, 0], [0, 0, 1]], atol=1e-6)
 

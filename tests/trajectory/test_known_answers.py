@@ -40,9 +40,9 @@ def test_least_energy_of_a_double_integrator() -> None:
     assert result.xs["p"].shape == (11,)
     assert result.us["u"].shape == (10,)
     np.testing.assert_allclose(result.ts, np.linspace(0.0, 2.0, 11))
-    flown = result.replay(steps=3)
-    assert flown.misses["p"]["distance"] < 1e-6
-    assert flown.ts.shape == (31,)
+    rollout = result.replay(steps=3)
+    assert rollout.misses["p"]["distance"] < 1e-6
+    assert rollout.ts.shape == (31,)
 
 
 def test_a_ball_turns_about_one_axis() -> None:
@@ -64,7 +64,7 @@ def test_a_ball_turns_about_one_axis() -> None:
 
 
 def test_a_pose_is_reached_through_almost_a_half_turn() -> None:
-    """With |v|^2 + |w|^2 as cost the best flight turns evenly and goes straight: J = (angle^2 + distance^2) / T."""
+    """With |v|^2 + |w|^2 as cost the best motion turns evenly and goes straight: J = (angle^2 + distance^2) / T."""
     angle, shift = np.pi - 0.01, np.array([1.0, 2.0, -0.5])
     dynamics = tx.compile(free_flyer())
     V = dynamics.controls[0]

@@ -20,14 +20,14 @@ def by_two_flows(dynamics: tx.Dynamics, x: dict, u: dict) -> tuple[jax.Array, ja
     def split(values: jax.Array) -> dict:
         return {"F": values[:3], "q": values[3]}
 
-    def flown(tau: jax.Array, start: dict, control: jax.Array) -> dict:
+    def rollout(tau: jax.Array, start: dict, control: jax.Array) -> dict:
         rates = dynamics(T, start, split(control))
         velocity = jnp.concatenate([rates[name].reshape(-1) for name in dynamics.group.factors])
         return dynamics.retract(start, tau * velocity)
 
     def apart(tau: jax.Array, z: jax.Array) -> jax.Array:
-        neighbour = flown(tau, dynamics.retract(x, z[: dynamics.dimension]), flat + z[dynamics.dimension :])
-        return dynamics.difference(flown(tau, x, flat), neighbour)
+        neighbour = rollout(tau, dynamics.retract(x, z[: dynamics.dimension]), flat + z[dynamics.dimension :])
+        return dynamics.difference(rollout(tau, x, flat), neighbour)
 
     zero = jnp.zeros(dynamics.dimension + flat.shape[0])
     mixed = quick_jit(jax.jacfwd(jax.jacfwd(apart, argnums=1), argnums=0))(jnp.asarray(0.0), zero)

@@ -71,12 +71,12 @@ def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
     stated = problem()
     with jax.enable_x64(False):
         first: TrajectoryResult = stated.solve(seed=4)
-        flown = first.replay(steps=5)
+        rollout = first.replay(steps=5)
     again, other = stated.solve(seed=4), stated.solve(seed=5)
     assert first.solved
     assert first.xs["p"].dtype == np.float64
-    assert flown.xs["p"].dtype == np.float64
-    assert flown.misses["p"]["distance"] < 1e-6
+    assert rollout.xs["p"].dtype == np.float64
+    assert rollout.misses["p"]["distance"] < 1e-6
     np.testing.assert_array_equal(first.us["u"], again.us["u"])
     assert (first.us["u"] != other.us["u"]).any()
     assert again.compile_seconds < first.compile_seconds

@@ -197,6 +197,8 @@ class Expr(Operators):
             leaves = {name: State(name, shape=value.shape) for name, value in values.items()}
             return Example(cls(**(dict(given) | leaves)), values, smooth)
 
+        if not (cls.cases or cls.kinks):
+            raise NotImplementedError(f"{cls.__name__} has neither cases nor kinks")
         return [example(given, True) for given in cls.cases] + [example(given, False) for given in cls.kinks]
 
     def details(self) -> list[str]:
