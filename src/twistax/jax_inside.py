@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -38,6 +38,7 @@ __all__ = [
     "is_traced",
     "jaxpr_as_fun",
     "mlir",
+    "opened",
     "parameters",
     "say_once",
     "scan_parts",
@@ -118,6 +119,24 @@ def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
     debug = jaxpr.debug_info.with_unknown_names()
     one = jaxpr.replace(constvars=[], invars=list(inputs), outvars=list(eqn.outvars), eqns=[eqn], debug_info=debug)
     return ClosedJaxpr(one, [])
+
+
+def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:
+    """A jaxpr as a function of the traced values that it closes over, then of its arguments; and those values.
+
+    Transformations must see them.
+    """
+    held = [i for i, value in enumerate(program.consts) if is_traced(value)]
+    if not held:
+        return jaxpr_as_fun(program), []
+
+    def function(*values: Any) -> list[Any]:
+        consts = list(program.consts)
+        for i, value in zip(held, values[: len(held)], strict=True):
+            consts[i] = value
+        return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, consts))(*values[len(held) :])
+
+    return function, [program.consts[i] for i in held]
 
 
 def source_of(jaxpr: ClosedJaxpr) -> str | None:

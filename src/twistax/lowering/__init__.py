@@ -3,7 +3,6 @@
 from .backends import JAX, XLA, Backend
 from .dynamics import Dynamics, compile
 from .explain import Explanation
-from .export.loaded import load
 from .lower import lower
 from .native.backend import Native
 
@@ -15,6 +14,5 @@ __all__ = [
     "Explanation",
     "Native",
     "compile",
-    "load",
     "lower",
 ]

@@ -120,13 +120,13 @@ class XLA(Backend):
         if array_operations(closed.jaxpr).total() < self.least:
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
         try:
-            program = self.written_out(closed)
+            program = self.scalarised(closed)
         except TooLarge as error:
             return Emission(arrays, None, f"arrays: {str(error).splitlines()[0]}")
         changing = program.depending([k for k in range(len(program.inputs)) if k not in fixed])
         count = sum(program.graph.input_of(i) is None for i in changing)
         if count < self.least:
-            # What parameters alone determine XLA works out once, before a loop, as long as it is in arrays.
+            # What parameters alone determine XLA computes once, before a loop, as long as it is in arrays.
             kind = "change with time and state, " if fixed else ""
             return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
         calls = emitted_form(program).calls if program.calls else []
@@ -147,7 +147,7 @@ class XLA(Backend):
         program = self.scalars(closed, ANY_SIZE)
         return Derived(program) if all(_steady(call.jaxpr.jaxpr) for call in program.calls) else None
 
-    def written_out(self, closed: ClosedJaxpr) -> ScalarProgram:
+    def scalarised(self, closed: ClosedJaxpr) -> ScalarProgram:
         """The scalars of a jaxpr.
 
         Raises:

@@ -79,7 +79,7 @@ class Dynamics:
         *,
         wrt: Sequence[str] = ("x", "u"),
     ) -> Arrays:
-        """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, what is structurally zero never worked out.
+        """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, what is structurally zero never computed.
 
         Rows are the rates as one tangent vector, states in the order of declaration. Columns of "x" are right
         perturbations x (+) d, of "u" and "params" the entries of what is given, read row by row in the order of
@@ -118,7 +118,7 @@ class Dynamics:
             of: a rate or an output, "V", or one entry of it, "V[3]", "speed": what it depends on instead.
         Raises:
             InputError: no rate and no output of that name, or no such entry.
-            TooLarge: the rates, or what was asked for, take too many scalars to count.
+            ModelError: the rates, or what was asked for, take too many scalars to count.
         """
         return explain(self._functions) if of is None else explain_one(self._functions, of)
 
@@ -175,10 +175,10 @@ class Dynamics:
         """A `casadi.Function` in SX: t, then states, controls and parameters by name -> `rate_` and the state's name.
 
         Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries row by row; what
-        is structurally zero is so for CasADi too. Arguments that a call leaves out are not-a-number, except a scalar
+        is structurally zero is so for CasADi too. Arguments that a call leaves out are NaN, except a scalar
         parameter with a value of its own; bake the others to have them inside. The same holds for `jacobian()` of the
         function; others that CasADi derives, by `factory` or twice, take zero. CasADi differentiates by entries: of a
-        pose by its 16, not by tangents. Its max and min do not pass not-a-number on.
+        pose by its 16, not by tangents. Its max and min do not pass NaN on.
 
         Args:
             families: one or more of "rates", "outputs", "constraints"; results of the latter two are called as in
@@ -222,11 +222,11 @@ def compile(
     Args:
         outputs: names of the outputs to keep; all if left out.
         bake: parameters to fold into the code, name -> value; they are no inputs any more.
-        backend: what runs the functions. `tx.XLA()` writes large ones out as scalars; `tx.Native()` compiles kernels by
+        backend: what runs the functions. `tx.XLA()` makes scalars of large ones; `tx.Native()` compiles kernels by
             llvmlite; `tx.JAX()` runs everything as written, in small arrays. "auto" is `tx.XLA()`, and where llvmlite
             is installed native kernels for the large functions and the steps of explicit methods.
     Raises:
-        ModelError: an unknown output or parameter; no backend.
+        ModelError: an unknown output or parameter; another backend.
         ShapeError: a baked value of the wrong shape.
     """
     if not isinstance(system, System):

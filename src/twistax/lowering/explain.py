@@ -23,7 +23,7 @@ from .scalar.program import scalarize
 
 __all__ = ["Dependence", "Explanation", "count_equations", "explain", "explain_one"]
 
-_LEFT_OUT = "the Jacobian is left out: it takes too many scalars to write it out"
+_LEFT_OUT = "the Jacobian is left out: it takes too many scalars"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..jax_inside import ClosedJaxpr, all_equations, is_traced, jaxpr_as_fun, small_calls_exist, xla_metadata
+from ..jax_inside import all_equations, opened, small_calls_exist, xla_metadata
 from .scalar.table import entry_of
 
 __all__ = ["apart", "fits", "held", "inside_small_call", "known_inside", "small_call"]
@@ -80,35 +80,20 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         _INSIDE.reset(outside)
     if not trusted and not known_inside(jaxpr.jaxpr):
         return function(*arguments)
-    run, leaves = _opened(jaxpr, leaves)
+    run, held = opened(jaxpr)
     # Constants must not be moved inside either: an argument that is one then counts as never read.
-    results = _outlined(run)(*jax.lax.optimization_barrier(leaves))
+    results = _outlined(run)(*jax.lax.optimization_barrier([*held, *leaves]))
     return jax.tree.unflatten(shapes[0], results[:-1])
 
 
 def apart(function: Callable[..., Result]) -> Callable[..., Result]:
-    """The same, for the CPU, where XLA keeps it a function: inside of loops it would be written out."""
+    """The same, for the CPU, where XLA keeps it a function: inside of loops it would be inlined."""
 
     def call(*arguments: Any) -> Result:
         with xla_metadata(xla_cpu_small_call="false", inlineable="false"):
             return jax.jit(function, inline=False)(*arguments)
 
     return call
-
-
-def _opened(jaxpr: Any, leaves: list[Any]) -> tuple[Callable[..., list[jax.Array]], list[Any]]:
-    """The jaxpr as a function, the traced values it closes over made arguments in front: vmap must see them."""
-    held = [i for i, value in enumerate(jaxpr.consts) if is_traced(value)]
-    if not held:
-        return jaxpr_as_fun(jaxpr), leaves
-
-    def run(*arguments: jax.Array) -> list[jax.Array]:
-        consts = list(jaxpr.consts)
-        for i, value in zip(held, arguments[: len(held)], strict=True):
-            consts[i] = value
-        return jaxpr_as_fun(ClosedJaxpr(jaxpr.jaxpr, consts))(*arguments[len(held) :])
-
-    return run, [*(jaxpr.consts[i] for i in held), *leaves]
 
 
 def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:

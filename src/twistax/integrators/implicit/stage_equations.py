@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ...jax_inside import ClosedJaxpr, is_traced, jaxpr_as_fun
+from ...jax_inside import opened
 from ...lowering import XLA, Dynamics
 from ..charts.coordinates import Blocks, StateCoordinates
 from ..method import VectorField
@@ -96,14 +96,5 @@ def _in_scalars(function: Callable[[], list[jax.Array]]) -> list[jax.Array]:
 
     It may close over traced values.
     """
-    closed = jax.make_jaxpr(function)()
-    held = [i for i, value in enumerate(closed.consts) if is_traced(value)]
-
-    def of(*values: jax.Array) -> list[jax.Array]:
-        consts = list(closed.consts)
-        for i, value in zip(held, values, strict=True):
-            consts[i] = value
-        return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))()
-
-    values = [closed.consts[i] for i in held]
+    of, values = opened(jax.make_jaxpr(function)())
     return XLA(least=0, largest=_LARGEST).emit(jax.make_jaxpr(of)(*values)).function(*values)

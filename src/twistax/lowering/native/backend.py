@@ -40,11 +40,11 @@ class Native(Backend, Runner):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
     Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
-    steps of explicit methods, all of a flight in one kernel, and their derivatives; other loops of integrators, other
-    devices, and whatever has no native form run as `scalars` does.
+    steps of explicit methods, all between two saved times in one kernel, and their derivatives. Other loops of
+    integrators, other devices, and what has no native form run as `scalars` does.
 
     Attributes:
-        scalars: how functions are written out, and what runs them where no kernel does.
+        scalars: how functions become scalars, and what runs them where no kernel does.
         threads: the most that a large batch is shared between; None: as many as XLA has.
         least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them: in a loop a
             kernel costs some 100 ns by itself.
@@ -71,7 +71,7 @@ class Native(Backend, Runner):
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         try:
-            program = self.scalars.written_out(closed)
+            program = self.scalars.scalarised(closed)
         except TooLarge:
             return self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
@@ -106,7 +106,7 @@ class Native(Backend, Runner):
     def _whole_step(
         self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]
     ) -> ScalarProgram | None:
-        """A step that has a native form, all of its stages written out; None: it has none, or runs elsewhere."""
+        """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
         if not installed() or jax.default_backend() != "cpu":
             return None
         closed = pure(step, shapes)
@@ -167,7 +167,7 @@ class Native(Backend, Runner):
 
 @dataclasses.dataclass(frozen=True)
 class Auto(Native):
-    """What `backend="auto"` means: `XLA`, and where llvmlite is installed kernels for what it writes out as scalars.
+    """What `backend="auto"` means: `XLA`, and where llvmlite is installed kernels for what it makes scalars of.
 
     Attributes: as those of `Native`.
     """
