@@ -1,9 +1,15 @@
 """Compiled systems for other programs: C99, CasADi, files."""
 
 import dataclasses
+import sys
 from pathlib import Path
 
-__all__ = ["CFiles"]
+__all__ = ["CFiles", "version"]
+
+
+def version() -> str:
+    """The version of this package, `twistax.__version__`; that module stands above, and is there when this runs."""
+    return str(sys.modules[__name__.partition(".")[0]].__version__)
 
 
 @dataclasses.dataclass(frozen=True)

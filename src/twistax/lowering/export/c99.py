@@ -11,12 +11,11 @@ import numpy as np
 from ...errors import InputError, ModelError
 from ..functions import Functions
 from ..scalar.in_c import CType, c_type
-from . import CFiles
+from . import CFiles, version
 from .c_header import MARK, declaration, defaults, header
 from .c_names import checked_name, identifiers
 from .c_test import Point, drawn_points, test_main
 from .functions import ExportedFunction, Exporter, Port
-from .version import version
 
 __all__ = ["body", "write_c"]
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from ...groups import Euclidean
 from ..scalar.in_c import CType
+from . import version
 from .c_names import comment
 from .functions import ExportedFunction, Exporter, Port
-from .version import version
 
 __all__ = ["MARK", "declaration", "defaults", "header"]
 

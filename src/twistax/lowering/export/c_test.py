@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ...groups import Euclidean
 from ..scalar.in_c import CType
+from . import version
 from .c_header import MARK
 from .functions import ExportedFunction, Exporter, Port
-from .version import version
 
 __all__ = ["drawn_points", "test_main"]
 

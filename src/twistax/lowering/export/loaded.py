@@ -16,10 +16,10 @@ from ...errors import InputError, ModelError, TwistaxError
 from ...system import System
 from ..backends import Backend
 from ..dynamics import Dynamics, compile
+from . import version
 from .plain import PlainReader
 from .saved import FORMAT, JSON, keys
 from .tree import read_nodes, read_only
-from .version import version
 
 __all__ = ["load"]
 

@@ -21,9 +21,9 @@ from ...errors import InputError
 from ...expr import Expr
 from ...system import System
 from ..functions import Functions
+from . import version
 from .plain import PlainWriter
 from .tree import write_nodes
-from .version import version
 
 __all__ = ["FORMAT", "JSON", "keys", "save"]
 

@@ -12,18 +12,7 @@ import numpy as np
 
 from .operation import Forms
 
-__all__ = [
-    "NAMES",
-    "call",
-    "converted",
-    "instruction",
-    "library",
-    "negative",
-    "not_of",
-    "paired",
-    "same",
-    "selected",
-]
+__all__ = ["NAMES", "call", "converted", "instruction", "library", "negative", "not_of", "paired", "same", "selected"]
 
 Form: TypeAlias = Callable[..., str]
 

@@ -46,11 +46,7 @@ def one_by_one(program: ScalarProgram) -> ScalarProgram:
 
 
 def _rebuilt(
-    program: ScalarProgram,
-    shared: set[int],
-    whole: bool,
-    limits: Limits,
-    order: Sequence[int] | None = None,
+    program: ScalarProgram, shared: set[int], whole: bool, limits: Limits, order: Sequence[int] | None = None
 ) -> ScalarProgram:
     """The program in a graph of its own.
 

@@ -18,7 +18,7 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
-__all__ = ["Runner", "Derived", "call_program", "native_p", "program_p"]
+__all__ = ["Derived", "Runner", "at_once", "call_program", "define", "native_p", "over_rows", "program_p"]
 
 
 #: Of each result of a program.
@@ -129,40 +129,47 @@ def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
     return primitive.bind(*arguments, derived=derived, depth=depth, inside=inside)
 
 
+def over_rows(function: Callable[..., list[jax.Array]], arguments: Sequence[Any], depth: int) -> list[jax.Array]:
+    """function(rows, *arguments) of arguments whose first `depth` axes are bodies, made one axis for it."""
+    shape = jnp.shape(arguments[0])[:depth] if arguments else ()
+    rows = math.prod(shape)
+    found = function(rows, *(jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments))
+    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in found]
+
+
+def at_once(function: Callable[..., list[jax.Array]], arguments: Sequence[Any], depth: int) -> list[jax.Array]:
+    """A function of one body for all of them, as accelerators do."""
+    for _ in range(depth):
+        function = jax.vmap(function)
+    return function(*arguments)
+
+
 def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
     """On the CPU: body after body, each loop compiled as one function."""
+    empty = not any(jnp.size(a) for a in arguments)
     if depth == 0:
-        if inside or not any(jnp.size(a) for a in arguments):
-            return derived.on_cpu(*arguments)
-        return small_call(derived.on_cpu, *arguments)
-    shape = jnp.shape(arguments[0])[:depth]
-    flat = [jnp.reshape(a, (math.prod(shape), *jnp.shape(a)[depth:])) for a in arguments]
-    if not any(jnp.size(a) for a in arguments):
+        return derived.on_cpu(*arguments) if inside or empty else small_call(derived.on_cpu, *arguments)
+    if empty:
         return _run_wide(*arguments, derived=derived, depth=depth, inside=inside)
 
     def each(*flat: jax.Array) -> list[jax.Array]:
         return jax.lax.map(lambda row: derived.on_cpu(*row), flat)
 
-    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in small_call(each, *flat)]
+    return over_rows(lambda rows, *flat: small_call(each, *flat), arguments, depth)
 
 
 def _run_native(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
     """On the CPU, by the runner; where it does not, by XLA."""
-    shape = jnp.shape(arguments[0])[:depth] if arguments else ()
-    rows = math.prod(shape)
+    rows = math.prod(jnp.shape(arguments[0])[:depth] if arguments else ())
     native = derived.native(rows) if rows else None
     if native is None:
         return _run(*arguments, derived=derived, depth=depth, inside=inside)
-    flat = [jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments]
-    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in native(rows, *flat)]
+    return over_rows(native, arguments, depth)
 
 
 def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
-    """On accelerators: all bodies at once."""
-    function = derived.function
-    for _ in range(depth):
-        function = jax.vmap(function)
-    return function(*arguments)
+    """On accelerators."""
+    return at_once(derived.function, arguments, depth)
 
 
 def _abstract(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
@@ -196,37 +203,45 @@ def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived, dep
     return result
 
 
-def _batched(
-    primitive: Primitive, arguments: Sequence[Any], axes: Sequence[Any], *, derived: Derived, depth: int, inside: bool
-) -> tuple[list[Any], list[int]]:
-    size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
-    moved = [
-        jnp.broadcast_to(a, (size, *jnp.shape(a))) if d is None else jnp.moveaxis(a, d, 0)
-        for a, d in zip(arguments, axes, strict=True)
-    ]
-    results = primitive.bind(*moved, derived=derived, depth=depth + 1, inside=False)
-    return results, [0] * len(results)
+def define(
+    primitive: Primitive,
+    parameters: Sequence[str],
+    abstract: Callable[..., list[Any]],
+    on_cpu: Callable[..., list[jax.Array]],
+    elsewhere: Callable[..., list[jax.Array]],
+    **batched: Any,
+) -> None:
+    """Tell JAX what a primitive with results for many bodies does; its parameter `depth` counts the axes of bodies.
 
+    Args:
+        parameters: their names.
+        batched: those that change inside of a batch.
+    """
 
-def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
-    @functools.partial(jax.jit, static_argnames=("derived", "depth", "inside"))
-    def compiled(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
-        return primitive.bind(*arguments, **parameters)
+    @functools.partial(jax.jit, static_argnames=tuple(parameters))
+    def compiled(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
+        return primitive.bind(*arguments, **own)
 
-    def evaluate(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
+    def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
         # As every operation of JAX: compiled also where functions are not.
         with jax.disable_jit(False):
-            return compiled(*arguments, **parameters)
+            return compiled(*arguments, **own)
+
+    def batch(arguments: Sequence[Any], axes: Sequence[Any], **own: Any) -> tuple[list[Any], list[int]]:
+        size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
+        moved = [batching.bdim_at_front(a, d, size) for a, d in zip(arguments, axes, strict=True)]
+        results = primitive.bind(*moved, **{**own, **batched, "depth": own["depth"] + 1})
+        return results, [0] * len(results)
 
     primitive.multiple_results = True
     primitive.def_impl(evaluate)
-    primitive.def_abstract_eval(_abstract)
-    ad.primitive_jvps[primitive] = _jvp
-    ad.primitive_transposes[primitive] = _transpose
-    batching.primitive_batchers[primitive] = functools.partial(_batched, primitive)
-    mlir.register_lowering(primitive, mlir.lower_fun(_run_wide, multiple_results=True))
+    primitive.def_abstract_eval(abstract)
+    batching.primitive_batchers[primitive] = batch
+    mlir.register_lowering(primitive, mlir.lower_fun(elsewhere, multiple_results=True))
     mlir.register_lowering(primitive, mlir.lower_fun(on_cpu, multiple_results=True), platform="cpu")
 
 
-_define(program_p, _run)
-_define(native_p, _run_native)
+for _primitive, _on_cpu in ((program_p, _run), (native_p, _run_native)):
+    define(_primitive, ("derived", "depth", "inside"), _abstract, _on_cpu, _run_wide, inside=False)
+    ad.primitive_jvps[_primitive] = _jvp
+    ad.primitive_transposes[_primitive] = _transpose

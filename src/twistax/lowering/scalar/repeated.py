@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...jax_inside import Primitive, batching, mlir, shaped_array
+from ...jax_inside import Primitive, shaped_array
 from .emitter import as_function
+from .primitive import at_once, define, over_rows
 from .program import ScalarProgram
 
 __all__ = ["Repeated", "repeat"]
@@ -41,7 +42,6 @@ class Repeated:
 
 
 repeat_p = Primitive("repeated_step")
-repeat_p.multiple_results = True
 
 
 def repeat(
@@ -61,13 +61,11 @@ def repeat(
 
 def _run(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
     """On the CPU: one kernel for all bodies."""
-    shape = jnp.shape(arguments[0])[:depth]
-    rows = math.prod(shape)
+    rows = math.prod(jnp.shape(arguments[0])[:depth])
     kernel = repeated.kernel(rows == 1) if rows else None
     if kernel is None:
         return _run_wide(*arguments, repeated=repeated, depth=depth)
-    flat = [jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments]
-    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in kernel(rows, *flat)]
+    return over_rows(kernel, arguments, depth)
 
 
 def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
@@ -93,10 +91,7 @@ def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array
         k, _, found = jax.lax.while_loop(going, turn, (first, jnp.asarray(True), list(state)))
         return [*found, k]
 
-    function: Any = one
-    for _ in range(depth):
-        function = jax.vmap(function)
-    return function(*arguments)
+    return at_once(one, arguments, depth)
 
 
 def _abstract(*arguments: Any, repeated: Repeated, depth: int) -> list[Any]:
@@ -104,28 +99,4 @@ def _abstract(*arguments: Any, repeated: Repeated, depth: int) -> list[Any]:
     return [shaped_array(np.shape(a), a.dtype) for a in ends]
 
 
-def _batched(
-    arguments: Sequence[Any], axes: Sequence[Any], *, repeated: Repeated, depth: int
-) -> tuple[list[Any], list[int]]:
-    size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
-    moved = [batching.bdim_at_front(a, d, size) for a, d in zip(arguments, axes, strict=True)]
-    results = repeat_p.bind(*moved, repeated=repeated, depth=depth + 1)
-    return results, [0] * len(results)
-
-
-@functools.partial(jax.jit, static_argnames=("repeated", "depth"))
-def _compiled(*arguments: jax.Array, repeated: Repeated, depth: int) -> list[jax.Array]:
-    return repeat_p.bind(*arguments, repeated=repeated, depth=depth)
-
-
-def _evaluate(*arguments: jax.Array, **parameters: Any) -> list[jax.Array]:
-    # As every operation of JAX: compiled also where functions are not.
-    with jax.disable_jit(False):
-        return _compiled(*arguments, **parameters)
-
-
-repeat_p.def_impl(_evaluate)
-repeat_p.def_abstract_eval(_abstract)
-batching.primitive_batchers[repeat_p] = _batched
-mlir.register_lowering(repeat_p, mlir.lower_fun(_run_wide, multiple_results=True))
-mlir.register_lowering(repeat_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")
+define(repeat_p, ("repeated", "depth"), _abstract, _run, _run_wide)

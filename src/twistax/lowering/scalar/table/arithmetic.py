@@ -128,10 +128,7 @@ ARITHMETIC: dict[str, Operation] = {
             maker=lambda g: g.div,
             llvm=Forms(in_llvm.instruction("fdiv")),  # of integers by zero it ends the process
             c=Forms(in_c.infix("/"), in_c.divided),
-            casadi=Forms(
-                lambda casadi, a, b: a / b,
-                lambda casadi, a, b: in_casadi.whole(casadi, a / b),
-            ),
+            casadi=Forms(lambda casadi, a, b: a / b, lambda casadi, a, b: in_casadi.whole(casadi, a / b)),
         ),
         Operation(
             name="neg",
@@ -275,12 +272,7 @@ def _square(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
 
 
 PRODUCTS: dict[str, Entry] = entries(
-    Entry(
-        name="add_any",
-        read=_added,
-        inside=small_inside,
-        example=(lambda x: jax.grad(lambda y: y @ y)(x), _X),
-    ),
+    Entry(name="add_any", read=_added, inside=small_inside, example=(lambda x: jax.grad(lambda y: y @ y)(x), _X)),
     Entry(name="square", read=_square, inside=small_inside, example=(lax.square, _X)),
     Entry(
         name="integer_pow",

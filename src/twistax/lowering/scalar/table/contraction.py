@@ -163,11 +163,7 @@ CONTRACTION: dict[str, Entry] = entries(
         example=(lambda a: a @ a.T, _M),
     ),
     _reduction(
-        "reduce_sum",
-        ARITHMETIC["add"],
-        (lambda a: a.sum(0), _M),
-        (takes(axes=ANY, out_sharding=ANY),),
-        empty=0.0,
+        "reduce_sum", ARITHMETIC["add"], (lambda a: a.sum(0), _M), (takes(axes=ANY, out_sharding=ANY),), empty=0.0
     ),
     _reduction("reduce_prod", ARITHMETIC["mul"], (lambda a: a.prod(0), _M)),
     _reduction("reduce_max", ARITHMETIC["max"], (lambda a: a.max(0), _M), _EXTREME, many=LARGEST),

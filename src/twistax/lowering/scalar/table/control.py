@@ -122,22 +122,15 @@ def _equations(jaxpr: Any) -> int:
 # ---- the entries -----------------------------------------------------------------------------------------------------
 
 _SCAN = {"jaxpr": ANY, "length": ANY, "reverse": ANY, "unroll": ANY}
-_WHERE = {"in_shardings": ANY, "out_shardings": ANY, "in_layouts": ANY, "out_layouts": ANY, "ctx_mesh": ANY}
+#: Where arrays of a jitted function lie, and how it is kept: nothing that changes numbers.
+_WHERE = dict.fromkeys(
+    str.split("in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"), ANY
+)
 
 CONTROL: dict[str, Entry] = entries(
     Entry(
         name="jit",
-        takes=(
-            takes(
-                jaxpr=ANY,
-                name=ANY,
-                inline=ANY,
-                keep_unused=ANY,
-                donated_invars=ANY,
-                compiler_options_kvs=lambda options: not options,
-                **_WHERE,
-            ),
-        ),
+        takes=(takes(jaxpr=ANY, compiler_options_kvs=lambda options: not options, **_WHERE),),
         read=_jit,
         any_type=True,
         inside=always_inside,

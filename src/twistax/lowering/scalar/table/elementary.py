@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ELEMENTARY", "ROOTS"]
 
-#: What JAX's own functions have in common with those of libm.
-_ACCURACY = (takes(accuracy=DEFAULT),)
+#: JAX lets some of them be asked for another accuracy.
+_TAKES = (NOTHING, takes(accuracy=DEFAULT))
 
 
 def _function(
@@ -31,7 +31,6 @@ def _function(
     slope: Callable[[Graph, int, int], int],
     *,
     parity: int = 0,
-    takes: Any = (NOTHING,),
     llvm: Any = None,
     c: Any = None,
     casadi: Any = None,
@@ -45,7 +44,7 @@ def _function(
     """
     return Operation(
         name=name,
-        takes=takes,
+        takes=_TAKES,
         number=number,
         array=array,
         partials=lambda g, a, y: [slope(g, a[0], y)],
@@ -128,70 +127,44 @@ ELEMENTARY: dict[str, Operation] = {
             c=Forms(in_c.function("atan2")),
             casadi=in_casadi.function("atan2"),
         ),
-        _function(
-            "sqrt",
-            np.sqrt,
-            lax.sqrt,
-            lambda g, x, y: g.div(g.constant(0.5), y),
-            takes=_ACCURACY,
-            llvm=in_llvm.call("sqrt"),
-        ),
+        _function("sqrt", np.sqrt, lax.sqrt, lambda g, x, y: g.div(g.constant(0.5), y), llvm=in_llvm.call("sqrt")),
         _function(
             "cbrt",
             np.cbrt,
             lax.cbrt,
             lambda g, x, y: g.div(g.constant(1.0 / 3.0), g.mul(y, y)),
             parity=-1,
-            takes=_ACCURACY,
             casadi=lambda casadi, a: casadi.sign(a) * casadi.fabs(a) ** (1.0 / 3.0),
         ),
-        _function("exp", np.exp, lax.exp, lambda g, x, y: y, takes=_ACCURACY),
+        _function("exp", np.exp, lax.exp, lambda g, x, y: y),
         _function(
             "exp2",
             np.exp2,
             lax.exp2,
             lambda g, x, y: g.mul(g.constant(float(np.log(2.0))), y),
-            takes=_ACCURACY,
             casadi=lambda casadi, a: 2.0**a,
         ),
-        _function("expm1", np.expm1, lax.expm1, lambda g, x, y: g.add(y, g.one), takes=_ACCURACY),
-        _function("log", np.log, lax.log, lambda g, x, y: _inverse(g, x), takes=_ACCURACY),
-        _function("log1p", np.log1p, lax.log1p, lambda g, x, y: _inverse(g, g.add(g.one, x)), takes=_ACCURACY),
+        _function("expm1", np.expm1, lax.expm1, lambda g, x, y: g.add(y, g.one)),
+        _function("log", np.log, lax.log, lambda g, x, y: _inverse(g, x)),
+        _function("log1p", np.log1p, lax.log1p, lambda g, x, y: _inverse(g, g.add(g.one, x))),
         _function(
             "logistic",
             lambda x: 1.0 / (1.0 + np.exp(-x)),
             lax.logistic,
             lambda g, x, y: g.mul(y, g.sub(g.one, y)),
-            takes=_ACCURACY,
             llvm=in_llvm.logistic,
             c=in_c.helper("logistic", "a", "@1 / (@1 + exp@f(-a))"),
             casadi=lambda casadi, a: 1.0 / (1.0 + casadi.exp(-a)),
         ),
-        _function(
-            "sin",
-            np.sin,
-            lax.sin,
-            lambda g, x, y: _of("cos", g, x),
-            parity=-1,
-            takes=_ACCURACY,
-            llvm=in_llvm.paired(0),
-        ),
-        _function(
-            "cos",
-            np.cos,
-            lax.cos,
-            lambda g, x, y: g.neg(_of("sin", g, x)),
-            parity=1,
-            takes=_ACCURACY,
-            llvm=in_llvm.paired(1),
-        ),
-        _function("tan", np.tan, lax.tan, lambda g, x, y: _square_plus(g, y), parity=-1, takes=_ACCURACY),
+        _function("sin", np.sin, lax.sin, lambda g, x, y: _of("cos", g, x), parity=-1, llvm=in_llvm.paired(0)),
+        _function("cos", np.cos, lax.cos, lambda g, x, y: g.neg(_of("sin", g, x)), parity=1, llvm=in_llvm.paired(1)),
+        _function("tan", np.tan, lax.tan, lambda g, x, y: _square_plus(g, y), parity=-1),
         _function("asin", np.arcsin, lax.asin, lambda g, x, y: _inverse_root(g, _beside_one(g, x)), parity=-1),
         _function("acos", np.arccos, lax.acos, lambda g, x, y: g.neg(_inverse_root(g, _beside_one(g, x)))),
         _function("atan", np.arctan, lax.atan, lambda g, x, y: _inverse(g, _square_plus(g, x)), parity=-1),
         _function("sinh", np.sinh, lax.sinh, lambda g, x, y: _of("cosh", g, x), parity=-1),
         _function("cosh", np.cosh, lax.cosh, lambda g, x, y: _of("sinh", g, x), parity=1),
-        _function("tanh", np.tanh, lax.tanh, lambda g, x, y: _beside_one(g, y), parity=-1, takes=_ACCURACY),
+        _function("tanh", np.tanh, lax.tanh, lambda g, x, y: _beside_one(g, y), parity=-1),
         _function("asinh", np.arcsinh, lax.asinh, lambda g, x, y: _inverse_root(g, _square_plus(g, x)), parity=-1),
         _function(
             "acosh",
@@ -213,5 +186,5 @@ def _rsqrt(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
 
 
 ROOTS: dict[str, Entry] = entries(
-    Entry(name="rsqrt", takes=_ACCURACY, read=_rsqrt, inside=small_inside, example=(lax.rsqrt, np.array([0.5]))),
+    Entry(name="rsqrt", takes=_TAKES, read=_rsqrt, inside=small_inside, example=(lax.rsqrt, np.array([0.5])))
 )

@@ -199,6 +199,15 @@ def _scattering(name: str, combine: str | None, example: Any, inside: Any, funct
     )
 
 
+_GATHER = takes(
+    dimension_numbers=_gather_numbers,
+    slice_sizes=ANY,
+    mode=_MODES,
+    fill_value=ANY,
+    indices_are_sorted=ANY,
+    unique_indices=ANY,
+)
+
 INDEXING: dict[str, Entry] = entries(
     Entry(
         name="dynamic_slice",
@@ -219,16 +228,7 @@ INDEXING: dict[str, Entry] = entries(
     ),
     Entry(
         name="gather",
-        takes=(
-            takes(
-                dimension_numbers=_gather_numbers,
-                slice_sizes=ANY,
-                mode=_MODES,
-                fill_value=ANY,
-                indices_are_sorted=ANY,
-                unique_indices=ANY,
-            ),
-        ),
+        takes=(_GATHER,),
         read=_gather,
         any_type=True,
         inside=always_inside,

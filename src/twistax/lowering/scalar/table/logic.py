@@ -241,10 +241,5 @@ CHOICES: dict[str, Entry] = entries(
         moves=True,
         example=(lax.optimization_barrier, _REAL),
     ),
-    Entry(
-        name="round",
-        takes=(takes(rounding_method=ANY),),
-        inside=small_inside,
-        example=(lax.round, _REAL),
-    ),
+    Entry(name="round", takes=(takes(rounding_method=ANY),), inside=small_inside, example=(lax.round, _REAL)),
 )
