@@ -77,7 +77,7 @@ class Chain:
             # The lower form: OpenBLAS starts threads for every column of the upper one, which a busy machine punishes.
             chol = scipy.linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
             solved = scipy.linalg.cho_solve_banded((chol, True), border, check_finite=False)
-            schur = scipy.linalg.cho_factor(corner - border.T @ solved)
+            schur = scipy.linalg.cholesky(corner - border.T @ solved, lower=True)
         except (scipy.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefinite(str(error)) from None
         return Factor(chol, border, solved, schur, free)
@@ -93,7 +93,7 @@ class Factor:
     band: Array
     border: Array
     solved: Array
-    schur: tuple[Array, bool]
+    schur: Array
     free: Array
 
     def solve(self, right: Array) -> Array:
@@ -101,5 +101,5 @@ class Factor:
         right = np.where(self.free, right, 0.0)
         length = len(self.border)
         inner = scipy.linalg.cho_solve_banded((self.band, True), right[:length], check_finite=False)
-        tail = scipy.linalg.cho_solve(self.schur, right[length:] - self.border.T @ inner, check_finite=False)
+        tail = scipy.linalg.cho_solve((self.schur, True), right[length:] - self.border.T @ inner, check_finite=False)
         return np.concatenate([inner - self.solved @ tail, tail])
