@@ -14,11 +14,11 @@ from twistax.demo.figure import save_figure
 from twistax.demo.progress import Progress
 from twistax.demo.table import describe_failure, describe_limits, save_table
 from twistax.scenes import powered_descent as scene
-from twistax.scenes.touchdown import Flight, Miss, reaches
+from twistax.scenes.touchdown import Descent, Miss, reaches
 
 
 @pytest.fixture(scope="module")
-def flight() -> Flight:
+def descent() -> Descent:
     """A made-up descent along a straight line, upright, at 500 kN."""
     ts = np.linspace(0.0, 10.0, 101)
     share = 1.0 - ts / 10.0
@@ -28,7 +28,7 @@ def flight() -> Flight:
     mass, T = 30e3 - 200.0 * ts, np.tile([0.0, 0.0, 500e3], (101, 1))
     cone = np.tan(np.deg2rad(70.0)) * g[:, 2, 3] - np.hypot(g[:, 0, 3], g[:, 1, 3])
     outputs = {"thrust": T[:, 2], "gimbal": 0 * ts, "tilt": 0 * ts, "rate": 0 * ts, "cone": cone, "mass": mass}
-    return Flight(ts, {"g": g, "V": V, "m": mass}, {"T": T}, outputs)
+    return Descent(ts, {"g": g, "V": V, "m": mass}, {"T": T}, outputs)
 
 
 def spinning() -> tx.Dynamics:
@@ -58,24 +58,24 @@ def test_the_derivative_check_passes_what_is_right_and_sees_what_is_wrong(monkey
     assert not check.holds
 
 
-def test_the_figure_is_written(flight: Flight, tmp_path: Path) -> None:
+def test_the_figure_is_written(descent: Descent, tmp_path: Path) -> None:
     path = tmp_path / "figure.png"
-    nodes = Flight(
+    nodes = Descent(
         *(
             {k: v[::10] for k, v in part.items()} if isinstance(part, dict) else part[::10]
-            for part in (flight.ts, flight.xs, flight.us, flight.outputs)
+            for part in (descent.ts, descent.xs, descent.us, descent.outputs)
         )
     )
-    save_figure(path, "a title", flight, nodes, scene.limits(), scene.Vehicle())
+    save_figure(path, "a title", descent, nodes, scene.limits(), scene.Vehicle())
     image = matplotlib.image.imread(path)
     assert image.shape[:2] == (700, 1200)
     # Something is drawn in the scene on the left and in the panels on the right.
     assert all(half[..., :3].std() > 0.05 for half in np.split(image, 2, axis=1))
 
 
-def test_the_table_has_a_line_for_each_sample(flight: Flight, tmp_path: Path) -> None:
-    save_table(tmp_path / "flight.csv", flight)
-    with (tmp_path / "flight.csv").open() as file:
+def test_the_table_has_a_line_for_each_sample(descent: Descent, tmp_path: Path) -> None:
+    save_table(tmp_path / "descent.csv", descent)
+    with (tmp_path / "descent.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 101
     first = {name: float(value) for name, value in rows[0].items()}
@@ -84,11 +84,11 @@ def test_the_table_has_a_line_for_each_sample(flight: Flight, tmp_path: Path) ->
     assert [first[f"quaternion {i}"] for i in "wxyz"] == [1.0, 0.0, 0.0, 0.0]
 
 
-def test_a_failure_is_named_in_units_people_use(flight: Flight) -> None:
+def test_a_failure_is_named_in_units_people_use(descent: Descent) -> None:
     good = Miss(0.01, 0.001, 0.01)
-    assert describe_failure({"RKMK4": good}, reaches(flight, scene.limits()), 10.0, (8.0, 20.0)) == []
-    spoilt = dict(flight.outputs) | {"tilt": np.where(flight.ts == 4.0, np.deg2rad(85.0), 0.0)}
-    found = reaches(Flight(flight.ts, flight.xs, flight.us, spoilt), scene.limits())
+    assert describe_failure({"RKMK4": good}, reaches(descent, scene.limits()), 10.0, (8.0, 20.0)) == []
+    spoilt = dict(descent.outputs) | {"tilt": np.where(descent.ts == 4.0, np.deg2rad(85.0), 0.0)}
+    found = reaches(Descent(descent.ts, descent.xs, descent.us, spoilt), scene.limits())
     said = "\n".join(describe_failure({"RKMK4": Miss(12.0, 3.0, 0.1)}, found, 25.0, (8.0, 20.0)))
     for words in ("12.00 m off the pad, at 3.00 m/s", "tilt: 85.00 deg at 4.00 s", "<= 80 deg", "25.00 s"):
         assert words in said

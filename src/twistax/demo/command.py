@@ -13,7 +13,7 @@ import numpy as np
 import twistax as tx
 
 from ..scenes import powered_descent as scene
-from ..scenes.touchdown import SAMPLES, Flight, Miss, flown, planned, reaches
+from ..scenes.touchdown import SAMPLES, Descent, Miss, planned, reaches, replayed
 from .derivatives import BAR, DerivativeCheck, check_derivatives
 from .figure import save_figure
 from .progress import Progress
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     rollouts, failures = _rollouts(result)
     nodes = planned(result)
     dense = next(iter(rollouts.values()), nodes)
-    misses = {name: Miss.of(flight) for name, flight in rollouts.items()}
+    misses = {name: Miss.of(descent) for name, descent in rollouts.items()}
     limits = scene.limits(vehicle)
     found = reaches(dense, limits)
     report.say("rollouts", *failures, *describe_misses(misses), f"simulated in {report.lap():.1f} s")
@@ -106,9 +106,9 @@ def _describe_start(start: scene.Start, vehicle: scene.Vehicle) -> str:
     )
 
 
-def _describe_landing(flight: Flight) -> str:
-    mass = flight.xs["m"]
-    return f"after {flight.ts[-1]:.2f} s with {mass[-1]:,.0f} kg; {mass[0] - mass[-1]:,.0f} kg of propellant burnt"
+def _describe_landing(descent: Descent) -> str:
+    mass = descent.xs["m"]
+    return f"after {descent.ts[-1]:.2f} s with {mass[-1]:,.0f} kg; {mass[0] - mass[-1]:,.0f} kg of propellant burnt"
 
 
 def _check(dynamics: tx.Dynamics, vehicle: scene.Vehicle) -> DerivativeCheck:
@@ -130,7 +130,7 @@ def _describe_check(check: DerivativeCheck) -> list[str]:
     ]
 
 
-def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Flight], list[str]]:
+def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent], list[str]]:
     """The found controls simulated by two methods, and a line for each that gave up."""
     import diffrax
 
@@ -141,7 +141,7 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Flight]
     rollouts, failures = {}, []
     for name, method in methods.items():
         try:
-            rollouts[name] = flown(result, method)
+            rollouts[name] = replayed(result, method)
         except tx.IntegrationError as error:
             failures.append(f"{name}: {str(error).splitlines()[0]}")
     return rollouts, failures
@@ -150,8 +150,8 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Flight]
 def _save(
     folder: Path,
     start: scene.Start,
-    dense: Flight,
-    nodes: Flight,
+    dense: Descent,
+    nodes: Descent,
     limits: list[scene.Limit],
     vehicle: scene.Vehicle,
     landed: bool,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..scenes.powered_descent import Array, Limit, Vehicle
-from ..scenes.touchdown import Flight
+from ..scenes.touchdown import Descent
 
 __all__ = ["save_figure"]
 
@@ -35,7 +35,7 @@ _PANELS = (
 
 
 def save_figure(
-    path: Path, title: str, dense: Flight, nodes: Flight, limits: Sequence[Limit], vehicle: Vehicle, dpi: int = 100
+    path: Path, title: str, dense: Descent, nodes: Descent, limits: Sequence[Limit], vehicle: Vehicle, dpi: int = 100
 ) -> None:
     """Draw a landing into a PNG file.
 
@@ -75,7 +75,7 @@ def save_figure(
 
 
 def _draw_panel(
-    axes: Any, panel: tuple[str, str, str, float], dense: Flight, nodes: Flight, limits: Sequence[Limit]
+    axes: Any, panel: tuple[str, str, str, float], dense: Descent, nodes: Descent, limits: Sequence[Limit]
 ) -> None:
     output, title, unit, factor = panel
     values, held = dense.outputs[output] * factor, output in ("thrust", "gimbal")
@@ -97,7 +97,7 @@ def _draw_panel(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _draw_scene(axes: Any, dense: Flight, nodes: Flight, vehicle: Vehicle) -> None:
+def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Vehicle) -> None:
     path = dense.position
     _draw_cone(axes, vehicle, radius=_cone_radius(path))
     axes.plot(path[:, 0], path[:, 1], 0.0 * path[:, 2], color="0.55", lw=1.0, ls=":")
@@ -143,15 +143,15 @@ def _draw_cone(axes: Any, vehicle: Vehicle, radius: float) -> None:
     axes.plot(radius * np.cos(rim), radius * np.sin(rim), height.max() + 0.0 * rim, color=_CONE, lw=1.0)
 
 
-def _draw_stage(axes: Any, flight: Flight, sample: int, vehicle: Vehicle) -> None:
+def _draw_stage(axes: Any, descent: Descent, sample: int, vehicle: Vehicle) -> None:
     """The stage as a cylinder with a nose, and its plume against the thrust, down to the ground at most."""
-    p = flight.position[sample]
+    p = descent.position[sample]
     heights = _ENLARGED * _LENGTH * np.array([0.0, 0.0, 0.82, 1.0])
     radii = _ENLARGED * _RADIUS * np.array([0.0, 1.0, 1.0, 0.0])
-    _draw_solid(axes, p, flight.rotation[sample, :, 2], heights, radii, _BODY)
-    size = float(np.linalg.norm(flight.thrust[sample]))
+    _draw_solid(axes, p, descent.rotation[sample, :, 2], heights, radii, _BODY)
+    size = float(np.linalg.norm(descent.thrust[sample]))
     if size > 0.0:
-        down = -flight.thrust[sample] / size
+        down = -descent.thrust[sample] / size
         length = _ENLARGED * _PLUME * size / vehicle.max_thrust
         if down[2] < 0.0:
             length = min(length, max(p[2], 0.0) / -down[2])

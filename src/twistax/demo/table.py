@@ -12,7 +12,7 @@ import numpy as np
 import twistax as tx
 
 from ..scenes.powered_descent import Array
-from ..scenes.touchdown import ALLOWED, Flight, Miss, Reach
+from ..scenes.touchdown import ALLOWED, Descent, Miss, Reach
 
 __all__ = ["describe_failure", "describe_limits", "describe_misses", "save_table"]
 
@@ -64,23 +64,23 @@ def describe_failure(
     return said
 
 
-def save_table(path: Path, flight: Flight) -> None:
-    """Write a flight as CSV, one line a sample, with units in the first line."""
-    quaternions = np.asarray(jax.vmap(tx.lie.quaternion)(flight.rotation))
+def save_table(path: Path, descent: Descent) -> None:
+    """Write a descent as CSV, one line a sample, with units in the first line."""
+    quaternions = np.asarray(jax.vmap(tx.lie.quaternion)(descent.rotation))
     degrees = 180.0 / np.pi
     columns: list[tuple[str, Array]] = [
-        ("time (s)", flight.ts),
-        *zip(("x (m)", "y (m)", "height (m)"), flight.position.T),
-        *zip(("velocity x (m/s)", "velocity y (m/s)", "velocity z (m/s)"), flight.velocity.T),
+        ("time (s)", descent.ts),
+        *zip(("x (m)", "y (m)", "height (m)"), descent.position.T),
+        *zip(("velocity x (m/s)", "velocity y (m/s)", "velocity z (m/s)"), descent.velocity.T),
         *zip(("quaternion w", "quaternion x", "quaternion y", "quaternion z"), quaternions.T),
-        *zip(("body rate x (rad/s)", "body rate y (rad/s)", "body rate z (rad/s)"), flight.xs["V"][:, 3:].T),
-        ("mass (kg)", flight.xs["m"]),
-        *zip(("body thrust x (N)", "body thrust y (N)", "body thrust z (N)"), flight.us["T"].T),
-        ("thrust (kN)", flight.outputs["thrust"] / 1e3),
-        ("gimbal (deg)", flight.outputs["gimbal"] * degrees),
-        ("tilt (deg)", flight.outputs["tilt"] * degrees),
-        ("rate (deg/s)", flight.outputs["rate"] * degrees),
-        ("inside the cone (m)", flight.outputs["cone"]),
+        *zip(("body rate x (rad/s)", "body rate y (rad/s)", "body rate z (rad/s)"), descent.xs["V"][:, 3:].T),
+        ("mass (kg)", descent.xs["m"]),
+        *zip(("body thrust x (N)", "body thrust y (N)", "body thrust z (N)"), descent.us["T"].T),
+        ("thrust (kN)", descent.outputs["thrust"] / 1e3),
+        ("gimbal (deg)", descent.outputs["gimbal"] * degrees),
+        ("tilt (deg)", descent.outputs["tilt"] * degrees),
+        ("rate (deg/s)", descent.outputs["rate"] * degrees),
+        ("inside the cone (m)", descent.outputs["cone"]),
     ]
     with path.open("w", newline="") as file:
         writer = csv.writer(file)

@@ -1,4 +1,4 @@
-"""How well a powered descent was flown: misses at the pad and limits along the way."""
+"""How well a planned descent is met when its controls are replayed: misses at the pad and limits along the way."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy as np
 
 from .powered_descent import Array, Limit
 
-__all__ = ["ALLOWED", "SAMPLES", "Flight", "Miss", "Reach", "flown", "planned", "reaches"]
+__all__ = ["ALLOWED", "SAMPLES", "Descent", "Miss", "Reach", "replayed", "planned", "reaches"]
 
 #: Samples of an interval between nodes; an RKMK method takes as many steps there.
 SAMPLES = 40
 
 
 @dataclasses.dataclass(frozen=True)
-class Flight:
-    """Samples of a flight of the powered-descent system.
+class Descent:
+    """Samples of a descent of the powered-descent system.
 
     Attributes:
         ts: (n,) times, s.
@@ -55,25 +55,25 @@ class Flight:
         return np.einsum("kij,kj->ki", self.rotation, self.us["T"])
 
 
-def flown(result: Any, method: Any) -> Flight:
-    """The controls of a `TrajectoryResult` flown from the start, each held over its interval. See its `replay`.
+def replayed(result: Any, method: Any) -> Descent:
+    """The controls of a `TrajectoryResult` replayed from the start, each held over its interval. See its `replay`.
 
     Raises:
-        IntegrationError: the flight did not reach its end.
+        IntegrationError: the descent did not reach its end.
     """
     replay = result.replay(method, steps=SAMPLES)
     return _with_outputs(result, replay.ts, replay.xs, replay.us)
 
 
-def planned(result: Any) -> Flight:
+def planned(result: Any) -> Descent:
     """The nodes of a `TrajectoryResult`, each with the control held from it on, the last with the one held until it."""
     us = {name: np.concatenate([values, values[-1:]]) for name, values in result.us.items()}
     return _with_outputs(result, result.ts, result.xs, us)
 
 
-def _with_outputs(result: Any, ts: Array, xs: dict[str, Array], us: dict[str, Array]) -> Flight:
+def _with_outputs(result: Any, ts: Array, xs: dict[str, Array], us: dict[str, Array]) -> Descent:
     outputs = _outputs(result.problem.dynamics)(ts, xs, us)
-    return Flight(ts, xs, us, {name: np.asarray(values) for name, values in outputs.items()})
+    return Descent(ts, xs, us, {name: np.asarray(values) for name, values in outputs.items()})
 
 
 @functools.lru_cache(maxsize=4)
@@ -84,7 +84,7 @@ def _outputs(dynamics: Any) -> Callable[..., Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Miss:
-    """How far the end of a flight is from standing still on the pad, upright; the heading is free.
+    """How far the end of a descent is from standing still on the pad, upright; the heading is free.
 
     Attributes:
         position, velocity: m and m/s, in any direction.
@@ -96,27 +96,27 @@ class Miss:
     angle: float
 
     @staticmethod
-    def of(flight: Flight) -> Miss:
+    def of(descent: Descent) -> Miss:
         """The miss at the last sample."""
         return Miss(
-            float(np.linalg.norm(flight.position[-1])),
-            float(np.linalg.norm(flight.velocity[-1])),
-            float(np.rad2deg(flight.outputs["tilt"][-1])),
+            float(np.linalg.norm(descent.position[-1])),
+            float(np.linalg.norm(descent.velocity[-1])),
+            float(np.rad2deg(descent.outputs["tilt"][-1])),
         )
 
     def within(self, other: Miss) -> bool:
-        """Whether no part is larger than the other's; not a number is never within."""
+        """Whether no part is larger than the other's; NaN is never within."""
         mine, bars = dataclasses.astuple(self), dataclasses.astuple(other)
         return all(value <= bar for value, bar in zip(mine, bars))
 
 
-#: A landing counts if the controls, flown again, miss by no more than this.
+#: A landing counts if the controls, replayed, miss by no more than this.
 ALLOWED = Miss(position=0.5, velocity=0.1, angle=0.5)
 
 
 @dataclasses.dataclass(frozen=True)
 class Reach:
-    """How near a flight comes to a limit.
+    """How near a descent comes to a limit.
 
     Attributes:
         limit: the limit.
@@ -131,16 +131,16 @@ class Reach:
 
     @property
     def holds(self) -> bool:
-        """Whether the limit holds, but for its slack. Not a number does not."""
+        """Whether the limit holds, but for its slack. NaN does not."""
         return self.margin >= -self.limit.slack
 
 
-def reaches(flight: Flight, limits: Sequence[Limit]) -> list[Reach]:
-    """How near a flight comes to every limit."""
+def reaches(descent: Descent, limits: Sequence[Limit]) -> list[Reach]:
+    """How near a descent comes to every limit."""
     found = []
     for limit in limits:
-        values = flight.outputs[limit.output]
+        values = descent.outputs[limit.output]
         margins = limit.margin(values)
         worst = int(np.argmin(margins))
-        found.append(Reach(limit, float(values[worst]) * limit.factor, float(flight.ts[worst]), float(margins[worst])))
+        found.append(Reach(limit, float(values[worst]) * limit.factor, float(descent.ts[worst]), float(margins[worst])))
     return found

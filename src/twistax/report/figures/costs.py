@@ -88,9 +88,9 @@ def _landings() -> list[float]:
     masses = []
     for seed in _SEEDS:
         result = problem.solve(seed=seed)
-        flight = touchdown.flown(result, tx.RKMK(tx.tableaus.RK4))
-        close = touchdown.Miss.of(flight).within(touchdown.ALLOWED)
-        if result.solved and close and all(r.holds for r in touchdown.reaches(flight, powered_descent.limits())):
+        descent = touchdown.replayed(result, tx.RKMK(tx.tableaus.RK4))
+        close = touchdown.Miss.of(descent).within(touchdown.ALLOWED)
+        if result.solved and close and all(r.holds for r in touchdown.reaches(descent, powered_descent.limits())):
             masses.append(result.cost)
     return masses
 
