@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -35,114 +34,68 @@ class Ambient:
     def __init__(self, dynamics: Dynamics, quaternion: bool = True) -> None:
         self.dynamics = dynamics
         self.quaternion = quaternion
-        self._coordinates = {name: _coordinates(group, quaternion) for name, group in dynamics.group.factors.items()}
+        self._numbers = {name: _numbers(group, quaternion) for name, group in dynamics.group.factors.items()}
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
         """The numbers of a state. Raises InputError as a call of the dynamics does."""
         states = self.dynamics._functions.prepare(0.0, x, reads=()).x
-        return {name: own.write(states[name]) for name, own in self._coordinates.items()}
+        return {name: own.write(states[name]) for name, own in self._numbers.items()}
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
         """The state of one set of numbers; map over saved times with jax.vmap."""
-        return {name: own.read(jnp.asarray(y[name])) for name, own in self._coordinates.items()}
+        return {name: own.read(jnp.asarray(y[name])) for name, own in self._numbers.items()}
 
     def vector_field(self, t: Any, y: Mapping[str, Any], args: Any = None) -> Arrays:
         """y' at time t with args = (u, params), both as `integrate` takes them, or None. Traceable."""
-        given = read_arguments(self.dynamics, t, self.from_ambient(y), args)
-        # A solver that picks its own steps has no step to look into: tables are read at t itself.
-        now = given.signals.during(self.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
-        return self.rates(y, self.dynamics._functions.vector_field(given.t, given.x, now, given.params))
+        return self.rates(y, read_arguments(self.dynamics, t, self.from_ambient(y), args).rates(self.dynamics))
 
     def rates(self, y: Mapping[str, Any], velocities: Mapping[str, Any]) -> Arrays:
         """y' of the rates that the dynamics give: body velocities of rotations and poses."""
-        return {name: own.rate(jnp.asarray(y[name]), velocities[name]) for name, own in self._coordinates.items()}
+        return {name: own.rate(jnp.asarray(y[name]), velocities[name]) for name, own in self._numbers.items()}
 
 
-class _Coordinates(ABC):
-    """How one state is written in plain numbers."""
+class _Numbers(NamedTuple):
+    """How one state is written in plain numbers: of an element, the element of numbers, and y' for a body velocity."""
 
-    @abstractmethod
-    def write(self, g: jax.Array) -> jax.Array:
-        """The numbers of an element."""
-
-    @abstractmethod
-    def read(self, y: jax.Array) -> jax.Array:
-        """The element of the numbers."""
-
-    @abstractmethod
-    def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        """y' for a body velocity."""
+    write: Callable[[jax.Array], jax.Array]
+    read: Callable[[jax.Array], jax.Array]
+    rate: Callable[[jax.Array, jax.Array], jax.Array]
 
 
-class _Plain(_Coordinates):
-    """A state without a group."""
-
-    def write(self, g: jax.Array) -> jax.Array:
-        return g
-
-    def read(self, y: jax.Array) -> jax.Array:
-        return y
-
-    def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        return velocity
-
-
-class _RotationMatrix(_Plain):
-    """R' = R hat(w)."""
-
-    def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        return so3.compose(y, so3.hat(velocity))
-
-
-class _PoseMatrix(_Plain):
-    """T' = T hat(xi)."""
-
-    def __init__(self, group: SpecialEuclidean) -> None:
-        self._order = group.order
-
-    def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        return se3.compose(y, se3.hat(self._order.to_linear_first(velocity)))
-
-
-class _RotationQuaternion(_Coordinates):
-    """A rotation as a quaternion."""
-
-    def write(self, g: jax.Array) -> jax.Array:
-        return quaternions.from_rotation(g)
-
-    def read(self, y: jax.Array) -> jax.Array:
-        return quaternions.to_rotation(y)
-
-    def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        return vector(quaternions.rate(unpack(y), unpack(velocity)))
-
-
-class _PoseQuaternion(_Coordinates):
-    """[q, p] with p' = R(q) v."""
-
-    def __init__(self, group: SpecialEuclidean) -> None:
-        self._order = group.order
-        self._rotation = _RotationQuaternion()
-
-    def write(self, g: jax.Array) -> jax.Array:
-        return jnp.concatenate([self._rotation.write(g[:3, :3]), g[:3, 3]])
-
-    def read(self, y: jax.Array) -> jax.Array:
-        return se3.transform(self._rotation.read(y[:4]), y[4:])
-
-    def rate(self, y: jax.Array, velocity: jax.Array) -> jax.Array:
-        twist = self._order.to_linear_first(velocity)
-        return jnp.concatenate([self._rotation.rate(y[:4], twist[3:]), so3.act(self._rotation.read(y[:4]), twist[:3])])
-
-
-def _coordinates(group: Group, quaternion: bool) -> _Coordinates:
+def _numbers(group: Group, quaternion: bool) -> _Numbers:
     if isinstance(group, Euclidean):
-        return _Plain()
+        return _Numbers(_same, _same, lambda y, velocity: velocity)
     if isinstance(group, SpecialOrthogonal):
-        return _RotationQuaternion() if quaternion else _RotationMatrix()
+        if quaternion:
+            return _Numbers(quaternions.from_rotation, quaternions.to_rotation, _turned)
+        return _Numbers(_same, _same, lambda y, velocity: so3.compose(y, so3.hat(velocity)))
     if isinstance(group, SpecialEuclidean):
-        return _PoseQuaternion(group) if quaternion else _PoseMatrix(group)
+        linear_first = group.order.to_linear_first
+        if quaternion:
+            return _Numbers(_from_pose, _to_pose, lambda y, velocity: _moved(y, linear_first(velocity)))
+        return _Numbers(_same, _same, lambda y, velocity: se3.compose(y, se3.hat(linear_first(velocity))))
     raise ModelError(f"no plain numbers are known for states on {group.name}")
+
+
+def _same(y: jax.Array) -> jax.Array:
+    return y
+
+
+def _turned(q: jax.Array, velocity: jax.Array) -> jax.Array:
+    return vector(quaternions.rate(unpack(q), unpack(velocity)))
+
+
+def _from_pose(g: jax.Array) -> jax.Array:
+    return jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]])
+
+
+def _to_pose(y: jax.Array) -> jax.Array:
+    return se3.transform(quaternions.to_rotation(y[:4]), y[4:])
+
+
+def _moved(y: jax.Array, twist: jax.Array) -> jax.Array:
+    """q' and p' = R(q) v."""
+    return jnp.concatenate([_turned(y[:4], twist[3:]), so3.act(quaternions.to_rotation(y[:4]), twist[:3])])
 
 
 class Arguments(NamedTuple):
@@ -159,6 +112,11 @@ class Arguments(NamedTuple):
     x: Arrays
     signals: Signals
     params: Arrays
+
+    def rates(self, dynamics: Dynamics) -> Arrays:
+        """The rates there. A solver that picks its own steps has no step to look into: tables are read at t itself."""
+        now = self.signals.during(dynamics, self.t, jnp.zeros_like(self.t))(self.t)
+        return dynamics._functions.vector_field(self.t, self.x, now, self.params)
 
 
 def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) -> Arguments:

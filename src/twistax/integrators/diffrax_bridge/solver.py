@@ -131,11 +131,9 @@ class LieSolver(diffrax.AbstractWrappedSolver):
 
     def func(self, terms: Any, t0: Any, y0: Mapping[str, Any], args: Any) -> Arrays:
         """The rates of the entries of y0, matrices changing as matrices do; for what diffrax measures with them."""
-        rates = [part.dynamics for part in self._parts(terms)]
-        time = self._parts(terms)[0].direction * t0
-        given = read_arguments(self.frame.dynamics, time, y0, args)
-        now = given.signals.during(self.frame.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
-        found = [system._functions.vector_field(given.t, given.x, now, given.params) for system in rates]
+        parts = self._parts(terms)
+        given = read_arguments(self.frame.dynamics, parts[0].direction * t0, y0, args)
+        found = [given.rates(part.dynamics) for part in parts]
         return self.frame.ambient.rates(given.x, jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *found))
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> Any:

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, NoReturn
 
 import diffrax
 import equinox as eqx
-import jax.numpy as jnp
 
 from ...errors import ModelError
 from ...jax_inside import wrapped_terms
@@ -24,9 +23,7 @@ class LieTerm(diffrax.AbstractTerm):
 
     def vf(self, t: Any, y: Any, args: Any) -> Arrays:
         """The rates at y with args = (u, params), or None. Raises InputError as a call of the dynamics does."""
-        given = read_arguments(self.dynamics, t, y, args)
-        now = given.signals.during(self.dynamics, given.t, jnp.zeros_like(given.t))(given.t)
-        return self.dynamics._functions.vector_field(given.t, given.x, now, given.params)
+        return read_arguments(self.dynamics, t, y, args).rates(self.dynamics)
 
     def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Any:
         """The length of the step."""
