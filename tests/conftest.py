@@ -88,20 +88,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("smoke")
 
 
-#: Megabytes that a worker may hold before what JAX keeps of earlier tests is dropped.
-MEMORY = 1100
+#: Megabytes that a worker may hold before what JAX keeps of earlier tests is dropped, and those it gets after that.
+MEMORY, ROOM = 1100, 350
+
+_limit = float(MEMORY)
 
 
 def pytest_runtest_logfinish() -> None:
     """Between tests: JAX keeps each program and its machine code, 6 GB over the suite, and glibc what was freed."""
-    if sys.platform != "linux" or resident() < MEMORY:
+    global _limit
+    if sys.platform != "linux" or resident() < _limit:
         return
-    libc = ctypes.CDLL(None)
-    libc.malloc_trim(0)
-    if resident() > MEMORY / 2:
-        jax.clear_caches()
-        gc.collect()
-        libc.malloc_trim(0)
+    jax.clear_caches()
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
+    # Some of it stays: to drop the rest again and again would take the time of compiling it again and again.
+    _limit = max(MEMORY, resident() + ROOM)
 
 
 def resident() -> float:
