@@ -70,6 +70,12 @@ def test_a_known_choice_leaves_the_rest_out() -> None:
     assert program.counts() == {"cos": 1, "sin": 2}
 
 
+def test_a_choice_by_what_is_not_so_is_the_other_one() -> None:
+    program = program_of(lambda a: jnp.where(~(a > 1.0), jnp.sin(a), a), NUMBER)
+    assert program.counts() == {"gt": 1, "select": 1, "sin": 1}
+    assert [evaluate(program, a)[0] for a in (3.0, 0.5)] == [3.0, np.sin(0.5)]
+
+
 def test_what_no_result_needs_is_left_out() -> None:
     program = program_of(lambda a: (jnp.sin(a) * jnp.exp(a))[:1], VECTOR)
     assert program.counts() == {"exp": 1, "mul": 1, "sin": 1}
