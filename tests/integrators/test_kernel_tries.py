@@ -11,12 +11,12 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
+from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.machine_code import BuildError
 from twistax.lowering.native.processor import Processor
 from twistax.lowering.native.self_test import check_kernel
 from twistax.lowering.native.tile import native_form
-from twistax.lowering.native.turns import Turns
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.repeated import Repeated
 from twistax.lowering.scalar.table import OPERATIONS
@@ -156,7 +156,7 @@ def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -
     number, x = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((3,), float)
     step = native_form(scalarize(lambda k, x: [0.5 * x, (x > 0.0).all()], number, x))
     with pytest.raises(BuildError, match="differ"):
-        check_kernel(Kernel(Turns(step, 1, 1), Processor.host()))
+        check_kernel(Kernel(Iterations(step, 1, 1), Processor.host()))
 
 
 def test_other_numbers_do_not_compile_again() -> None:

@@ -35,7 +35,7 @@ def header(
  *   Arguments come first and are only read; results follow and are written whole, zeros too. A result must not
  *   overlap an argument or another result. All functions take the same arguments; what one does not read is ignored.
  *   Units are those of the arguments: nothing is converted.
- *   Compile without -ffast-math where infinities or not-a-number may occur.
+ *   Compile without -ffast-math where infinities or NaN may occur.
  *
  * Arguments, in this order
 {_listed(exporter, exporter.arguments, names)}

@@ -19,7 +19,7 @@ from ..scalar.program import ScalarProgram, scalarize
 
 __all__ = ["ExportedFunction", "Exporter", "Port"]
 
-#: LU with pivots is written out up to the size that Cholesky is.
+#: LU with pivots is unrolled up to the size that Cholesky is.
 _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 
 
@@ -53,7 +53,7 @@ class ExportedFunction:
         name: "rates", "outputs", "constraints" or "jacobian".
         results: what it gives, in order; empty arrays are left out.
         program: from all arguments, in order, to the results; without calls.
-        arrays: the same in JAX arrays, not by way of scalars: what references are worked out with.
+        arrays: the same in JAX arrays, not by way of scalars: what references are computed with.
     """
 
     name: str
@@ -148,14 +148,14 @@ class Exporter:
         return self.dynamics.as_written(family, given.t, dict(given.x), dict(given.u), dict(given.params))
 
     def _alone(self, name: str, program: ScalarProgram) -> ScalarProgram:
-        """The program with every call written out."""
+        """The program with every call unrolled."""
         form = emitted_form(program, limits=_LIMITS)
         if form.calls:
             unread = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})
             raise ModelError(
                 f"the {name} call {', '.join(unread)}, which {'has' if len(unread) == 1 else 'have'} no form in "
                 "scalars.\n  fix: bake the parameters it works on, write it with other nodes, or leave this function "
-                f"out; solves are written out up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to "
+                f"out; solves are unrolled up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to "
                 f"{_LIMITS.table} places"
             )
         return form

@@ -17,12 +17,12 @@ from ..scalar.primitive import Derived, Runner, call_program
 from ..scalar.program import ScalarProgram
 from ..scalar.repeated import Repeated
 from .code import NotNative
+from .iterations import Iterations
 from .kernel import Kernel
 from .machine_code import BuildError
 from .processor import Processor
 from .self_test import check_kernel
 from .tile import NATIVE_LIMITS, Straight, Tile, native_form
-from .turns import Turns
 
 __all__ = ["Auto", "Native", "installed"]
 
@@ -92,7 +92,7 @@ class Native(Backend, Runner):
         processor = Processor.host()
 
         def kernel(single: bool) -> Kernel | None:
-            return self._built(Turns(form, state, 1 if single else processor.lanes(form.graph.dtype)), processor)
+            return self._built(Iterations(form, state, 1 if single else processor.lanes(form.graph.dtype)), processor)
 
         return Repeated(form, state, kernel)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +12,7 @@ import numpy as np
 
 from .processor import Processor
 
-__all__ = ["Code", "Module", "NotNative"]
+__all__ = ["Code", "Module", "NotNative", "addressed"]
 
 
 class NotNative(Exception):
@@ -149,3 +151,15 @@ def _number(kind: str, value: Any) -> str:
     with np.errstate(over="ignore"):
         exact = float(np.float32(value)) if kind == "float" else float(value)
     return f"0x{struct.unpack('<Q', struct.pack('<d', exact))[0]:016X}"
+
+
+def addressed(text: str) -> str:
+    """Text in which loads and stores have an offset in bytes, `ptr %a + 8`, as LLVM reads it."""
+    count = itertools.count()
+
+    def split(match: re.Match[str]) -> str:
+        instruction, base, offset = match.groups()
+        place = f"%place.{next(count)}"
+        return f"{place} = getelementptr i8, ptr {base}, i64 {offset}\n{instruction}, ptr {place}"
+
+    return re.sub(r"^(.*), ptr (%[\w.]+) \+ (\d+)$", split, text, flags=re.MULTILINE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .code import Module
+from .code import Module, addressed
 from .rows import Array
 
 __all__ = ["write_driver"]
@@ -13,8 +13,8 @@ __all__ = ["write_driver"]
 def write_driver(module: Module, arrays: Sequence[Array], names: Sequence[str], lanes: int, chunk: int) -> None:
     """Adds functions on a table of pointers to arrays.
 
-    `run(table, first, end)` works out rows `first` to `end` - 1, at least one. `start(frame, table, rows, most)` works
-    out all of them by at most so many threads of XLA's pool, `chunk` rows at a time.
+    `run(table, first, end)` computes rows `first` to `end` - 1, at least one. `start(frame, table, rows, most)` has all
+    of them computed by at most so many threads of XLA's pool, `chunk` rows at a time.
 
     Args:
         arrays: arguments and results, in the order of the table.
@@ -31,7 +31,8 @@ def write_driver(module: Module, arrays: Sequence[Array], names: Sequence[str], 
         "declare i64 @llvm.umin.i64(i64, i64)",
     }
     module.library |= {"malloc", "free", "sched_yield"}
-    module.functions["threads"] = _THREADS.format(chunk=chunk, table=8 * len(arrays), job=_HEAD + 8 * len(arrays))
+    text = _THREADS.format(chunk=chunk, table=8 * len(arrays), job=_HEAD + 8 * len(arrays))
+    module.functions["threads"] = addressed(text)
 
 
 def _run(arrays: Sequence[Array], names: Sequence[str], lanes: int) -> str:
@@ -76,8 +77,7 @@ _HEAD = 32
 _THREADS = """
 define internal void @work(ptr %job) #0 {{
 entry:
-%rows.at = getelementptr i64, ptr %job, i64 1
-%rows = load i64, ptr %rows.at
+%rows = load i64, ptr %job + 8
 %done.at = getelementptr i64, ptr %job, i64 2
 %table = getelementptr i64, ptr %job, i64 4
 br label %take
@@ -115,12 +115,9 @@ ret void
 define internal void @dropped(ptr %api, ptr %error) #0 {{
 %arguments = alloca [3 x i64]
 store i64 24, ptr %arguments
-%extension = getelementptr i64, ptr %arguments, i64 1
-store i64 0, ptr %extension
-%error.at = getelementptr i64, ptr %arguments, i64 2
-store ptr %error, ptr %error.at
-%destroy.at = getelementptr i8, ptr %api, i64 64
-%destroy = load ptr, ptr %destroy.at
+store i64 0, ptr %arguments + 8
+store ptr %error, ptr %arguments + 16
+%destroy = load ptr, ptr %api + 64
 call void %destroy(ptr %arguments)
 ret void
 }}
@@ -130,14 +127,10 @@ entry:
 store i64 1, ptr %count
 %arguments = alloca [4 x i64]
 store i64 32, ptr %arguments
-%extension = getelementptr i64, ptr %arguments, i64 1
-store i64 0, ptr %extension
-%context.at = getelementptr i64, ptr %arguments, i64 2
-store ptr %context, ptr %context.at
-%count.at = getelementptr i64, ptr %arguments, i64 3
-store ptr %count, ptr %count.at
-%function.at = getelementptr i8, ptr %api, i64 144
-%function = load ptr, ptr %function.at
+store i64 0, ptr %arguments + 8
+store ptr %context, ptr %arguments + 16
+store ptr %count, ptr %arguments + 24
+%function = load ptr, ptr %api + 144
 %error = call ptr %function(ptr %arguments)
 %failed = icmp ne ptr %error, null
 br i1 %failed, label %none, label %known
@@ -158,10 +151,8 @@ alone:
 call void @run(ptr %table, i64 0, i64 %rows)
 ret void
 many:
-%api.at = getelementptr i8, ptr %frame, i64 16
-%api = load ptr, ptr %api.at
-%context.at = getelementptr i8, ptr %frame, i64 24
-%context = load ptr, ptr %context.at
+%api = load ptr, ptr %frame + 16
+%context = load ptr, ptr %frame + 24
 %found = call i64 @threads(ptr %api, ptr %context)
 %allowed = call i64 @llvm.umin.i64(i64 %found, i64 %most)
 %up = add i64 %rows, {chunk}
@@ -176,26 +167,19 @@ share:
 br i1 %missing, label %alone, label %filled
 filled:
 store i64 0, ptr %job
-%rows.at = getelementptr i64, ptr %job, i64 1
-store i64 %rows, ptr %rows.at
+store i64 %rows, ptr %job + 8
 %done.at = getelementptr i64, ptr %job, i64 2
 store i64 0, ptr %done.at
-%holders.at = getelementptr i64, ptr %job, i64 3
-store i64 %holders, ptr %holders.at
+store i64 %holders, ptr %job + 24
 %own = getelementptr i64, ptr %job, i64 4
 call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %table, i64 {table}, i1 false)
 %arguments = alloca [5 x i64]
 store i64 40, ptr %arguments
-%extension = getelementptr i64, ptr %arguments, i64 1
-store i64 0, ptr %extension
-%argument.context = getelementptr i64, ptr %arguments, i64 2
-store ptr %context, ptr %argument.context
-%argument.task = getelementptr i64, ptr %arguments, i64 3
-store ptr @task, ptr %argument.task
-%argument.job = getelementptr i64, ptr %arguments, i64 4
-store ptr %job, ptr %argument.job
-%schedule.at = getelementptr i8, ptr %api, i64 136
-%schedule = load ptr, ptr %schedule.at
+store i64 0, ptr %arguments + 8
+store ptr %context, ptr %arguments + 16
+store ptr @task, ptr %arguments + 24
+store ptr %job, ptr %arguments + 32
+%schedule = load ptr, ptr %api + 136
 br label %call
 call:
 %begun = phi i64 [ 1, %filled ], [ %next, %called ]

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .code import Module
+from .code import Module, addressed
 from .rows import Array
 
 __all__ = ["API", "write_handler"]
@@ -23,54 +23,40 @@ _DATA_TYPES = {"double": 12, "float": 11, "i64": 5, "i32": 4, "i1": 1}
 
 _BEGIN = """define ptr @handler(ptr %frame) #0 {{
 entry:
-%extension.at = getelementptr i8, ptr %frame, i64 8
-%extension = load ptr, ptr %extension.at
+%extension = load ptr, ptr %frame + 8
 %plain = icmp eq ptr %extension, null
 br i1 %plain, label %call, label %asked
 asked:
-%type.at = getelementptr i8, ptr %extension, i64 8
-%type = load i32, ptr %type.at
+%type = load i32, ptr %extension + 8
 %describe = icmp eq i32 %type, 1
 br i1 %describe, label %metadata, label %call
 metadata:
-%metadata.at = getelementptr i8, ptr %extension, i64 24
-%own = load ptr, ptr %metadata.at
-%major.out = getelementptr i8, ptr %own, i64 24
-store i32 {major}, ptr %major.out
-%minor.out = getelementptr i8, ptr %own, i64 28
-store i32 {minor}, ptr %minor.out
-%traits = getelementptr i8, ptr %own, i64 32
-store i32 0, ptr %traits
+%own = load ptr, ptr %extension + 24
+store i32 {major}, ptr %own + 24
+store i32 {minor}, ptr %own + 28
+store i32 0, ptr %own + 32
 ret ptr null
 call:
-%api.at = getelementptr i8, ptr %frame, i64 16
-%api = load ptr, ptr %api.at
-%major.at = getelementptr i8, ptr %api, i64 32
-%major = load i32, ptr %major.at
-%minor.at = getelementptr i8, ptr %api, i64 36
-%minor = load i32, ptr %minor.at
+%api = load ptr, ptr %frame + 16
+%major = load i32, ptr %api + 32
+%minor = load i32, ptr %api + 36
 %same = icmp eq i32 %major, {major}
 %recent = icmp sge i32 %minor, {minor}
 %known = and i1 %same, %recent
 br i1 %known, label %count, label %wrong.version
 count:
-%arguments.count.at = getelementptr i8, ptr %frame, i64 56
-%arguments.count = load i64, ptr %arguments.count.at
-%results.count.at = getelementptr i8, ptr %frame, i64 96
-%results.count = load i64, ptr %results.count.at
+%arguments.count = load i64, ptr %frame + 56
+%results.count = load i64, ptr %frame + 96
 %arguments.right = icmp eq i64 %arguments.count, {arguments}
 %results.right = icmp eq i64 %results.count, {results}
 %counts.right = and i1 %arguments.right, %results.right
 br i1 %counts.right, label %buffers, label %wrong.count
 buffers:
-%arguments.at = getelementptr i8, ptr %frame, i64 72
-%arguments = load ptr, ptr %arguments.at
-%results.at = getelementptr i8, ptr %frame, i64 112
-%results = load ptr, ptr %results.at
+%arguments = load ptr, ptr %frame + 72
+%results = load ptr, ptr %frame + 112
 %table = alloca [{count} x ptr]
 %first.at = load ptr, ptr %results
-%first.dims.at = getelementptr i8, ptr %first.at, i64 40
-%first.dims = load ptr, ptr %first.dims.at
+%first.dims = load ptr, ptr %first.at + 40
 %rows = load i64, ptr %first.dims
 br label %check.0
 """
@@ -78,27 +64,22 @@ br label %check.0
 _BUFFER = """check.{k}:
 %slot.{k} = getelementptr ptr, ptr %{family}, i64 {place}
 %buffer.{k} = load ptr, ptr %slot.{k}
-%type.{k}.at = getelementptr i8, ptr %buffer.{k}, i64 16
-%type.{k} = load i32, ptr %type.{k}.at
-%rank.{k}.at = getelementptr i8, ptr %buffer.{k}, i64 32
-%rank.{k} = load i64, ptr %rank.{k}.at
+%type.{k} = load i32, ptr %buffer.{k} + 16
+%rank.{k} = load i64, ptr %buffer.{k} + 32
 %type.right.{k} = icmp eq i32 %type.{k}, {type}
 %rank.right.{k} = icmp eq i64 %rank.{k}, 2
 %kind.{k} = and i1 %type.right.{k}, %rank.right.{k}
 br i1 %kind.{k}, label %shape.{k}, label %wrong.{k}
 shape.{k}:
-%dims.{k}.at = getelementptr i8, ptr %buffer.{k}, i64 40
-%dims.{k} = load ptr, ptr %dims.{k}.at
+%dims.{k} = load ptr, ptr %buffer.{k} + 40
 %rows.{k} = load i64, ptr %dims.{k}
-%size.{k}.at = getelementptr i64, ptr %dims.{k}, i64 1
-%size.{k} = load i64, ptr %size.{k}.at
+%size.{k} = load i64, ptr %dims.{k} + 8
 %rows.right.{k} = icmp eq i64 %rows.{k}, %rows
 %size.right.{k} = icmp eq i64 %size.{k}, {size}
 %both.{k} = and i1 %rows.right.{k}, %size.right.{k}
 br i1 %both.{k}, label %keep.{k}, label %wrong.{k}
 keep.{k}:
-%data.{k}.at = getelementptr i8, ptr %buffer.{k}, i64 24
-%data.{k} = load ptr, ptr %data.{k}.at
+%data.{k} = load ptr, ptr %buffer.{k} + 24
 %entry.{k} = getelementptr ptr, ptr %table, i64 {k}
 store ptr %data.{k}, ptr %entry.{k}
 br label %check.{next}
@@ -123,21 +104,17 @@ ret ptr %error.{label}
 _FAILED = """define internal ptr @failed(ptr %api, ptr %message) #0 {
 %arguments = alloca [4 x i64]
 store i64 28, ptr %arguments
-%extension = getelementptr i64, ptr %arguments, i64 1
-store i64 0, ptr %extension
-%message.at = getelementptr i64, ptr %arguments, i64 2
-store ptr %message, ptr %message.at
-%code.at = getelementptr i64, ptr %arguments, i64 3
-store i64 3, ptr %code.at
-%create.at = getelementptr i8, ptr %api, i64 48
-%create = load ptr, ptr %create.at
+store i64 0, ptr %arguments + 8
+store ptr %message, ptr %arguments + 16
+store i64 3, ptr %arguments + 24
+%create = load ptr, ptr %api + 48
 %error = call ptr %create(ptr %arguments)
 ret ptr %error
 }"""
 
 
 def write_handler(module: Module, arguments: Sequence[Array], results: Sequence[Array], threads: int) -> None:
-    """`handler(frame)`: checks the version, types and shapes (rows, entries), then works out all rows.
+    """`handler(frame)`: checks the version, types and shapes (rows, entries), then computes all rows.
 
     Args:
         threads: the most to use.
@@ -161,5 +138,5 @@ def write_handler(module: Module, arguments: Sequence[Array], results: Sequence[
         f'@message.{label} = private constant [{len(message) + 1} x i8] c"{message}\\00"'
         for label, message in messages.items()
     ]
-    module.functions["failed"] = _FAILED
-    module.functions["handler"] = "\n".join([text + "}", *constants])
+    module.functions["failed"] = addressed(_FAILED)
+    module.functions["handler"] = "\n".join([addressed(text) + "}", *constants])

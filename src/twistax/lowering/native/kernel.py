@@ -37,7 +37,7 @@ class Kernel:
     """A tile in machine code.
 
     Args:
-        tile: what works out some rows.
+        tile: what computes some rows.
         processor: the one to write for.
         threads: the most to use; all if None.
     Raises:

@@ -47,17 +47,17 @@ class Scalars:
         self._read = read
         self._values: dict[int, str] = {}
 
-    def work_out(self, nodes: Sequence[int]) -> list[str]:
+    def compute(self, nodes: Sequence[int]) -> list[str]:
         """The values of nodes; sines and cosines that do not wait for one another together."""
         live = self._form.graph.live(list(nodes))
         for angles in self._angles(live):
-            self._in_turn(self._form.graph.live(angles))
+            self._in_order(self._form.graph.live(angles))
             found = sines_and_cosines(self._code, NAMES[self._form.graph.dtype], [self._values[i] for i in angles])
             self._code.turned.update(zip((self._values[i] for i in angles), found, strict=True))
-        self._in_turn(live)
+        self._in_order(live)
         return [self._values[i] for i in nodes]
 
-    def _in_turn(self, nodes: Sequence[int]) -> None:
+    def _in_order(self, nodes: Sequence[int]) -> None:
         g, values = self._form.graph, self._values
         for i in nodes:
             if i in values:

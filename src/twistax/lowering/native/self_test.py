@@ -25,7 +25,7 @@ _CALLED = False
 
 
 def check_kernel(kernel: Kernel) -> None:
-    """Works out one more row than a vector has lanes, at random, and compares; the first time through JAX too.
+    """Computes one more row than a vector has lanes, at random, and compares; the first time through JAX too.
 
     Raises:
         BuildError: they differ.

@@ -1,4 +1,4 @@
-"""A scalar program as one function that works out as many bodies at once as a vector has lanes."""
+"""A scalar program as one function that computes as many bodies at once as a vector has lanes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .scalars import Scalars, form_of
 
 __all__ = ["NATIVE_LIMITS", "Shape", "Signature", "Straight", "Tile", "by_numpy", "native_form", "rows_of", "shapes_of"]
 
-#: Kernels call no library: more is written out than for XLA.
+#: Kernels call no library: more is unrolled than for XLA.
 NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 
 #: The shape of one row of an array, and its type.
@@ -53,7 +53,7 @@ class Tile(ABC):
     """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
 
     Attributes:
-        lanes: rows worked out side by side.
+        lanes: rows computed side by side.
         arguments, results: all of them, of one row.
         signature: those that are read and written.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
@@ -115,9 +115,9 @@ class Straight(Tile):
         form = self.form
         code, reads, writes = self.begin(module)
         scalars = Scalars(code, form, lambda argument, entry: reads[argument].read(entry))
-        scalars.work_out(form.live)
+        scalars.compute(form.live)
         for k, rows in writes.items():
-            rows.write(scalars.work_out(form.outputs[k].reshape(-1).tolist()))
+            rows.write(scalars.compute(form.outputs[k].reshape(-1).tolist()))
         self.end(code)
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:

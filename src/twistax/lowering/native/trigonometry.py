@@ -3,7 +3,7 @@
 x = k pi/2 + r with |r| <= pi/4 (W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980): products
 of k with pieces of pi/2 are subtracted one after the other, so that what cancels is exact. Polynomials in r as in
 FDLIBM (Sun Microsystems, 1993; k_sin.c, k_cos.c). Below 2 units in the last place up to `LARGEST`; beyond, and for what
-is not finite, the C library is called. Float32 is worked out in float64.
+is not finite, the C library is called. Float32 is computed in float64.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tupl
     near: list[tuple[str, ...]] = []
     far: list[str] = []
     for x in angles:
-        # Not "greater": so that what is not a number is among them.
+        # Not "greater": so that NaN is among them.
         far.append(code.emit(f"fcmp ugt {own} {code.call('fabs', kind, x)}, {code.constant(kind, LARGEST)}"))
         pair = _near(code, x if kind == "double" else code.convert("fpext", kind, "double", x))
         if kind != "double":

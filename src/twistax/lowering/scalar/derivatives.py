@@ -1,4 +1,4 @@
-"""Derivatives on the graph: what is structurally zero in them is never worked out."""
+"""Derivatives on the graph: what is structurally zero in them is never computed."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from .program import ScalarProgram
 
 __all__ = ["as_function"]
 
-#: Operations that become a function of their own. XLA works out what several results need again for each of them, but
+#: Operations that become a function of their own. XLA computes what several results need again for each of them, but
 #: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
 _PIECE = 100
 
@@ -57,7 +57,7 @@ def as_function(
     """The program as a function of arrays, one body at a time; pure and traceable.
 
     Args:
-        apart: makes a function of its own of a piece; that of JAX if None, which XLA may write out again.
+        apart: makes a function of its own of a piece; that of JAX if None, which XLA may inline.
     """
     apart = apart or functools.partial(jax.jit, inline=False)
     form = emitted_form(program)
@@ -65,7 +65,7 @@ def as_function(
     steps = _steps(form)
 
     def function(*arguments: jax.Array) -> list[jax.Array]:
-        # Barriers: XLA would work out all that an array needs again for each of its entries.
+        # Barriers: XLA would compute all that an array needs again for each of its entries.
         entries = lax.optimization_barrier([jnp.reshape(a, -1) for a in arguments])
         values: dict[int, jax.Array] = {}
         for i in form.live:

@@ -1,7 +1,7 @@
 """Scalars as the nodes of a graph in which equal nodes are one, and zeros and ones disappear.
 
 A node is a number, the place of its entry in a list; an array is a NumPy array of such numbers. Arguments come before
-results, so that the list is in an order in which nodes can be worked out.
+results, so that the list is in an order in which nodes can be computed.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class Call:
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """Up to which size parts are written out that a library does as well: beyond, the compiler's time outweighs it.
+    """Up to which size parts are unrolled that a library does as well: beyond, the compiler's time outweighs it.
 
     Attributes:
         pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
         table: tables read at a place known only at run time, by comparing with each place.
-        equations: loops, all turns together, and branches.
+        equations: loops, all iterations together, and branches.
     """
 
     pivoted: int = 4
@@ -82,7 +82,7 @@ class Graph:
             division. By default they are zero, also where x is infinite or NaN. The sign of a zero is not
             kept in either mode.
         largest: refuse to grow beyond this many nodes.
-        limits: up to which size parts are written out that a library does as well.
+        limits: up to which size parts are unrolled that a library does as well.
     """
 
     def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000, limits: Limits = LIMITS) -> None:
@@ -278,7 +278,7 @@ class Graph:
         return entry[1:] if isinstance(entry[0], Operation) else ()
 
     def sources(self, node: int) -> list[int]:
-        """The nodes that a node is worked out from, those of a call included."""
+        """The nodes that a node is computed from, those of a call included."""
         call = self.call_of(node)
         return (
             list(self.arguments(node)) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
@@ -318,7 +318,7 @@ class Graph:
             todo += self.sources(i)
         return sorted(found)
 
-    def in_turn(self, outputs: Iterable[int]) -> list[int]:
+    def one_by_one(self, outputs: Iterable[int]) -> list[int]:
         """The same, each output with what only it and later ones need: few numbers are waiting at any time."""
         found: dict[int, None] = {}
         todo = [int(i) for i in outputs][::-1]
@@ -335,7 +335,7 @@ class Graph:
             found = len(self.nodes)
             if found >= self.largest:
                 raise TooLarge(
-                    f"the function takes more than {self.largest} scalars, too many to write out one by one.\n"
+                    f"the function takes more than {self.largest} scalars, too many to unroll.\n"
                     "  fix: compile with backend=tx.JAX(), and take its derivatives with jax.jacfwd"
                 )
             self._known[key] = found

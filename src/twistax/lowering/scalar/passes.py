@@ -19,13 +19,13 @@ _DIV = ARITHMETIC["div"]
 
 
 def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgram:
-    """The program that an emitter writes: calls that are functions of scalars are written out, and x / d, y / d, ...
+    """The program that an emitter writes: calls that are functions of scalars are unrolled, and x / d, y / d, ...
     become products with one 1 / d, unless the program is checked.
 
     A shared reciprocal costs one more rounding, half a unit in the last place.
 
     Args:
-        limits: up to which size parts are written out; larger for emitters that cannot call a library.
+        limits: up to which size parts are unrolled; larger for emitters that cannot call a library.
     """
     expanded = _rebuilt(program, set(), whole=False, limits=limits)
     if program.graph.checked:
@@ -42,7 +42,7 @@ def one_by_one(program: ScalarProgram) -> ScalarProgram:
     Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
     of the program need fewer of one another.
     """
-    return _rebuilt(program, set(), True, program.graph.limits, program.graph.in_turn(program.flat))
+    return _rebuilt(program, set(), True, program.graph.limits, program.graph.one_by_one(program.flat))
 
 
 def _rebuilt(

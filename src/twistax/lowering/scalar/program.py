@@ -91,7 +91,7 @@ def scalarize(
         shapes: of the arguments, with types; left out for a jaxpr.
         checked: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
         largest: the most scalars there may be.
-        limits: up to which size parts are written out.
+        limits: up to which size parts are unrolled.
     Raises:
         TooLarge: more scalars than are good for a compiler.
     """

@@ -26,7 +26,7 @@ class Repeated:
     """A step and the kernels that take it. Compared and hashed by identity.
 
     Args:
-        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another turn follows.
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
         state: how many arguments are the state.
         kernel: makes the kernel, for one body (True) or for many; None where there is none.
     """
@@ -49,14 +49,14 @@ def repeat(
 ) -> tuple[list[jax.Array], jax.Array]:
     """state = step(k, fixed, state) for k = first, ..., stop - 1.
 
-    A step that says whether another turn follows may end that early. One that does not ends it where the new state
+    A step that says whether another iteration follows may end that early. One that does not ends it where the new state
     would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
 
     Returns:
-        The state, and the number of the turn that comes next.
+        The state, and the number of the next iteration.
     """
-    *found, turn = repeat_p.bind(first, stop, *fixed, *state, repeated=repeated, depth=0)
-    return found, turn
+    *found, k = repeat_p.bind(first, stop, *fixed, *state, repeated=repeated, depth=0)
+    return found, k
 
 
 def _run(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array]:
@@ -79,7 +79,7 @@ def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array
         def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
             return carried[1] & (carried[0] < stop)
 
-        def turn(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
+        def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
             k, _, state = carried
             found = repeated.function(k, *fixed, *state)
             if len(found) > count:
@@ -88,7 +88,7 @@ def _run_wide(*arguments: Any, repeated: Repeated, depth: int) -> list[jax.Array
             kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
             return k + good.astype(k.dtype), good, kept
 
-        k, _, found = jax.lax.while_loop(going, turn, (first, jnp.asarray(True), list(state)))
+        k, _, found = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), list(state)))
         return [*found, k]
 
     return at_once(one, arguments, depth)

@@ -13,10 +13,10 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
+from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.processor import Processor
 from twistax.lowering.native.tile import native_form
-from twistax.lowering.native.turns import Turns
 from twistax.lowering.scalar.program import scalarize
 
 COUNTER = jax.ShapeDtypeStruct((), int)
@@ -26,7 +26,7 @@ def kernel_of(step: Any, processor: Processor, dtype: Any, single: bool) -> Kern
     """The kernel of a step with a matrix that stays and a state of three."""
     shapes = jax.ShapeDtypeStruct((3, 3), dtype), jax.ShapeDtypeStruct((3,), dtype)
     form = native_form(scalarize(step, COUNTER, *shapes))
-    return Kernel(Turns(form, 1, 1 if single else processor.lanes(np.dtype(dtype))), processor)
+    return Kernel(Iterations(form, 1, 1 if single else processor.lanes(np.dtype(dtype))), processor)
 
 
 def iterated(step: Any, first: int, stop: int, fixed: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
@@ -69,7 +69,7 @@ def test_each_body_as_by_itself(step: Any, dtype: Any, processor: Processor) -> 
     assert len({end - start for start, (_, end) in zip(first, expected, strict=True)}) > 4
     columns = [first[:, None], stop[:, None], fixed.reshape(count, 9), state]
     for single in (True, False):
-        ends, turns = kernel_of(lambda *a: [jnp.asarray(r) for r in step(*a)], processor, dtype, single).run(columns)
-        np.testing.assert_array_equal(turns[:, 0], [k for _, k in expected])
+        ends, counts = kernel_of(lambda *a: [jnp.asarray(r) for r in step(*a)], processor, dtype, single).run(columns)
+        np.testing.assert_array_equal(counts[:, 0], [k for _, k in expected])
         same = {"rtol": 1e-3 if dtype == np.float32 else 1e-11}
         np.testing.assert_allclose(ends, np.stack([x for x, _ in expected]), **same)
