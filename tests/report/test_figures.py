@@ -161,22 +161,6 @@ def test_c_steps_the_same_body_and_the_difference_sees_another(monkeypatch: pyte
         steps.beside_c.__wrapped__(2_000)
 
 
-@pytest.mark.parametrize("solve", [False, True])
-def test_the_body_of_the_scan_is_newton_and_euler_by_hand(solve: bool) -> None:
-    rate, arguments = steps.scanned(solve)
-    found, state = rate(*arguments), steps.start()
-    M, (w, x, y, z) = keeping.spatial_inertia(), state["q"]
-    v, omega = state["V"][:3], state["V"][3:]
-    R = 2.0 * np.array([[x * x, x * y, x * z], [x * y, y * y, y * z], [x * z, y * z, z * z]])
-    R += 2.0 * w * np.array([[w, -z, y], [z, w, -x], [-y, x, w]]) - np.eye(3)
-    momentum = M @ state["V"]
-    bias = np.concatenate([np.cross(omega, momentum[:3]), np.cross(omega, momentum[3:]) + np.cross(v, momentum[:3])])
-    turn = 0.5 * np.concatenate([[-omega @ state["q"][1:]], w * omega + np.cross(state["q"][1:], omega)])
-    expected = {"p": R @ v, "q": turn, "V": np.linalg.solve(M, steps.WRENCH - bias)}
-    for name, value in expected.items():
-        np.testing.assert_allclose(found[name], value, atol=1e-13)
-
-
 # ---- scalars and kernels ---------------------------------------------------------------------------------------------
 
 

@@ -178,10 +178,6 @@ ABSENT = Check("needs a package", "none", raising(Absent("not run: it is not ins
 BROKEN = Check("without a bar", "RK4", raising(RuntimeError("DISAGREES by 1.0e-03")))
 
 
-class Made(Checked):
-    name, title, about = "stability", "Title", "About."
-
-
 def run(folder: Path, *more: Check, quick: bool = False, again: bool = False, renewed: Path | None = None) -> int:
     given = argparse.Namespace(
         out=folder,
@@ -197,7 +193,8 @@ def run(folder: Path, *more: Check, quick: bool = False, again: bool = False, re
         method=None,
         case=None,
     )
-    return run_report(Made(given, [section(*more)]), given)
+    texts = {"name": "stability", "title": "Title", "about": "About.", "note": "A note."}
+    return run_report(Checked(given, [section(*more)], **texts), given)
 
 
 def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,14 +18,14 @@ from twistax.report.progress import quiet
 from twistax.report.store import Store
 from twistax.report.timing import Repeats
 from twistax.report.work_precision import measure, report
-from twistax.report.work_precision.contender import QUICK, Contender, Counts, Effort, Ladder, Program, Tolerances
+from twistax.report.work_precision.contender import QUICK, Contender, Counts, Effort, Ladder, Program, tolerances
 from twistax.report.work_precision.contenders import CONTENDERS
 from twistax.report.work_precision.measure import measure_scene
 from twistax.scenes import SCENES, Scene
 
 TOP = SCENES["euler-top"]
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
-SHORT = dataclasses.replace(QUICK, tolerances=Tolerances(-6, -9, 1), repeats=Repeats(4, 2, 0.05))
+SHORT = dataclasses.replace(QUICK, tolerances=tolerances(-6, -9, 1), repeats=Repeats(4, 2, 0.05))
 
 
 @dataclasses.dataclass(frozen=True)

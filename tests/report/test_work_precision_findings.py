@@ -8,7 +8,7 @@ import pytest
 from twistax.report.origin import Origin
 from twistax.report.pages.page import render
 from twistax.report.rows import Row
-from twistax.report.work_precision.contender import QUICK, Steps, Tolerances
+from twistax.report.work_precision.contender import QUICK, equal_steps, tolerances
 from twistax.report.work_precision.contenders import CONTENDERS, LONG, OURS, STIFF, suited
 from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
 from twistax.report.work_precision.measure import WHAT, Refusal
@@ -194,19 +194,9 @@ def test_quaternions_and_exponential_coordinates_are_compared() -> None:
     assert "as fast on Euler top" in on_quaternions(found(dop853=1.0, dop853_quaternion=1.01), NAMES)
 
 
-def test_tolerances_are_even_in_decades() -> None:
-    ladder, setting, seen = Tolerances(-4, -6, 2), 1e-4, []
-    while setting is not None:
-        seen.append(setting)
-        setting = ladder.after(setting, 1.0)
-    assert seen == [1e-4, 3.16e-5, 1e-5, 3.16e-6, 1e-6]
-
-
-def test_steps_grow_until_the_error_is_small() -> None:
-    ladder = Steps(8, 4.0, enough=1e-6, most=100)
-    assert ladder.after(8.0, math.nan) == 32.0
-    assert ladder.after(8.0, 1e-7) is None
-    assert ladder.after(32.0, 1.0) is None
+def test_ladders_go_from_coarse_to_fine() -> None:
+    assert tolerances(-4, -6, 2).rungs == (1e-4, 3.16e-5, 1e-5, 3.16e-6, 1e-6)
+    assert equal_steps(8, 4.0, most=200).rungs == (8.0, 32.0, 128.0)
 
 
 def test_every_line_has_a_name_of_its_own() -> None:

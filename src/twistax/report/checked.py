@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 from .checks import Place, Section, measure_section
 from .pages.drawing import as_svg, panels
@@ -25,20 +25,29 @@ _FLOOR = 1e-17
 class Checked(Report):
     """Runs every check, or the fast ones with `--quick`.
 
-    Attributes:
+    Args:
+        name, title: see Report.
         about: a few sentences for the page.
-        notes: on how it was run.
+        note: on how it was run.
         sections: all there are.
         tells_all: whether every row is printed, or what is wrong alone.
     """
 
     template = "checks"
-    about: ClassVar[str]
-    notes: ClassVar[Sequence[str]] = ()
-    tells_all: ClassVar[bool] = False
 
-    def __init__(self, arguments: argparse.Namespace, sections: Sequence[Section]) -> None:
-        self._quick = arguments.quick
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        sections: Sequence[Section],
+        *,
+        name: str,
+        title: str,
+        about: str,
+        note: str,
+        tells_all: bool = False,
+    ) -> None:
+        self.name, self.title, self._about, self._note = name, title, about, note
+        self._quick, self._tells_all = arguments.quick, tells_all
         self.sections = {each.name: each for each in sections if each.name in (arguments.only or (each.name,))}
         self.parts = list(self.sections)
 
@@ -47,7 +56,7 @@ class Checked(Report):
 
     def said(self, part: str) -> list[str]:
         rows = self.sections[part].rows(self.store)
-        shown = rows if self.tells_all else [row for row in rows if row.holds is False]
+        shown = rows if self._tells_all else [row for row in rows if row.holds is False]
         return [f"{f'{row.what}, {row.by}':<72} {row.came:<16} {row.bar:<20} {row.verdict}".rstrip() for row in shown]
 
     def rows(self) -> list[Row]:
@@ -73,8 +82,8 @@ class Checked(Report):
     def context(self) -> dict[str, Any]:
         rows = self.rows()
         return {
-            "about": self.about,
-            "notes": list(self.notes),
+            "about": self._about,
+            "notes": [self._note],
             "count": len(rows),
             "missed": sum(row.holds is False for row in rows),
             "not_run": sum(row.holds is None and not row.done for row in rows),

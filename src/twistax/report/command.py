@@ -36,13 +36,13 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     # Loaded where it is run: each brings much of the package with it.
     if arguments.stability:
-        from .stability.report import Stability
+        from .stability.sections import report as stability
 
-        return run_report(Stability(arguments), arguments)
+        return run_report(stability(arguments), arguments)
     if arguments.figures:
-        from .figures.report import Figures
+        from .figures.sections import report as figures
 
-        return run_report(Figures(arguments), arguments)
+        return run_report(figures(arguments), arguments)
     if arguments.speed:
         from .speed.report import Speed
 

@@ -29,9 +29,9 @@ class Report(ABC):
         store: of its rows, once opened.
     """
 
-    name: ClassVar[str]
+    name: str
     template: ClassVar[str]
-    title: ClassVar[str]
+    title: str
     one_thread: ClassVar[bool] = True
     parts: Sequence[str]
     store: Store

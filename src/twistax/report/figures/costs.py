@@ -15,8 +15,8 @@ import twistax as tx
 from ...lowering.explain import count_equations
 from ...scenes import powered_descent, touchdown
 from ..checks import Between, Check, Section, at_least, at_most
+from ..speed.case import CASES
 from ..timing import seconds_of
-from .steps import scanned
 
 __all__ = ["COSTS", "LANDINGS", "chain_equations", "compile_seconds", "import_seconds"]
 
@@ -50,12 +50,13 @@ def import_seconds(runs: int = 7) -> float:
 
 
 def compile_seconds() -> float:
-    """Seconds to build a free body of 13 states, lower it and compile one evaluation, the median of three."""
-    jax.block_until_ready(jnp.zeros(3) + 1.0)
+    """Seconds to build the free body of 13 states, lower it and compile one evaluation, the median of three."""
+    case = CASES["free-body"]
+    point = [jnp.asarray(each[0]) for each in case.points(1)]
 
     def build() -> None:
-        rate, arguments = scanned(solve=False)
-        jax.jit(rate).lower(*arguments).compile()
+        dynamics = tx.compile(case.system())
+        jax.jit(lambda *point: dynamics(0.0, *case.inputs(*point))).lower(*point).compile()
 
     return median(seconds_of(build) for _ in range(3))
 

@@ -16,16 +16,16 @@ from ..origin import origin_of
 from ..progress import quiet
 from ..store import Store
 from ..timing import empty_call_seconds
-from ..work_precision.contender import FULL, Contender, Line, Side, Steps, Tolerances
+from ..work_precision.contender import FULL, Contender, Line, Side, equal_steps, tolerances
 from ..work_precision.contenders import CONTENDERS
 from ..work_precision.findings import Curve
 from ..work_precision.measure import measure_scene
-from ..work_precision.own import Adaptive, FixedSteps
+from ..work_precision.own import Adaptive, EqualSteps
 
 __all__ = ["SECTION", "race"]
 
 #: A finer ladder than that of the report: an order of 8 falls far between its rungs.
-_EFFORT = dataclasses.replace(FULL, tolerances=Tolerances(-2, -12, 4), steps=Steps(100, 1.25, enough=1e-11))
+_EFFORT = dataclasses.replace(FULL, tolerances=tolerances(-2, -12, 4), steps=equal_steps(100, 1.25, enough=1e-11))
 _OWN = Line("", "", Side("twistax", ""), ("tab:blue", "-", "o"))
 
 
@@ -40,7 +40,7 @@ def _contenders(scene: str) -> tuple[Contender, ...]:
         return (*ours, CONTENDERS["diffrax-kvaerno5-pi"])
     body = tx.FreeBody("R", "w", inertia=heavy_top.INERTIA)
     splittings = (tx.compositions.KAHAN_LI6, tx.compositions.KAHAN_LI8)
-    ours = [FixedSteps(each.name, _OWN, tx.Splitting(each, body)) for each in splittings]
+    ours = [EqualSteps(each.name, _OWN, tx.Splitting(each, body)) for each in splittings]
     names = (f"diffrax-{solver}-call{gains}" for solver in ("tsit5", "dopri8") for gains in ("", "-pi"))
     return (*ours, *(CONTENDERS[name] for name in names))
 

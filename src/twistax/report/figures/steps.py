@@ -1,4 +1,4 @@
-"""What a step costs: ours in every chart, through diffrax, and beside the same loop in C and in OpenSCvx."""
+"""What a step costs: ours in every chart, through diffrax, and beside the same loop in C."""
 
 from __future__ import annotations
 
@@ -27,21 +27,8 @@ from ...lowering.backends import Backend
 from ...lowering.small_call import small_call
 from ..checks import Absent, Between, Check, Section, agree, at_most
 from ..timing import Repeats, Timed, compiled, in_turn, ratio
-from .keeping import spatial_inertia
 
-__all__ = [
-    "BESIDE",
-    "BRIDGE",
-    "SOURCE",
-    "STEPS",
-    "WRENCH",
-    "beside_c",
-    "bridged",
-    "c_body",
-    "looped",
-    "scanned",
-    "start",
-]
+__all__ = ["BESIDE", "BRIDGE", "SOURCE", "STEPS", "beside_c", "bridged", "c_body", "looped"]
 
 _REPEATS = Repeats(7, 5)
 _TABLEAUS = (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
@@ -239,108 +226,20 @@ def beside_c(steps: int = 500_000) -> list[Timed]:
     return timed
 
 
-# ---- one evaluation in a scan, beside OpenSCvx ----------------------------------------------------------------------
-
-#: The coadjoint operator of OpenSCvx 0.5.2 is right for a twist [v; w] if the momentum is ordered [L; p].
-_SWAP = [3, 4, 5, 0, 1, 2]
-WRENCH = np.array([0.1, -0.2, 0.3, 0.05, 0.01, -0.02])
-
-#: (state, wrench, params) -> the state's derivative, of the state's own structure.
-Rate = Callable[[Any, Any, Any], Any]
-
-
-def start() -> dict[str, NDArray[Any]]:
-    """A tumbling start, by state name."""
-    q = np.array([0.5, 0.1, -0.7, 0.5])
-    V = np.array([1.0, 0.5, -0.3, 0.4, 2.0, -0.7])
-    return {"p": np.array([0.5, -1.0, 2.0]), "q": q / np.linalg.norm(q), "V": V}
-
-
-def _quaternion_body(solve: bool) -> tx.Dynamics:
-    """p' = R(q) v, q' = q (0, w) / 2, V' = M^-1 (F - ad*_V M V), by Solve or with M^-1 as a parameter."""
-    p, q, V = tx.State("p", shape=(3,)), tx.State("q", shape=(4,)), tx.State("V", shape=(6,))
-    F = tx.Control("F", shape=(6,))
-    M, inverse = tx.Parameter("M", shape=(6, 6)), tx.Parameter("inverse", shape=(6, 6))
-    net = F - tx.lie.AdjointDual(V, M @ V)
-    moving, turning = tx.spatial.QDCM(q) @ V[:3], 0.5 * tx.spatial.SSMP(V[3:]) @ q
-    rate = tx.linalg.Solve(M, net) if solve else inverse @ net
-    return tx.compile(tx.System(rates={p: moving, q: turning, V: rate}, parameters=[M, inverse]))
-
-
-def _openscvx(solve: bool) -> Rate:
-    """OpenSCvx's lowering of the same on flat vectors; it has no Solve. Raises ImportError where it is missing."""
-    import openscvx as ox
-    from openscvx.symbolic.lower import lower_to_jax
-
-    p, q, V = ox.State("p", shape=(3,)), ox.State("q", shape=(4,)), ox.State("V", shape=(6,))
-    F = ox.Control("F", shape=(6,))
-    for leaf, place in ((p, slice(0, 3)), (q, slice(3, 7)), (V, slice(7, 13)), (F, slice(0, 6))):
-        leaf._slice = place
-    M, inverse = (ox.Parameter(name, shape=(6, 6), value=np.eye(6)) for name in ("M", "inverse"))
-    acceleration = (ox.linalg.Inv(M) if solve else inverse) @ (F - ox.lie.AdjointDual(V, M @ V))
-    rates = ox.Concat(ox.spatial.QDCM(q) @ V[:3], 0.5 * ox.spatial.SSMP(V[3:]) @ q, acceleration)
-    lowered = lower_to_jax(rates)
-    return lambda x, wrench, params: lowered(x, wrench, 0, params)
-
-
-def scanned(solve: bool) -> tuple[Rate, tuple[Any, Any, Any]]:
-    """Our rate and its arguments: state, wrench, params."""
-    dynamics, M = _quaternion_body(solve), spatial_inertia()
-    params = {"M": jnp.asarray(M), "inverse": jnp.asarray(np.linalg.inv(M))}
-    state = {name: jnp.asarray(value) for name, value in start().items()}
-
-    def rate(x: Any, wrench: jax.Array, params: Any) -> Any:
-        return dynamics(0.0, x, {"F": wrench}, params)
-
-    return rate, (state, jnp.asarray(WRENCH), params)
-
-
-def _over_openscvx(solve: bool, evaluations: int = 20_000) -> float:
-    """The time of an evaluation over that of OpenSCvx's, each fed into the next in a compiled scan."""
-    other = _openscvx(solve)
-    rate, (state, wrench, params) = scanned(solve)
-    swap, flat = jnp.array(_SWAP), jnp.concatenate([state[name] for name in "pqV"])
-    theirs = (flat, wrench[swap], {"M": params["M"][swap], "inverse": params["inverse"][:, swap]})
-    found = jax.jit(rate)(state, wrench, params)
-    agree(_apart(jnp.concatenate([found[name] for name in "pqV"]), jax.jit(other)(*theirs)), 1e-12)
-
-    def scan(rate: Rate) -> Callable[..., Any]:
-        def run(state: Any, wrench: jax.Array, params: Any) -> Any:
-            def step(x: Any, _: None) -> tuple[Any, None]:
-                return jax.tree.map(lambda a, b: a + 1e-6 * b, x, rate(x, wrench, params)), None
-
-            return jax.lax.scan(step, state, None, length=evaluations)[0]
-
-        return run
-
-    timed = [compiled(scan(rate), state, wrench, params), compiled(scan(other), *theirs)]
-    in_turn(timed, Repeats(41, 5))
-    return ratio(*timed)
-
-
 BESIDE = Section(
     "beside",
-    "Beside C and OpenSCvx",
-    "RKMK4 on a cheap body by `tx.integrate` with its defaults; one evaluation of a free body in a scan. Ends agree.",
+    "Beside C",
+    "RKMK4 on a cheap body by `tx.integrate` with its defaults, and the same loop in C. Ends agree.",
     {
         "": [
             Check(
                 "a step: our time over that of C",
                 f"gcc {' '.join(flags)}",
-                lambda i=i: ratio(beside_c()[0], beside_c()[i]),  # type: ignore[misc]
+                functools.partial(lambda i: ratio(beside_c()[0], beside_c()[i]), i),
                 at_most(2.0) if i == 1 else Between(),
                 slow=True,
             )
             for i, flags in enumerate(_FLAGS, 1)
-        ],
-        " ": [
-            Check(
-                f"an evaluation: our time over that of OpenSCvx, {form}", "tx.compile", measure, at_most(1.0), slow=True
-            )
-            for form, measure in (
-                ("inverse inertia given", lambda: _over_openscvx(False)),
-                ("Solve against Inv", lambda: _over_openscvx(True)),
-            )
-        ],
+        ]
     },
 )

@@ -45,6 +45,7 @@ _MANY = Batch.with_points(4096).name
 BARS: tuple[Bar, ...] = (
     Bar("aba-7", VALUE, LOOP.name, SCALARS, PLAIN.name, 0.2),
     Bar("aba-7", VALUE, _MANY, SCALARS, PLAIN.name, 0.5),
+    Bar("free-body", VALUE, LOOP.name, SCALARS, OpenScvx.name, 1.0),
     Bar("aba-7", VALUE, LOOP.name, SCALARS, None, 1.0),
     Bar("aba-30", VALUE, LOOP.name, SCALARS, None, 7.0),
     Bar("aba-7", VALUE, _MANY, NATIVE, Casadi.name, 0.15),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,82 +10,51 @@ from typing import Any, NamedTuple
 from ...scenes import Scene
 from ..timing import Repeats
 
-__all__ = ["FULL", "QUICK", "Contender", "Counts", "Effort", "Ladder", "Line", "Program", "Side", "Steps", "Tolerances"]
+__all__ = [
+    "FULL",
+    "QUICK",
+    "Contender",
+    "Counts",
+    "Effort",
+    "Ladder",
+    "Line",
+    "Program",
+    "Side",
+    "equal_steps",
+    "tolerances",
+]
 
 # ---- settings -------------------------------------------------------------------------------------------------------
 
 
-class Ladder(ABC):
-    """Climbed rung by rung: the next setting may depend on the error of the one before."""
-
-    #: What a setting is, for tables.
-    unit: str
-
-    @property
-    @abstractmethod
-    def first(self) -> float:
-        """The coarsest setting."""
-
-    @abstractmethod
-    def after(self, setting: float, error: float) -> float | None:
-        """The next finer setting, or None at the top.
-
-        Args:
-            error: what the run with `setting` ended with; NaN if it did not reach the end.
-        """
-
-
 @dataclasses.dataclass(frozen=True)
-class Tolerances(Ladder):
-    """rtol = atol, evenly spaced in decades.
+class Ladder:
+    """Settings from coarse to fine, climbed until the error is small enough.
 
     Attributes:
-        coarsest, finest: exponents of ten.
-        per_decade: settings in a decade.
-    """
-
-    coarsest: int
-    finest: int
-    per_decade: int
-    unit = "tolerance"
-
-    @property
-    def first(self) -> float:
-        return self._rung(0)
-
-    def after(self, setting: float, error: float) -> float | None:
-        number = round((self.coarsest - math.log10(setting)) * self.per_decade) + 1
-        return self._rung(number) if number <= (self.coarsest - self.finest) * self.per_decade else None
-
-    def _rung(self, number: int) -> float:
-        # Three digits, so that a setting reads the same in every table.
-        return float(f"{10.0 ** (self.coarsest - number / self.per_decade):.2e}")
-
-
-@dataclasses.dataclass(frozen=True)
-class Steps(Ladder):
-    """Numbers of equal steps, each `factor` times the one before, until the error is small enough.
-
-    Attributes:
-        start: the first number.
-        factor: > 1.
+        unit: what a setting is: "tolerance", rtol = atol, or "steps", their number.
+        rungs: the settings.
         enough: the error at which to stop.
-        most: the largest number.
     """
 
-    start: int
-    factor: float
-    enough: float = 1e-10
-    most: int = 2**21
-    unit = "steps"
+    unit: str
+    rungs: tuple[float, ...]
+    enough: float = 0.0
 
-    @property
-    def first(self) -> float:
-        return float(self.start)
 
-    def after(self, setting: float, error: float) -> float | None:
-        more = float(round(setting * self.factor))
-        return None if error <= self.enough or more > self.most else more
+def tolerances(coarsest: int, finest: int, per_decade: int) -> Ladder:
+    """Evenly spaced in decades; the ends are exponents of ten."""
+    count = (coarsest - finest) * per_decade + 1
+    # Three digits, so that a setting reads the same in every table.
+    return Ladder("tolerance", tuple(float(f"{10.0 ** (coarsest - i / per_decade):.2e}") for i in range(count)))
+
+
+def equal_steps(first: int, factor: float, enough: float = 1e-10, most: int = 2**21) -> Ladder:
+    """Each number of steps is `factor` times the one before."""
+    rungs = [float(first)]
+    while (more := float(round(rungs[-1] * factor))) <= most:
+        rungs.append(more)
+    return Ladder("steps", tuple(rungs), enough)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,14 +70,14 @@ class Effort:
     """
 
     name: str
-    tolerances: Tolerances
-    steps: Steps
+    tolerances: Ladder
+    steps: Ladder
     longest: float
     repeats: Repeats
 
 
-FULL = Effort("full", Tolerances(-3, -13, 2), Steps(32, 4.0), 0.5, Repeats(31, 5, 0.2))
-QUICK = Effort("quick", Tolerances(-4, -12, 1), Steps(32, 4.0), 0.1, Repeats(9, 3, 0.05))
+FULL = Effort("full", tolerances(-3, -13, 2), equal_steps(32, 4.0), 0.5, Repeats(31, 5, 0.2))
+QUICK = Effort("quick", tolerances(-4, -12, 1), equal_steps(32, 4.0), 0.1, Repeats(9, 3, 0.05))
 
 # ---- contenders -----------------------------------------------------------------------------------------------------
 

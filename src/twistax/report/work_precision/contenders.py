@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import twistax as tx
 
 from .contender import Contender, Line, Side
-from .own import Adaptive, FixedSteps
+from .own import Adaptive, EqualSteps
 from .rivals import I_CONTROL, PI_CONTROL, AsShipped, Diffrax, DiffraxImplicit, OneSmallCall
 
 __all__ = ["CONTENDERS", "IN_QUICK", "LONG", "ONE_CALL", "OURS", "SHIPPED", "STIFF", "TOO_LONG_FOR_QUICK", "suited"]
@@ -49,9 +49,9 @@ def _own() -> list[Contender]:
     )
     dopri8 = _rkmk("Dormand-Prince 8", "DORMAND_PRINCE8", "brown - >", drawn=False)
     return [
-        FixedSteps("rk4", rk4, tx.RKMK(T.RK4)),
-        FixedSteps("cf4", cf4, tx.CommutatorFree()),
-        FixedSteps("magnus6", magnus, tx.Magnus(6)),
+        EqualSteps("rk4", rk4, tx.RKMK(T.RK4)),
+        EqualSteps("cf4", cf4, tx.CommutatorFree()),
+        EqualSteps("magnus6", magnus, tx.Magnus(6)),
         Adaptive("bs3", bs3, tx.RKMK(T.BOGACKI_SHAMPINE3)),
         Adaptive("dopri5", dopri5, tx.RKMK(T.DORMAND_PRINCE5)),
         Adaptive("tsit5", tsit5, tx.RKMK(T.TSIT5)),

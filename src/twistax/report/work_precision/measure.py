@@ -71,9 +71,8 @@ def _climb(
 ) -> Iterator[tuple[Row, Timed]]:
     """From coarse to fine, one run each, except for rows that are there."""
     ladder = contender.ladder(effort)
-    setting: float | None = ladder.first
     launch: _Launch | None = None
-    while setting is not None:
+    for setting in ladder.rungs:
         named = f"{ladder.unit} {setting:g}"
         row = store.get(scene.name, WHAT, contender.name, named)
         if row is None:
@@ -85,8 +84,8 @@ def _climb(
             seconds = timed.rough
         else:
             seconds = row.value
-        error = row.numbers.get("error", math.nan)
-        setting = None if seconds > effort.longest else ladder.after(setting, error)
+        if seconds > effort.longest or row.numbers.get("error", math.nan) < ladder.enough:
+            return
 
 
 class _Launch:

@@ -16,71 +16,57 @@ from ...integrators.step_control import StepControl
 from ...scenes import Scene
 from .contender import Contender, Counts, Effort, Ladder, Line, Program
 
-__all__ = ["Adaptive", "FixedSteps"]
+__all__ = ["Adaptive", "EqualSteps"]
 
 #: The default in all but the most steps there may be.
 _CONTROL = StepControl(max_steps=10**7)
 
 
 @dataclasses.dataclass(frozen=True)
-class Adaptive(Contender):
-    """A method that chooses its steps; the setting is rtol = atol."""
-
+class _Own(Contender):
     name: str
     line: Line
     method: Method
+
+    def build(self, scene: Scene) -> Program:
+        """A function of one flat array, as diffrax has it: each array in or out costs JAX a microsecond a call."""
+        self.method.check(scene.dynamics)
+        start, read = ravel_pytree({name: jnp.asarray(value) for name, value in scene.start.items()})
+
+        def solve(start: jax.Array, setting: Any) -> tuple[jax.Array, Counts]:
+            end, counts = _solved(scene, read(start), self.method, **self.steps(setting))
+            return ravel_pytree(end)[0], counts
+
+        return Program(start, solve, read, isinstance(self, Adaptive))
+
+    def steps(self, setting: Any) -> dict[str, Any]:
+        """How `tx.integrate` is told the setting."""
+        raise NotImplementedError
+
+
+class Adaptive(_Own):
+    """A method that chooses its steps; the setting is rtol = atol."""
 
     def ladder(self, effort: Effort) -> Ladder:
         return effort.tolerances
 
-    def build(self, scene: Scene) -> Program:
-        def solve(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
-            return _solved(scene, start, self.method, rtol=tolerance, atol=tolerance, control=_CONTROL)
-
-        return _program(scene, self.method, solve, one_for_all=True)
+    def steps(self, setting: Any) -> dict[str, Any]:
+        return {"rtol": setting, "atol": setting, "control": _CONTROL}
 
 
-@dataclasses.dataclass(frozen=True)
-class FixedSteps(Contender):
+class EqualSteps(_Own):
     """A method with equal steps; the setting is their number."""
-
-    name: str
-    line: Line
-    method: Method
 
     def ladder(self, effort: Effort) -> Ladder:
         return effort.steps
 
-    def build(self, scene: Scene) -> Program:
-        def solve(start: Any, steps: float) -> tuple[Any, Counts]:
-            return _solved(scene, start, self.method, steps=int(steps))
-
-        return _program(scene, self.method, solve, one_for_all=False)
-
-
-def _program(scene: Scene, method: Method, solve: Any, one_for_all: bool) -> Program:
-    """A function of one flat array, as diffrax has it: each array in or out costs JAX about a microsecond a call."""
-    method.check(scene.dynamics)
-    start, read = ravel_pytree({name: jnp.asarray(value) for name, value in scene.start.items()})
-
-    def flat(start: jax.Array, setting: Any) -> tuple[jax.Array, Counts]:
-        end, counts = solve(read(start), setting)
-        return ravel_pytree(end)[0], counts
-
-    return Program(start, flat, read, one_for_all)
+    def steps(self, setting: Any) -> dict[str, Any]:
+        return {"steps": int(setting)}
 
 
 def _solved(scene: Scene, start: Any, method: Method, **steps: Any) -> tuple[Any, Counts]:
-    sol = tx.integrate(
-        scene.dynamics,
-        start,
-        t1=scene.duration,
-        method=method,
-        u=scene.u,
-        params=scene.params,
-        throw=False,
-        **steps,
-    )
+    given: dict[str, Any] = {"u": scene.u, "params": scene.params, "method": method, "throw": False}
+    sol = tx.integrate(scene.dynamics, start, t1=scene.duration, **given, **steps)
     end = {name: value[0] for name, value in sol.xs.items()}
     stats, good = sol.stats, sol.result == tx.Result.SUCCESS
     return end, Counts(*map(jnp.asarray, (stats.accepted, stats.rejected, stats.rhs_evaluations, good)))

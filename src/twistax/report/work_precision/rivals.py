@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -17,7 +16,7 @@ from ...lowering.small_call import fits, small_call
 from ...scenes import Scene
 from .contender import Contender, Counts, Effort, Ladder, Line, Program
 
-__all__ = ["AsShipped", "Diffrax", "DiffraxImplicit", "Form", "Gains", "I_CONTROL", "OneSmallCall", "PI_CONTROL"]
+__all__ = ["AsShipped", "Diffrax", "DiffraxImplicit", "Gains", "I_CONTROL", "OneSmallCall", "PI_CONTROL"]
 
 Solve = Callable[[Any, Any], tuple[Any, Counts]]
 
@@ -37,31 +36,20 @@ class Gains:
 I_CONTROL, PI_CONTROL = Gains(0.0, 1.0), Gains(0.4, 0.3)
 
 
-class Form(ABC):
-    """How diffrax's solve becomes a program."""
+class AsShipped:
+    """How diffrax's solve becomes a program: `jax.jit` around `diffeqsolve` with its defaults."""
 
     @property
-    @abstractmethod
     def options(self) -> dict[str, Any]:
         """Further arguments of `diffeqsolve`."""
-
-    @abstractmethod
-    def wrap(self, solve: Solve) -> Solve:
-        """What is jitted."""
-
-
-class AsShipped(Form):
-    """`jax.jit` around `diffeqsolve` with its defaults."""
-
-    @property
-    def options(self) -> dict[str, Any]:
         return {}
 
     def wrap(self, solve: Solve) -> Solve:
+        """What is jitted."""
         return solve
 
 
-class OneSmallCall(Form):
+class OneSmallCall(AsShipped):
     """The whole solve compiled as one small function, as our own integrations are.
 
     Without diffrax's error check, a callback, which does not compile that way, and with ForwardMode, the cheapest
@@ -95,7 +83,7 @@ class Diffrax(Contender):
     line: Line
     solver: str
     gains: Gains
-    form: Form
+    form: AsShipped
 
     #: Of a run.
     most_steps: ClassVar[int] = _MOST_STEPS
@@ -118,17 +106,9 @@ class Diffrax(Contender):
             raise tx.ModelError(f"the right-hand side of {scene.name} calls a library: no small call")
 
         def solve(y: jax.Array, tolerance: jax.Array) -> tuple[Any, Counts]:
-            sol = diffrax.diffeqsolve(
-                diffrax.ODETerm(rate),
-                solver,
-                0.0,
-                scene.duration,
-                None,
-                y,
-                stepsize_controller=diffrax.PIDController(tolerance, tolerance, **dataclasses.asdict(self.gains)),
-                max_steps=self.most_steps,
-                **self.form.options,
-            )
+            control = diffrax.PIDController(tolerance, tolerance, **dataclasses.asdict(self.gains))
+            options = {"stepsize_controller": control, "max_steps": self.most_steps} | self.form.options
+            sol = diffrax.diffeqsolve(diffrax.ODETerm(rate), solver, 0.0, scene.duration, None, y, **options)
             accepted, rejected = sol.stats["num_accepted_steps"], sol.stats["num_rejected_steps"]
             evaluations = self.evaluations(solver, accepted + rejected)
             return sol.ys[0], Counts(accepted, rejected, evaluations, jnp.isfinite(sol.ys[0]).all())
