@@ -29,10 +29,6 @@ def zeros_of(node: Expr) -> Constant:
     return Constant(np.zeros(node.shape))
 
 
-def _vector(name: str = "x") -> State:
-    return State(name, shape=(3,))
-
-
 class Add(Entrywise):
     """Sum a + b + ... with NumPy broadcasting.
 
@@ -75,7 +71,7 @@ class Add(Entrywise):
 
     @classmethod
     def example(cls) -> list[Example]:
-        a, m = _vector("a"), State("m", shape=(2, 3))
+        a, m = State("a", shape=(3,)), State("m", shape=(2, 3))
         values = {"a": np.array([1.0, -2.0, 0.5]), "m": np.arange(6.0).reshape(2, 3)}
         return [Example(Add(a, m, 2.0), values), Example(a + a, values)]
 
@@ -126,6 +122,7 @@ class Mul(Entrywise):
     factors: Operands
     fewest = 2
     infix = "*"
+    cases = ({"factors": [[1.0, -2.0, 0.5], -0.5, Constant(3.0)]},)
     precedence = 20
     by_operators = True
     associative = True
@@ -154,11 +151,6 @@ class Mul(Entrywise):
         first, *rest = (wrap_latex(f, s, 20) for f, s in zip(self.factors, operands))
         # A number behind another factor needs a dot: 2 3 is not 23.
         return first + "".join((r" \cdot " if s[0].isdigit() else r" \, ") + s for s in rest)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, s = _vector("a"), State("s")
-        return [Example(Mul(a, s, 3.0), {"a": np.array([1.0, -2.0, 0.5]), "s": -0.5})]
 
 
 class Div(Entrywise):
@@ -330,7 +322,7 @@ class MatMul(Expr):
     @classmethod
     def example(cls) -> list[Example]:
         rng = np.random.default_rng(0)
-        m, v = State("m", shape=(2, 3)), _vector("v")
+        m, v = State("m", shape=(2, 3)), State("v", shape=(3,))
         values = {"m": rng.normal(size=(2, 3)), "v": rng.normal(size=3)}
         return [Example(m @ v, values), Example(v @ v, values), Example(m @ Constant(np.ones((3, 2))), values)]
 

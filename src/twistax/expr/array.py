@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from .fields import ExprLike, Operands
-from .leaves import State
+from .leaves import Constant, State
 from .node import Example, Expr, Shape
 from .printing import matrix_latex
 
@@ -34,6 +34,11 @@ class Concat(Expr):
 
     exprs: Operands
     associative = True
+    cases = (
+        {"exprs": [0.3, [1.0, -2.0], Constant(4.0)]},
+        {"exprs": [np.eye(2), Constant(np.ones((1, 2)))]},
+        {"exprs": [0.3, -0.5]},
+    )
 
     def __init__(self, *exprs: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(exprs))
@@ -57,16 +62,6 @@ class Concat(Expr):
     def to_latex(self, *operands: str) -> str:
         return matrix_latex([[operand] for operand in operands])
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        s, v, m = State("s"), State("v", shape=(2,)), State("m", shape=(2, 2))
-        values = {"s": 0.3, "v": np.array([1.0, -2.0]), "m": np.eye(2)}
-        return [
-            Example(Concat(s, v, 4.0), values),
-            Example(Concat(m, np.ones((1, 2))), values),
-            Example(Concat(s, s), values),
-        ]
-
 
 class Stack(Expr):
     """Rows of equal shape stacked along a new first axis.
@@ -80,6 +75,10 @@ class Stack(Expr):
     """
 
     rows: Operands
+    cases = (
+        {"rows": [[1.0, -2.0, 0.5], Constant(np.ones(3)), [0.3, 1.5, -1.0]]},
+        {"rows": [2.0, Constant(0.0)]},
+    )
 
     def __init__(self, *rows: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(rows))
@@ -105,12 +104,6 @@ class Stack(Expr):
             [[row if not self.rows[i].shape else rf"{{{row}}}^{{\top}}"] for i, row in enumerate(operands)]
         )
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, b = State("a", shape=(3,)), State("b")
-        values = {"a": np.array([1.0, -2.0, 0.5]), "b": 2.0}
-        return [Example(Stack([a, np.ones(3), a]), values), Example(Stack([b, 0.0]), values)]
-
 
 class Hstack(Expr):
     """Arrays side by side: joined along the second axis, vectors and scalars along the first.
@@ -124,6 +117,10 @@ class Hstack(Expr):
     """
 
     arrays: Operands
+    cases = (
+        {"arrays": [np.arange(6.0).reshape(2, 3), Constant(np.ones((2, 1)))]},
+        {"arrays": [[1.0, -2.0], Constant(1.0), [0.3, 0.5]]},
+    )
 
     def __init__(self, *arrays: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(arrays))
@@ -144,12 +141,6 @@ class Hstack(Expr):
     def to_latex(self, *operands: str) -> str:
         return matrix_latex([list(operands)])
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        m, v = State("m", shape=(2, 3)), State("v", shape=(2,))
-        values = {"m": np.arange(6.0).reshape(2, 3), "v": np.array([1.0, -2.0])}
-        return [Example(Hstack([m, np.ones((2, 1))]), values), Example(Hstack([v, 1.0, v]), values)]
-
 
 class Vstack(Expr):
     """Arrays on top of each other: joined along the first axis, a vector or scalar being one row.
@@ -163,6 +154,10 @@ class Vstack(Expr):
     """
 
     arrays: Operands
+    cases = (
+        {"arrays": [np.arange(6.0).reshape(2, 3), [1.0, -2.0, 0.5]]},
+        {"arrays": [[1.0, -2.0, 0.5], [0.3, 1.5, -1.0]]},
+    )
 
     def __init__(self, *arrays: ExprLike | Sequence[ExprLike]) -> None:
         super().__init__(*gathered(arrays))
@@ -182,12 +177,6 @@ class Vstack(Expr):
 
     def to_latex(self, *operands: str) -> str:
         return matrix_latex([[operand] for operand in operands])
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        m, v = State("m", shape=(2, 3)), State("v", shape=(3,))
-        values = {"m": np.arange(6.0).reshape(2, 3), "v": np.array([1.0, -2.0, 0.5])}
-        return [Example(Vstack([m, v]), values), Example(Vstack([v, v]), values)]
 
 
 def _joined(node: Expr, shapes: Sequence[Shape], axis: int) -> Shape:

@@ -71,7 +71,7 @@ class Expr(Operators):
     #: The fewest operands of a node that takes any number of them.
     fewest: ClassVar[int] = 1
     #: Cases of the conformance suite where the node is smooth, and where it is not: field name -> value. The arrays and
-    #: numbers of operands stand for states.
+    #: numbers of operands stand for states; a node that takes any number of operands has a list of them.
     cases: ClassVar[Sequence[Mapping[str, Any]]] = ()
     kinks: ClassVar[Sequence[Mapping[str, Any]]] = ()
     #: True for sums and products: an operand of the same class may be spliced into the operands.
@@ -192,10 +192,22 @@ class Expr(Operators):
         from .leaves import State
 
         def example(given: Mapping[str, Any], smooth: bool) -> Example:
-            operands = {f.name: given[f.name] for f in cls._fields if f.operand}
-            values = {name: np.asarray(v, float) for name, v in operands.items() if not isinstance(v, Expr)}
-            leaves = {name: State(name, shape=value.shape) for name, value in values.items()}
-            return Example(cls(**(dict(given) | leaves)), values, smooth)
+            values: dict[str, np.ndarray] = {}
+
+            def leaf(name: str, value: Any) -> Expr:
+                if isinstance(value, Expr):
+                    return value
+                values[name] = np.asarray(value, float)
+                return State(name, shape=values[name].shape)
+
+            several: list[Expr] = []
+            named = dict(given)
+            for field in cls._fields:
+                if field.variadic:
+                    several = [leaf(f"{field.name}{i}", value) for i, value in enumerate(named.pop(field.name))]
+                elif field.operand:
+                    named[field.name] = leaf(field.name, named[field.name])
+            return Example(cls(*several, **named), values, smooth)
 
         if not (cls.cases or cls.kinks):
             raise NotImplementedError(f"{cls.__name__} has neither cases nor kinks")
