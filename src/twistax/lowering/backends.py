@@ -6,7 +6,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,11 @@ from .scalar.repeated import Repeated
 from .scalar.table import entry_of
 from .small_call import known_inside
 
-__all__ = ["ANY_SIZE", "JAX", "XLA", "Backend", "Emission", "array_operations", "pure"]
+__all__ = ["ANY_SIZE", "JAX", "XLA", "Backend", "Emission", "Shapes", "Step", "array_operations", "pure"]
+
+#: A step of arrays to arrays, and what it takes.
+Step: TypeAlias = Callable[..., list[jax.Array]]
+Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]
 
 #: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
 _LARGEST_STEP = 10_000
@@ -71,9 +75,7 @@ class Backend(ABC):
         """The backend of functions that an integrator puts into its loop."""
         return self
 
-    def repeated(
-        self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
-    ) -> Repeated | None:
+    def repeated(self, step: Step, shapes: Shapes, state: int) -> Repeated | None:
         """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
 
         Args:
@@ -82,7 +84,7 @@ class Backend(ABC):
         """
         return None
 
-    def step(self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> Derived | None:
+    def step(self, step: Step, shapes: Shapes) -> Derived | None:
         """A step of arrays to arrays as one program, to be differentiated in a loop; None: it runs as it is."""
         return None
 
@@ -137,7 +139,7 @@ class XLA(Backend):
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
 
-    def step(self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> Derived | None:
+    def step(self, step: Step, shapes: Shapes) -> Derived | None:
         closed = pure(step, shapes)
         if closed is None or array_operations(closed.jaxpr).total() > _LARGEST_STEP:
             return None
@@ -162,18 +164,15 @@ class XLA(Backend):
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
 
 
-def pure(function: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> ClosedJaxpr | None:
+def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
     """The jaxpr of a function; None where it has no good program.
 
     Programs would lose effects and traced values that it closes over. They have no random keys. Long tables that it
     closes over take minutes to read.
     """
     closed = trace(function, *shapes)
-    if (
-        closed.effects
-        or is_traced(closed.consts)
-        or any(map(_is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
-    ):
+    keys = any(map(_is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
+    if closed.effects or is_traced(closed.consts) or keys:
         return None
     return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
 

@@ -86,6 +86,9 @@ def test_the_backend_comes_back_or_is_chosen(tmp_path: Path) -> None:
     dynamics = tx.compile(full(), backend=chosen)
     assert again(dynamics, tmp_path).backend == chosen
     assert tx.load(tmp_path / "system.twistax", backend=tx.JAX()).backend == tx.JAX()
+    default = tx.compile(full())
+    assert tx.load(tmp_path / "system.twistax", backend="auto").backend == default.backend
+    assert again(default, tmp_path).backend == default.backend
 
 
 def copied(roots: list[Expr]) -> list[Expr]:

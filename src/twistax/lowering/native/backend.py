@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import importlib.metadata
 import importlib.util
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 
 import jax
 
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
-from ..backends import ANY_SIZE, XLA, Backend, Emission, pure
+from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ..scalar.graph import TooLarge
 from ..scalar.primitive import Derived, Runner, call_program
 from ..scalar.program import ScalarProgram
@@ -82,9 +82,7 @@ class Native(Backend, Runner):
     def in_loops(self) -> Backend:
         return self.scalars
 
-    def repeated(
-        self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct], state: int
-    ) -> Repeated | None:
+    def repeated(self, step: Step, shapes: Shapes, state: int) -> Repeated | None:
         program = self._whole_step(step, shapes)
         if program is None:
             return None
@@ -96,16 +94,14 @@ class Native(Backend, Runner):
 
         return Repeated(form, state, kernel)
 
-    def step(self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]) -> Derived | None:
+    def step(self, step: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(step, shapes)
         if program is None:
             return self.scalars.step(step, shapes)
         program.graph.largest = ANY_SIZE  # for derivatives of any order, which nothing else could run
         return Derived(program, None, self)
 
-    def _whole_step(
-        self, step: Callable[..., list[jax.Array]], shapes: Sequence[jax.ShapeDtypeStruct]
-    ) -> ScalarProgram | None:
+    def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
         """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
         if not installed() or jax.default_backend() != "cpu":
             return None
