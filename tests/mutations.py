@@ -276,8 +276,8 @@ MUTATIONS: list[Mutation] = [
         "lowering/scalar/derivatives.py",
         (
             "rows of tangents one after the other",
-            "seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True))",
-            "seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist()[::-1], strict=True))",
+            "flat = zip(program.inputs[k].reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True)",
+            "flat = zip(program.inputs[k].reshape(-1).tolist(), tangents.reshape(-1).tolist()[::-1], strict=True)",
             "lowering/test_scalar_elementwise.py",
         ),
         (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -25,13 +25,13 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
     """
     g = program.graph
     inputs = list(program.inputs)
-    seeds: dict[int, int] = {}
+    seeds: dict[int, dict[int, int]] = {}
     for k in active:
-        nodes = program.inputs[k]
-        tangents = _new_inputs(g, len(inputs), nodes)
+        tangents = _new_inputs(g, len(inputs), program.inputs[k])
         inputs.append(tangents)
-        seeds.update(zip(nodes.reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True))
-    found = _pushed(g, program.live, seeds)
+        flat = zip(program.inputs[k].reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True)
+        seeds |= {node: {0: tangent} for node, tangent in flat}
+    found = {node: row[0] for node, row in _carried(program, seeds).items()}
     outputs = _read(g, found, program)
     return ScalarProgram(g, tuple(inputs), outputs, tuple(filter(is_real, program.types)))
 
@@ -69,24 +69,7 @@ def columns_of(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -
     Returns:
         (place in the results, tangent) -> node, zeros left out. Each node carries only tangents that reach it.
     """
-    g = program.graph
-    carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
-    for i in program.live:
-        if i in carried:
-            continue
-        call = g.call_of(i)
-        if call is not None:
-            _call_columns(g, call, carried)
-            continue
-        operation, arguments = g.operation(i), g.arguments(i)
-        touched = sorted({column for a in arguments for column in carried.get(a, ())})
-        if operation is None or not touched:
-            continue
-        rows = [carried.get(a, {}) for a in arguments]
-        along = operation.tangents(g, arguments, i, [[row.get(column) for row in rows] for column in touched])
-        found = {c: v for c, v in zip(touched, along, strict=True) if v is not None and v != g.zero}
-        if found:
-            carried[i] = found
+    carried = _carried(program, seeds)
     return {
         (place, column): node
         for place, output in enumerate(program.flat)
@@ -97,29 +80,30 @@ def columns_of(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -
 # ---- forward ---------------------------------------------------------------------------------------------------------
 
 
-def _pushed(g: Graph, live: Sequence[int], seeds: Mapping[int, int]) -> dict[int, int]:
-    """node -> its tangent, where it is not zero."""
-    found: dict[int, int] = dict(seeds)
-    done: set[int] = set()
-    for i in live:
-        if i in found:
+def _carried(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, dict[int, int]]:
+    """node -> (tangent -> its entry there), of all nodes that are needed, zeros left out."""
+    g = program.graph
+    carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
+    called: set[int] = set()
+    for i in program.live:
+        if i in carried:
             continue
         call = g.call_of(i)
         if call is not None:
-            if id(call) not in done:
-                done.add(id(call))
-                found.update(_call_tangents(g, call, found))
+            if id(call) not in called:
+                called.add(id(call))
+                _call_columns(g, call, carried)
             continue
-        operation = g.operation(i)
-        if operation is None:
+        operation, arguments = g.operation(i), g.arguments(i)
+        touched = sorted({column for a in arguments for column in carried.get(a, ())})
+        if operation is None or not touched:
             continue
-        arguments = g.arguments(i)
-        tangents = [found.get(a) for a in arguments]
-        if any(t is not None for t in tangents):
-            (value,) = operation.tangents(g, arguments, i, [tangents])
-            if value is not None and value != g.zero:
-                found[i] = value
-    return found
+        rows = [carried.get(a, {}) for a in arguments]
+        along = operation.tangents(g, arguments, i, [[row.get(column) for row in rows] for column in touched])
+        found = {c: v for c, v in zip(touched, along, strict=True) if v is not None and v != g.zero}
+        if found:
+            carried[i] = found
+    return carried
 
 
 def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, int]:
@@ -130,13 +114,7 @@ def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, 
     shapes = [_shape(g, a) for a in call.arguments]
 
     def along(values: list[Any], tangents: list[Any]) -> list[Any]:
-        def moving(*some: Any) -> Any:
-            arguments = list(values)
-            for k, value in zip(active, some, strict=True):
-                arguments[k] = value
-            return jaxpr_as_fun(call.jaxpr)(*arguments)
-
-        return jax.jvp(moving, [values[k] for k in active], tangents)[1]
+        return jax.jvp(_of_some(call, active, values), [values[k] for k in active], tangents)[1]
 
     key = tuple(active)
     if key not in call.tangents:
@@ -155,9 +133,6 @@ def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, 
 def _call_columns(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
     """The derivatives of the results of a call, column by column."""
     inputs = [i for a in call.arguments for i in a.reshape(-1).tolist()]
-    outputs = [i for a in call.results for i in a.reshape(-1).tolist()]
-    if any(i in carried for i in outputs):
-        return
     columns = sorted({column for i in inputs for column in carried.get(i, ())})
     for column in columns:
         seeds = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
@@ -200,14 +175,10 @@ def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int])
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(_dtype(g, r), jnp.inexact)]
 
     def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
-        def moving(*some: Any) -> Any:
-            arguments = list(values)
-            for k, value in zip(active, some, strict=True):
-                arguments[k] = value
-            results = jaxpr_as_fun(call.jaxpr)(*arguments)
-            return [results[k] for k in real]
-
-        return list(jax.vjp(moving, *[values[k] for k in active])[1](cotangents))
+        moving = _of_some(call, active, values)
+        return list(
+            jax.vjp(lambda *some: [moving(*some)[k] for k in real], *[values[k] for k in active])[1](cotangents)
+        )
 
     jaxpr = trace(back, shapes, [_shape(g, call.results[k]) for k in real])
     cotangents = [_gathered(g, found, call.results[k]) for k in real]
@@ -219,6 +190,16 @@ def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int])
 
 
 # ---- small things ----------------------------------------------------------------------------------------------------
+
+
+def _of_some(call: Call, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
+    """The function of a call, of its arguments `active` alone."""
+
+    def function(*some: Any) -> Any:
+        given = dict(zip(active, some, strict=True))
+        return jaxpr_as_fun(call.jaxpr)(*(given.get(k, value) for k, value in enumerate(values)))
+
+    return function
 
 
 def _accumulate(g: Graph, found: dict[int, int], node: int, term: int) -> None:
