@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from .errors import ModelError, ShapeError
@@ -48,11 +49,11 @@ class System:
             raise ModelError("a System needs at least one state with a rate: rates={x: expression}")
         if outputs is not None and not isinstance(outputs, Mapping):
             raise ModelError(f"outputs must be a dict from names to expressions, got {type(outputs).__name__}")
-        expressions = {key: _expression(f"rates[{_name_of(key)!r}]", rate) for key, rate in rates.items()}
+        expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         self.constraints: dict[str, Constraint] = _named_constraints(constraints)
         self._roots: dict[str, Expr] = {
-            **{f"rates[{_name_of(key)!r}]": rate for key, rate in expressions.items()},
+            **{f"rates[{name_of(key)!r}]": rate for key, rate in expressions.items()},
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
@@ -148,7 +149,8 @@ def _kind(leaf: Leaf) -> str:
     return f"{type(leaf).__name__} of shape {leaf.shape}"
 
 
-def _name_of(key: State | str) -> str:
+def name_of(key: Any) -> str:
+    """The name of a leaf, or the name itself."""
     return key if isinstance(key, str) else getattr(key, "name", repr(key))
 
 
@@ -159,6 +161,12 @@ def _expression(place: str, value: ExprLike) -> Expr:
         raise ModelError(f"{place}: {error}") from None
 
 
+def free_name(text: str, taken: Container[str]) -> str:
+    """The text, or the first of `text (2)`, `text (3)`, ... that is not taken."""
+    numbered = itertools.chain([text], (f"{text} ({number})" for number in itertools.count(2)))
+    return next(name for name in numbered if name not in taken)
+
+
 def _named_constraints(
     constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
 ) -> dict[str, Constraint]:
@@ -167,12 +175,7 @@ def _named_constraints(
     else:
         named = {}
         for constraint in [constraints] if isinstance(constraints, Constraint) else constraints:
-            name = text = repr(constraint)
-            number = 1
-            while name in named:
-                number += 1
-                name = f"{text} ({number})"
-            named[name] = constraint
+            named[free_name(repr(constraint), named)] = constraint
     for name, constraint in named.items():
         if not isinstance(constraint, Constraint):
             raise ModelError(
@@ -189,7 +192,7 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
     for key in rates:
         if not isinstance(key, (State, str)):
             raise ModelError(f"a key of rates must be a State or its name, got {key!r}")
-        name = _name_of(key)
+        name = name_of(key)
         if name not in found:
             known = ", ".join(sorted(found)) or "none"
             raise ModelError(
@@ -197,7 +200,7 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
                 "  fix: give the State itself as the key"
             )
         if name in states:
-            first = next(other for other in rates if _name_of(other) == name)
+            first = next(other for other in rates if name_of(other) == name)
             if isinstance(first, State) and isinstance(key, State):
                 raise ModelError(
                     f"two States named {name!r} have rates.\n  fix: names are unique within a system; rename one "

@@ -13,6 +13,7 @@ from ..errors import ModelError, TrajectoryError
 from ..expr import Constraint, Control, Equality, Expr, Leaf, Parameter, State, leaves_of
 from ..groups import Euclidean
 from ..lowering import Dynamics
+from ..system import free_name, name_of
 from .rows import names_of
 
 __all__ = ["FinalRows", "check_leaves", "end_values", "final_rows", "split_final"]
@@ -46,11 +47,7 @@ def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
         if isinstance(item, Mapping):
             values |= item
         elif isinstance(item, Constraint):
-            name, number = repr(item), 1
-            while name in constraints:
-                number += 1
-                name = f"{item!r} ({number})"
-            constraints[name] = item
+            constraints[free_name(repr(item), constraints)] = item
         else:
             raise ModelError(
                 f"final holds a {type(item).__name__}; it may hold values by name and constraints, "
@@ -72,7 +69,7 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
     if given is not None and not isinstance(given, Mapping):
         raise ModelError(f"{what} must be a mapping from state names to values, got {type(given).__name__}")
     for key, value in (given or {}).items():
-        name = key if isinstance(key, str) else getattr(key, "name", repr(key))
+        name = name_of(key)
         if name not in leaves:
             raise ModelError(f"{what} names {name!r}; the states are: {', '.join(leaves)}")
         values[name] = getattr(leaves[name].replace(**{what: value}), what)

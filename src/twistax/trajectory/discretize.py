@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..errors import TrajectoryError
 from ..integrators import RKMK, VectorField
@@ -83,7 +84,7 @@ def discretize(
         InputError: as a call of the dynamics does.
         TrajectoryError: substeps is no positive whole number.
     """
-    check_substeps(substeps)
+    check_whole("substeps", substeps)
     inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(h, inputs.dtype)
@@ -94,10 +95,10 @@ def discretize(
     return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])
 
 
-def check_substeps(substeps: int) -> None:
-    """Raise TrajectoryError unless substeps is a positive whole number."""
-    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
-        raise TrajectoryError(f"substeps must be a positive whole number, got {substeps!r}")
+def check_whole(name: str, value: object, least: int = 1) -> None:
+    """Raise TrajectoryError unless a value is a whole number, not less than the least."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise TrajectoryError(f"{name} must be a whole number of {least} or more, got {value!r}")
 
 
 def rollout(

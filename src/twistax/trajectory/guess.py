@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from ..errors import ModelError, ShapeError
 from ..expr import Control, State
 from ..groups import Euclidean, Group
+from ..system import name_of
 
 __all__ = ["control_guess", "perturbation", "resample", "state_guess", "user_guess"]
 
@@ -28,7 +29,7 @@ def user_guess(
     """
     found = {}
     for key, value in (guess or {}).items():
-        name = key if isinstance(key, str) else getattr(key, "name", repr(key))
+        name = name_of(key)
         if name not in leaves:
             raise ModelError(f"guess names {name!r}; the system has: {', '.join(leaves)}")
         array, leaf, length = np.asarray(value, float), leaves[name], lengths[name]

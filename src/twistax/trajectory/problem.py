@@ -18,7 +18,7 @@ from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from .banded import Chain
 from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
-from .discretize import check_substeps
+from .discretize import check_whole
 from .guess import control_guess, perturbation, state_guess, user_guess
 from .objective import Objective
 from .optimizer import Callback, Optimizer
@@ -89,9 +89,8 @@ class Problem:
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
             )
-        if isinstance(nodes, bool) or not isinstance(nodes, (int, np.integer)) or nodes < 2:
-            raise TrajectoryError(f"nodes must be a whole number of 2 or more, got {nodes!r}")
-        check_substeps(substeps)
+        check_whole("nodes", nodes, 2)
+        check_whole("substeps", substeps)
         for place, expr in (("the objective", objective.final), ("the running cost", objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..errors import InputError, IntegrationError, TrajectoryError
+from ..errors import InputError, IntegrationError
 from ..expr import Inputs, evaluate_all
 from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
+from .discretize import check_whole
 from .result import TrajectoryResult, largest_by_name
 
 if TYPE_CHECKING:
@@ -66,8 +67,7 @@ def replay(
         IntegrationError: the rollout did not reach its end.
     """
     steps = 20 if steps is None else steps
-    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-        raise TrajectoryError(f"steps must be a positive whole number, got {steps!r}")
+    check_whole("steps", steps)
     method = RKMK(RK4) if method is None else method
     with jax.enable_x64(True):
         if isinstance(method, Method):
