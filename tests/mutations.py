@@ -670,9 +670,10 @@ def tried(mutation: Mutation) -> Outcome:
             if status:
                 break
     seen = re.search(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", output, re.MULTILINE)
-    # 1 is a test that failed; any other status is a tree whose tests could not run, which shows nothing.
-    trouble = output[-2000:] if status not in (0, 1) else ""
-    seen_by = seen[1] if status == 1 and seen else ""
+    # 1 is a test that failed, a negative number a process that crashed in one; others mean that no test could run.
+    crashed = f"the process ends by signal {-status}" if status < 0 else ""
+    seen_by = seen[1] if status == 1 and seen else crashed
+    trouble = output[-2000:] if status and not seen_by else ""
     return Outcome(mutation, seen_by, tests == named, trouble, time.monotonic() - start)
 
 

@@ -1,6 +1,6 @@
 """The coefficient functions and their derivatives against sums and differentiation with fifty digits."""
 
-from functools import cache
+from functools import cache, reduce
 
 import jax
 import jax.numpy as jnp
@@ -15,19 +15,28 @@ POINTS = [0.0, 1e-300, 1e-18, 1e-10, 1e-4, 0.3, 2.5, 9.0, np.pi**2, 30.0]
 POINTS += [np.nextafter(switch, side) for switch in SWITCHES for side in (0.0, switch, 99.0)]
 
 
+@cache
+def stumpff_terms(k, order):
+    """Coefficients of the order-th derivative of sum_j (-x)^j / (2j + k)!, the highest power first."""
+    terms = range(order, 60)
+    return [(-1) ** j * mpmath.ff(j, order) / mpmath.factorial(2 * j + k) for j in reversed(terms)]
+
+
+@cache
+def inverse_terms(order):
+    """Of the order-th derivative of sum_j |B_{2j+2}| x^j / (2j+2)!, which converges below 4 pi^2."""
+    terms = range(order, 700)
+    return [
+        abs(mpmath.bernoulli(2 * j + 2)) * mpmath.ff(j, order) / mpmath.factorial(2 * j + 2) for j in reversed(terms)
+    ]
+
+
 def stumpff_exact(k, x, order):
-    """The order-th derivative of sum_j (-x)^j / (2j + k)!, term by term."""
-    return mpmath.fsum(
-        (-1) ** j * mpmath.ff(j, order) * x ** (j - order) / mpmath.factorial(2 * j + k) for j in range(order, 60)
-    )
+    return reduce(lambda value, term: value * x + term, stumpff_terms(k, order))
 
 
 def inverse_exact(_, x, order):
-    """The order-th derivative of sum_j |B_{2j+2}| x^j / (2j+2)!, term by term; converges below 4 pi^2."""
-    return mpmath.fsum(
-        abs(mpmath.bernoulli(2 * j + 2)) * mpmath.ff(j, order) * x ** (j - order) / mpmath.factorial(2 * j + 2)
-        for j in range(order, 700)
-    )
+    return reduce(lambda value, term: value * x + term, inverse_terms(order))
 
 
 #: Units in the last place that may be lost, by the order of the derivative; XLA fuses products and sums or does not.

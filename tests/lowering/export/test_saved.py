@@ -227,6 +227,28 @@ def test_a_changed_tree_is_refused(file: Path) -> None:
         tx.load(file)
 
 
+def test_a_changed_output_is_refused(tmp_path: Path) -> None:
+    x = tx.State("x")
+    path = tmp_path / "system"
+    tx.compile(tx.System(rates={x: -x}, outputs={"y": tx.Sin(x)}, constraints=[tx.Sin(2.0 * x) <= 0.5])).save(path)
+    for k in range(2):
+        found = 0
+
+        def swap(content: Any, k: int = k) -> None:
+            nonlocal found
+            for node in content["nodes"]:
+                if node[0].endswith(":Sin"):
+                    node[0] = node[0].replace(":Sin", ":Cos") if found == k else node[0]
+                    found += 1
+
+        copy = tmp_path / f"copy{k}"
+        copy.write_bytes(path.read_bytes())
+        edited(copy, swap)
+        assert found == 2
+        with pytest.raises(tx.ModelError, match="read back as others"):
+            tx.load(copy)
+
+
 @pytest.mark.parametrize(
     "named", ["twistax.expr.arithmetic:Nothing", "twistax.nowhere:Sin", "os:system", "subprocess:Popen"]
 )
