@@ -37,7 +37,7 @@ def system() -> tx.System:
 
 #: Values of k for which the end is known.
 RATES = tuple(10.0**n for n in range(2, 9))
-#: As `python -m twistax.scenes.stiff_references stiff-attitude` finds them, by k: R row by row, w.
+#: As `python -m twistax.scenes.references stiff-attitude` finds them, by k: R row by row, w.
 _ENDS = {
     1e2: (
         [

@@ -30,6 +30,7 @@ class Vacuum:
         return tx.Constant(0.0)
 
 
+# fmt: off
 #: As `python -m twistax.scenes.references tumbling-brick` finds it.
 _END = {
     "g": np.array(
@@ -40,17 +41,10 @@ _END = {
             [0.0, 0.0, 0.0, 1.0],
         ]
     ),
-    "V": np.array(
-        [
-            -15.284531626242556,
-            14.407555633037305,
-            549.9715644397888,
-            0.22023246534298518,
-            -0.3036432161227343,
-            0.5431392879442162,
-        ]
-    ),
+    "V": np.array([-15.284531626242556, 14.407555633037305, 549.9715644397888, 0.22023246534298518,
+                   -0.3036432161227343, 0.5431392879442162]),
 }
+# fmt: on
 
 TUMBLING_BRICK = Scene(
     name="tumbling-brick",
