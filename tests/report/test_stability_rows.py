@@ -5,8 +5,14 @@ import pytest
 from twistax.report.checks import Check, Found
 from twistax.report.stability.sections import SECTIONS
 
+#: Sections that take long to compile, beside the rows that take long to run.
+SLOW = ("stiff", "single", "jumps")
 CHECKS = [
-    pytest.param(check, id=f"{section.name}: {check.what}, {check.by}", marks=[pytest.mark.slow] if check.slow else [])
+    pytest.param(
+        check,
+        id=f"{section.name}: {check.what}, {check.by}",
+        marks=[pytest.mark.slow] if check.slow or section.name in SLOW else [],
+    )
     for section in SECTIONS
     for _, check in section
 ]
