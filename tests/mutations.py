@@ -303,6 +303,24 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/scalar/table/indexing.py",
+        (
+            "a function at places read as setting",
+            "a.at[_PLACES].set(9.0), _one_place, DEFAULT)",
+            "a.at[_PLACES].set(9.0), _one_place)",
+            "lowering/test_table.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/table/movement.py",
+        (
+            "another order of axes read as the usual one",
+            "takes(new_sizes=ANY, dimensions=DEFAULT, sharding=ANY)",
+            "takes(new_sizes=ANY, dimensions=ANY, sharding=ANY)",
+            "lowering/test_table.py",
+        ),
+    ),
+    *_at(
         "lowering/scalar/table/contraction.py",
         (
             "place of the largest",
