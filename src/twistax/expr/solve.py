@@ -1,4 +1,4 @@
-"""Inverses and linear systems. Up to 3x3 they are unrolled, which in a loop is many times faster than a call."""
+"""Inverses and linear systems."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..groups.arrays import multiply
 from .arithmetic import Div, MatMul, is_identity
+from .elimination import LARGEST, eliminate
 from .fields import Operand
 from .graph import leaves_of
 from .indexing import Index
@@ -25,42 +26,18 @@ WORST_CONDITION = 1e8
 LARGEST_INVERTED = 16
 
 
-def adjugate(A: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The adjugate and the determinant of matrices (..., n, n) with n = 1, 2 or 3: A^-1 = adjugate / determinant."""
-    a = [[A[..., i, j] for j in range(A.shape[-1])] for i in range(A.shape[-1])]
-    n = len(a)
-    if n == 1:
-        rows = [[jnp.ones_like(a[0][0])]]
-    elif n == 2:
-        rows = [[a[1][1], -a[0][1]], [-a[1][0], a[0][0]]]
-    else:
-        rows = [[_cofactor(a, j, i) for j in range(3)] for i in range(3)]
-    determinant = sum((a[0][k] * rows[k][0] for k in range(1, n)), start=a[0][0] * rows[0][0])
-    return jnp.stack([entry for row in rows for entry in row], axis=-1).reshape(A.shape), determinant
-
-
-def _cofactor(a: list[list[jax.Array]], i: int, j: int) -> jax.Array:
-    """Cofactor of entry (i, j) of a 3x3 matrix; with cyclic indices its sign is built in."""
-    down, further, right, beyond = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-    return a[down][right] * a[further][beyond] - a[down][beyond] * a[further][right]
-
-
 def inverse(A: jax.Array) -> jax.Array:
     """A^-1 of matrices (..., n, n)."""
-    if A.shape[-1] > 3:
+    if A.shape[-1] > LARGEST:
         return jnp.linalg.inv(A)
-    scale = _size(A)
-    adjoint, determinant = adjugate(A / scale)
-    return adjoint / (determinant[..., None, None] * scale)
+    return eliminate(A, jnp.broadcast_to(jnp.eye(A.shape[-1], dtype=A.dtype), A.shape))
 
 
 def solve(A: jax.Array, b: jax.Array) -> jax.Array:
     """The x with A x = b: A (n, n), b (n,) or (n, k)."""
-    if A.shape[-1] > 3:
+    if A.shape[-1] > LARGEST:
         return jnp.linalg.solve(A, b)
-    scale = _size(A)[0, 0]
-    adjoint, determinant = adjugate(A / scale)
-    return multiply(adjoint, b) / (determinant * scale)
+    return eliminate(A, b[:, None])[:, 0] if b.ndim == 1 else eliminate(A, b)
 
 
 def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
@@ -72,11 +49,6 @@ def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
     inverted = inverse(A)
     x = multiply(inverted, b)
     return x + multiply(inverted, b - multiply(A, x))
-
-
-def _size(A: jax.Array) -> jax.Array:
-    """The largest entry of each matrix, so that products of three neither over- nor underflow. It cancels exactly."""
-    return jax.lax.stop_gradient(jnp.max(jnp.abs(A), axis=(-2, -1), keepdims=True))
 
 
 class Inv(Expr):

@@ -178,6 +178,7 @@ CONTROL: dict[str, Entry] = entries(
         takes=(takes(const_lengths=ANY, jaxprs=ANY),),
         read=_solve,
         any_type=True,
+        inside=always_inside,  # as far as the equations in it are
         moves=True,
         example=(lambda b: jnp.linalg.solve(jnp.array([[4.0, 1.0], [1.0, 3.0]]) + jnp.diag(b), b), _V),
     ),
