@@ -24,11 +24,11 @@ dynamics = tx.compile(body)
 print(dynamics.explain())
 
 start = {"g": tx.pose(), "V": np.array([1.0, 0.5, -0.3, 0.4, 2.0, -0.7])}
-flight = tx.integrate(dynamics, start, t1=5.0, dt=1e-3, save_at=np.linspace(0.0, 5.0, 6))
-outputs = jax.vmap(lambda t, x: dynamics.outputs(t, x))(flight.ts, flight.xs)
+solution = tx.integrate(dynamics, start, t1=5.0, dt=1e-3, save_at=np.linspace(0.0, 5.0, 6))
+outputs = jax.vmap(lambda t, x: dynamics.outputs(t, x))(solution.ts, solution.xs)
 
 print("\n  t     position (m)              momentum in the world frame (N s, N m s)            energy (J)")
-for t, pose, mu, energy in zip(flight.ts, flight.xs["g"], outputs["momentum"], outputs["energy"]):
+for t, pose, mu, energy in zip(solution.ts, solution.xs["g"], outputs["momentum"], outputs["energy"]):
     print(f"{t:4.1f}   {np.round(pose[:3, 3], 4)}   {np.round(mu, 6)}   {energy:.9f}")
 
 drift = np.abs(outputs["momentum"] - outputs["momentum"][0]).max()

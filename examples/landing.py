@@ -1,4 +1,4 @@
-"""Land a rocket stage: compile a system, find the controls, fly them again with two integrators.
+"""Land a rocket stage: compile a system, find the controls, replay them with two integrators.
 
 The system, twenty lines of expressions, is `twistax.scenes.powered_descent.system`. The full case with a figure is
 `python -m twistax demo`.

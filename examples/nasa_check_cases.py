@@ -62,16 +62,16 @@ dynamics = tx.compile(system())
 
 @functools.partial(jax.jit, static_argnums=0)
 def outputs(dynamics: tx.Dynamics, ts: Any, xs: Any, params: Any) -> dict[str, jax.Array]:
-    """The system's outputs along a flight."""
+    """The system's outputs along a solution."""
     return jax.vmap(lambda t, x: dynamics.outputs(t, x, None, params))(ts, xs)
 
 
-def fly(case: CheckCase, step: float = STEP, dynamics: tx.Dynamics = dynamics) -> Track:
+def solve(case: CheckCase, step: float = STEP, dynamics: tx.Dynamics = dynamics) -> Track:
     """A case by RKMK of order 4 with fixed steps."""
     params = case.parameters()
     method = tx.RKMK(tx.tableaus.RK4)
-    flight = tx.integrate(dynamics, case.start(), t1=DURATION, dt=step, method=method, params=params, save_at=TIMES)
-    found = outputs(dynamics, flight.ts, flight.xs, params)
+    solution = tx.integrate(dynamics, case.start(), t1=DURATION, dt=step, method=method, params=params, save_at=TIMES)
+    found = outputs(dynamics, solution.ts, solution.xs, params)
     return Track(**{field.name: np.asarray(found[field.name]) for field in dataclasses.fields(Track)})
 
 
@@ -211,29 +211,29 @@ def explain(case: CheckCase, tracks: dict[str, Track]) -> None:
     assert case.damping is not None
     turning = dataclasses.replace(case.damping, frame_rate=earth.WGS84.rate)
     rounded = dataclasses.replace(case.damping, chord=0.67 * 0.3048)
-    relative = fly(dataclasses.replace(case, damping=turning))
+    relative = solve(dataclasses.replace(case, damping=turning))
     print("  with damping by the rates relative to the turning Earth:")
     for number, track in tracks.items():
         row(f"twistax - sim {number}", apart(relative, track))
     print("  with the density of the simulation, and for 01 a chord of 0.67 ft for 2/3 ft:")
     for number, damping in {"01": rounded, "04": case.damping}.items():
         theirs = tx.compile(system(Tabulated(tracks[number])))
-        flown = fly(dataclasses.replace(case, damping=damping), dynamics=theirs)
-        row(f"twistax - sim {number}", apart(flown, tracks[number]))
+        solved = solve(dataclasses.replace(case, damping=damping), dynamics=theirs)
+        row(f"twistax - sim {number}", apart(solved, tracks[number]))
 
 
 def compare(directory: Path) -> dict[str, dict[str, dict[str, Array]]]:
     """Print the differences of every case; return them by case and by what is compared."""
     shown = {}
     for case in CASES.values():
-        tracks, ours = read(directory, case), fly(case)
+        tracks, ours = read(directory, case), solve(case)
         print(f"\nCase {case.number}, {case.title}: largest over {DURATION:g} s, and at the end")
         print(f"  {'':32s} {'position, m':^19s}   {'attitude, rad':^19s}   {'body rate, rad/s':^19s}")
         lines = {f"sim {number}": apart(ours, track) for number, track in tracks.items()}
         lines["most between two simulations"] = spread(tracks)
         for name, line in lines.items():
             row(f"twistax - {name}" if name.startswith("sim") else name, line)
-        row("twistax, step halved", apart(ours, fly(case, STEP / 2.0)))
+        row("twistax, step halved", apart(ours, solve(case, STEP / 2.0)))
         inside(ours, tracks)
         off = {number: np.max(np.abs(track.density / ours.density - 1.0)) for number, track in tracks.items()}
         print("  density, relative difference: " + ", ".join(f"sim {n} {x:.0e}" for n, x in off.items()))
@@ -246,7 +246,7 @@ def compare(directory: Path) -> dict[str, dict[str, dict[str, Array]]]:
 def show_ends() -> None:
     """Print where each case ends, beside the published ends."""
     for case in CASES.values():
-        ours = fly(case)
+        ours = solve(case)
         euler = np.round(_euler(ours.attitude)[-1], 12) + 0.0  # no minus before a zero
         print(f"\nCase {case.number}, {case.title}, at {DURATION:g} s")
         print(f"  {'':8s} {'inertial x, y, m':^31s}   {'roll, pitch, yaw, rad':^37s}   {'body rate, rad/s':^44s}")
@@ -258,7 +258,7 @@ def show_ends() -> None:
                 f"  {name:8s} {place:>31s}   {' '.join(f'{x:12.9f}' for x in angles)}   "
                 f"{' '.join(f'{x:14.7e}' for x in rate)}"
             )
-        halved = apart(ours, fly(case, STEP / 2.0))
+        halved = apart(ours, solve(case, STEP / 2.0))
         print("  largest change when the step is halved: " + ", ".join(f"{k} {v.max():.0e}" for k, v in halved.items()))
 
 
