@@ -27,6 +27,7 @@ __all__ = [
     "entries",
     "gathered",
     "largest",
+    "moving",
     "never_inside",
     "nodes",
     "one_of",
@@ -157,6 +158,11 @@ class Entry:
         if self.work is not None:
             return self.work(eqn)
         return {} if self.moves else {self.name: sum(v.aval.size for v in eqn.outvars)}
+
+
+def moving(**known: Any) -> Entry:
+    """The entry of what only moves numbers, or holds other equations, whatever their type and the size of arrays."""
+    return Entry(**{"any_type": True, "inside": always_inside, "moves": True, **known})
 
 
 def entries(*listed: Entry) -> dict[str, Entry]:

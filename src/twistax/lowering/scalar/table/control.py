@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 
 from ....jax_inside import ClosedJaxpr, closed, expansion, inner_jaxprs, scan_parts
-from ..entry import ANY, Entry, Nodes, always_inside, each, entries, one_of, takes
+from ..entry import ANY, Entry, Nodes, always_inside, each, entries, moving, one_of, takes
 from .logic import LOGIC
 
 if TYPE_CHECKING:
@@ -128,49 +128,34 @@ _WHERE = dict.fromkeys(
 )
 
 CONTROL: dict[str, Entry] = entries(
-    Entry(
+    moving(
         name="jit",
         takes=(takes(jaxpr=ANY, compiler_options_kvs=lambda options: not options, **_WHERE),),
         read=_jit,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(jax.jit(lambda a: 2.0 * a), _V),
     ),
-    Entry(
+    moving(
         name="remat2",
         takes=(takes(jaxpr=ANY, prevent_cse=ANY, differentiated=ANY, policy=ANY),),
         read=_jit,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(jax.checkpoint(lambda a: 2.0 * jnp.sin(a)), _V),
     ),
-    Entry(
+    moving(
         name="call_hi_primitive",  # JAX 0.12
         takes=(takes(_prim=ANY),),
         read=_composite,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(lambda a: jnp.searchsorted(a, a), _V),
     ),
-    Entry(
+    moving(
         name="custom_jvp_call",
         takes=(takes(call_jaxpr=ANY, jvp_jaxpr_fun=ANY, num_consts=ANY, symbolic_zeros=ANY),),
         read=_with_derivative,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(_doubled(), _V),
     ),
-    Entry(
+    moving(
         name="custom_vjp_call",
         takes=(takes(call_jaxpr=ANY, fwd_jaxpr_thunk=ANY, bwd=ANY, num_consts=ANY, out_trees=ANY, symbolic_zeros=ANY),),
         read=_with_derivative,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(_doubled_back(), _V),
     ),
     Entry(
@@ -182,23 +167,17 @@ CONTROL: dict[str, Entry] = entries(
         moves=True,
         example=(lambda b: jnp.linalg.solve(jnp.array([[4.0, 1.0], [1.0, 3.0]]) + jnp.diag(b), b), _V),
     ),
-    Entry(
+    moving(
         name="scan",
         takes=(takes(**_SCAN, num_consts=ANY, num_carry=ANY), takes(**_SCAN, ft_in=ANY, ft_out=ANY)),  # 0.10; 0.11
         read=_scan,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         repeats=lambda eqn: eqn.params["length"],
         example=(lambda a: lax.scan(lambda c, row: (c + row, c * row), a[0], a), _V),
     ),
-    Entry(
+    moving(
         name="cond",
         takes=(takes(branches=ANY), takes(branches=ANY, branches_platforms=one_of())),  # by platform: not read
         read=_cond,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(lambda a: lax.cond(a[0] > 0.0, jnp.sin, jnp.cos, a), _V),
     ),
     Entry(

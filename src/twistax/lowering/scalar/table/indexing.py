@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jax import lax
 
-from ..entry import ANY, DEFAULT, Entry, Nodes, always_inside, entries, largest, never_inside, nodes, one_of, takes
+from ..entry import ANY, DEFAULT, Entry, Nodes, entries, largest, moving, never_inside, nodes, one_of, takes
 from .arithmetic import ARITHMETIC
 from .logic import LOGIC
 
@@ -209,30 +209,21 @@ _GATHER = takes(
 )
 
 INDEXING: dict[str, Entry] = entries(
-    Entry(
+    moving(
         name="dynamic_slice",
         takes=(takes(slice_sizes=ANY),),
         read=_dynamic_slice,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(lambda a: lax.dynamic_slice(a, (1, 2), (2, 2)), _M),
     ),
-    Entry(
+    moving(
         name="dynamic_update_slice",
         read=_dynamic_update_slice,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(lambda a: lax.dynamic_update_slice(a, a[:1, :2], (1, 2)), _M),
     ),
-    Entry(
+    moving(
         name="gather",
         takes=(_GATHER,),
         read=_gather,
-        any_type=True,
-        inside=always_inside,
-        moves=True,
         example=(lambda a: a[:, _PLACES], _M),
     ),
     _scattering("scatter", None, lambda a: a.at[_PLACES].set(9.0), _one_place, DEFAULT),

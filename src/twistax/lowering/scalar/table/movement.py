@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..entry import ANY, DEFAULT, Entry, Nodes, always_inside, entries, nodes, small_inside, takes
+from ..entry import ANY, DEFAULT, Entry, Nodes, always_inside, entries, moving, nodes, small_inside, takes
 from .logic import LOGIC
 
 if TYPE_CHECKING:
@@ -105,14 +105,9 @@ def _sort(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
 
 def _moving(name: str, read: Any, example: Any, known: Any = None, *, anywhere: bool = False) -> Entry:
     """An entry; `anywhere`: it is part of a small function whatever the size of its arrays."""
-    return Entry(
-        name=name,
-        takes=(known if known is not None else takes(),),
-        read=read,
-        any_type=True,
-        inside=always_inside if anywhere else small_inside,
-        moves=True,
-        example=example,
+    inside = always_inside if anywhere else small_inside
+    return moving(
+        name=name, takes=(known if known is not None else takes(),), read=read, inside=inside, example=example
     )
 
 
