@@ -62,6 +62,7 @@ def test_a_wrong_formula_stands_out_and_the_others_hold() -> None:
         assert max(error for error in worst.values() if error < 0.1) < 1e-12
 
 
+@pytest.mark.slow
 def test_every_statement_on_joints_and_bodies_holds() -> None:
     worst = identities.worst_errors([*identities.joint_identities(), *identities.body_identities()], cases=10)
     assert len(worst) == 17
@@ -174,6 +175,7 @@ def test_scalars_agree_with_arrays_and_a_disagreement_is_seen() -> None:
     assert off > 1e-3
 
 
+@pytest.mark.slow
 @needs_llvmlite
 def test_integrations_in_a_kernel_end_where_those_by_xla_do() -> None:
     ratio, apart = scalars.batch_ratio(20, 10)

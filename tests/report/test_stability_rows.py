@@ -6,7 +6,7 @@ from twistax.report.checks import Check, Found
 from twistax.report.stability.sections import SECTIONS
 
 #: Sections that take long to compile, beside the rows that take long to run.
-SLOW = ("stiff", "single", "jumps")
+SLOW = ("stiff", "single", "jumps", "long")
 CHECKS = [
     pytest.param(
         check,
