@@ -101,8 +101,8 @@ class ButcherTableau(Coefficients):
         if b.ndim != 1 or not b.size:
             raise self._error(f"b must be a vector, got shape {b.shape}")
         s = b.size
-        self._read("c", (s,))
         self._read("a", (s, s))
+        self._read("c", (s,))
         if np.triu(self.a).any():
             row = int(np.argmax(np.triu(self.a).any(axis=1)))
             raise self._error(f"row {row} of a has entries on or right of the diagonal: the method is not explicit")
