@@ -119,3 +119,16 @@ def test_rows_are_asked_where_they_matter(evaluated: tuple) -> None:
     # With its own control a shared node is asked from both sides.
     assert asked["power"].count("at node 1") == 2
     assert asked["dynamics of R"][0] == "between nodes 0 and 1"
+
+
+@pytest.mark.parametrize(("substeps", "power"), [(1, 1), (3, 1), (2, 3), (4, 3)])
+def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) -> None:
+    """Cubic ones by Simpson's rule, linear ones where the number of substeps is odd."""
+    x, u = tx.State("x"), tx.Control("u")
+    objective = tx.Minimize(running=tx.Time() ** power)
+    problem = Problem(
+        tx.compile(tx.System(rates={x: u})), objective, nodes=3, substeps=substeps, final_time=1.3, initial={"x": 0.0}
+    )
+    iterate = Iterate({"x": np.zeros(3)}, np.zeros((2, 1)), np.asarray(1.3))
+    found = quick_jit(problem.transcription.evaluate)(iterate, np.zeros(3 * problem.transcription.block + 1), {})
+    np.testing.assert_allclose(found.cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)
