@@ -104,3 +104,10 @@ def test_derivatives_are_those_of_the_implicit_function(n: int) -> None:
     np.testing.assert_allclose(second, -2.0 * np.linalg.solve(A, dA @ dx), rtol=1e-9, atol=1e-10)
     batched = jax.vmap(run)(np.stack([A, A.T]), np.stack([b, b]))
     np.testing.assert_allclose(batched[1], np.linalg.solve(A.T, b), rtol=1e-11)
+
+
+def test_no_product_of_matrices_stands_in_derivatives() -> None:
+    """Accelerators round its factors to fewer bits, and a large one may not stand in a small function."""
+    A = jnp.ones((10, 3, 3)) + jnp.eye(3)[None]
+    for derivative in (jax.jacfwd, jax.jacrev):
+        assert "dot_general" not in str(jax.make_jaxpr(derivative(lambda A: eliminate(A, A)))(A))

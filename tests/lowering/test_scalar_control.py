@@ -198,3 +198,18 @@ def test_functions_of_equal_derivatives_are_called_once() -> None:
         lambda x: [amplified(2.0)(x), amplified(2.0)(x), amplified(3.0)(x)], jax.ShapeDtypeStruct((), float)
     )
     assert program.counts()["call"] == 2
+
+
+def test_functions_that_differ_in_a_callback_alone_are_two() -> None:
+    """Same source, same derivative: only the function that NumPy computes tells them apart."""
+
+    def raised(by: float) -> Any:
+        @jax.custom_jvp
+        def function(x: jax.Array) -> jax.Array:
+            return jax.pure_callback(lambda v: np.asarray(v + by), jax.ShapeDtypeStruct(x.shape, x.dtype), x)
+
+        function.defjvp(lambda p, t: (function(*p), t[0]))
+        return function
+
+    program = scalarize(lambda x: [raised(2.0)(x), raised(5.0)(x)], jax.ShapeDtypeStruct((), float))
+    assert [float(v) for v in evaluate(program, np.float64(1.0))] == [3.0, 6.0]

@@ -135,7 +135,10 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
     head = tuple((name(v), str(v.aval)) for v in (*jaxpr.constvars, *jaxpr.invars))
     body = []
     for eqn in jaxpr.eqns:
-        own = {k: v for k, v in eqn.params.items() if not callable(v) and not _holds_jaxprs(v)}
+        # Callables are the rules of a function with a derivative of its own, which `_OwnDerivative` compares.
+        # Elsewhere, as in a callback, they are the operation itself.
+        rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
+        own = {k: v for k, v in eqn.params.items() if not (_holds_jaxprs(v) or (rules and callable(v)))}
         inner = tuple(_fingerprint(each) for each in inner_jaxprs(eqn))
         ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
         body.append((eqn.primitive.name, str(sorted(own.items(), key=lambda e: e[0])), inner, ins, outs))
