@@ -115,7 +115,7 @@ def kernel_tries(
         return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more]
 
     def make() -> Repeated | None:
-        shapes = [jax.ShapeDtypeStruct((), int), *_shapes(types[: len(fixed)])]
+        shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *_shapes(types[: len(fixed)])]
         shapes += [jax.ShapeDtypeStruct(shape, dtype) for shape, _ in types[len(fixed) :]]
         return stepper.dynamics.backend.repeated(iteration, shapes, len(state))
 
