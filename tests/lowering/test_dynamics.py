@@ -207,6 +207,17 @@ def test_baked_parameters_are_code() -> None:
     assert [p.name for p in SYSTEM.parameters] == ["M", "k", "idle"], "the system stays as it is"
 
 
+def test_a_traced_value_is_not_baked() -> None:
+    with pytest.raises(tx.ModelError, match=r"bake\['M'\] is traced"):
+        jax.jit(lambda M: tx.compile(SYSTEM, bake={"M": M})(0.0, POINT, CONTROLS))(INERTIA)
+
+
+def test_a_jacobian_by_one_kind_alone() -> None:
+    dynamics = tx.compile(SYSTEM)
+    one = dynamics.jacobian(0.0, POINT, CONTROLS, wrt="params")
+    np.testing.assert_array_equal(one["params"], dynamics.jacobian(0.0, POINT, CONTROLS, wrt=["params"])["params"])
+
+
 def test_a_parameter_is_baked_into_the_body_of_a_vmap() -> None:
     points = np.array([1.0, 2.0, 3.0])
     system = tx.System(rates={mass: tx.linalg.Sum(tx.Vmap(lambda z: k * z * mass, points))})

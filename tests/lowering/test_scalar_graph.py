@@ -11,6 +11,8 @@ import pytest
 from scalar_cases import evaluate
 
 import twistax as tx
+from twistax.expr.elimination import eliminate
+from twistax.lowering.backends import array_operations
 from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
 from twistax.lowering.scalar.emitter import as_function
 from twistax.lowering.scalar.graph import TooLarge
@@ -198,3 +200,21 @@ def test_the_emitted_function_is_the_program() -> None:
     for own, other in zip(jax.jit(as_function(program))(*arguments), evaluate(program, *arguments), strict=True):
         assert (own.shape, own.dtype) == (other.shape, other.dtype)
         np.testing.assert_allclose(own, other, rtol=1e-14)
+
+
+def test_what_is_structurally_zero_never_becomes_a_pivot() -> None:
+    """A diagonal matrix divides; unrolled with all its zeros a 3x3 elimination takes some sixty operations."""
+    program = program_of(lambda a, b: eliminate(jnp.diag(a), b[:, None]), VECTOR, VECTOR)
+    assert emitted_form(program).counts() == {"div": 3}
+    greater = program_of(lambda a, b: (jax.lax.gt(0.0 * b, jnp.abs(a)), a > jnp.abs(b), a < 0.0), VECTOR, VECTOR)
+    found = evaluate(greater, np.array([-1.0, np.nan, 2.0]), np.array([0.5, 1.0, np.nan]))
+    np.testing.assert_array_equal(found, [[False] * 3, [False] * 3, [True, False, False]])
+    assert greater.outputs[0].tolist() == [greater.graph.constant(False, np.dtype(bool))] * 3
+
+
+def test_a_linear_solve_counts_once() -> None:
+    """The jaxprs that it holds for its derivatives do not run."""
+    jaxpr = jax.make_jaxpr(lambda a, b: eliminate(a, b))(jnp.eye(2), jnp.ones((2, 1))).jaxpr
+    counts = array_operations(jaxpr)
+    assert counts["div"] == 3
+    assert counts["gt"] == 1

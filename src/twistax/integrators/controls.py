@@ -121,7 +121,7 @@ class ZeroOrderHold(Table):
 
 
 class FirstOrderHold(Table):
-    """FirstOrderHold interpolation between rows, held beyond the ends."""
+    """Linear interpolation between rows, held beyond the ends."""
 
     rows = 2
 

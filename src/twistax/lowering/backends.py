@@ -186,7 +186,8 @@ def array_operations(jaxpr: Any) -> Counter[str]:
     """Operations by name, all entries of arrays and all iterations of loops counted; factorisations by their cube."""
     found: Counter[str] = Counter()
     for eqn in jaxpr.eqns:
-        entry, inner = entry_of(eqn), inner_jaxprs(eqn)
+        entry = entry_of(eqn)
+        inner = inner_jaxprs(eqn) if entry is None else entry.runs(eqn)
         for each in inner:
             for kind, count in array_operations(each.jaxpr).items():
                 found[kind] += count * (entry.repeats(eqn) if entry else 1)

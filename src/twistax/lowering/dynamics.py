@@ -77,7 +77,7 @@ class Dynamics:
         u: Values | None = None,
         params: Values | None = None,
         *,
-        wrt: Sequence[str] = ("x", "u"),
+        wrt: str | Sequence[str] = ("x", "u"),
     ) -> Arrays:
         """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, what is structurally zero never computed.
 
@@ -86,11 +86,12 @@ class Dynamics:
         declaration. Units are those of the rates over those of the columns. Traceable and differentiable.
 
         Args:
-            wrt: which of "x", "u", "params".
+            wrt: which of "x", "u", "params", a tuple or one name.
         Raises:
             InputError: as a call of the dynamics; an unknown entry in wrt.
         """
-        return self._functions.jacobian(self._functions.prepare(t, x, u, params), tuple(wrt))
+        names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+        return self._functions.jacobian(self._functions.prepare(t, x, u, params), names)
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""

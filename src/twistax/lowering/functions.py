@@ -26,6 +26,7 @@ from ..expr import (
     leaves_of,
     substitute,
 )
+from ..jax_inside import is_traced
 from ..system import System
 from .backends import Backend, Emission
 from .inputs import Values, prepare
@@ -283,6 +284,11 @@ def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> di
             )
         if value is None:
             raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
+        if is_traced(value):
+            raise ModelError(
+                f"bake[{name!r}] is traced (inside jit, grad or vmap), so its number is not known.\n"
+                f"  fix: do not bake it, and pass params={{{name!r}: ...}}"
+            )
         constants[known[name].key()] = Constant(known[name].replace(value=value).value)
     return constants
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...jax_inside import parameters
+from ...jax_inside import ClosedJaxpr, inner_jaxprs, parameters
 
 if TYPE_CHECKING:
     from .reader import Reader
@@ -113,7 +113,8 @@ class Entry:
         inside: whether an equation compiles as part of one small function on the CPU.
         moves: whether it only moves numbers, or holds other equations: it counts as no operation.
         work: operations on scalars that an equation takes, by name; by default one for each entry of the results.
-        repeats: how often the equations in it run.
+        runs: the jaxprs that an equation runs; a linear solve holds others for its derivatives.
+        repeats: how often the equations in them run.
     """
 
     name: str
@@ -124,6 +125,7 @@ class Entry:
     inside: Callable[[Any], bool] = never_inside
     moves: bool = False
     work: Callable[[Any], Mapping[str, int]] | None = None
+    runs: Callable[[Any], list[ClosedJaxpr]] = inner_jaxprs
     repeats: Callable[[Any], int] = lambda eqn: 1
 
     def __repr__(self) -> str:

@@ -165,6 +165,7 @@ CONTROL: dict[str, Entry] = entries(
         any_type=True,
         inside=always_inside,  # as far as the equations in it are
         moves=True,
+        runs=lambda eqn: [closed(eqn.params["jaxprs"].solve)],
         example=(lambda b: jnp.linalg.solve(jnp.array([[4.0, 1.0], [1.0, 3.0]]) + jnp.diag(b), b), _V),
     ),
     moving(

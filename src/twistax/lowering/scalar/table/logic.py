@@ -27,7 +27,13 @@ _TRUTH, _REAL = np.array([True, False]), np.array([0.5, -1.5])
 # ---- operations ------------------------------------------------------------------------------------------------------
 
 
-def _comparison(name: str, sign: str, number: Any, array: Any, python: Any) -> Operation:
+def _greater(g: Graph, a: int, b: int) -> int:
+    """Zero is greater than no magnitude: what is structurally zero never becomes a pivot."""
+    known = a == g.zero and (operation := g.operation(b)) is not None and operation.name == "abs"
+    return g.constant(False, _BOOL) if known else g.node(LOGIC["gt"], a, b)
+
+
+def _comparison(name: str, sign: str, number: Any, array: Any, python: Any, maker: Any = None) -> Operation:
     """False where one is NaN, but for `ne`. Truth values have an order too."""
     equality = name in ("eq", "ne")
     real = "une" if name == "ne" else f"o{name}"
@@ -39,6 +45,7 @@ def _comparison(name: str, sign: str, number: Any, array: Any, python: Any) -> O
         arity=2,
         result=_BOOL,
         symmetric=equality,
+        maker=maker,
         llvm=Forms(*(in_llvm.instruction(i) for i in (f"fcmp {real}", f"icmp {signed}", f"icmp {unsigned}"))),
         c=everywhere(in_c.infix(sign)),
         casadi=everywhere(lambda casadi, a, b: python(a, b)),
@@ -78,7 +85,7 @@ LOGIC: dict[str, Operation] = {
         _comparison("ne", "!=", np.not_equal, lax.ne, operator.ne),
         _comparison("lt", "<", np.less, lax.lt, operator.lt),
         _comparison("le", "<=", np.less_equal, lax.le, operator.le),
-        _comparison("gt", ">", np.greater, lax.gt, operator.gt),
+        _comparison("gt", ">", np.greater, lax.gt, operator.gt, lambda g: functools.partial(_greater, g)),
         _comparison("ge", ">=", np.greater_equal, lax.ge, operator.ge),
         Operation(
             name="is_finite",
