@@ -108,6 +108,15 @@ def test_single_precision_stays_single() -> None:
     _near(found.xs, expected.xs, rtol=1e-5)
 
 
+@pytest.mark.parametrize("steps", [{"steps": 10}, {"rtol": 1e-4}], ids=["fixed", "adaptive"])
+def test_it_runs_without_x64(steps: dict[str, Any]) -> None:
+    """As JAX comes. Counters too must have a type of that mode: JAX 0.12 warns of others."""
+    with jax.enable_x64(False):
+        found = tx.integrate(tx.compile(windy_body(), backend=tx.Native()), START, t1=0.5, u=U, **steps)
+        assert {value.dtype for value in found.xs.values()} == {np.dtype(np.float32)}
+    _near(found.xs, tx.integrate(PLAIN, START, t1=0.5, steps=100, u=U).xs, rtol=1e-3)
+
+
 def test_events_and_dense_output_are_as_ever() -> None:
     event = tx.Event(tx.State("V", shape=(6,))[2] + 3.0)
     for given in ({"event": event}, {"dense": True}):
