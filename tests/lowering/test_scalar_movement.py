@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from scalar_cases import Case, compare, oracles
+from scalar_cases import Case, compare, evaluate, oracles
+
+from twistax.lowering.scalar.program import scalarize
 
 _rng = np.random.default_rng(0)
 V, W, M, N = (_rng.normal(size=shape) for shape in ((6,), (6,), (3, 4), (4, 2)))
@@ -235,3 +237,15 @@ def expected() -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_as_jax(case: Case) -> None:
     compare(case, expected()[case.name])
+
+
+def test_nan_has_the_place_that_jax_gives_it() -> None:
+    """The first of NaN is the extreme; sorted it is last, in a precision that is not the program's too."""
+
+    def function(a: jax.Array) -> list[jax.Array]:
+        return [jnp.argmax(a, 1), jnp.argmin(a, 0), jnp.sort(a[0].astype(np.float32))]
+
+    a = np.array([[3.0, np.nan, 2.0], [np.nan, 5.0, np.nan], [1.0, 4.0, 0.0]])
+    found = evaluate(scalarize(function, jax.ShapeDtypeStruct(a.shape, a.dtype)), a)
+    for mine, theirs in zip(found, function(jnp.asarray(a)), strict=True):
+        np.testing.assert_array_equal(mine, theirs)

@@ -127,16 +127,20 @@ def _cumulative(name: str, pair: Operation, example: Any) -> Entry:
 
 
 def _place_of(name: str, further: Operation, example: Any) -> Entry:
-    """The place of an extreme: the first of equals."""
+    """The place of an extreme: the first of equals, and of NaN where there is one."""
 
     def read(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
         g, dtype = reader.graph, np.dtype(eqn.params["index_dtype"])
+        real = jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.inexact)
         lists, shape = gathered(a, tuple(map(int, eqn.params["axes"])))
         flat = []
         for first, *others in lists:
             best, place = first, g.constant(0, dtype)
             for k, entry in enumerate(others, start=1):
                 better = g.node(further, entry, best)
+                if real:
+                    first_nan = LOGIC["and"].on(g)(g.node(LOGIC["ne"], entry, entry), g.node(LOGIC["eq"], best, best))
+                    better = LOGIC["or"].on(g)(better, first_nan)
                 best, place = g.select(better, entry, best), g.select(better, g.constant(k, dtype), place)
             flat.append(place)
         return [nodes(flat, shape)]
