@@ -129,6 +129,7 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     [
         ({"dt": None}, "give either dt, the length of a step, or steps"),
         ({"steps": 3}, "give either dt, the length of a step, or steps"),
+        ({"dynamics": tx.System(rates={tx.State("x"): 1.0})}, "expects a compiled system, got System"),
         ({"dt": 0.0}, "dt must be positive, got 0"),
         ({"dt": np.nan}, "dt must be a finite number"),
         ({"t1": -1.0}, "t1 = -1 lies before t0 = 0"),
@@ -148,9 +149,9 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     ],
 )
 def test_nonsense_is_named(change: dict, message: str) -> None:
-    arguments = {"x0": {"x": 1.0}, "t1": 1.0, "dt": 0.1, "u": {"F": 0.0}} | change
+    arguments = {"dynamics": decay(), "x0": {"x": 1.0}, "t1": 1.0, "dt": 0.1, "u": {"F": 0.0}} | change
     with pytest.raises(tx.InputError, match=message):
-        inspect.unwrap(tx.integrate)(decay(), **arguments)  # past the checks that only the tests switch on
+        inspect.unwrap(tx.integrate)(**arguments)  # past the checks that only the tests switch on
 
 
 @pytest.mark.parametrize("spoil", ["rotation", "reflection", "row"])
