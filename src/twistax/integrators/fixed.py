@@ -192,9 +192,7 @@ def fixed_steps(
             which the number of steps would not be known.
     """
     if (dt is None) == (steps is None):
-        raise InputError(
-            "give either dt, the length of a step, or steps, their number.\n  fix: one of them; or rtol for adaptive steps"
-        )
+        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
     span = span_of(t0, t1, dt)
     if steps is None:
         if span is None or is_traced(dt):
