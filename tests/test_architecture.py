@@ -1,4 +1,4 @@
-"""The house: each floor imports only the floors below it; importing changes nothing and stays light."""
+"""The house: each layer imports only the layers below it; importing changes nothing and stays light."""
 
 import ast
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 import twistax
 
 SOURCE = Path(twistax.__file__).parent
-FLOORS = [
+LAYERS = [
     "errors",
     "jax_inside",
     "groups",
@@ -28,10 +28,10 @@ FLOORS = [
 ]
 
 
-def floor_of(module: str) -> int:
-    """Floor number of `twistax.<module>`."""
+def layer_of(module: str) -> int:
+    """Layer number of `twistax.<module>`."""
     first = module.split(".")[0]
-    return FLOORS.index(first if first in FLOORS else "the public names")
+    return LAYERS.index(first if first in LAYERS else "the public names")
 
 
 def imported_modules(path: Path) -> set[str]:
@@ -56,11 +56,11 @@ def imported_modules(path: Path) -> set[str]:
 
 
 def upward_imports(path: Path) -> list[str]:
-    mine = floor_of(".".join(path.relative_to(SOURCE).with_suffix("").parts))
-    return [f"{path.name} imports {module}" for module in imported_modules(path) if floor_of(module) > mine]
+    mine = layer_of(".".join(path.relative_to(SOURCE).with_suffix("").parts))
+    return [f"{path.name} imports {module}" for module in imported_modules(path) if layer_of(module) > mine]
 
 
-def test_no_file_imports_a_higher_floor() -> None:
+def test_no_file_imports_a_higher_layer() -> None:
     assert [line for path in sorted(SOURCE.rglob("*.py")) for line in upward_imports(path)] == []
 
 
@@ -84,13 +84,13 @@ def loaded_by(statement: str) -> set[str]:
 
 #: What `import twistax` leaves to those who use it: it would double the time of `import jax`.
 HEAVY = ("diffrax", "equinox", "scipy", "matplotlib", "llvmlite", "jax.extend", "jax.experimental", "jax.scipy")
-FLOORS_ABOVE = ("lowering", "integrators", "mechanics", "trajectory", "scenes", "report", "demo", "jax_inside")
+LAYERS_ABOVE = ("lowering", "integrators", "mechanics", "trajectory", "scenes", "report", "demo", "jax_inside")
 
 
 def test_import_loads_the_language_alone() -> None:
     """Its time is a matter of what it loads: within 0.3 of `import jax`, where everything takes 0.85."""
     loaded = loaded_by("import twistax")
-    heavy = [*HEAVY, *(f"twistax.{floor}" for floor in FLOORS_ABOVE)]
+    heavy = [*HEAVY, *(f"twistax.{layer}" for layer in LAYERS_ABOVE)]
     assert [name for name in loaded if any(f"{name}.".startswith(f"{each}.") for each in heavy)] == []
     assert len([name for name in loaded if name.split(".")[0] == "twistax"]) < 60
 

@@ -129,7 +129,6 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     [
         ({"dt": None}, "give either dt, the length of a step, or steps"),
         ({"steps": 3}, "give either dt, the length of a step, or steps"),
-        ({"dynamics": tx.System(rates={tx.State("x"): 1.0})}, "expects a compiled system, got System"),
         ({"dt": 0.0}, "dt must be positive, got 0"),
         ({"dt": np.nan}, "dt must be a finite number"),
         ({"t1": -1.0}, "t1 = -1 lies before t0 = 0"),

@@ -59,9 +59,9 @@ def test_solvers_that_are_no_runge_kutta_methods(unchecked: None) -> None:
             tx.diffrax.LieSolver(solver, top())
     with pytest.raises(tx.ModelError, match=r"got its class.\n  fix: Tsit5\(\)"):
         tx.diffrax.LieSolver(diffrax.Tsit5, top())
-    with pytest.raises(tx.ModelError, match=r"expects tx.compile\(system\)"):
+    with pytest.raises(tx.ModelError, match="expects a compiled system, got System"):
         tx.diffrax.LieSolver(diffrax.Tsit5(), top().system)
-    with pytest.raises(tx.ModelError, match=r"expects tx.compile\(system\)"):
+    with pytest.raises(tx.ModelError, match="expects a compiled system, got System"):
         tx.diffrax.lie_term(top().system)
     with pytest.raises(tx.ModelError, match="expects a chart"):
         tx.diffrax.LieSolver(diffrax.Tsit5(), top(), "exponential")

@@ -27,7 +27,7 @@ from .trigonometry import Acos, Asin, Atan, Atan2, Cos, Cosh, Sin, Sinh, Tan, Ta
 from .vmap import Vmap
 from .walk import evaluate_all as evaluate_all
 
-#: What `twistax` itself offers; the rest is in its faces, or for the floors above.
+#: What `twistax` itself offers; the rest is in its faces, or for the layers above.
 __all__ = [
     "Abs",
     "Acos",

@@ -12,7 +12,7 @@ from ..errors import InputError, ModelError
 from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
 from ..groups.arrays import unpack, vector
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
+from ..lowering.dynamics import Arrays, expect_compiled
 from .controls import OfTime, Signals, controls_of
 
 __all__ = ["Ambient", "Arguments", "read_arguments"]
@@ -28,10 +28,11 @@ class Ambient:
         dynamics: the compiled system.
         quaternion: quaternions (True) or matrices (False).
     Raises:
-        ModelError: a group without such numbers.
+        ModelError: a system that is not compiled; a group without such numbers.
     """
 
     def __init__(self, dynamics: Dynamics, quaternion: bool = True) -> None:
+        expect_compiled("ambient_term", dynamics)
         self.dynamics = dynamics
         self.quaternion = quaternion
         self._numbers = {name: _numbers(group, quaternion) for name, group in dynamics.group.factors.items()}

@@ -19,6 +19,7 @@ from ..expr import Inputs
 from ..groups import Euclidean, Group
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
+from ..lowering.dynamics import expect_compiled
 from ..lowering.inputs import is_finite, precision
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
@@ -102,15 +103,12 @@ def integrate(
         not reached are NaN.
 
     Raises:
-        InputError: what a call of `dynamics` raises; a system that is not compiled; values that are not finite; a
-            rotation that is none; times, steps or tolerances that make no sense.
-        ModelError: a method that cannot integrate the system, or has no error estimate.
+        InputError: what a call of `dynamics` raises; values that are not finite; a rotation that is none; times, steps
+            or tolerances that make no sense.
+        ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration ended early. Names the time, the state and the likely cause.
     """
-    if not isinstance(dynamics, Dynamics):
-        raise InputError(
-            f"integrate expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
-        )
+    expect_compiled("integrate", dynamics)
     adaptive = rtol is not None or atol is not None
     if method is None:
         method = RKMK(DOP853, Ambient()) if adaptive else RKMK(RK4)

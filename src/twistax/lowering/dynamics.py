@@ -21,14 +21,14 @@ from .functions import Arrays, Functions
 from .inputs import Values
 from .native.backend import Auto
 
-__all__ = ["Arrays", "Dynamics", "compile"]
+__all__ = ["Arrays", "Dynamics", "compile", "expect_compiled"]
 
 
 class Dynamics:
     """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
 
     x, u and params are dicts by leaf name. u and params may be left out; a missing parameter takes its own value.
-    The result has the precision of x. Made by `compile`. The floors above this one work with `_functions`, the same
+    The result has the precision of x. Made by `compile`. The layers above this one work with `_functions`, the same
     functions on prepared arguments.
 
     Attributes:
@@ -238,6 +238,14 @@ def compile(
     if not isinstance(chosen, Backend):
         raise ModelError(f'backend expects "auto", tx.XLA(), tx.Native() or tx.JAX(), got {backend!r}')
     return Dynamics(Functions(system, outputs, dict(bake or {}), chosen))
+
+
+def expect_compiled(owner: str, dynamics: object) -> None:
+    """Raises ModelError for anything but a compiled system; `owner` is what was called with it."""
+    if not isinstance(dynamics, Dynamics):
+        raise ModelError(
+            f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
+        )
 
 
 def _with_shape(leaf: Leaf) -> str:

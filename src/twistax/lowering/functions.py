@@ -68,7 +68,7 @@ class Kept:
 class Functions:
     """The functions of a system on prepared arguments: traceable, unchecked.
 
-    `Dynamics` shows them to users; `prepare` makes the arguments. The floors above reach them as `dynamics._functions`.
+    `Dynamics` shows them to users; `prepare` makes the arguments. The layers above reach them as `dynamics._functions`.
 
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.

@@ -16,6 +16,7 @@ from ..expr import Control, State
 from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
+from ..lowering.dynamics import expect_compiled
 from .banded import Chain
 from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
 from .discretize import check_whole
@@ -81,10 +82,7 @@ class Problem:
         method: RKMK | None = None,
         substeps: int = 2,
     ) -> None:
-        if not isinstance(dynamics, Dynamics):
-            raise ModelError(
-                f"Problem expects a compiled system, got {type(dynamics).__name__}.\n  fix: tx.compile(...)"
-            )
+        expect_compiled("Problem", dynamics)
         if not isinstance(objective, Objective):
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"

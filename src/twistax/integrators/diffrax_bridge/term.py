@@ -10,7 +10,7 @@ import equinox as eqx
 from ...errors import ModelError
 from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
+from ...lowering.dynamics import Arrays, expect_compiled
 from ..ambient import read_arguments
 
 __all__ = ["LieTerm", "LieTerms", "Part", "lie_term", "parts_of"]
@@ -44,13 +44,8 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
     Raises:
         ModelError: no compiled system.
     """
-    return LieTerm(_compiled("lie_term", dynamics))
-
-
-def _compiled(function: str, dynamics: Any) -> Dynamics:
-    if not isinstance(dynamics, Dynamics):
-        raise ModelError(f"{function} expects tx.compile(system), got {type(dynamics).__name__}")
-    return dynamics
+    expect_compiled("lie_term", dynamics)
+    return LieTerm(dynamics)
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
