@@ -21,7 +21,7 @@ from .functions import Arrays, Functions
 from .inputs import Values
 from .native.backend import Auto
 
-__all__ = ["Arrays", "Dynamics", "compile", "expect_compiled"]
+__all__ = ["Arrays", "Dynamics", "compile", "not_compiled"]
 
 
 class Dynamics:
@@ -240,12 +240,11 @@ def compile(
     return Dynamics(Functions(system, outputs, dict(bake or {}), chosen))
 
 
-def expect_compiled(owner: str, dynamics: object) -> None:
-    """Raises ModelError for anything but a compiled system; `owner` is what was called with it."""
-    if not isinstance(dynamics, Dynamics):
-        raise ModelError(
-            f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
-        )
+def not_compiled(owner: str, dynamics: object) -> ModelError:
+    """What to raise where `owner` was called with anything but a compiled system."""
+    return ModelError(
+        f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
+    )
 
 
 def _with_shape(leaf: Leaf) -> str:

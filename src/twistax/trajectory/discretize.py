@@ -13,7 +13,7 @@ from ..errors import TrajectoryError
 from ..integrators import RKMK, VectorField
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays, expect_compiled
+from ..lowering.dynamics import Arrays, not_compiled
 from ..lowering.inputs import Values
 from .flat import Controls
 
@@ -85,7 +85,8 @@ def discretize(
         TrajectoryError: substeps is no positive whole number.
         ModelError: the system is not compiled.
     """
-    expect_compiled("discretize", dynamics)
+    if not isinstance(dynamics, Dynamics):
+        raise not_compiled("discretize", dynamics)
     check_whole("substeps", substeps)
     inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..lowering import Dynamics
-from ..lowering.dynamics import expect_compiled
+from ..lowering.dynamics import not_compiled
 from ..lowering.inputs import Values
 from .flat import Controls, flat_rates
 
@@ -51,7 +51,8 @@ def linearize(
         InputError: as a call of the dynamics does.
         ModelError: the system is not compiled.
     """
-    expect_compiled("linearize", dynamics)
+    if not isinstance(dynamics, Dynamics):
+        raise not_compiled("linearize", dynamics)
     inputs = dynamics._functions.prepare(t, x, u, params)
     controls = Controls(dynamics.controls)
     flat = controls.join(inputs.u, inputs.dtype)

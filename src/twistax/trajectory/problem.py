@@ -16,7 +16,7 @@ from ..expr import Control, State
 from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
-from ..lowering.dynamics import expect_compiled
+from ..lowering.dynamics import not_compiled
 from .banded import Chain
 from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
 from .discretize import check_whole
@@ -82,7 +82,8 @@ class Problem:
         method: RKMK | None = None,
         substeps: int = 2,
     ) -> None:
-        expect_compiled("Problem", dynamics)
+        if not isinstance(dynamics, Dynamics):
+            raise not_compiled("Problem", dynamics)
         if not isinstance(objective, Objective):
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"

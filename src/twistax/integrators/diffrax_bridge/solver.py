@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from ...errors import InputError, ModelError
 from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays, expect_compiled
+from ...lowering.dynamics import Arrays, not_compiled
 from ..ambient import Arguments, read_arguments
 from ..charts import Chart, Exponential, SplitExponential
 from ..charts.coordinates import Blocks, chart_of
@@ -264,7 +264,8 @@ def _terms_taken(solver: Any) -> int:
 
 
 def _check(solver: Any, dynamics: Any, chart: Any) -> None:
-    expect_compiled("LieSolver", dynamics)
+    if not isinstance(dynamics, Dynamics):
+        raise not_compiled("LieSolver", dynamics)
     if isinstance(solver, type):
         raise ModelError(f"LieSolver expects a solver, got its class.\n  fix: {solver.__name__}()")
     inner = solver.solver if type(solver) is diffrax.HalfSolver else solver

@@ -10,7 +10,7 @@ import equinox as eqx
 from ...errors import ModelError
 from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays, expect_compiled
+from ...lowering.dynamics import Arrays, not_compiled
 from ..ambient import read_arguments
 
 __all__ = ["LieTerm", "LieTerms", "Part", "lie_term", "parts_of"]
@@ -44,7 +44,8 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
     Raises:
         ModelError: no compiled system.
     """
-    expect_compiled("lie_term", dynamics)
+    if not isinstance(dynamics, Dynamics):
+        raise not_compiled("lie_term", dynamics)
     return LieTerm(dynamics)
 
 
