@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
+from ...jax_inside import small_calls_in_branches
 from ...lowering import Dynamics
 from ...lowering.small_call import small_call
 from ..charts import Chart, Exponential
@@ -133,7 +134,9 @@ class ImplicitRKMK(Method):
         """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
-            found = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
+            # Steps that are differentiated run in branches.
+            call = small_call if small_calls_in_branches() else _plainly
+            found = call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
             return jnp.where(found.solved, found.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
@@ -276,3 +279,7 @@ class ImplicitRKMK(Method):
         """The stored state at the end of the step."""
         local = equations.local
         return local.settle(local.move(equations.y, equations.read(equations.end(Z))))
+
+
+def _plainly(function: Callable[[Any], Any], argument: Any) -> Any:
+    return function(argument)
