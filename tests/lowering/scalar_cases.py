@@ -13,8 +13,7 @@ import numpy as np
 from jax.extend.core import jaxpr_as_fun
 
 from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
-from twistax.lowering.scalar.passes import emitted_form
-from twistax.lowering.scalar.program import ScalarProgram, scalarize
+from twistax.lowering.scalar.program import ScalarProgram, emitted_form, scalarize
 
 
 def evaluate(program: ScalarProgram, *arguments: Any) -> list[np.ndarray]:

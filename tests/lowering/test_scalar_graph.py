@@ -16,8 +16,7 @@ from twistax.lowering.backends import array_operations
 from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
 from twistax.lowering.scalar.emitter import as_function
 from twistax.lowering.scalar.graph import TooLarge
-from twistax.lowering.scalar.passes import emitted_form
-from twistax.lowering.scalar.program import ScalarProgram, scalarize
+from twistax.lowering.scalar.program import ScalarProgram, emitted_form, scalarize
 
 VECTOR = jax.ShapeDtypeStruct((3,), float)
 NUMBER = jax.ShapeDtypeStruct((), float)

@@ -10,9 +10,8 @@ import pytest
 
 from twistax.lowering.scalar import emitter
 from twistax.lowering.scalar.derivatives import jacobian
-from twistax.lowering.scalar.passes import one_by_one
 from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import ScalarProgram, scalarize
+from twistax.lowering.scalar.program import ScalarProgram, one_by_one, scalarize
 from twistax.lowering.small_call import small_call
 
 

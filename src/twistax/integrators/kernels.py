@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..lowering.scalar.primitive import Derived, call_program
-from ..lowering.scalar.repeated import Repeated, repeat
+from ..lowering.scalar.primitive import Derived, Repeated, call_program, repeat
 from .charts.coordinates import Blocks
 from .method import Attempt, Carry, Stepper
 

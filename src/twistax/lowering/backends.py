@@ -13,11 +13,8 @@ import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, Jaxpr, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
-from .scalar.passes import emitted_form
-from .scalar.primitive import Derived, call_program
-from .scalar.program import ScalarProgram, scalarize
-from .scalar.reader import trace
-from .scalar.repeated import Repeated
+from .scalar.primitive import Derived, Repeated, call_program
+from .scalar.program import ScalarProgram, emitted_form, scalarize
 from .scalar.table import entry_of
 from .small_call import known_inside
 
@@ -170,7 +167,7 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
     Programs would lose effects and traced values that it closes over. They have no random keys. Long tables that it
     closes over take minutes to read.
     """
-    closed = trace(function, *shapes)
+    closed = jax.make_jaxpr(function)(*shapes)
     keys = any(map(_is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
         return None

@@ -12,9 +12,7 @@ from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from .scalar.derivatives import columns_of
 from .scalar.entry import Nodes
-from .scalar.passes import one_by_one
-from .scalar.program import ScalarProgram, scalarize
-from .scalar.reader import Reader, trace
+from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
 
 __all__ = ["RateJacobian"]
 
@@ -76,4 +74,4 @@ def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> 
         return [found[name] for name in values]
 
     shapes = [jax.ShapeDtypeStruct(nodes.shape, g.dtype) for nodes in values.values()]
-    return dict(zip(values, Reader(g).read(trace(function, *shapes), list(values.values())), strict=True))
+    return dict(zip(values, Reader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())), strict=True))

@@ -55,12 +55,12 @@ class Sheet:
         result = Port("rate", "all", (len(self.rows),))
         outputs = (np.array(list(self.rows.values())),)
         program = ScalarProgram(self.g, self.inputs, outputs, (self.dtype,))
-        text, helpers = body(ExportedFunction("all", (result,), program, lambda *a: []), ports, {**names, result: "r"})
+        text = body(ExportedFunction("all", (result,), program, lambda *a: []), ports, {**names, result: "r"})
         real = c_type(self.dtype).name
         head = f"void all({real} t, const {real} *x_a, const {real} *x_b, const {real} *x_c, {real} *r)"
         source = folder / f"all_{self.dtype.name}.c"
         includes = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n"
-        source.write_text(f"{includes}{head};\n{''.join(helpers.values())}{head}\n{{\n{text}}}\n")
+        source.write_text(f"{includes}{head};\n{head}\n{{\n{text}}}\n")
         library = Library(source, self.dtype)
         table = np.array(
             [library.call("all", [0.0, *row], [result.shape])[0] for row in zip(*self.values, strict=True)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.machine_code import Processor
 from twistax.lowering.native.tile import Straight, native_form
 from twistax.lowering.scalar.graph import Graph
 from twistax.lowering.scalar.program import ScalarProgram
@@ -36,7 +36,7 @@ def run(program: ScalarProgram, processor: Processor, *columns: Any) -> list[np.
     form = native_form(program)
     kernel = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
     rows = np.broadcast_arrays(*columns)
-    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.signature.arguments])]
+    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.tile.read])]
 
 
 #: Every vector that this machine has: SSE2, AVX2, AVX-512.

@@ -13,10 +13,9 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
-from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.processor import Processor
-from twistax.lowering.native.tile import native_form
+from twistax.lowering.native.machine_code import Processor
+from twistax.lowering.native.tile import Iterations, native_form
 from twistax.lowering.scalar.program import scalarize
 
 COUNTER = jax.ShapeDtypeStruct((), int)
@@ -26,7 +25,7 @@ def kernel_of(step: Any, processor: Processor, dtype: Any, single: bool) -> Kern
     """The kernel of a step with a matrix that stays and a state of three."""
     shapes = jax.ShapeDtypeStruct((3, 3), dtype), jax.ShapeDtypeStruct((3,), dtype)
     form = native_form(scalarize(step, COUNTER, *shapes))
-    return Kernel(Iterations(form, 1, 1 if single else processor.lanes(np.dtype(dtype))), processor)
+    return Kernel(Iterations(form, 1 if single else processor.lanes(np.dtype(dtype)), 1), processor)
 
 
 def iterated(step: Any, first: int, stop: int, fixed: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:

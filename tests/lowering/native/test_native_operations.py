@@ -14,7 +14,7 @@ from native_programs import at_every_width, processors, program_of, run
 
 import twistax as tx
 from twistax.lowering.native.code import NotNative
-from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.machine_code import Processor
 from twistax.lowering.native.tile import native_form
 from twistax.lowering.scalar.table import OPERATIONS, convert
 

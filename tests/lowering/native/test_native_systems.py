@@ -24,10 +24,10 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 import twistax as tx
 from twistax import jax_inside
 from twistax.lowering.native import kernel as kernel_module
-from twistax.lowering.native import machine_code, self_test
+from twistax.lowering.native import machine_code
 from twistax.lowering.native.code import Module
 from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.machine_code import Processor
 from twistax.lowering.native.tile import Straight, native_form
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS
@@ -128,7 +128,7 @@ def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if XLA's interface had changed."""
-    monkeypatch.setattr(self_test, "_CALLED", False)
+    monkeypatch.setattr(kernel_module, "_CALLED", False)
     monkeypatch.setattr(Kernel, "__call__", lambda self, rows, *a: [jnp.zeros((rows, 3))])
     with pytest.warns(RuntimeWarning, match="JAX calls it otherwise"):
         rates = tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)["s"]
@@ -137,7 +137,7 @@ def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch)
 
 def test_the_first_kernel_may_be_a_constant(monkeypatch: pytest.MonkeyPatch) -> None:
     """It reads nothing, though the system has a state."""
-    monkeypatch.setattr(self_test, "_CALLED", False)
+    monkeypatch.setattr(kernel_module, "_CALLED", False)
     rates = tx.compile(tx.System(rates={s: tx.Constant(np.arange(3.0))}), backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_array_equal(rates, np.arange(3.0))
 

@@ -20,7 +20,7 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 from native_programs import at_every_width
 
 import twistax as tx
-from twistax.lowering.native.processor import Processor
+from twistax.lowering.native.machine_code import Processor
 from twistax.lowering.native.tile import Straight
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize

@@ -10,7 +10,8 @@ import numpy as np
 
 from ...errors import InputError, ModelError
 from ..functions import Functions
-from ..scalar.in_c import CType, c_type
+from ..scalar.entry import Operation
+from ..scalar.in_c import CType, c_type, expression
 from . import CFiles, version
 from .c_header import MARK, declaration, defaults, header
 from .c_names import checked_name, identifiers
@@ -98,13 +99,10 @@ def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
 def _source(
     name: str, exporter: Exporter, functions: Sequence[ExportedFunction], names: dict[Port, str], real: CType
 ) -> str:
-    helpers: dict[str, str] = {}
     bodies = []
     for function in functions:
-        text, own = body(function, exporter.arguments, names)
-        helpers.update(own)
         head = declaration(name, function, exporter.arguments, names, real)
-        bodies.append(f"{head}\n{{\n{text}}}\n")
+        bodies.append(f"{head}\n{{\n{body(function, exporter.arguments, names)}}}\n")
     constants = []
     for port, values in defaults(exporter):
         entries = ", ".join(real.literal(real.dtype.type(v)) for v in values)
@@ -113,43 +111,32 @@ def _source(
         f'{MARK} {version()}. The call convention stands in {name}.h. */\n#include "{name}.h"\n\n'
         "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
         "".join(constants),
-        *helpers.values(),
         *bodies,
     ]
     return "\n".join(part for part in parts if part)
 
 
-def body(
-    function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]
-) -> tuple[str, dict[str, str]]:
-    """The lines of a function, and the helpers that they call, by name.
+def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]) -> str:
+    """The lines of a function.
 
     Raises:
         ModelError: a type that C has not, or has no such operation of.
     """
     program, g = function.program, function.program.graph
-    values: dict[int, str] = {}
     lines: list[str] = []
-    helpers: dict[str, str] = {}
     used: set[int] = set()
-    for i in program.live:
-        place, operation, own = g.input_of(i), g.operation(i), c_type(g.dtypes[i])
-        if place is not None:
-            used.add(place[0])
-            port = arguments[place[0]]
-            values[i] = names[port] if port.kind == "t" else f"{names[port]}[{place[1]}]"
-        elif operation is None:
-            values[i] = own.literal(g.numbers[i])
-        else:
-            read = g.arguments(i)
-            argument = c_type(g.dtypes[read[-1]])
-            form = operation.c.of(argument.dtype)
-            if form is None:
-                raise ModelError(f"C99 code has no {operation.name} of {argument.name}")
-            written = form(argument, *(values[a] for a in read))
-            helpers.update(written.helpers)
-            values[i] = f"v{len(lines)}"
-            lines.append(f"const {own.name} {values[i]} = {written.text};")
+
+    def entry(argument: int, place: int) -> str:
+        used.add(argument)
+        port = arguments[argument]
+        return names[port] if port.kind == "t" else f"{names[port]}[{place}]"
+
+    def computed(operation: Operation, node: int, *values: str) -> str:
+        own, argument = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
+        lines.append(f"const {own.name} v{len(lines)} = {expression(operation, argument, own, values)};")
+        return f"v{len(lines) - 1}"
+
+    values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
     unused = [f"(void){names[port]};" for k, port in enumerate(arguments) if k not in used]
     results = []
     real = c_type(g.dtype)
@@ -157,7 +144,7 @@ def body(
         for k, i in enumerate(nodes.reshape(-1).tolist()):
             cast = "" if g.dtypes[i] == g.dtype else f"({real.name})"
             results.append(f"{names[port]}[{k}] = {cast}{values[i]};")
-    return "".join(f"    {line}\n" for line in (*unused, *lines, *results)), helpers
+    return "".join(f"    {line}\n" for line in (*unused, *lines, *results))
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import InputError, ModelError
 from ..functions import Functions
-from ..scalar.operation import Operation
+from ..scalar.entry import Operation
 from .functions import ExportedFunction, Exporter, Port
 
 __all__ = ["to_casadi"]
@@ -82,16 +82,11 @@ def _place(shape: tuple[int, ...], place: int) -> tuple[int, int]:
 def _results(casadi: Any, function: ExportedFunction, arguments: Sequence[Port], symbols: Sequence[Any]) -> list[Any]:
     """The results as matrices of expressions in the symbols."""
     g = function.program.graph
-    values: dict[int, Any] = {}
-    for i in function.program.live:
-        place, operation = g.input_of(i), g.operation(i)
-        if place is not None:
-            values[i] = symbols[place[0]][_place(arguments[place[0]].shape, place[1])]
-        elif operation is None:
-            values[i] = casadi.SX(float(g.numbers[i]))
-        else:
-            read = g.arguments(i)
-            values[i] = expression(casadi, operation, g.dtypes[read[-1]], *(values[a] for a in read))
+    values = function.program.computed(
+        lambda argument, place: symbols[argument][_place(arguments[argument].shape, place)],
+        lambda value, dtype: casadi.SX(float(value)),
+        lambda operation, i, *a: expression(casadi, operation, g.dtypes[g.arguments(i)[-1]], *a),
+    )
     found = []
     for port, nodes in zip(function.results, function.program.outputs, strict=True):
         result = casadi.SX(*_matrix(port.shape))  # what is structurally zero stays so

@@ -14,8 +14,7 @@ from ...errors import ModelError
 from ...expr import Inputs, Leaf
 from ..functions import Functions
 from ..scalar.graph import Limits
-from ..scalar.passes import emitted_form
-from ..scalar.program import ScalarProgram, scalarize
+from ..scalar.program import ScalarProgram, emitted_form, scalarize
 
 __all__ = ["ExportedFunction", "Exporter", "Port"]
 

@@ -6,6 +6,7 @@ import dataclasses
 import importlib.metadata
 import importlib.util
 from collections.abc import Callable, Collection
+from typing import Any
 
 import jax
 
@@ -13,16 +14,12 @@ from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ..scalar.graph import TooLarge
-from ..scalar.primitive import Derived, Runner, call_program
+from ..scalar.primitive import Derived, Repeated, call_program
 from ..scalar.program import ScalarProgram
-from ..scalar.repeated import Repeated
 from .code import NotNative
-from .iterations import Iterations
-from .kernel import Kernel
-from .machine_code import BuildError
-from .processor import Processor
-from .self_test import check_kernel
-from .tile import NATIVE_LIMITS, Straight, Tile, native_form
+from .kernel import Kernel, check_kernel
+from .machine_code import BuildError, Processor
+from .tile import NATIVE_LIMITS, Iterations, Straight, Tile, native_form
 
 __all__ = ["Auto", "Native", "installed"]
 
@@ -36,7 +33,7 @@ def installed() -> bool:
 
 
 @dataclasses.dataclass(frozen=True)
-class Native(Backend, Runner):
+class Native(Backend):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
     Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
@@ -87,12 +84,7 @@ class Native(Backend, Runner):
         if program is None:
             return None
         form = native_form(program)
-        processor = Processor.host()
-
-        def kernel(single: bool) -> Kernel | None:
-            return self._built(Iterations(form, state, 1 if single else processor.lanes(form.graph.dtype)), processor)
-
-        return Repeated(form, state, kernel)
+        return Repeated(form, state, lambda single: self._built(Iterations, form, single, state))
 
     def step(self, step: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(step, shapes)
@@ -139,21 +131,18 @@ class Native(Backend, Runner):
 
     # ---- the runner ----------------------------------------------------------------------------------------------
 
-    def worthwhile(self, program: ScalarProgram, rows: int) -> bool:
-        return program.operations * rows >= self.least
-
     def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
-        processor = Processor.host()
         try:
-            form = native_form(program)
+            return self._built(Straight, native_form(program), single)
         except NotNative:
             return None
-        return self._built(Straight(form, 1 if single else processor.lanes(form.graph.dtype)), processor)
 
-    def _built(self, tile: Tile, processor: Processor) -> Kernel | None:
+    def _built(self, kind: type[Tile], form: ScalarProgram, single: bool, *more: Any) -> Kernel | None:
         """A kernel that was seen to be right; None, with a message, where none can be had."""
+        processor = Processor.host()
+        lanes = 1 if single else processor.lanes(form.graph.dtype)
         try:
-            kernel = Kernel(tile, processor, self.threads)
+            kernel = Kernel(kind(form, lanes, *more), processor, self.threads)
             check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")

@@ -10,14 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from .processor import Processor
+from .machine_code import Processor
 
-__all__ = ["Code", "Module", "NotNative", "addressed"]
+__all__ = ["NAMES", "Code", "Module", "NotNative", "addressed"]
 
 
 class NotNative(Exception):
     """A program has no native form; the message says why."""
 
+
+#: LLVM's names of the types that numbers may have.
+NAMES: dict[np.dtype[Any], str] = {
+    np.dtype(np.float64): "double",
+    np.dtype(np.float32): "float",
+    np.dtype(np.int64): "i64",
+    np.dtype(np.int32): "i32",
+    np.dtype(bool): "i1",
+}
 
 #: LLVM's names of vectors in the names of functions on them.
 _SUFFIXES = {"double": "f64", "float": "f32"}
@@ -52,7 +61,7 @@ class Code:
         self.lanes = lanes
         self.lines: list[str] = []
         #: Angles of which sine and cosine are there.
-        self.turned: dict[str, tuple[str, ...]] = {}
+        self.sines: dict[str, tuple[str, ...]] = {}
         self._count = 0
 
     def emit(self, instruction: str) -> str:
@@ -74,21 +83,33 @@ class Code:
         """The type of a vector."""
         return f"<{self.lanes} x {kind}>"
 
+    def suffix(self, kind: str) -> str:
+        """The same in the names of functions."""
+        return f"v{self.lanes}{_SUFFIXES.get(kind, kind)}"
+
     def constant(self, kind: str, value: Any) -> str:
         """A number in all lanes."""
         return f"splat ({kind} {_number(kind, value)})"
 
     # ---- instructions --------------------------------------------------------------------------------------------
 
-    def binary(self, name: str, kind: str, a: str, b: str) -> str:
-        return self.emit(f"{name} {self.vector(kind)} {a}, {b}")
+    def instruction(self, name: str, kind: str, *arguments: str) -> str:
+        """Of one or two vectors of a type."""
+        return self.emit(f"{name} {self.vector(kind)} {', '.join(arguments)}")
 
-    def call(self, name: str, kind: str, *arguments: str) -> str:
+    def intrinsic(self, name: str, kind: str, *arguments: str) -> str:
         """One of LLVM's own functions of vectors."""
         own = self.vector(kind)
-        suffix = f"v{self.lanes}{_SUFFIXES.get(kind, kind)}"
-        self.module.declarations.add(f"declare {own} @llvm.{name}.{suffix}({', '.join([own] * len(arguments))})")
-        return self.emit(f"call {own} @llvm.{name}.{suffix}({', '.join(f'{own} {a}' for a in arguments)})")
+        return self.call(own, f"llvm.{name}.{self.suffix(kind)}", *((own, a) for a in arguments))
+
+    def call(self, result: str, name: str, *arguments: tuple[str, str]) -> str:
+        """A function that is declared here, of types and values."""
+        self.module.declarations.add(f"declare {result} @{name}({', '.join(kind for kind, _ in arguments)})")
+        text = f"call {result} @{name}({', '.join(f'{kind} {value}' for kind, value in arguments)})"
+        if result != "void":
+            return self.emit(text)
+        self.lines.append(text)
+        return ""
 
     def convert(self, name: str, source: str, target: str, value: str) -> str:
         return self.emit(f"{name} {self.vector(source)} {value} to {self.vector(target)}")
@@ -97,11 +118,74 @@ class Code:
         own = self.vector(kind)
         return self.emit(f"select {self.vector('i1')} {condition}, {own} {a}, {own} {b}")
 
+    # ---- operations on scalars, as the table names them ----------------------------------------------------------
+
+    def turned(self, place: int, kind: str, x: str) -> str:
+        """Sine (0) or cosine (1) of an angle of which both are there already."""
+        return self.sines[x][place]
+
+    def chosen(self, comparison: str, kind: str, a: str, b: str) -> str:
+        """a where it compares so with b, else b."""
+        return self.select(kind, self.instruction(comparison, kind, a, b), a, b)
+
+    def further(self, comparison: str, kind: str, a: str, b: str) -> str:
+        """The same; NaN where one of them is."""
+        first = self.chosen(comparison, kind, a, b)
+        return self.select(kind, self.instruction("fcmp uno", kind, a, a), a, first)
+
+    def sign(self, kind: str, x: str) -> str:
+        """Zero, with its sign, and NaN as they are."""
+        one = self.intrinsic("copysign", kind, self.constant(kind, 1.0), x)
+        return self.select(kind, self.instruction("fcmp one", kind, x, self.constant(kind, 0.0)), one, x)
+
+    def finite(self, kind: str, x: str) -> str:
+        return self.instruction("fcmp olt", kind, self.intrinsic("fabs", kind, x), self.constant(kind, np.inf))
+
+    def logistic(self, kind: str, x: str) -> str:
+        one, exp = self.constant(kind, 1.0), self.library("exp", kind, self.instruction("fneg", kind, x))
+        return self.instruction("fdiv", kind, one, self.instruction("fadd", kind, one, exp))
+
+    def negative(self, kind: str, x: str) -> str:
+        return self.instruction("sub", kind, "zeroinitializer", x)
+
+    def magnitude(self, kind: str, x: str) -> str:
+        return self.chosen("icmp sgt", kind, x, self.negative(kind, x))
+
+    def integer_sign(self, kind: str, x: str) -> str:
+        below = self.instruction("ashr", kind, x, self.constant(kind, 31 if kind == "i32" else 63))
+        above = self.instruction("icmp sgt", kind, x, "zeroinitializer")
+        return self.instruction("or", kind, below, self.convert("zext", "i1", kind, above))
+
+    def inverted(self, ones: Any, kind: str, x: str) -> str:
+        """All bits the other way; `ones` is the number of which all are set."""
+        return self.instruction("xor", kind, x, self.constant(kind, ones))
+
+    def converted(self, dtype: np.dtype[Any], kind: str, x: str) -> str:
+        """To a type, as JAX does: to the nearest integer that there is, and to truth where it is not zero."""
+        target, real = NAMES[dtype], kind in _SUFFIXES
+        if kind == target:
+            return x
+        if target == "i1":
+            return self.instruction("fcmp une" if real else "icmp ne", kind, x, "zeroinitializer")
+        if real and target not in _SUFFIXES:
+            name = f"llvm.fptosi.sat.{self.suffix(target)}.{self.suffix(kind)}"
+            return self.call(self.vector(target), name, (self.vector(kind), x))
+        if target in _SUFFIXES:
+            wider = "fpext" if target == "double" else "fptrunc"
+            return self.convert(wider if real else "uitofp" if kind == "i1" else "sitofp", kind, target, x)
+        return self.convert("zext" if kind == "i1" else "sext" if target == "i64" else "trunc", kind, target, x)
+
+    # ---- several at once -----------------------------------------------------------------------------------------
+
     def multiply_add(self, kind: str, a: str, b: str, c: str) -> str:
         """a b + c, with one rounding where the processor can."""
         if self.module.processor.fma:
-            return self.call("fma", kind, a, b, c)
-        return self.binary("fadd", kind, self.binary("fmul", kind, a, b), c)
+            return self.intrinsic("fma", kind, a, b, c)
+        return self.instruction("fadd", kind, self.instruction("fmul", kind, a, b), c)
+
+    def any(self, flags: str) -> str:
+        """Whether a truth value holds in any lane."""
+        return self.call("i1", f"llvm.vector.reduce.or.{self.suffix('i1')}", (self.vector("i1"), flags))
 
     def polynomial(self, kind: str, x: str, coefficients: Sequence[float]) -> str:
         """c0 + c1 x + c2 x^2 + ..., by Horner's rule."""
@@ -129,11 +213,10 @@ class Code:
         """The calls that `library` is made of."""
         symbol = function if kind == "double" else f"{function}f"
         self.module.library.add(symbol)
-        self.module.declarations.add(f"declare {kind} @{symbol}({', '.join([kind] * len(arguments))})")
         result, own = "poison", self.vector(kind)
         for lane in range(self.lanes):
-            given = [self.emit(f"extractelement {own} {a}, i32 {lane}") for a in arguments]
-            value = self.emit(f"call {kind} @{symbol}({', '.join(f'{kind} {a}' for a in given)})")
+            given = [(kind, self.emit(f"extractelement {own} {a}, i32 {lane}")) for a in arguments]
+            value = self.call(kind, symbol, *given)
             result = self.emit(f"insertelement {own} {result}, {kind} {value}, i32 {lane}")
         return result
 

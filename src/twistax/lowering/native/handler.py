@@ -1,4 +1,4 @@
-"""The function that XLA calls, by its typed foreign-function interface.
+"""The function that XLA calls, by its typed foreign-function interface: a loop over rows, shared between threads.
 
 Structures and their offsets are those of `xla/ffi/api/c_api.h`, version 0.3, on machines with addresses of 64 bits.
 The handler tells XLA for which version it is made; XLA refuses it where it does not know that one.
@@ -6,14 +6,14 @@ The handler tells XLA for which version it is made; XLA refuses it where it does
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .code import Module, addressed
 from .rows import Array
 
-__all__ = ["API", "write_handler"]
+__all__ = ["API", "write_handler", "write_loop"]
 
 #: The version of the interface.
 API = (0, 3)
@@ -140,3 +140,210 @@ def write_handler(module: Module, arguments: Sequence[Array], results: Sequence[
     ]
     module.functions["failed"] = addressed(_FAILED)
     module.functions["handler"] = "\n".join([addressed(text) + "}", *constants])
+
+
+# ---- the loop --------------------------------------------------------------------------------------------------------
+
+
+def write_loop(module: Module, arrays: Mapping[str, Array], lanes: int, chunk: int) -> None:
+    """Adds functions on a table of pointers to arrays.
+
+    `run(table, first, end)` computes rows `first` to `end` - 1, at least one. `start(frame, table, rows, most)` has all
+    of them computed by at most so many threads of XLA's pool, `chunk` rows at a time.
+
+    Args:
+        arrays: by what the tile calls them, in the order of the table.
+        lanes: rows of a tile.
+        chunk: a multiple of `lanes`.
+    """
+    pointers = [
+        f"%p{k} = getelementptr ptr, ptr %table, i64 {k}\n%{name} = load ptr, ptr %p{k}"
+        for k, name in enumerate(arrays)
+    ]
+    moved = [
+        f"%{name}.place = mul i64 %row, {array.size}\n"
+        f"%{name}.row = getelementptr {array.stored}, ptr %{name}, i64 %{name}.place"
+        for name, array in arrays.items()
+    ]
+    module.functions["run"] = _RUN.format(
+        pointers="\n".join(pointers),
+        moved="\n".join(moved),
+        rows="".join(f", ptr %{name}.row" for name in arrays),
+        lanes=lanes,
+    )
+    module.declarations |= {
+        "declare ptr @malloc(i64)",
+        "declare void @free(ptr)",
+        "declare i32 @sched_yield()",
+        "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
+        "declare i64 @llvm.umin.i64(i64, i64)",
+    }
+    module.library |= {"malloc", "free", "sched_yield"}
+    text = _THREADS.format(chunk=chunk, table=8 * len(arrays), job=_HEAD + 8 * len(arrays))
+    module.functions["threads"] = addressed(text)
+
+
+_RUN = """define void @run(ptr %table, i64 %first, i64 %end) #0 {{
+entry:
+{pointers}
+%final = sub i64 %end, 1
+br label %loop
+loop:
+%row = phi i64 [ %first, %entry ], [ %next, %loop ]
+%last = sub i64 %final, %row
+{moved}
+call void @tile(i64 %last{rows})
+%next = add i64 %row, {lanes}
+%more = icmp ult i64 %next, %end
+br i1 %more, label %loop, label %done
+done:
+ret void
+}}"""
+
+#: Of a job: the next row that nobody has taken, all rows, rows that are done, holders; then its table.
+_HEAD = 32
+
+# Whoever comes takes chunks of rows until none is left. The thread that started waits only for chunks that others work
+# on at that moment, never for tasks that the pool has not begun: these find nothing to do, and the last one frees the
+# job. So the pool cannot be blocked, however many kernels run in it.
+# Offsets are those of XLA's c_api.h, version 0.3.
+_THREADS = """
+define internal void @work(ptr %job) #0 {{
+entry:
+%rows = load i64, ptr %job + 8
+%done.at = getelementptr i64, ptr %job, i64 2
+%table = getelementptr i64, ptr %job, i64 4
+br label %take
+take:
+%first = atomicrmw add ptr %job, i64 {chunk} acq_rel
+%left = icmp ult i64 %first, %rows
+br i1 %left, label %some, label %none
+some:
+%full = add i64 %first, {chunk}
+%end = call i64 @llvm.umin.i64(i64 %full, i64 %rows)
+call void @run(ptr %table, i64 %first, i64 %end)
+%count = sub i64 %end, %first
+%before = atomicrmw add ptr %done.at, i64 %count acq_rel
+br label %take
+none:
+ret void
+}}
+define internal void @release(ptr %job, i64 %holders) #0 {{
+entry:
+%holders.at = getelementptr i64, ptr %job, i64 3
+%before = atomicrmw sub ptr %holders.at, i64 %holders acq_rel
+%last = icmp eq i64 %before, %holders
+br i1 %last, label %end, label %others
+end:
+call void @free(ptr %job)
+ret void
+others:
+ret void
+}}
+define internal void @task(ptr %job) #0 {{
+call void @work(ptr %job)
+call void @release(ptr %job, i64 1)
+ret void
+}}
+define internal void @dropped(ptr %api, ptr %error) #0 {{
+%arguments = alloca [3 x i64]
+store i64 24, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %error, ptr %arguments + 16
+%destroy = load ptr, ptr %api + 64
+call void %destroy(ptr %arguments)
+ret void
+}}
+define internal i64 @threads(ptr %api, ptr %context) #0 {{
+entry:
+%count = alloca i64
+store i64 1, ptr %count
+%arguments = alloca [4 x i64]
+store i64 32, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %context, ptr %arguments + 16
+store ptr %count, ptr %arguments + 24
+%function = load ptr, ptr %api + 144
+%error = call ptr %function(ptr %arguments)
+%failed = icmp ne ptr %error, null
+br i1 %failed, label %none, label %known
+none:
+call void @dropped(ptr %api, ptr %error)
+ret i64 1
+known:
+%found = load i64, ptr %count
+ret i64 %found
+}}
+define internal void @start(ptr %frame, ptr %table, i64 %rows, i64 %most) #0 {{
+entry:
+%small = icmp ule i64 %rows, {chunk}
+%single = icmp ule i64 %most, 1
+%either = or i1 %small, %single
+br i1 %either, label %alone, label %many
+alone:
+call void @run(ptr %table, i64 0, i64 %rows)
+ret void
+many:
+%api = load ptr, ptr %frame + 16
+%context = load ptr, ptr %frame + 24
+%found = call i64 @threads(ptr %api, ptr %context)
+%allowed = call i64 @llvm.umin.i64(i64 %found, i64 %most)
+%up = add i64 %rows, {chunk}
+%up1 = sub i64 %up, 1
+%chunks = udiv i64 %up1, {chunk}
+%holders = call i64 @llvm.umin.i64(i64 %allowed, i64 %chunks)
+%helped = icmp ugt i64 %holders, 1
+br i1 %helped, label %share, label %alone
+share:
+%job = call ptr @malloc(i64 {job})
+%missing = icmp eq ptr %job, null
+br i1 %missing, label %alone, label %filled
+filled:
+store i64 0, ptr %job
+store i64 %rows, ptr %job + 8
+%done.at = getelementptr i64, ptr %job, i64 2
+store i64 0, ptr %done.at
+store i64 %holders, ptr %job + 24
+%own = getelementptr i64, ptr %job, i64 4
+call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %table, i64 {table}, i1 false)
+%arguments = alloca [5 x i64]
+store i64 40, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %context, ptr %arguments + 16
+store ptr @task, ptr %arguments + 24
+store ptr %job, ptr %arguments + 32
+%schedule = load ptr, ptr %api + 136
+br label %call
+call:
+%begun = phi i64 [ 1, %filled ], [ %next, %called ]
+%missed = phi i1 [ false, %filled ], [ %failed, %called ]
+%all = icmp eq i64 %begun, %holders
+br i1 %all, label %join, label %one
+one:
+%error = call ptr %schedule(ptr %arguments)
+%failed = icmp ne ptr %error, null
+br i1 %failed, label %refused, label %called
+called:
+%next = add i64 %begun, 1
+br label %call
+refused:
+call void @dropped(ptr %api, ptr %error)
+br label %join
+join:
+%running = phi i64 [ %holders, %call ], [ %begun, %refused ]
+call void @work(ptr %job)
+br label %wait
+wait:
+%done = load atomic i64, ptr %done.at acquire, align 8
+%finished = icmp eq i64 %done, %rows
+br i1 %finished, label %leave, label %yield
+yield:
+%ignored = call i32 @sched_yield()
+br label %wait
+leave:
+%absent = sub i64 %holders, %running
+%mine = add i64 %absent, 1
+call void @release(ptr %job, i64 %mine)
+ret void
+}}
+"""

@@ -1,4 +1,4 @@
-"""A tile as a compiled function of batches that JAX can call."""
+"""A tile as a compiled function of batches that JAX can call, and whether it does what its program says."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .code import Module
-from .driver import write_driver
-from .handler import API, write_handler
-from .machine_code import load
-from .processor import Processor
+from .handler import API, write_handler, write_loop
+from .machine_code import BuildError, Processor, load
 from .rows import Array
-from .tile import Signature, Tile
+from .tile import Tile
 
-__all__ = ["Kernel"]
+__all__ = ["Kernel", "check_kernel"]
 
 #: "As many threads as there are".
 _ALL = 2**31
@@ -47,18 +45,18 @@ class Kernel:
 
     def __init__(self, tile: Tile, processor: Processor, threads: int | None = None) -> None:
         self.tile = tile
-        self.signature: Signature = tile.signature
+        self._read = [tile.arguments[k] for k in tile.read]
+        self._written = [tile.results[k] for k in tile.written]
         module = Module(processor)
         tile.write(module)
-        write_driver(module, self.signature.arrays, self.signature.names, tile.lanes, tile.chunk)
-        arguments, results = list(self.signature.arguments.values()), list(self.signature.results.values())
-        write_handler(module, arguments, results, threads or _ALL)
+        write_loop(module, tile.arrays, tile.lanes, tile.chunk)
+        write_handler(module, self._read, self._written, threads or _ALL)
         text = module.text()
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)
         with _LOCK:
             if self.target not in _REGISTERED:
-                found = load(text, module, ("run", "handler"))
+                found = load(text, module.library, processor, ("run", "handler"))
                 handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(found["handler"])
                 jax.ffi.register_ffi_target(self.target, jax.ffi.pycapsule(handler), platform="cpu")
                 _REGISTERED[self.target] = found
@@ -66,28 +64,24 @@ class Kernel:
 
     def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:
         """The results for rows of arguments, (rows, *shape) each; traceable."""
-        given = [jnp.reshape(arguments[k], (rows, array.size)) for k, array in self.signature.arguments.items()]
-        types = [jax.ShapeDtypeStruct((rows, array.size), array.dtype) for array in self.signature.results.values()]
-        found = dict(zip(self.signature.results, jax.ffi.ffi_call(self.target, types)(*given), strict=True))
+        given = [jnp.reshape(arguments[k], (rows, a.size)) for k, a in zip(self.tile.read, self._read, strict=True)]
+        types = [jax.ShapeDtypeStruct((rows, array.size), array.dtype) for array in self._written]
+        found = dict(zip(self.tile.written, jax.ffi.ffi_call(self.target, types)(*given), strict=True))
         return [
-            jnp.reshape(found[k], (rows, *shape)) if k in found else jnp.zeros((rows, *shape), dtype)
-            for k, (shape, dtype) in enumerate(self.tile.results)
+            jnp.reshape(found[k], (rows, *a.shape)) if k in found else jnp.zeros((rows, *a.shape), a.dtype)
+            for k, a in enumerate(self.tile.results)
         ]
 
     def run(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """The results that are not empty, for arguments that the kernel reads, (rows, entries) each; without JAX."""
         rows = len(arguments[0]) if arguments else 1
         given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
-        results = [np.empty((rows, array.size), array.dtype) for array in self.signature.results.values()]
+        results = [np.empty((rows, array.size), array.dtype) for array in self._written]
         table = (ctypes.c_void_p * (len(given) + len(results)))(*(a.ctypes.data for a in (*given, *results)))
         if rows:
             call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._run)
             call(ctypes.addressof(table), 0, rows)
         return results
-
-    @property
-    def _read(self) -> list[Array]:
-        return list(self.signature.arguments.values())
 
 
 def _name(text: str, processor: Processor) -> str:
@@ -95,3 +89,64 @@ def _name(text: str, processor: Processor) -> str:
 
     parts = (text, processor.name, processor.features, llvmlite.__version__, str(API))
     return f"twistax_{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()[:32]}"
+
+
+# ---- asked once, before anything relies on it ------------------------------------------------------------------------
+
+#: Relative to the largest entry of a result: what is wrong differs by far more than rounding.
+_TOLERANCE = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-3}
+
+#: Arguments are of size one: of a result smaller than this nothing but rounding may be left, as of a compensated sum.
+_LEAST = 1e-3
+
+#: Whether a call through JAX was right in this process.
+_CALLED = False
+
+
+def check_kernel(kernel: Kernel) -> None:
+    """Computes one more row than a vector has lanes, at random, and compares; the first time through JAX too.
+
+    Raises:
+        BuildError: they differ.
+    """
+    random = np.random.default_rng(0)
+    # What reads no arguments gives one row by itself.
+    tile, rows = kernel.tile, kernel.tile.lanes + 1 if kernel.tile.read else 1
+    arguments = tile.exercised([_drawn(random, rows, a) for a in tile.arguments])
+    expected, beside = tile.plain(arguments), tile.plain([_moved(a) for a in arguments])
+    found = kernel.run([arguments[k] for k in tile.read])
+    for k, own in zip(tile.written, found, strict=True):
+        if not _agree(own, expected[k], beside[k]):
+            raise BuildError("its results differ from those of NumPy")
+    global _CALLED
+    if not _CALLED:
+        with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend="cpu")[0]):
+            shaped = [a.reshape(rows, *of.shape) for a, of in zip(arguments, tile.arguments, strict=True)]
+            called = jax.jit(lambda *values: kernel(rows, *values))(*shaped)
+        for k, own in zip(tile.written, found, strict=True):
+            if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
+                raise BuildError("JAX calls it otherwise than expected")
+        _CALLED = True
+
+
+def _drawn(random: np.random.Generator, rows: int, array: Array) -> NDArray[Any]:
+    size = (rows, array.size)
+    drawn = random.normal(size=size) if array.dtype.kind == "f" else random.integers(0, 2, size)
+    return drawn.astype(array.dtype)
+
+
+def _moved(values: NDArray[Any]) -> NDArray[Any]:
+    """The next numbers: how far results move by that tells how much rounding may do."""
+    return np.nextafter(values, np.inf, dtype=values.dtype) if values.dtype.kind == "f" else values
+
+
+def _agree(own: NDArray[Any], other: NDArray[Any], near: NDArray[Any]) -> bool:
+    if own.dtype.kind != "f":
+        # A comparison of nearly equal numbers may fall either way.
+        return bool(np.mean(own == other) >= 0.5)
+    finite = np.isfinite(other) & np.isfinite(near)
+    if not finite.any():
+        return True
+    size = np.max(np.abs(other[finite]), initial=_LEAST) * _TOLERANCE[own.dtype]
+    rounding = 1e3 * np.abs(near - other, where=finite, out=np.zeros_like(other))
+    return bool(np.mean(np.abs(own - other)[finite] <= (size + rounding)[finite]) >= 0.9)

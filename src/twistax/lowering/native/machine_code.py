@@ -1,16 +1,74 @@
-"""Intermediate language to functions in memory."""
+"""A processor, and intermediate language to functions in memory for it."""
 
 from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import dataclasses
 import threading
+from collections.abc import Collection
 from typing import Any
 
-from .code import Module
-from .processor import Processor
+import numpy as np
 
-__all__ = ["BuildError", "load", "target_machine"]
+from ...errors import ModelError
+
+__all__ = ["BuildError", "Processor", "load", "target_machine"]
+
+#: The levels of x86-64 that are narrower than a processor may be: bits of a vector -> LLVM's name, and whether a b + c
+#: is one instruction: SSE2, and AVX2.
+_LEVELS = {128: ("x86-64", False), 256: ("x86-64-v3", True)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Processor:
+    """A processor as LLVM names it, and what its vectors can do.
+
+    Attributes:
+        name: for LLVM.
+        features: for LLVM, as "+avx2,-avx512f"; empty where the name says all.
+        bits: of a vector.
+        fma: whether a b + c is one instruction with one rounding.
+        masks: whether parts of vectors are read and written at no cost.
+    """
+
+    name: str
+    features: str
+    bits: int
+    fma: bool
+    masks: bool
+
+    def lanes(self, dtype: np.dtype[Any]) -> int:
+        """How many numbers of a floating-point type go into a vector."""
+        return self.bits // (8 * dtype.itemsize)
+
+    @classmethod
+    def host(cls, bits: int | None = None) -> Processor:
+        """The one that runs this, or one with narrower vectors, whose code this one runs too.
+
+        Args:
+            bits: of a vector: 128 is SSE2 on x86-64 and NEON on ARM, 256 is AVX2, 512 is AVX-512. The widest if None.
+        Raises:
+            ImportError: llvmlite is not installed.
+            ModelError: this processor has no such vectors.
+        """
+        import llvmlite.binding as llvm
+
+        features = llvm.get_host_cpu_features()
+        widest = 512 if features.get("avx512f") else 256 if features.get("avx2") else 128
+        if bits is None or bits == widest:
+            fma = bool(features.get("fma")) or llvm.get_default_triple().startswith(("aarch64", "arm64"))
+            return cls(llvm.get_host_cpu_name(), features.flatten(), widest, fma, widest == 512)
+        if bits not in _LEVELS or bits > widest:
+            raise ModelError(f"Processor.host expects bits of at most {widest}, and 128, 256 or 512, got {bits}")
+        name, fma = _LEVELS[bits]
+        return cls(name, "", bits, fma, False)
+
+    @classmethod
+    def widths(cls) -> list[int]:
+        """The bits of all vectors that this processor has, narrow ones first."""
+        return [bits for bits in (128, 256, 512) if bits <= cls.host().bits]
+
 
 _LOCK = threading.Lock()
 
@@ -35,8 +93,8 @@ def target_machine(processor: Processor) -> Any:
     )
 
 
-def load(text: str, module: Module, names: tuple[str, ...]) -> dict[str, int]:
-    """The addresses of functions.
+def load(text: str, library: Collection[str], processor: Processor, names: Collection[str]) -> dict[str, int]:
+    """The addresses of functions; `library` are those of the C library that are called.
 
     Raises:
         ImportError: llvmlite is not installed.
@@ -47,12 +105,12 @@ def load(text: str, module: Module, names: tuple[str, ...]) -> dict[str, int]:
     with _LOCK:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        for symbol in sorted(module.library):
+        for symbol in sorted(library):
             llvm.add_symbol(symbol, _address(symbol))
         try:
             parsed = llvm.parse_assembly(text)
             parsed.verify()
-            engine = llvm.create_mcjit_compiler(parsed, target_machine(module.processor))
+            engine = llvm.create_mcjit_compiler(parsed, target_machine(processor))
             engine.finalize_object()
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 
-from ..scalar.in_llvm import NAMES
-from .code import Code
+from .code import NAMES, Code
 
 __all__ = ["Array", "Rows"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Array:
-    """An argument or a result: rows of so many numbers of a type."""
+    """An argument or a result: its shape in one row, and its type."""
 
-    size: int
+    shape: tuple[int, ...]
     dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
 
     @property
     def kind(self) -> str:
@@ -85,29 +89,24 @@ class Rows:
         return min(entry // lanes * lanes, size - lanes), lanes
 
     def _loaded(self, start: int, width: int) -> list[str]:
-        code, kind = self._code, self._array.kind
-        own = code.vector(kind)
-        found = []
-        for place in self._at(start):
-            if width == code.lanes:
-                found.append(code.emit(f"load {own}, ptr {place}, align {self._alignment}"))
-                continue
-            name, mask = f"llvm.masked.load.{self._suffix}.p0", self._mask(width)
-            code.module.declarations.add(f"declare {own} @{name}(ptr, i32, {code.vector('i1')}, {own})")
-            found.append(
-                code.emit(f"call {own} @{name}(ptr {place}, i32 {self._alignment}, {mask}, {own} zeroinitializer)")
-            )
-        return found
+        code, own, places = self._code, self._code.vector(self._array.kind), self._at(start)
+        if width == code.lanes:
+            return [code.emit(f"load {own}, ptr {place}, align {self._alignment}") for place in places]
+        name, some = (
+            f"llvm.masked.load.{code.suffix(self._array.kind)}.p0",
+            (self._mask(width), (own, "zeroinitializer")),
+        )
+        return [code.call(own, name, ("ptr", place), ("i32", str(self._alignment)), *some) for place in places]
 
     def _stored(self, start: int, width: int, rows: list[str]) -> None:
         code, own = self._code, self._code.vector(self._array.kind)
+        name = f"llvm.masked.store.{code.suffix(self._array.kind)}.p0"
         for place, row in zip(self._at(start), rows, strict=True):
             if width == code.lanes:
                 code.lines.append(f"store {own} {row}, ptr {place}, align {self._alignment}")
-                continue
-            name, mask = f"llvm.masked.store.{self._suffix}.p0", self._mask(width)
-            code.module.declarations.add(f"declare void @{name}({own}, ptr, i32, {code.vector('i1')})")
-            code.lines.append(f"call void @{name}({own} {row}, ptr {place}, i32 {self._alignment}, {mask})")
+            else:
+                given = (own, row), ("ptr", place), ("i32", str(self._alignment)), self._mask(width)
+                code.call("void", name, *given)
 
     def _gathered(self, entry: int) -> str:
         code, array = self._code, self._array
@@ -133,13 +132,9 @@ class Rows:
     def _alignment(self) -> int:
         return self._array.dtype.itemsize
 
-    @property
-    def _suffix(self) -> str:
-        return f"v{self._code.lanes}{'f64' if self._array.kind == 'double' else 'f32'}"
-
-    def _mask(self, width: int) -> str:
+    def _mask(self, width: int) -> tuple[str, str]:
         bits = ", ".join(f"i1 {'true' if k < width else 'false'}" for k in range(self._code.lanes))
-        return f"{self._code.vector('i1')} <{bits}>"
+        return self._code.vector("i1"), f"<{bits}>"
 
     def _transposed(self, rows: list[str]) -> list[str]:
         """Entry i of vector k becomes entry k of vector i: blocks of 1, 2, 4, ... change places in pairs."""

@@ -2,126 +2,32 @@
 
 from __future__ import annotations
 
-import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scalar.entry import Operation, flat
 from ..scalar.graph import Limits, TooLarge
-from ..scalar.in_llvm import NAMES
-from ..scalar.passes import emitted_form
-from ..scalar.program import ScalarProgram
-from .code import Code, Module, NotNative
+from ..scalar.program import ScalarProgram, emitted_form
+from ..scalar.table import OPERATIONS
+from .code import NAMES, Code, Module, NotNative
 from .rows import Array, Rows
-from .scalars import Scalars, form_of
+from .trigonometry import sines_and_cosines
 
-__all__ = ["NATIVE_LIMITS", "Shape", "Signature", "Straight", "Tile", "by_numpy", "native_form", "rows_of", "shapes_of"]
+__all__ = ["NATIVE_LIMITS", "Iterations", "Straight", "Tile", "native_form"]
 
 #: Kernels call no library: more is unrolled than for XLA.
 NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 
-#: The shape of one row of an array, and its type.
-Shape = tuple[tuple[int, ...], np.dtype[Any]]
+#: The value of an entry of an argument; and all entries of a result.
+Read: TypeAlias = Callable[[int, int], str]
+Write: TypeAlias = Callable[[int, list[str]], None]
 
-
-@dataclasses.dataclass(frozen=True)
-class Signature:
-    """Which arguments and results a kernel reads and writes: those that are needed and not empty.
-
-    Attributes:
-        arguments, results: place among all of them -> rows of it.
-    """
-
-    arguments: dict[int, Array]
-    results: dict[int, Array]
-
-    @property
-    def arrays(self) -> list[Array]:
-        """Arguments first."""
-        return [*self.arguments.values(), *self.results.values()]
-
-    @property
-    def names(self) -> list[str]:
-        """What kernels call them."""
-        return [*(f"a{k}" for k in self.arguments), *(f"r{k}" for k in self.results)]
-
-
-class Tile(ABC):
-    """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
-
-    Attributes:
-        lanes: rows computed side by side.
-        arguments, results: all of them, of one row.
-        signature: those that are read and written.
-        chunk: rows that a thread takes at a time, a multiple of the lanes.
-    """
-
-    lanes: int
-    arguments: list[Shape]
-    results: list[Shape]
-    signature: Signature
-    chunk: int
-
-    @abstractmethod
-    def write(self, module: Module) -> None:
-        """Adds the function, and what it calls."""
-
-    @abstractmethod
-    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        """All results by NumPy, for all arguments, (rows, entries) each."""
-
-    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
-        return arguments
-
-    def begin(self, module: Module) -> tuple[Code, dict[int, Rows], dict[int, Rows]]:
-        """The code of the function, how it reads its arguments, and how it writes its results."""
-        code = Code(module, self.lanes)
-        places = [_place(code, lane) for lane in range(self.lanes)]
-        reads = {k: Rows(code, array, f"%a{k}", places) for k, array in self.signature.arguments.items()}
-        writes = {k: Rows(code, array, f"%r{k}", places) for k, array in self.signature.results.items()}
-        return code, reads, writes
-
-    def end(self, code: Code) -> None:
-        """Adds the function to the module of its code."""
-        heads = "".join(f", ptr noalias %{name}" for name in self.signature.names)
-        code.module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
-
-
-class Straight(Tile):
-    """A program, from its arguments to its results.
-
-    Args:
-        form: from `native_form`.
-    """
-
-    #: Operations on scalars that a thread takes at a time, some 5 us.
-    _CHUNK = 250_000
-
-    def __init__(self, form: ScalarProgram, lanes: int) -> None:
-        g = form.graph
-        self.form = form
-        self.lanes = lanes
-        self.arguments = shapes_of(form)
-        self.results = [(nodes.shape, dtype) for nodes, dtype in zip(form.outputs, form.types, strict=True)]
-        read = {place[0] for i in form.live if (place := g.input_of(i)) is not None}
-        self.signature = Signature(rows_of(self.arguments, read), rows_of(self.results))
-        self.chunk = max(1, self._CHUNK // (max(form.operations, 1) * lanes)) * lanes
-
-    def write(self, module: Module) -> None:
-        form = self.form
-        code, reads, writes = self.begin(module)
-        scalars = Scalars(code, form, lambda argument, entry: reads[argument].read(entry))
-        scalars.compute(form.live)
-        for k, rows in writes.items():
-            rows.write(scalars.compute(form.outputs[k].reshape(-1).tolist()))
-        self.end(code)
-
-    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        return by_numpy(self.form, arguments)
+#: Computed several at a time, by `sines_and_cosines`.
+_TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
 
 def native_form(program: ScalarProgram) -> ScalarProgram:
@@ -143,50 +49,263 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
             raise NotNative(f"{g.dtypes[i]} has no native form")
         operation = g.operation(i)
         if operation is not None:
-            form_of(operation, g.dtypes[g.arguments(i)[-1]])
+            _form_of(operation, g.dtypes[g.arguments(i)[-1]])
     if g.dtype not in (np.float32, np.float64):
         raise NotNative(f"{g.dtype} has no native form")
     return form
 
 
-def shapes_of(form: ScalarProgram) -> list[Shape]:
-    """The arguments of a program."""
-    g = form.graph
-    return [(a.shape, g.dtypes[int(a.reshape(-1)[0])] if a.size else g.dtype) for a in form.inputs]
+def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
+    """How an operation on arguments of a type is written."""
+    form: Callable[..., str] | None = operation.llvm.of(dtype)
+    if form is None:
+        raise NotNative(f"{operation.name} of {NAMES[dtype]} has no native form")
+    return form
 
 
-def rows_of(shapes: Sequence[Shape], read: set[int] | None = None) -> dict[int, Array]:
-    """Those that are not empty, and needed."""
-    return {
-        k: Array(int(np.prod(shape)), dtype)
-        for k, (shape, dtype) in enumerate(shapes)
-        if np.prod(shape) and (read is None or k in read)
-    }
+class _Scalars:
+    """The values of a program's nodes in one function, each computed once."""
 
+    def __init__(self, code: Code, form: ScalarProgram, read: Read) -> None:
+        self._code = code
+        self._graph = form.graph
+        self._read = read
+        self._values: dict[int, str] = {}
 
-def by_numpy(program: ScalarProgram, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-    """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
-    g = program.graph
-    count = len(arguments[0]) if arguments else 1
-    values: dict[int, NDArray[Any]] = {}
-    with np.errstate(all="ignore"):
-        for i in program.live:
-            place, operation = g.input_of(i), g.operation(i)
+    def compute(self, nodes: Sequence[int]) -> list[str]:
+        """The values of nodes; sines and cosines that do not wait for one another together."""
+        g, values, live = self._graph, self._values, self._graph.live(nodes)
+        for angles in self._angles(live):
+            self._in_order(g.live(angles))
+            found = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
+            self._code.sines.update(zip((values[i] for i in angles), found, strict=True))
+        self._in_order(live)
+        return [values[i] for i in nodes]
+
+    def _in_order(self, nodes: Sequence[int]) -> None:
+        g, values = self._graph, self._values
+        for i in nodes:
+            if i in values:
+                continue
+            place, operation, arguments = g.input_of(i), g.operation(i), g.arguments(i)
             if place is not None:
-                values[i] = arguments[place[0]][:, place[1]]
+                values[i] = self._read(*place)
             elif operation is None:
-                values[i] = np.full(count, g.numbers[i], g.dtypes[i])
+                values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
             else:
-                values[i] = np.asarray(operation.number(*(values[a] for a in g.arguments(i)))).astype(g.dtypes[i])
+                own = g.dtypes[arguments[-1]]
+                values[i] = _form_of(operation, own)(self._code, NAMES[own], *(values[a] for a in arguments))
+
+    def _angles(self, live: Sequence[int]) -> list[list[int]]:
+        """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
+        g = self._graph
+        depth: dict[int, int] = {}
+        found: dict[int, dict[int, None]] = {}
+        for i in live:
+            if i in self._values:
+                continue
+            arguments = g.arguments(i)
+            depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
+            if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.sines:
+                found.setdefault(depth[i], {})[arguments[0]] = None
+                depth[i] += 1
+        return [list(found[k]) for k in sorted(found)]
+
+
+# ---- tiles -----------------------------------------------------------------------------------------------------------
+
+
+class Tile(ABC):
+    """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
+
+    Attributes:
+        program: from `native_form`.
+        lanes: rows computed side by side.
+        arguments, results: all of them, of one row.
+        read, written: the places of those that are needed and not empty.
+        chunk: rows that a thread takes at a time, a multiple of the lanes.
+    """
+
+    def __init__(
+        self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
+    ) -> None:
+        self.program = program
+        self.lanes = lanes
+        self.arguments, self.results = arguments, results
+        self.read = [k for k, array in enumerate(arguments) if array.size and k in needed]
+        self.written = [k for k, array in enumerate(results) if array.size]
+        self.chunk = lanes
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """Those that are read and written, by what kernels call them."""
+        arguments = {f"a{k}": self.arguments[k] for k in self.read}
+        return arguments | {f"r{k}": self.results[k] for k in self.written}
+
+    def write(self, module: Module) -> None:
+        """Adds the function, and what it calls."""
+        code = Code(module, self.lanes)
+        places = ["0"]  # the row of a lane: its own, or the last one
+        for lane in range(1, self.lanes):
+            places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
+        rows = {name: Rows(code, array, f"%{name}", places) for name, array in self.arrays.items()}
+        self.body(code, lambda argument, entry: rows[f"a{argument}"].read(entry), lambda k, v: rows[f"r{k}"].write(v))
+        heads = "".join(f", ptr noalias %{name}" for name in self.arrays)
+        module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
+
+    @abstractmethod
+    def body(self, code: Code, read: Read, write: Write) -> None:
+        """Adds the instructions."""
+
+    @abstractmethod
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        """All results by NumPy, for all arguments, (rows, entries) each."""
+
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
+        return arguments
+
+
+class Straight(Tile):
+    """A program, from its arguments to its results."""
+
+    #: Operations on scalars that a thread takes at a time, some 5 us.
+    _CHUNK = 250_000
+
+    def __init__(self, program: ScalarProgram, lanes: int) -> None:
+        results = [Array(nodes.shape, dtype) for nodes, dtype in zip(program.outputs, program.types, strict=True)]
+        super().__init__(program, lanes, _arguments(program), results, _needed(program))
+        self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
+
+    def body(self, code: Code, read: Read, write: Write) -> None:
+        scalars = _Scalars(code, self.program, read)
+        scalars.compute(self.program.live)
+        for k in self.written:
+            write(k, scalars.compute(flat(self.program.outputs[k])))
+
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        return _by_numpy(self.program, arguments)
+
+
+#: Places of the first arguments: the number of the first iteration, and the number at which to stop.
+_FIRST, _STOP = 0, 1
+
+
+class Iterations(Tile):
+    """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
+
+    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each body
+    iterates as long as it must. What stays the same is computed once.
+
+    Args:
+        program: takes (k, *fixed, *state), gives (*state) or (*state, more), all states of the program's precision.
+        state: how many arguments are the state.
+    """
+
+    def __init__(self, program: ScalarProgram, lanes: int, state: int) -> None:
+        number, *rest = _arguments(program)
+        arguments, results = [number, number, *rest], [*rest[len(rest) - state :], number]
+        #: The first argument of the step that is state.
+        self._first_state = len(rest) - state + 1
+        #: Whether the step says if another iteration follows.
+        self._says = len(program.outputs) > state
+        needed = {k + 1 for k in _needed(program)} | {_FIRST, _STOP, *range(self._first_state + 1, len(arguments))}
+        super().__init__(program, lanes, arguments, results, needed)
+
+    def body(self, code: Code, read: Read, write: Write) -> None:
+        step, g = self.program, self.program.graph
+        counter, kind = NAMES[self.arguments[_FIRST].dtype], NAMES[g.dtype]
+        counters, numbers, flags = code.vector(counter), code.vector(kind), code.vector("i1")
+        first, stop = read(_FIRST, 0), read(_STOP, 0)
+        states = [(k, j) for k in range(self._first_state, len(step.inputs)) for j in range(step.inputs[k].size)]
+        starts = [read(k + 1, j) for k, j in states]
+        now = {place: code.name() for place in states}
+        count, live = code.name(), code.name()
+
+        def own(argument: int, entry: int) -> str:
+            return count if argument == 0 else now.get((argument, entry)) or read(argument + 1, entry)
+
+        scalars = _Scalars(code, step, own)
+        changing = step.depending([0, *range(self._first_state, len(step.inputs))])
+        scalars.compute([i for i in step.live if i not in changing])
+        going = code.emit(f"icmp slt {counters} {first}, {stop}")
+        before, loop, latch, done = (code.label() for _ in range(4))
+        code.lines += [f"br label %{before}", f"{before}:", f"br label %{loop}", f"{loop}:"]
+        # What comes round is known at the end of the loop.
+        heads = len(code.lines)
+        found = scalars.compute(step.flat)
+        more = found.pop() if self._says else _finite(code, kind, found)
+        good = live if self._says else code.instruction("and", "i1", live, more)
+        after = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
+        next_count = code.instruction("add", counter, count, code.convert("zext", "i1", counter, good))
+        going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {next_count}, {stop}"), good)
+        if self._says:
+            going_on = code.instruction("and", "i1", going_on, more)
+        any_left = code.any(going_on)
+        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {any_left}, label %{loop}, label %{done}", f"{done}:"]
+
+        def comes_round(name: str, own: str, start: str, end: str) -> str:
+            return f"{name} = phi {own} [ {start}, %{before} ], [ {end}, %{latch} ]"
+
+        code.lines[heads:heads] = [
+            comes_round(count, counters, first, next_count),
+            comes_round(live, flags, going, going_on),
+            *(comes_round(now[p], numbers, a, b) for p, a, b in zip(states, starts, after, strict=True)),
+        ]
+        ends = iter([*after, next_count])
+        for k in self.written:
+            write(k, [next(ends) for _ in range(self.results[k].size)])
+
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """One iteration, two, none, and so on."""
+        first, _, *rest = arguments
+        counts = np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
+        return [first, first + counts, *rest]
+
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        first, stop, *rest = arguments
+        fixed, state, k = rest[: self._first_state - 1], rest[self._first_state - 1 :], first.copy()
+        live = k < stop
+        while live.any():
+            found = _by_numpy(self.program, [k, *fixed, *state])
+            more = found.pop() if self._says else live
+            for values in [] if self._says else found:
+                live = live & np.isfinite(values).all(1, keepdims=True)
+            state = [np.where(live, new, old) for new, old in zip(found, state, strict=True)]
+            k = k + live
+            live = live & more & (k < stop)
+        return [*state, k]
+
+
+def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
+    """Whether all values are: zero times each of them is then zero."""
+    zero = code.constant(kind, 0.0)
+    total = zero
+    for value in values:
+        total = code.multiply_add(kind, value, zero, total)
+    return code.instruction("fcmp ord", kind, total, total)
+
+
+def _arguments(program: ScalarProgram) -> list[Array]:
+    g = program.graph
+    return [Array(a.shape, g.dtypes[flat(a)[0]] if a.size else g.dtype) for a in program.inputs]
+
+
+def _needed(program: ScalarProgram) -> set[int]:
+    """The arguments that a program reads."""
+    return {place[0] for i in program.live if (place := program.graph.input_of(i)) is not None}
+
+
+def _by_numpy(program: ScalarProgram, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+    """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
+    count = len(arguments[0]) if arguments else 1
+    with np.errstate(all="ignore"):
+        values = program.computed(
+            lambda argument, place: arguments[argument][:, place],
+            lambda value, dtype: np.full(count, value, dtype),
+            lambda operation, i, *a: np.asarray(operation.number(*a)).astype(program.graph.dtypes[i]),
+        )
     return [
-        np.stack([values[i] for i in nodes.reshape(-1).tolist()], 1) if nodes.size else np.zeros((count, 0), dtype)
+        np.stack([values[i] for i in flat(nodes)], 1) if nodes.size else np.zeros((count, 0), dtype)
         for nodes, dtype in zip(program.outputs, program.types, strict=True)
     ]
-
-
-def _place(code: Code, lane: int) -> str:
-    """The row of a lane: its own, or the last one."""
-    if lane == 0:
-        return "0"
-    code.module.declarations.add("declare i64 @llvm.umin.i64(i64, i64)")
-    return code.emit(f"call i64 @llvm.umin.i64(i64 %last, i64 {lane})")

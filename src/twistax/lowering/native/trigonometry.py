@@ -8,6 +8,7 @@ is not finite, the C library is called. Float32 is computed in float64.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from fractions import Fraction
@@ -66,7 +67,7 @@ def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tupl
     far: list[str] = []
     for x in angles:
         # Not "greater": so that NaN is among them.
-        far.append(code.emit(f"fcmp ugt {own} {code.call('fabs', kind, x)}, {code.constant(kind, LARGEST)}"))
+        far.append(code.emit(f"fcmp ugt {own} {code.intrinsic('fabs', kind, x)}, {code.constant(kind, LARGEST)}"))
         pair = _near(code, x if kind == "double" else code.convert("fpext", kind, "double", x))
         if kind != "double":
             pair = tuple(code.convert("fptrunc", "double", kind, value) for value in pair)
@@ -77,49 +78,45 @@ def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tupl
 def _near(code: Code, x: str) -> tuple[str, ...]:
     d = "double"
     shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), code.constant(d, _ROUNDING))
-    k = code.binary("fsub", d, shifted, code.constant(d, _ROUNDING))
+    k = code.instruction("fsub", d, shifted, code.constant(d, _ROUNDING))
     quadrant = code.convert("bitcast", d, "i64", shifted)
     r = x
     for piece in _FUSED if code.module.processor.fma else _EXACT:
         r = code.multiply_add(d, k, code.constant(d, -piece), r)
-    square = code.binary("fmul", d, r, r)
-    cube = code.binary("fmul", d, r, square)
+    square = code.instruction("fmul", d, r, r)
+    cube = code.instruction("fmul", d, r, square)
     sine = code.multiply_add(d, cube, code.polynomial(d, square, _SINE), r)
-    sine = code.call("copysign", d, sine, r)  # of zero
+    sine = code.intrinsic("copysign", d, sine, r)  # of zero
     # 1 - r^2 / 2 with what its rounding leaves.
     one, minus_half = code.constant(d, 1.0), code.constant(d, -0.5)
     high = code.multiply_add(d, square, minus_half, one)
-    low = code.multiply_add(d, square, minus_half, code.binary("fsub", d, one, high))
-    fourth = code.binary("fmul", d, square, square)
+    low = code.multiply_add(d, square, minus_half, code.instruction("fsub", d, one, high))
+    fourth = code.instruction("fmul", d, square, square)
     low = code.multiply_add(d, fourth, code.polynomial(d, square, _COSINE), low)
-    cosine = code.binary("fadd", d, high, low)
+    cosine = code.instruction("fadd", d, high, low)
     one_bit = code.constant("i64", 1)
-    odd = code.emit(f"icmp ne {code.vector('i64')} {code.binary('and', 'i64', quadrant, one_bit)}, zeroinitializer")
+    odd = code.emit(
+        f"icmp ne {code.vector('i64')} {code.instruction('and', 'i64', quadrant, one_bit)}, zeroinitializer"
+    )
     return (
         _signed(code, code.select(d, odd, cosine, sine), quadrant),
-        _signed(code, code.select(d, odd, sine, cosine), code.binary("add", "i64", quadrant, one_bit)),
+        _signed(code, code.select(d, odd, sine, cosine), code.instruction("add", "i64", quadrant, one_bit)),
     )
 
 
 def _signed(code: Code, value: str, quadrant: str) -> str:
     """The opposite in quadrants 2 and 3."""
-    sign = code.binary("and", "i64", quadrant, code.constant("i64", 2))
-    sign = code.binary("shl", "i64", sign, code.constant("i64", 62))
+    sign = code.instruction("and", "i64", quadrant, code.constant("i64", 2))
+    sign = code.instruction("shl", "i64", sign, code.constant("i64", 62))
     bits = code.convert("bitcast", "double", "i64", value)
-    return code.convert("bitcast", "i64", "double", code.binary("xor", "i64", bits, sign))
+    return code.convert("bitcast", "i64", "double", code.instruction("xor", "i64", bits, sign))
 
 
 def _with_far(
     code: Code, kind: str, angles: Sequence[str], near: Sequence[tuple[str, ...]], far: Sequence[str]
 ) -> list[tuple[str, ...]]:
     """In lanes that are far the values of the C library, in a branch that is hardly ever taken."""
-    mask = code.vector("i1")
-    some = far[0]
-    for other in far[1:]:
-        some = code.binary("or", "i1", some, other)
-    reduce = f"llvm.vector.reduce.or.v{code.lanes}i1"
-    code.module.declarations.add(f"declare i1 @{reduce}({mask})")
-    taken = code.emit(f"call i1 @{reduce}({mask} {some})")
+    taken = code.any(functools.reduce(functools.partial(code.instruction, "or", "i1"), far))
     here, beyond, after = code.label(), code.label(), code.label()
     code.lines += [f"br label %{here}", f"{here}:", f"br i1 {taken}, label %{beyond}, label %{after}, !prof !0"]
     code.lines.append(f"{beyond}:")

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...jax_inside import jaxpr_as_fun
-from .entry import Nodes
+from ...jax_inside import ClosedJaxpr, jaxpr_as_fun
+from .entry import Nodes, flat, nodes
 from .graph import Call, Graph
-from .program import ScalarProgram
-from .reader import Reader, trace
+from .program import Reader, ScalarProgram
 
 __all__ = ["columns_of", "cotangent_program", "is_real", "jacobian", "tangent_program"]
+
+
+def is_real(dtype: Any) -> bool:
+    """Whether results of a type have derivatives."""
+    return bool(jnp.issubdtype(dtype, jnp.floating))
 
 
 def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
@@ -23,16 +27,15 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
 
     Results that are no floating-point numbers have none and are left out.
     """
-    g = program.graph
-    inputs = list(program.inputs)
+    g, inputs = program.graph, list(program.inputs)
     seeds: dict[int, dict[int, int]] = {}
     for k in active:
-        tangents = _new_inputs(g, len(inputs), program.inputs[k])
-        inputs.append(tangents)
-        flat = zip(program.inputs[k].reshape(-1).tolist(), tangents.reshape(-1).tolist(), strict=True)
-        seeds |= {node: {0: tangent} for node, tangent in flat}
+        inputs.append(_new_inputs(g, len(inputs), program.inputs[k]))
+        seeds |= {node: {0: tangent} for node, tangent in zip(flat(program.inputs[k]), flat(inputs[-1]), strict=True)}
     found = {node: row[0] for node, row in _carried(program, seeds).items()}
-    outputs = _read(g, found, program)
+    outputs = tuple(
+        _gathered(g, found, own) for own, dtype in zip(program.outputs, program.types, strict=True) if is_real(dtype)
+    )
     return ScalarProgram(g, tuple(inputs), outputs, tuple(filter(is_real, program.types)))
 
 
@@ -40,14 +43,12 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
     """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
     g, inputs = program.graph, list(program.inputs)
     found: dict[int, int] = {}
-    for nodes, dtype in zip(program.outputs, program.types, strict=True):
-        if not is_real(dtype):
-            continue
-        cotangents = _new_inputs(g, len(inputs), nodes)
-        inputs.append(cotangents)
-        for i, c in zip(nodes.reshape(-1).tolist(), cotangents.reshape(-1).tolist(), strict=True):
-            _accumulate(g, found, i, c)
-    _pulled(g, program.live, found, program.depending(active))
+    for own, dtype in zip(program.outputs, program.types, strict=True):
+        if is_real(dtype):
+            inputs.append(_new_inputs(g, len(inputs), own))
+            for i, c in zip(flat(own), flat(inputs[-1]), strict=True):
+                _accumulate(g, found, i, c)
+    _pull(g, program.live, found, program.depending(active))
     outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
     return ScalarProgram(g, tuple(inputs), outputs, tuple(_dtype(g, program.inputs[k]) for k in active))
 
@@ -57,7 +58,7 @@ def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, i
 
     Places count through all results and through the arguments `active`, one after the other.
     """
-    columns = [i for k in active for i in program.inputs[k].reshape(-1).tolist()]
+    columns = flat(*(program.inputs[k] for k in active))
     return columns_of(program, {node: {column: program.graph.one} for column, node in enumerate(columns)})
 
 
@@ -88,13 +89,10 @@ def _carried(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> 
     for i in program.live:
         if i in carried:
             continue
-        call = g.call_of(i)
-        if call is not None:
-            if id(call) not in called:
-                called.add(id(call))
-                _call_columns(g, call, carried)
-            continue
-        operation, arguments = g.operation(i), g.arguments(i)
+        call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
+        if call is not None and id(call) not in called:
+            called.add(id(call))
+            _carry_call(g, call, carried)
         touched = sorted({column for a in arguments for column in carried.get(a, ())})
         if operation is None or not touched:
             continue
@@ -106,90 +104,73 @@ def _carried(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> 
     return carried
 
 
-def _call_tangents(g: Graph, call: Call, found: Mapping[int, int]) -> dict[int, int]:
-    """The tangents of the results of a call, from the derivative of its function."""
-    active = [k for k, a in enumerate(call.arguments) if any(i in found for i in a.reshape(-1).tolist())]
-    if not active:
-        return {}
+def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
+    """The derivatives of the results of a call, column by column."""
+    inputs = flat(*call.arguments)
+    for column in sorted({column for i in inputs for column in carried.get(i, ())}):
+        found = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
+        active = tuple(k for k, a in enumerate(call.arguments) if any(i in found for i in flat(a)))
+        if active not in call.tangents:
+            call.tangents[active] = _tangents(g, call, active)
+        given = [*call.arguments, *(_gathered(g, found, call.arguments[k]) for k in active)]
+        for i, tangent in zip(flat(*call.results), flat(*Reader(g).read(call.tangents[active], given)), strict=True):
+            if tangent != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact):
+                carried.setdefault(i, {})[column] = tangent
+
+
+def _tangents(g: Graph, call: Call, active: Sequence[int]) -> ClosedJaxpr:
+    """The derivative of the function of a call: (arguments, tangents of the active ones)."""
     shapes = [_shape(g, a) for a in call.arguments]
 
     def along(values: list[Any], tangents: list[Any]) -> list[Any]:
         return jax.jvp(_of_some(call, active, values), [values[k] for k in active], tangents)[1]
 
-    key = tuple(active)
-    if key not in call.tangents:
-        call.tangents[key] = trace(along, shapes, [shapes[k] for k in active])
-    jaxpr = call.tangents[key]
-    tangents = [_gathered(g, found, call.arguments[k]) for k in active]
-    results = Reader(g).read(jaxpr, [*call.arguments, *tangents])
-    return {
-        i: t
-        for nodes, values in zip(call.results, results, strict=True)
-        for i, t in zip(nodes.reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True)
-        if t != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact)
-    }
-
-
-def _call_columns(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
-    """The derivatives of the results of a call, column by column."""
-    inputs = [i for a in call.arguments for i in a.reshape(-1).tolist()]
-    columns = sorted({column for i in inputs for column in carried.get(i, ())})
-    for column in columns:
-        seeds = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
-        for i, tangent in _call_tangents(g, call, seeds).items():
-            carried.setdefault(i, {})[column] = tangent
+    return jax.make_jaxpr(along)(shapes, [shapes[k] for k in active])
 
 
 # ---- reverse ---------------------------------------------------------------------------------------------------------
 
 
-def _pulled(g: Graph, live: Sequence[int], found: dict[int, int], depending: set[int]) -> None:
+def _pull(g: Graph, live: Sequence[int], found: dict[int, int], depending: Collection[int]) -> None:
     """Add to `found`, node -> its cotangent, those of all nodes that depend on active inputs, last ones first."""
     done: set[int] = set()
     for i in reversed(live):
         if i not in found or i not in depending:
             continue
-        call = g.call_of(i)
-        if call is not None:
+        call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
+        pairs: Any = ()
+        if operation is not None:
+            pairs = zip(arguments, operation.cotangents(g, arguments, i, found[i]), strict=True)
+        elif call is not None and id(call) not in done:
             # All results of a call stand before whatever reads them: their cotangents are complete.
-            if id(call) not in done:
-                done.add(id(call))
-                _pull_call(g, call, found, depending)
-            continue
-        operation = g.operation(i)
-        if operation is None:
-            continue
-        arguments = g.arguments(i)
-        for a, c in zip(arguments, operation.cotangents(g, arguments, i, found[i]), strict=True):
+            done.add(id(call))
+            pairs = _pulled_call(g, call, found, depending)
+        for a, c in pairs:
             if c is not None and a in depending:
                 _accumulate(g, found, a, c)
 
 
-def _pull_call(g: Graph, call: Call, found: dict[int, int], depending: set[int]) -> None:
+def _pulled_call(g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]) -> list[tuple[int, int]]:
+    """The arguments of a call and their cotangents."""
+    real = [k for k, r in enumerate(call.results) if jnp.issubdtype(_dtype(g, r), jnp.inexact)]
     active = [
         k
         for k, a in enumerate(call.arguments)
-        if jnp.issubdtype(_dtype(g, a), jnp.inexact) and any(i in depending for i in a.reshape(-1).tolist())
+        if jnp.issubdtype(_dtype(g, a), jnp.inexact) and any(i in depending for i in flat(a))
     ]
-    shapes = [_shape(g, a) for a in call.arguments]
-    real = [k for k, r in enumerate(call.results) if jnp.issubdtype(_dtype(g, r), jnp.inexact)]
 
     def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
         moving = _of_some(call, active, values)
-        return list(
-            jax.vjp(lambda *some: [moving(*some)[k] for k in real], *[values[k] for k in active])[1](cotangents)
-        )
+        given = [values[k] for k in active]
+        return list(jax.vjp(lambda *some: [moving(*some)[k] for k in real], *given)[1](cotangents))
 
-    jaxpr = trace(back, shapes, [_shape(g, call.results[k]) for k in real])
-    cotangents = [_gathered(g, found, call.results[k]) for k in real]
-    results = Reader(g).read(jaxpr, [*call.arguments, *cotangents])
-    for k, values in zip(active, results, strict=True):
-        for i, c in zip(call.arguments[k].reshape(-1).tolist(), values.reshape(-1).tolist(), strict=True):
-            if i in depending:
-                _accumulate(g, found, i, c)
+    shapes = [_shape(g, a) for a in call.arguments], [_shape(g, call.results[k]) for k in real]
+    given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
+    results = Reader(g).read(jax.make_jaxpr(back)(*shapes), given)
+    return list(zip(flat(*(call.arguments[k] for k in active)), flat(*results), strict=True))
 
 
-# ---- small things ----------------------------------------------------------------------------------------------------
+# ---- arrays of nodes -------------------------------------------------------------------------------------------------
 
 
 def _of_some(call: Call, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
@@ -208,32 +189,17 @@ def _accumulate(g: Graph, found: dict[int, int], node: int, term: int) -> None:
 
 
 def _new_inputs(g: Graph, argument: int, like: Nodes) -> Nodes:
-    flat = [g.input(argument, j, g.dtypes[i]) for j, i in enumerate(like.reshape(-1).tolist())]
-    return np.array(flat, np.int64).reshape(like.shape)
+    return nodes([g.input(argument, j, g.dtypes[i]) for j, i in enumerate(flat(like))], like.shape)
 
 
-def _read(g: Graph, found: Mapping[int, int], program: ScalarProgram) -> tuple[Nodes, ...]:
-    return tuple(
-        _gathered(g, found, nodes)
-        for nodes, dtype in zip(program.outputs, program.types, strict=True)
-        if is_real(dtype)
-    )
-
-
-def is_real(dtype: Any) -> bool:
-    """Whether results of a type have derivatives."""
-    return bool(jnp.issubdtype(dtype, jnp.floating))
-
-
-def _gathered(g: Graph, found: Mapping[int, int], nodes: Nodes) -> Nodes:
+def _gathered(g: Graph, found: Mapping[int, int], own: Nodes) -> Nodes:
     """What was found of each node, else zero of its type."""
-    flat = [found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in nodes.reshape(-1).tolist()]
-    return np.array(flat, np.int64).reshape(nodes.shape)
+    return nodes([found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in flat(own)], own.shape)
 
 
-def _dtype(g: Graph, nodes: Nodes) -> np.dtype[Any]:
-    return g.dtypes[int(nodes.reshape(-1)[0])] if nodes.size else g.dtype
+def _dtype(g: Graph, own: Nodes) -> np.dtype[Any]:
+    return g.dtypes[flat(own)[0]] if own.size else g.dtype
 
 
-def _shape(g: Graph, nodes: Nodes) -> Any:
-    return jax.ShapeDtypeStruct(nodes.shape, jnp.dtype(_dtype(g, nodes)))
+def _shape(g: Graph, own: Nodes) -> Any:
+    return jax.ShapeDtypeStruct(own.shape, _dtype(g, own))

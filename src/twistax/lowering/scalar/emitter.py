@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from jax import lax
 
 from ...jax_inside import jaxpr_as_fun
+from .entry import flat
 from .graph import Call, Graph
-from .passes import emitted_form
-from .program import ScalarProgram
+from .program import ScalarProgram, emitted_form
 
 __all__ = ["as_function"]
 
@@ -42,12 +42,11 @@ class _Piece:
         g = self.graph
         values = dict(zip(self.needs, needed, strict=True))
         for i in self.nodes:
-            operation = g.operation(i)
+            operation: Any = g.operation(i)
             for a in g.arguments(i):
                 if a not in values:
-                    values[a] = _constant(g, a)
-            if operation is not None:
-                values[i] = operation.array(*(values[a] for a in g.arguments(i)))
+                    values[a] = jnp.asarray(g.numbers[a], g.dtypes[a])
+            values[i] = operation.array(*(values[a] for a in g.arguments(i)))
         return [values[i] for i in self.gives]
 
 
@@ -72,13 +71,13 @@ def as_function(
             place = g.input_of(i)
             if place is not None:
                 values[i] = lax.index_in_dim(entries[place[0]], place[1], keepdims=False)
-            elif _is_constant(g, i):
-                values[i] = _constant(g, i)
+            elif g.numbers[i] is not None:
+                values[i] = jnp.asarray(g.numbers[i], g.dtypes[i])
 
         def array(nodes: Any, dtype: Any) -> jax.Array:
             if not nodes.size:
                 return jnp.zeros(nodes.shape, dtype)
-            return jnp.stack([values[i] for i in nodes.reshape(-1).tolist()]).reshape(nodes.shape)
+            return jnp.stack([values[i] for i in flat(nodes)]).reshape(nodes.shape)
 
         for step in steps:
             if isinstance(step, _Piece):
@@ -88,8 +87,8 @@ def as_function(
                 types = [v.aval.dtype for v in step.jaxpr.jaxpr.invars]
                 results = jaxpr_as_fun(step.jaxpr)(*map(array, step.arguments, types))
                 for nodes, result in zip(step.results, results, strict=True):
-                    flat = jnp.reshape(result, -1)
-                    values.update({j: flat[k] for k, j in enumerate(nodes.reshape(-1).tolist())})
+                    row = jnp.reshape(result, -1)
+                    values.update({j: row[k] for k, j in enumerate(flat(nodes))})
         needed = sorted(set(form.flat))
         values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
         return lax.optimization_barrier(list(map(array, form.outputs, form.types)))
@@ -101,42 +100,26 @@ def _steps(form: ScalarProgram) -> list[_Piece | Call]:
     """The program in order: pieces, and what it calls."""
     g = form.graph
     steps: list[_Piece | Call] = []
-    maker: dict[int, int] = {}
     called: set[int] = set()
     for i in form.live:
-        call, operation = g.call_of(i), g.operation(i)
+        call = g.call_of(i)
         if call is not None and id(call) not in called:
             called.add(id(call))
             steps.append(call)
-        elif operation is not None:
+        elif g.operation(i) is not None:
             last = steps[-1] if steps else None
             if not isinstance(last, _Piece) or len(last.nodes) == _PIECE:
                 last = _Piece(g, [], [], [])
                 steps.append(last)
             last.nodes.append(i)
-            maker[i] = len(steps) - 1
-    _join(form, steps, maker)
-    return steps
-
-
-def _join(form: ScalarProgram, steps: list[_Piece | Call], maker: dict[int, int]) -> None:
-    """Fill in what pieces need and give. `maker` says which step an operation is part of."""
-    g = form.graph
     wanted = set(form.flat)
-    for number in reversed(range(len(steps))):
-        step = steps[number]
+    for step in reversed(steps):
         if isinstance(step, _Piece):
+            own = set(step.nodes)
             step.gives = [i for i in step.nodes if i in wanted]
-            outside = {a: None for i in step.nodes for a in g.arguments(i) if maker.get(a) != number}
-            step.needs = [a for a in outside if not _is_constant(g, a)]
+            read = dict.fromkeys(a for i in step.nodes for a in g.arguments(i))
+            step.needs = [a for a in read if a not in own and g.numbers[a] is None]
             wanted.update(step.needs)
         else:
-            wanted.update(i for nodes in step.arguments for i in nodes.reshape(-1).tolist())
-
-
-def _is_constant(g: Graph, node: int) -> bool:
-    return g.input_of(node) is None and g.call_of(node) is None and g.operation(node) is None
-
-
-def _constant(g: Graph, node: int) -> jax.Array:
-    return jnp.asarray(g.numbers[node], g.dtypes[node])
+            wanted.update(flat(*step.arguments))
+    return steps

@@ -7,8 +7,7 @@ results, so that the list is in an order in which nodes can be computed.
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -16,15 +15,14 @@ from numpy.typing import NDArray
 
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr
-from .entry import Nodes
-from .operation import Operation
-from .table.arithmetic import ARITHMETIC
-from .table.logic import LOGIC
+from .entry import Nodes, Operation, flat, nodes
+from .table.operations import OPERATIONS
 
 __all__ = ["LIMITS", "Call", "Graph", "Limits", "TooLarge"]
 
-_ADD, _SUB, _MUL, _DIV, _NEG = (ARITHMETIC[name] for name in ("add", "sub", "mul", "div", "neg"))
-_SELECT, _NOT = LOGIC["select"], LOGIC["not"]
+_ADD, _SUB, _MUL, _DIV, _NEG, _SELECT, _NOT = (
+    OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "select", "not")
+)
 
 #: First entries of nodes that are no operations: a number, an input, a result of a call.
 _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
@@ -118,25 +116,20 @@ class Graph:
         """The nodes of an array of numbers."""
         values = np.asarray(values)
         dtype = values.dtype
-        return _nodes([self.constant(value, dtype) for value in values.reshape(-1)], values.shape)
+        return nodes([self.constant(value, dtype) for value in values.reshape(-1)], values.shape)
 
     def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Call:
         """A call of a function, once for each set of arguments."""
         arguments = tuple(arguments)
         key = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
-        known = self._called.get(key)
-        if known is None:
-            number, places = len(self.calls), itertools.count()
-            results = tuple(
-                _nodes(
-                    [self._intern((_RESULT, number, next(places)), np.dtype(v.aval.dtype)) for _ in range(v.aval.size)],
-                    v.aval.shape,
-                )
-                for v in jaxpr.jaxpr.outvars
-            )
-            known = self._called[key] = Call(jaxpr, key, arguments, results, inline)
-            self.calls.append(known)
-        return known
+        if key not in self._called:
+            number, results = len(self.calls), []
+            for k, aval in enumerate(v.aval for v in jaxpr.jaxpr.outvars):
+                own = [self._intern((_RESULT, number, k, place), np.dtype(aval.dtype)) for place in range(aval.size)]
+                results.append(nodes(own, aval.shape))
+            self._called[key] = Call(jaxpr, key, arguments, tuple(results), inline)
+            self.calls.append(self._called[key])
+        return self._called[key]
 
     def node(self, operation: Operation, *arguments: int) -> int:
         """The node of an operation, folded where all arguments are numbers."""
@@ -202,12 +195,7 @@ class Graph:
             if factor < 0.0:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
-        first, second = self.nodes[a], self.nodes[b]
-        if first[0] is _NEG:
-            return self.neg(self.mul(first[1], b))
-        if second[0] is _NEG:
-            return self.neg(self.mul(a, second[1]))
-        return self.node(_MUL, a, b)
+        return self._signed(self.mul, _MUL, a, b)
 
     def div(self, a: int, b: int) -> int:
         if self.dtypes[a] != self.dtype:
@@ -222,12 +210,14 @@ class Graph:
             # Exact for powers of two, else to one rounding; not where the inverse leaves the range of numbers.
             if np.isfinite(self.dtype.type(inverse)) and abs(inverse) > np.finfo(self.dtype).tiny:
                 return self.mul(a, self.constant(inverse))
+        return self._signed(self.div, _DIV, a, b)
+
+    def _signed(self, make: Callable[[int, int], int], operation: Operation, a: int, b: int) -> int:
+        """A product or a quotient, signs in front."""
         first, second = self.nodes[a], self.nodes[b]
         if first[0] is _NEG:
-            return self.neg(self.div(first[1], b))
-        if second[0] is _NEG:
-            return self.neg(self.div(a, second[1]))
-        return self.node(_DIV, a, b)
+            return self.neg(make(first[1], b))
+        return self.neg(make(a, second[1])) if second[0] is _NEG else self.node(operation, a, b)
 
     def select(self, c: int, a: int, b: int) -> int:
         """a where c, else b."""
@@ -264,12 +254,6 @@ class Graph:
                     return self.select(first[1], *((self.zero, rest) if k == 2 else (rest, self.zero)))
         return self.add(a, b)
 
-    def sum(self, terms: Iterable[int]) -> int:
-        total = self.zero
-        for term in terms:
-            total = self.add(total, term)
-        return total
-
     # ---- reading nodes -------------------------------------------------------------------------------------------
 
     def arguments(self, node: int) -> tuple[int, ...]:
@@ -280,9 +264,7 @@ class Graph:
     def sources(self, node: int) -> list[int]:
         """The nodes that a node is computed from, those of a call included."""
         call = self.call_of(node)
-        return (
-            list(self.arguments(node)) if call is None else [j for a in call.arguments for j in a.reshape(-1).tolist()]
-        )
+        return list(self.arguments(node)) if call is None else flat(*call.arguments)
 
     def call_of(self, node: int) -> Call | None:
         """The call whose result a node is."""
@@ -300,7 +282,7 @@ class Graph:
 
     def values(self, array: Nodes) -> NDArray[Any] | None:
         """The numbers of an array of nodes where all are numbers."""
-        numbers = [self.numbers[i] for i in array.reshape(-1)]
+        numbers = [self.numbers[i] for i in flat(array)]
         if any(n is None for n in numbers):
             return None
         dtype = self.dtypes[array.reshape(-1)[0]] if array.size else self.dtype
@@ -343,7 +325,3 @@ class Graph:
             self.dtypes.append(dtype)
             self.numbers.append(number)
         return found
-
-
-def _nodes(flat: list[int], shape: tuple[int, ...]) -> Nodes:
-    return np.array(flat, np.int64).reshape(shape)

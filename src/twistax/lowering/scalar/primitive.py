@@ -1,12 +1,11 @@
-"""The JAX primitive of a scalar program: one equation, whose derivatives are scalar programs again."""
+"""Scalar programs as equations of JAX: one whose derivatives are scalar programs again, and one for a repeated step."""
 
 from __future__ import annotations
 
 import functools
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -18,23 +17,22 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
-__all__ = ["Derived", "Runner", "at_once", "call_program", "define", "native_p", "over_rows", "program_p"]
-
+__all__ = ["Derived", "Repeated", "Rows", "Runner", "call_program", "repeat"]
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
+#: From the number of rows, and arguments (rows, *shape), to results.
+Rows: TypeAlias = Callable[..., list[jax.Array]]
 
 
-class Runner(ABC):
-    """What runs programs on the CPU in another way than by XLA."""
+class Runner(Protocol):
+    """What runs programs on the CPU in another way than by XLA, where a call has at least so many operations."""
 
-    @abstractmethod
-    def worthwhile(self, program: ScalarProgram, rows: int) -> bool:
-        """Whether that is faster for so many bodies at once."""
+    @property
+    def least(self) -> int: ...
 
-    @abstractmethod
-    def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
-        """The program as a function of the number of rows and of arguments (rows, *shape); None: XLA runs it.
+    def prepare(self, program: ScalarProgram, single: bool) -> Rows | None:
+        """What runs the program; None: XLA does.
 
         Args:
             single: for one row; else for many. Asked once for each program.
@@ -60,7 +58,7 @@ class Derived:
         self._results = results
         self._tangents: dict[tuple[int, ...], Derived] = {}
         self._cotangents: dict[tuple[int, ...], Derived] = {}
-        self._prepared: dict[bool, Callable[..., list[jax.Array]] | None] = {}
+        self._prepared: dict[bool, Rows | None] = {}
         #: Of a program made by `tangent`: which one it is a derivative of, and along which arguments.
         self.origin: tuple[Derived, tuple[int, ...]] | None = None
 
@@ -70,26 +68,41 @@ class Derived:
 
     @functools.cached_property
     def results(self) -> Shapes:
+        """The shapes and types of the results."""
         if self._results is not None:
             return self._results
         return [(nodes.shape, dtype) for nodes, dtype in zip(self.program.outputs, self.program.types, strict=True)]
 
     @functools.cached_property
-    def function(self) -> Any:
+    def function(self) -> Callable[..., list[jax.Array]]:
+        """From arguments to results of one body; pure and traceable."""
         return as_function(self.program)
 
     @functools.cached_property
-    def on_cpu(self) -> Any:
+    def _apart(self) -> Any:
         return as_function(self.program, apart)
 
-    def native(self, rows: int) -> Callable[..., list[jax.Array]] | None:
-        """What the runner runs for so many rows; None: XLA runs it."""
-        if self.runner is None or not self.runner.worthwhile(self.program, rows):
+    def kernel(self, rows: int) -> Rows | None:
+        """What the runner runs for so many bodies at once on the CPU; None: XLA does."""
+        if self.runner is None or self.program.operations * rows < self.runner.least:
             return None
         single = rows == 1
         if single not in self._prepared:
             self._prepared[single] = self.runner.prepare(self.program, single)
         return self._prepared[single]
+
+    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
+        """What XLA runs on the CPU: body after body, each loop compiled as one function, or `inside` of one."""
+        empty = not any(jnp.size(a) for a in arguments)
+        if depth == 0:
+            return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
+        if empty:
+            return _at_once(self, arguments, depth)
+
+        def each(*flat: jax.Array) -> list[jax.Array]:
+            return jax.lax.map(lambda row: self._apart(*row), flat)
+
+        return _over_rows(lambda rows, *flat: small_call(each, *flat), arguments, depth)
 
     @property
     def real(self) -> list[int]:
@@ -111,116 +124,163 @@ class Derived:
         return self._cotangents[active]
 
 
+class Repeated:
+    """A step and the kernels that take it again and again. Compared and hashed by identity.
+
+    Args:
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
+        state: how many arguments are the state.
+        kernel: makes the kernel, for one body (True) or for many; None where there is none.
+    """
+
+    def __init__(self, step: ScalarProgram, state: int, kernel: Callable[[bool], Rows | None]) -> None:
+        self._step = step
+        self._state = state
+        self._kernel = functools.lru_cache(kernel)
+
+    def kernel(self, rows: int) -> Rows | None:
+        return self._kernel(rows == 1)
+
+    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
+        return _at_once(self, arguments, depth)
+
+    @functools.cached_property
+    def results(self) -> Shapes:
+        g, arguments = self._step.graph, self._step.inputs
+        number, *rest = [(a.shape, g.dtypes[int(a.reshape(-1)[0])] if a.size else g.dtype) for a in arguments]
+        return [*rest[len(rest) - self._state :], number]
+
+    @functools.cached_property
+    def function(self) -> Callable[..., list[jax.Array]]:
+        """A loop."""
+        step, count = as_function(self._step), self._state
+
+        def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array) -> list[jax.Array]:
+            fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
+
+            def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
+                return carried[1] & (carried[0] < stop)
+
+            def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
+                k, _, state = carried
+                found = step(k, *fixed, *state)
+                if len(found) > count:
+                    return k + 1, found[count], found[:count]
+                good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
+                kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
+                return k + good.astype(k.dtype), good, kept
+
+            k, _, found = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), list(state)))
+            return [*found, k]
+
+        return loop
+
+
 #: A program that XLA runs; it may be part of a small call.
-program_p = Primitive("scalar_program")
+_program_p = Primitive("scalar_program")
 #: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
-native_p = Primitive("native_program")
+_native_p = Primitive("native_program")
+#: A repeated step.
+_repeat_p = Primitive("repeated_step")
 
 
-def call_program(derived: Derived, *arguments: jax.Array) -> list[jax.Array]:
-    """The results of a program; differentiable and batched as any JAX function."""
-    return _bind(derived, 0, *arguments)
+def call_program(program: Derived, *arguments: Any, depth: int = 0) -> list[Any]:
+    """The results of a program; differentiable and batched as any JAX function.
 
-
-def _bind(derived: Derived, depth: int, *arguments: Any) -> list[Any]:
+    Args:
+        depth: how many axes are of bodies.
+    """
     # A loop that is compiled as one small function needs no other one inside.
     inside = inside_small_call()
-    primitive = program_p if inside or derived.runner is None else native_p
-    return primitive.bind(*arguments, derived=derived, depth=depth, inside=inside)
+    primitive = _program_p if inside or program.runner is None else _native_p
+    return primitive.bind(*arguments, program=program, depth=depth, inside=inside)
 
 
-def over_rows(function: Callable[..., list[jax.Array]], arguments: Sequence[Any], depth: int) -> list[jax.Array]:
+def repeat(
+    step: Repeated, first: jax.Array, stop: jax.Array, fixed: Sequence[jax.Array], state: Sequence[jax.Array]
+) -> tuple[list[jax.Array], jax.Array]:
+    """state = step(k, fixed, state) for k = first, ..., stop - 1.
+
+    A step that says whether another iteration follows may end that early. One that does not ends it where the new state
+    would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
+
+    Returns:
+        The state, and the number of the next iteration.
+    """
+    *found, k = _repeat_p.bind(first, stop, *fixed, *state, program=step, depth=0, inside=False)
+    return found, k
+
+
+# ---- what JAX asks of them -------------------------------------------------------------------------------------------
+
+
+def _over_rows(function: Rows, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
     """function(rows, *arguments) of arguments whose first `depth` axes are bodies, made one axis for it."""
-    shape = jnp.shape(arguments[0])[:depth] if arguments else ()
+    shape = _bodies(arguments, depth)
     rows = math.prod(shape)
     found = function(rows, *(jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments))
     return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in found]
 
 
-def at_once(function: Callable[..., list[jax.Array]], arguments: Sequence[Any], depth: int) -> list[jax.Array]:
-    """A function of one body for all of them, as accelerators do."""
+def _at_once(program: Derived | Repeated, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
+    """All bodies at once, as accelerators do."""
+    function = program.function
     for _ in range(depth):
         function = jax.vmap(function)
     return function(*arguments)
 
 
-def _run(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
-    """On the CPU: body after body, each loop compiled as one function."""
-    empty = not any(jnp.size(a) for a in arguments)
-    if depth == 0:
-        return derived.on_cpu(*arguments) if inside or empty else small_call(derived.on_cpu, *arguments)
-    if empty:
-        return _run_wide(*arguments, derived=derived, depth=depth, inside=inside)
-
-    def each(*flat: jax.Array) -> list[jax.Array]:
-        return jax.lax.map(lambda row: derived.on_cpu(*row), flat)
-
-    return over_rows(lambda rows, *flat: small_call(each, *flat), arguments, depth)
+def _bodies(arguments: Sequence[Any], depth: int) -> tuple[int, ...]:
+    return np.shape(arguments[0])[:depth] if arguments else ()
 
 
-def _run_native(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
-    """On the CPU, by the runner; where it does not, by XLA."""
-    rows = math.prod(jnp.shape(arguments[0])[:depth] if arguments else ())
-    native = derived.native(rows) if rows else None
-    if native is None:
-        return _run(*arguments, derived=derived, depth=depth, inside=inside)
-    return over_rows(native, arguments, depth)
+def _by_xla(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[jax.Array]:
+    return program.on_cpu(arguments, depth, inside)
 
 
-def _run_wide(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[jax.Array]:
-    """On accelerators."""
-    return at_once(derived.function, arguments, depth)
+def _by_kernel(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[jax.Array]:
+    rows = math.prod(_bodies(arguments, depth))
+    kernel = program.kernel(rows) if rows else None
+    return program.on_cpu(arguments, depth, inside) if kernel is None else _over_rows(kernel, arguments, depth)
 
 
-def _abstract(*arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
-    batch = np.shape(arguments[0])[:depth] if arguments else ()
-    return [shaped_array((*batch, *shape), dtype) for shape, dtype in derived.results]
+def _elsewhere(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[jax.Array]:
+    return _at_once(program, arguments, depth)
+
+
+def _abstract(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[Any]:
+    return [shaped_array((*_bodies(arguments, depth), *shape), dtype) for shape, dtype in program.results]
 
 
 def _jvp(
-    primals: Sequence[Any], tangents: Sequence[Any], *, derived: Derived, depth: int, inside: bool
+    primals: Sequence[Any], tangents: Sequence[Any], *, program: Derived, depth: int, inside: bool
 ) -> tuple[list[Any], list[Any]]:
-    results = _bind(derived, depth, *primals)
+    results = call_program(program, *primals, depth=depth)
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
-    moved = iter(_bind(derived.tangent(active), depth, *primals, *(tangents[k] for k in active)))
-    real = set(derived.real)
+    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), depth=depth))
+    real = set(program.real)
     return results, [
         next(moved) if k in real else ad.Zero(jax.typeof(r).to_tangent_aval()) for k, r in enumerate(results)
     ]
 
 
-def _transpose(cotangents: Sequence[Any], *arguments: Any, derived: Derived, depth: int, inside: bool) -> list[Any]:
-    if derived.origin is None:
+def _transpose(cotangents: Sequence[Any], *arguments: Any, program: Derived, depth: int, inside: bool) -> list[Any]:
+    if program.origin is None:
         raise NotImplementedError("only the derivative of a scalar program is linear")
-    origin, active = derived.origin
+    origin, active = program.origin
     count = len(arguments) - len(active)
     given = [ad.instantiate_zeros(c) for c in cotangents]
     linear = [k for k, a in enumerate(arguments[count:]) if ad.is_undefined_primal(a)]
     back = origin.cotangent(tuple(active[k] for k in linear))
     result: list[Any] = [None] * len(arguments)
-    for k, value in zip(linear, _bind(back, depth, *arguments[:count], *given), strict=True):
+    for k, value in zip(linear, call_program(back, *arguments[:count], *given, depth=depth), strict=True):
         result[count + k] = value
     return result
 
 
-def define(
-    primitive: Primitive,
-    parameters: Sequence[str],
-    abstract: Callable[..., list[Any]],
-    on_cpu: Callable[..., list[jax.Array]],
-    elsewhere: Callable[..., list[jax.Array]],
-    **batched: Any,
-) -> None:
-    """Tell JAX what a primitive with results for many bodies does; its parameter `depth` counts the axes of bodies.
-
-    Args:
-        parameters: their names.
-        batched: those that change inside of a batch.
-    """
-
-    @functools.partial(jax.jit, static_argnames=tuple(parameters))
-    def compiled(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
-        return primitive.bind(*arguments, **own)
+def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
+    """Tell JAX how an equation runs, for one body or for batches of them."""
+    compiled = jax.jit(primitive.bind, static_argnames=("program", "depth", "inside"))
 
     def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
         # As every operation of JAX: compiled also where functions are not.
@@ -230,18 +290,20 @@ def define(
     def batch(arguments: Sequence[Any], axes: Sequence[Any], **own: Any) -> tuple[list[Any], list[int]]:
         size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
         moved = [batching.bdim_at_front(a, d, size) for a, d in zip(arguments, axes, strict=True)]
-        results = primitive.bind(*moved, **{**own, **batched, "depth": own["depth"] + 1})
+        results = primitive.bind(*moved, **{**own, "inside": False, "depth": own["depth"] + 1})
         return results, [0] * len(results)
 
     primitive.multiple_results = True
     primitive.def_impl(evaluate)
-    primitive.def_abstract_eval(abstract)
+    primitive.def_abstract_eval(_abstract)
     batching.primitive_batchers[primitive] = batch
-    mlir.register_lowering(primitive, mlir.lower_fun(elsewhere, multiple_results=True))
+    mlir.register_lowering(primitive, mlir.lower_fun(_elsewhere, multiple_results=True))
     mlir.register_lowering(primitive, mlir.lower_fun(on_cpu, multiple_results=True), platform="cpu")
 
 
-for _primitive, _on_cpu in ((program_p, _run), (native_p, _run_native)):
-    define(_primitive, ("derived", "depth", "inside"), _abstract, _on_cpu, _run_wide, inside=False)
+_define(_program_p, _by_xla)
+_define(_native_p, _by_kernel)
+_define(_repeat_p, _by_kernel)
+for _primitive in (_program_p, _native_p):
     ad.primitive_jvps[_primitive] = _jvp
     ad.primitive_transposes[_primitive] = _transpose

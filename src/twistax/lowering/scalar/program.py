@@ -1,22 +1,160 @@
-"""A scalar program: which nodes of a graph are its inputs and outputs."""
+"""A scalar program: a jaxpr read into a graph, every equation on arrays of nodes, and written anew to be emitted."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ...jax_inside import ClosedJaxpr
-from .entry import Nodes
+from ...jax_inside import ClosedJaxpr, Jaxpr, Literal, Unread, alone, inner_jaxprs, jaxpr_as_fun, source_of
+from .entry import Nodes, flat, nodes
 from .graph import LIMITS, Call, Graph, Limits
-from .reader import Reader, trace
+from .table import OPERATIONS, entry_of, say_unread
 
-__all__ = ["ScalarProgram", "scalarize"]
+__all__ = ["Reader", "ScalarProgram", "emitted_form", "one_by_one", "scalarize"]
+
+Value = TypeVar("Value")
+
+
+# ---- reading ---------------------------------------------------------------------------------------------------------
+
+
+class _OwnDerivative:
+    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare."""
+
+    def __init__(self, name: str, own: ClosedJaxpr, equation: ClosedJaxpr) -> None:
+        self._alone = equation
+        self._key = (name, source_of(own), _fingerprint(equation))
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OwnDerivative) and self._key == other._key and self._back == other._back
+
+    @functools.cached_property
+    def _back(self) -> Any:
+        avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
+
+        def linear(*values: Any) -> Any:
+            real = [k for k, v in enumerate(values) if jnp.issubdtype(v.dtype, jnp.inexact)]
+
+            def moving(*some: Any) -> Any:
+                given = dict(zip(real, some, strict=True))
+                results = jaxpr_as_fun(self._alone)(*(given.get(k, v) for k, v in enumerate(values)))
+                return [r for r in results if jnp.issubdtype(r.dtype, jnp.inexact)]
+
+            results, back = jax.vjp(moving, *(values[k] for k in real))
+            return back([jnp.ones_like(r) for r in results])
+
+        return _fingerprint(jax.make_jaxpr(linear)(*avals))
+
+
+class Reader:
+    """Reads jaxprs into one graph.
+
+    Attributes:
+        graph: where the scalars go.
+        whole: keep functions with a derivative of their own as calls; else they are unrolled.
+    """
+
+    def __init__(self, graph: Graph, whole: bool = True) -> None:
+        self.graph = graph
+        self.whole = whole
+        self._literals: dict[Any, Nodes] = {}
+        self._reading: list[Jaxpr] = []
+
+    def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]:
+        """The results of a jaxpr on arrays of nodes."""
+        jaxpr, g = program.jaxpr, self.graph
+        known: dict[Any, Nodes] = {}
+
+        def value(variable: Any) -> Nodes:
+            return self._literal(variable) if isinstance(variable, Literal) else known[variable]
+
+        known.update(zip(jaxpr.constvars, (g.array(c) for c in program.consts), strict=True))
+        known.update(zip(jaxpr.invars, inputs, strict=True))
+        self._reading.append(jaxpr)
+        for eqn in jaxpr.eqns:
+            results = self._equation(eqn, [value(v) for v in eqn.invars])
+            known.update(zip(eqn.outvars, results, strict=True))
+        self._reading.pop()
+        return [value(v) for v in jaxpr.outvars]
+
+    def known(self, arrays: Iterable[Nodes]) -> bool:
+        """Whether all entries of arrays are numbers."""
+        return all(self.graph.values(a) is not None for a in arrays)
+
+    def call(self, eqn: Any, arrays: Sequence[Nodes], own: ClosedJaxpr | None = None) -> list[Nodes]:
+        """An equation as a call of a function.
+
+        Args:
+            own: what it does, where it is a call only for its own derivative.
+        """
+        distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
+        equation = alone(self._reading[-1], eqn, list(distinct))
+        # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
+        key = object() if own is None else _OwnDerivative(eqn.primitive.name, own, equation)
+        return list(self.graph.call(equation, key, distinct.values(), own is not None).results)
+
+    def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
+        entry, found = entry_of(eqn), None
+        if entry is not None and (entry.any_type or not self._foreign(eqn)):
+            try:
+                found = entry.scalars(self, eqn, *arrays)
+            except Unread as error:
+                say_unread(error)
+        return self.call(eqn, arrays) if found is None else found
+
+    def _literal(self, literal: Any) -> Nodes:
+        key = (literal.aval.dtype, np.shape(literal.val), np.asarray(literal.val).tobytes())
+        if key not in self._literals:
+            self._literals[key] = self.graph.array(np.asarray(literal.val, literal.aval.dtype))
+        return self._literals[key]
+
+    def _foreign(self, eqn: Any) -> bool:
+        """Whether an equation works in complex numbers, or in a precision that is not the program's."""
+        dtypes = (v.aval.dtype for v in (*eqn.invars, *eqn.outvars))
+        return any(jnp.issubdtype(dtype, jnp.inexact) and dtype != self.graph.dtype for dtype in dtypes)
+
+
+def _fingerprint(program: ClosedJaxpr) -> Any:
+    """Equal for jaxprs that do the same to arguments of the same types."""
+    jaxpr = program.jaxpr
+    names: dict[Any, int] = {}
+
+    def name(variable: Any) -> Any:
+        if isinstance(variable, Literal):
+            return (str(variable.aval), np.asarray(variable.val).tobytes())
+        return names.setdefault(variable, len(names))
+
+    head = tuple((name(v), str(v.aval)) for v in (*jaxpr.constvars, *jaxpr.invars))
+    body = []
+    for eqn in jaxpr.eqns:
+        # Callables are the rules of a function with a derivative of its own, which `_OwnDerivative` compares.
+        # Elsewhere, as in a callback, they are the operation itself.
+        rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
+        own = {k: v for k, v in eqn.params.items() if not (_holds_jaxprs(v) or (rules and callable(v)))}
+        inner = tuple(_fingerprint(each) for each in inner_jaxprs(eqn))
+        ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
+        body.append((eqn.primitive.name, str(sorted(own.items(), key=lambda e: e[0])), inner, ins, outs))
+    consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
+    return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
+
+
+def _holds_jaxprs(parameter: Any) -> bool:
+    """Whether a parameter of an equation is a jaxpr or a sequence with one among its entries."""
+    entries = parameter if isinstance(parameter, (tuple, list)) else (parameter,)
+    return any(hasattr(entry, "eqns") for entry in entries)
+
+
+# ---- programs --------------------------------------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,7 +176,7 @@ class ScalarProgram:
     @functools.cached_property
     def flat(self) -> list[int]:
         """The nodes of all results, one after the other."""
-        return [int(i) for a in self.outputs for i in a.reshape(-1)]
+        return flat(*self.outputs)
 
     @functools.cached_property
     def live(self) -> list[int]:
@@ -49,6 +187,31 @@ class ScalarProgram:
     def calls(self) -> list[Call]:
         """The calls that are needed."""
         return list({id(c): c for i in self.live if (c := self.graph.call_of(i)) is not None}.values())
+
+    def computed(
+        self,
+        entry: Callable[[int, int], Value],
+        number: Callable[[Any, Any], Value],
+        apply: Callable[..., Value],
+    ) -> dict[int, Value]:
+        """What each node that is needed is in another language, arguments first.
+
+        Args:
+            entry: of an argument, at a place.
+            number: with its type.
+            apply: an operation, by its node, on the values of its arguments.
+        """
+        g = self.graph
+        values: dict[int, Value] = {}
+        for i in self.live:
+            place, operation = g.input_of(i), g.operation(i)
+            if place is not None:
+                values[i] = entry(*place)
+            elif operation is None:
+                values[i] = number(g.numbers[i], g.dtypes[i])
+            else:
+                values[i] = apply(operation, i, *(values[a] for a in g.arguments(i)))
+        return values
 
     def counts(self) -> dict[str, int]:
         """Operations by name; a function with a derivative of its own counts as one."""
@@ -65,7 +228,7 @@ class ScalarProgram:
 
     def depending(self, arguments: Sequence[int]) -> set[int]:
         """The nodes that are needed and depend on some of the arguments, and the arguments' own."""
-        found = {i for k in arguments for i in self.inputs[k].reshape(-1).tolist()}
+        found = set(flat(*(self.inputs[k] for k in arguments)))
         for i in self.live:
             if any(j in found for j in self.graph.sources(i)):
                 found.add(i)
@@ -95,13 +258,12 @@ def scalarize(
     Raises:
         TooLarge: more scalars than are good for a compiler.
     """
-    closed = function if isinstance(function, ClosedJaxpr) else trace(function, *shapes)
+    closed = function if isinstance(function, ClosedJaxpr) else jax.make_jaxpr(function)(*shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
     dtype = _precision([*avals, *(v.aval for v in closed.jaxpr.outvars)])
     graph = Graph(dtype, checked, largest, limits)
     inputs = tuple(
-        np.array([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], np.int64).reshape(a.shape)
-        for k, a in enumerate(avals)
+        nodes([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], a.shape) for k, a in enumerate(avals)
     )
     outputs = Reader(graph).read(closed, inputs)
     return ScalarProgram(graph, inputs, tuple(outputs), tuple(np.dtype(v.aval.dtype) for v in closed.jaxpr.outvars))
@@ -112,3 +274,92 @@ def _precision(avals: Sequence[Any]) -> np.dtype[Any]:
         if np.issubdtype(aval.dtype, np.floating):
             return np.dtype(aval.dtype)
     return np.dtype(jax.dtypes.canonicalize_dtype(float))
+
+
+# ---- written anew ----------------------------------------------------------------------------------------------------
+
+_DIV = OPERATIONS["div"]
+
+
+def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgram:
+    """The program that an emitter writes: calls that are functions of scalars are unrolled, and x / d, y / d, ...
+    become products with one 1 / d, unless the program is checked.
+
+    A shared reciprocal costs one more rounding, half a unit in the last place.
+
+    Args:
+        limits: up to which size parts are unrolled; larger for emitters that cannot call a library.
+    """
+    expanded = _rebuilt(program, set(), whole=False, limits=limits)
+    if program.graph.checked:
+        return expanded
+    g = expanded.graph
+    uses = Counter(g.arguments(i)[1] for i in expanded.live if g.operation(i) is _DIV and g.dtypes[i] == g.dtype)
+    shared = {divisor for divisor, count in uses.items() if count > 1}
+    return _rebuilt(expanded, shared, whole=False, limits=limits) if shared else expanded
+
+
+def one_by_one(program: ScalarProgram) -> ScalarProgram:
+    """The program in another order: one result after the other, each with what is not there yet.
+
+    Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
+    of the program need fewer of one another.
+    """
+    return _rebuilt(program, set(), True, program.graph.limits, program.graph.one_by_one(program.flat))
+
+
+def _rebuilt(
+    program: ScalarProgram, shared: set[int], whole: bool, limits: Limits, order: Sequence[int] | None = None
+) -> ScalarProgram:
+    """The program in a graph of its own.
+
+    Args:
+        shared: divisors of which the reciprocal is taken once.
+        whole: keep calls.
+        order: of the nodes; as they are if None.
+    """
+    old = program.graph
+    new = Graph(old.dtype, old.checked, old.largest, limits)
+    inputs: list[Nodes] = []
+    known: dict[int, int] = {}
+    for k, own in enumerate(program.inputs):
+        entries = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(flat(own))]
+        known.update(zip(flat(own), entries, strict=True))
+        inputs.append(nodes(entries, own.shape))
+    reader = Reader(new, whole)
+    done: set[int] = set()
+    for i in program.live if order is None else order:
+        if i in known:
+            continue
+        call, operation = old.call_of(i), old.operation(i)
+        if call is not None:
+            if id(call) not in done:
+                done.add(id(call))
+                _copy_call(new, reader, call, known, whole)
+        elif operation is None:
+            known[i] = new.constant(old.numbers[i], old.dtypes[i])
+        else:
+            arguments = [known[a] for a in old.arguments(i)]
+            if operation is _DIV and old.arguments(i)[1] in shared:
+                known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
+            elif operation.pair is not None and not whole:
+                known[i] = functools.reduce(functools.partial(new.node, operation.pair), arguments)
+            else:
+                known[i] = operation.on(new)(*arguments)
+    outputs = tuple(_renamed(known, own) for own in program.outputs)
+    return ScalarProgram(new, tuple(inputs), outputs, program.types)
+
+
+def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], whole: bool) -> None:
+    arguments = [_renamed(known, own) for own in call.arguments]
+    # What was a call for its size may fit a graph that unrolls more.
+    if not whole and (call.inline or new.limits != LIMITS):
+        results = reader.read(call.jaxpr, arguments)
+    else:
+        results = list(new.call(call.jaxpr, call.key, arguments, call.inline).results)
+    known.update(zip(flat(*call.results), flat(*results), strict=True))
+
+
+def _renamed(known: dict[int, int], own: Nodes) -> Nodes:
+    """An array of nodes of the old graph, in the new one."""
+    return nodes([known[i] for i in flat(own)], own.shape)

@@ -17,9 +17,8 @@ import twistax as tx
 from ...lowering.backends import Backend
 from ...lowering.native.backend import installed
 from ...lowering.scalar.derivatives import cotangent_program, jacobian
-from ...lowering.scalar.passes import one_by_one
 from ...lowering.scalar.primitive import Derived, call_program
-from ...lowering.scalar.program import ScalarProgram, scalarize
+from ...lowering.scalar.program import ScalarProgram, one_by_one, scalarize
 from ..checks import Absent, Between, Check, Section, agree, at_most
 from ..speed.case import CASES, Case
 from ..timing import Repeats, Timed, in_turn, ratio

@@ -8,33 +8,18 @@ from __future__ import annotations
 from typing import Any
 
 from ....jax_inside import Unread, say_once
-from ..entry import Entry
-from ..operation import Operation
-from .arithmetic import ARITHMETIC, PRODUCTS
-from .contraction import CONTRACTION
+from ..entry import Entry, convert
+from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
 from .control import CONTROL
-from .elementary import ELEMENTARY, ROOTS
-from .indexing import INDEXING
-from .linear_algebra import LINEAR_ALGEBRA
-from .logic import CHOICES, LOGIC, convert
-from .movement import MOVEMENT
+from .movement import INDEXING, MOVEMENT
+from .operations import OPERATIONS
 
 __all__ = ["OPERATIONS", "TABLE", "convert", "entry_of", "say_unread"]
-
-#: The operations on scalars, by name.
-OPERATIONS: dict[str, Operation] = {**LOGIC, **ARITHMETIC, **ELEMENTARY}
 
 #: By the name of the primitive.
 TABLE: dict[str, Entry] = {
     **OPERATIONS,
-    **CHOICES,
-    **PRODUCTS,
-    **ROOTS,
-    **MOVEMENT,
-    **INDEXING,
-    **CONTRACTION,
-    **LINEAR_ALGEBRA,
-    **CONTROL,
+    **{e.name: e for e in (*ELEMENTWISE, *MOVEMENT, *INDEXING, *CONTRACTION, *LINEAR_ALGEBRA, *CONTROL)},
 }
 
 

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from ....jax_inside import ClosedJaxpr, closed, expansion, inner_jaxprs, scan_parts
-from ..entry import ANY, Entry, Nodes, always_inside, each, entries, moving, one_of, takes
-from .logic import LOGIC
+from ....jax_inside import all_equations, closed, expansion, scan_parts
+from ..entry import Nodes, each, flat, moving, nodes
+from .operations import on
 
 if TYPE_CHECKING:
-    from ..reader import Reader
+    from ..program import Reader
 
 __all__ = ["CONTROL"]
-
-_V = np.array([0.5, -1.5])
 
 
 # ---- calls -----------------------------------------------------------------------------------------------------------
@@ -34,16 +29,10 @@ def _composite(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     return None if inside is None else reader.read(inside, arrays)
 
 
-def _own(eqn: Any) -> ClosedJaxpr:
-    """What a function with a derivative of its own does."""
-    return closed(eqn.params["call_jaxpr"])
-
-
 def _with_derivative(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     """A call, for its derivative; what is known needs none."""
-    if reader.whole and not reader.known(arrays):
-        return reader.call(eqn, arrays, _own(eqn))
-    return reader.read(_own(eqn), arrays)
+    own = closed(eqn.params["call_jaxpr"])
+    return reader.call(eqn, arrays, own) if reader.whole and not reader.known(arrays) else reader.read(own, arrays)
 
 
 def _solve(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
@@ -53,24 +42,6 @@ def _solve(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
         return reader.call(eqn, arrays, solve)
     skip = counts.matvec + counts.vecmat
     return reader.read(solve, [*arrays[skip : skip + counts.solve], *arrays[sum(counts) :]])
-
-
-def _doubled() -> Any:
-    @jax.custom_jvp
-    def function(x: jax.Array) -> jax.Array:
-        return 2.0 * x
-
-    function.defjvp(lambda p, t: (function(*p), 2.0 * t[0]))
-    return function
-
-
-def _doubled_back() -> Any:
-    @jax.custom_vjp
-    def function(x: jax.Array) -> jax.Array:
-        return 2.0 * x
-
-    function.defvjp(lambda x: (function(x), None), lambda _, c: (2.0 * c,))
-    return function
 
 
 # ---- loops and branches ----------------------------------------------------------------------------------------------
@@ -91,7 +62,7 @@ def _scan(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     if p["reverse"]:
         rows = rows[::-1]
     shapes = [v.aval.shape for v in eqn.outvars[carried:]]
-    stacked = [np.array([row[i] for row in rows], np.int64).reshape(shape) for i, shape in enumerate(shapes)]
+    stacked = [nodes(flat(*(row[i] for row in rows)), shape) for i, shape in enumerate(shapes)]
     return [*carry, *stacked]
 
 
@@ -109,85 +80,43 @@ def _cond(reader: Reader, eqn: Any, index: Nodes, *operands: Nodes) -> list[Node
         return None  # what is not unrolled runs only where its branch is taken: it may be a loop without end
     last = cases[-1]
     for k in range(len(branches) - 2, -1, -1):
-        here = g.node(LOGIC["le"], int(index), g.constant(k, g.dtypes[int(index)]))
+        here = on(g, "le", int(index), g.constant(k, g.dtypes[int(index)]))
         last = [each(lambda a, b, here=here: g.select(here, a, b), x, y) for x, y in zip(cases[k], last, strict=True)]
     return last
 
 
 def _equations(jaxpr: Any) -> int:
     """Equations, inner ones included."""
-    return sum(1 + sum(_equations(inner.jaxpr) for inner in inner_jaxprs(eqn)) for eqn in jaxpr.eqns)
+    return sum(1 for _ in all_equations(jaxpr))
 
 
 # ---- the entries -----------------------------------------------------------------------------------------------------
 
-_SCAN = {"jaxpr": ANY, "length": ANY, "reverse": ANY, "unroll": ANY}
 #: Where arrays of a jitted function lie, and how it is kept: nothing that changes numbers.
-_WHERE = dict.fromkeys(
-    str.split("in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"), ANY
-)
+_WHERE = "in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"
+_SCAN = "jaxpr length reverse unroll"
 
-CONTROL: dict[str, Entry] = entries(
+CONTROL = [
+    moving("jit", _jit, f"jaxpr compiler_options_kvs {_WHERE}", when=lambda p: not p["compiler_options_kvs"]),
+    moving("remat2", _jit, "jaxpr prevent_cse differentiated policy"),
+    moving("call_hi_primitive", _composite, "_prim"),  # JAX 0.12
+    moving("custom_jvp_call", _with_derivative, "call_jaxpr jvp_jaxpr_fun num_consts symbolic_zeros"),
+    moving("custom_vjp_call", _with_derivative, "call_jaxpr fwd_jaxpr_thunk bwd num_consts out_trees symbolic_zeros"),
     moving(
-        name="jit",
-        takes=(takes(jaxpr=ANY, compiler_options_kvs=lambda options: not options, **_WHERE),),
-        read=_jit,
-        example=(jax.jit(lambda a: 2.0 * a), _V),
-    ),
-    moving(
-        name="remat2",
-        takes=(takes(jaxpr=ANY, prevent_cse=ANY, differentiated=ANY, policy=ANY),),
-        read=_jit,
-        example=(jax.checkpoint(lambda a: 2.0 * jnp.sin(a)), _V),
-    ),
-    moving(
-        name="call_hi_primitive",  # JAX 0.12
-        takes=(takes(_prim=ANY),),
-        read=_composite,
-        example=(lambda a: jnp.searchsorted(a, a), _V),
-    ),
-    moving(
-        name="custom_jvp_call",
-        takes=(takes(call_jaxpr=ANY, jvp_jaxpr_fun=ANY, num_consts=ANY, symbolic_zeros=ANY),),
-        read=_with_derivative,
-        example=(_doubled(), _V),
-    ),
-    moving(
-        name="custom_vjp_call",
-        takes=(takes(call_jaxpr=ANY, fwd_jaxpr_thunk=ANY, bwd=ANY, num_consts=ANY, out_trees=ANY, symbolic_zeros=ANY),),
-        read=_with_derivative,
-        example=(_doubled_back(), _V),
-    ),
-    Entry(
-        name="custom_linear_solve",
-        takes=(takes(const_lengths=ANY, jaxprs=ANY),),
-        read=_solve,
-        any_type=True,
-        inside=always_inside,  # as far as the equations in it are
-        moves=True,
+        "custom_linear_solve",  # inside as far as the equations in it are
+        _solve,
+        "const_lengths jaxprs",
         runs=lambda eqn: [closed(eqn.params["jaxprs"].solve)],
-        example=(lambda b: jnp.linalg.solve(jnp.array([[4.0, 1.0], [1.0, 3.0]]) + jnp.diag(b), b), _V),
     ),
     moving(
-        name="scan",
-        takes=(takes(**_SCAN, num_consts=ANY, num_carry=ANY), takes(**_SCAN, ft_in=ANY, ft_out=ANY)),  # 0.10; 0.11
-        read=_scan,
+        "scan",
+        _scan,
+        f"{_SCAN} num_consts num_carry | {_SCAN} ft_in ft_out",  # JAX 0.10; 0.11 and later
         repeats=lambda eqn: eqn.params["length"],
-        example=(lambda a: lax.scan(lambda c, row: (c + row, c * row), a[0], a), _V),
     ),
-    moving(
-        name="cond",
-        takes=(takes(branches=ANY), takes(branches=ANY, branches_platforms=one_of())),  # by platform: not read
-        read=_cond,
-        example=(lambda a: lax.cond(a[0] > 0.0, jnp.sin, jnp.cos, a), _V),
-    ),
-    Entry(
-        name="while",
-        takes=(takes(body_jaxpr=ANY, body_nconsts=ANY, cond_jaxpr=ANY, cond_nconsts=ANY),),
-        inside=always_inside,
-        moves=True,
-        example=(lambda a: lax.while_loop(lambda s: s[0] < 9.0, lambda s: 2.0 * s, a), _V),
-    ),
+    # By platform it is not read.
+    moving("cond", _cond, "branches | branches branches_platforms", when=lambda p: "branches_platforms" not in p),
+    moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
     # This package's own.
-    Entry(name="scalar_program", takes=(takes(derived=ANY, depth=ANY, inside=ANY),), inside=always_inside),
-)
+    moving("scalar_program", None, "program depth inside", moves=False),
+]

@@ -1,71 +1,48 @@
-"""Operations that move entries: on arrays of nodes they are the same operations."""
+"""Operations that move entries, and take and put them at places: on arrays of nodes they are NumPy's own."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..entry import ANY, DEFAULT, Entry, Nodes, always_inside, entries, moving, nodes, small_inside, takes
-from .logic import LOGIC
+from ..entry import ALWAYS, SMALL, Entry, Nodes, default, flat, moving, nodes, up_to
+from .operations import OPERATIONS, on
 
 if TYPE_CHECKING:
-    from ..reader import Reader
+    from ..graph import Graph
+    from ..program import Reader
 
-__all__ = ["MOVEMENT"]
+__all__ = ["INDEXING", "MOVEMENT"]
 
 #: Vectors up to this length are sorted by exchanges of neighbours.
 _LONGEST_SORTED = 16
 
-_V, _M = np.arange(4.0), np.arange(12.0).reshape(3, 4)
+
+def _moving(name: str, takes: str, function: Callable[..., Any], inside: Any = SMALL, **more: Any) -> Entry:
+    """By a function of the parameters and of arrays, of numbers as of nodes, that gives an array or a list of them."""
+
+    def read(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+        found = function(eqn.params, *arrays)
+        return [np.asarray(row) for row in found] if eqn.primitive.multiple_results else [found]
+
+    return moving(name, read, takes, inside=inside, **more)
 
 
-def _reshape(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    return [a.reshape(eqn.outvars[0].aval.shape)]
-
-
-def _transpose(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    return [a.transpose(eqn.params["permutation"])]
-
-
-def _broadcast_in_dim(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    shape = eqn.params["shape"]
+def _broadcast(p: Any, a: Nodes) -> Nodes:
+    shape = p["shape"]
     own = [1] * len(shape)
-    for place, size in zip(eqn.params["broadcast_dimensions"], a.shape, strict=True):
+    for place, size in zip(p["broadcast_dimensions"], a.shape, strict=True):
         own[place] = size
-    return [np.broadcast_to(a.reshape(own), shape)]
+    return np.broadcast_to(a.reshape(own), shape)
 
 
-def _concatenate(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
-    return [np.concatenate(arrays, eqn.params["dimension"])]
-
-
-def _stack(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
-    return [np.stack(arrays, eqn.params["axis"])]
-
-
-def _unstack(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    return [np.asarray(row) for row in np.moveaxis(a, eqn.params["axis"], 0)]
-
-
-def _slice(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    strides = eqn.params["strides"] or [1] * a.ndim
-    ends = zip(eqn.params["start_indices"], eqn.params["limit_indices"], strides, strict=True)
-    return [a[tuple(slice(*each) for each in ends)]]
-
-
-def _rev(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    return [np.flip(a, eqn.params["dimensions"])]
-
-
-def _split(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    return list(np.split(a, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]))
-
-
-def _tile(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
-    return [np.tile(a, eqn.params["reps"])]
+def _slice(p: Any, a: Nodes) -> Nodes:
+    return a[tuple(map(slice, p["start_indices"], p["limit_indices"], p["strides"] or [1] * a.ndim))]
 
 
 def _iota(reader: Reader, eqn: Any) -> list[Nodes]:
@@ -97,62 +74,198 @@ def _sort(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     rows = [a.tolist() for a in arrays]
     for end in range(n - 1, 0, -1):
         for k in range(end):
-            swap = g.node(LOGIC["lt"], rows[0][k + 1], rows[0][k])
+            swap = on(g, "lt", rows[0][k + 1], rows[0][k])
             for row in rows:
                 row[k], row[k + 1] = g.select(swap, row[k + 1], row[k]), g.select(swap, row[k], row[k + 1])
     return [nodes(row, (n,)) for row in rows]
 
 
-def _moving(name: str, read: Any, example: Any, known: Any = None, *, anywhere: bool = False) -> Entry:
-    """An entry; `anywhere`: it is part of a small function whatever the size of its arrays."""
-    inside = always_inside if anywhere else small_inside
-    return moving(
-        name=name, takes=(known if known is not None else takes(),), read=read, inside=inside, example=example
-    )
-
-
-MOVEMENT: dict[str, Entry] = entries(
+MOVEMENT = [
     _moving(
         "reshape",
-        _reshape,
-        (lambda a: lax.reshape(a, (4, 3)), _M),
-        takes(new_sizes=ANY, dimensions=DEFAULT, sharding=ANY),
-        anywhere=True,
+        "new_sizes dimensions sharding",
+        lambda p, a: a.reshape(p["new_sizes"]),
+        ALWAYS,
+        when=default("dimensions"),
     ),
-    _moving("squeeze", _reshape, (lambda a: a[1, 2:], _M), takes(dimensions=ANY), anywhere=True),
-    _moving("transpose", _transpose, (lambda a: a.T, _M), takes(permutation=ANY)),
-    _moving(
-        "broadcast_in_dim",
-        _broadcast_in_dim,
-        (lambda a: a[:, None, :], _M),
-        takes(shape=ANY, broadcast_dimensions=ANY, sharding=ANY),
-        anywhere=True,
+    _moving("squeeze", "dimensions", lambda p, a: a.squeeze(tuple(p["dimensions"])), ALWAYS),
+    _moving("transpose", "permutation", lambda p, a: a.transpose(p["permutation"])),
+    _moving("broadcast_in_dim", "shape broadcast_dimensions sharding", _broadcast, ALWAYS),
+    _moving("concatenate", "dimension", lambda p, *arrays: np.concatenate(arrays, p["dimension"])),
+    _moving("stack", "axis", lambda p, *arrays: np.stack(arrays, p["axis"])),
+    _moving("unstack", "axis", lambda p, a: list(np.moveaxis(a, p["axis"], 0))),
+    _moving("slice", "start_indices limit_indices strides", _slice, ALWAYS),
+    _moving("rev", "dimensions", lambda p, a: np.flip(a, p["dimensions"])),
+    _moving("split", "sizes axis", lambda p, a: np.split(a, np.cumsum(p["sizes"])[:-1], p["axis"])),
+    _moving("tile", "reps", lambda p, a: np.tile(a, p["reps"])),
+    moving("iota", _iota, "dtype shape dimension sharding", inside=SMALL),
+    moving("pad", _pad, "padding_config", inside=SMALL),
+    Entry("sort", _sort, "dimension is_stable num_keys", when=lambda p: p["num_keys"] == 1, any_type=True),
+]
+
+
+# ---- windows ---------------------------------------------------------------------------------------------------------
+
+
+def _window(start: Any, shape: Any, sizes: Any) -> tuple[slice, ...]:
+    """The entries of a window, moved inside."""
+    inside = [min(max(int(s), 0), n - m) for s, n, m in zip(start, shape, sizes, strict=True)]
+    return tuple(slice(s, s + m) for s, m in zip(inside, sizes, strict=True))
+
+
+def _lookup(g: Graph, table: list[int], place: int) -> int:
+    """table[place], the ends beyond the ends."""
+    found = table[-1]
+    for k in range(len(table) - 2, -1, -1):
+        here = on(g, "le", place, g.constant(k, g.dtypes[place]))
+        found = g.select(here, table[k], found)
+    return found
+
+
+def _dynamic_slice(reader: Reader, eqn: Any, a: Nodes, *indices: Nodes) -> list[Nodes] | None:
+    """A window; where its place along an axis is known only at run time, of one entry along a short axis."""
+    g, sizes = reader.graph, eqn.params["slice_sizes"]
+    places = [g.numbers[int(i)] for i in indices]
+    unknown = [axis for axis, place in enumerate(places) if place is None]
+    if any(sizes[axis] != 1 for axis in unknown) or math.prod(a.shape[axis] for axis in unknown) > g.limits.table:
+        return None
+    whole = [a.shape[axis] if axis in unknown else size for axis, size in enumerate(sizes)]
+    found = a[_window([place or 0 for place in places], a.shape, whole)]
+    for axis in unknown:
+        columns = np.moveaxis(found, axis, -1)
+        picked = [_lookup(g, each, int(indices[axis])) for each in columns.reshape(-1, a.shape[axis]).tolist()]
+        found = np.expand_dims(nodes(picked, columns.shape[:-1]), axis)
+    return [found]
+
+
+def _dynamic_update_slice(reader: Reader, eqn: Any, a: Nodes, update: Nodes, *indices: Nodes) -> list[Nodes] | None:
+    """A window set at a place that is known, moved inside."""
+    known = [reader.graph.numbers[int(i)] for i in indices]
+    if any(place is None for place in known):
+        return None
+    found = a.copy()
+    found[_window(known, a.shape, update.shape)] = update
+    return [found]
+
+
+# ---- gather and scatter ----------------------------------------------------------------------------------------------
+
+_FILL, _CLIP = lax.GatherScatterMode.FILL_OR_DROP, lax.GatherScatterMode.CLIP
+_MODES = (_CLIP, _FILL, lax.GatherScatterMode.PROMISE_IN_BOUNDS)
+
+
+def _known(*names: str) -> Callable[[Any], bool]:
+    """Whether the dimension numbers are these and those of batches, of which there are none; and the mode is known."""
+    fields = (*names, "operand_batching_dims")
+
+    def when(p: Any) -> bool:
+        numbers = p["dimension_numbers"]
+        own = numbers._fields[:-1] == fields and numbers._fields[-1].endswith("_indices_batching_dims")
+        return own and not numbers.operand_batching_dims and p["mode"] in _MODES
+
+    return when
+
+
+def _gather(reader: Reader, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
+    """As XLA's gather: a window of the operand for every vector of start indices."""
+    p, where = eqn.params, reader.graph.values(indices)
+    numbers, sizes, filled = p["dimension_numbers"], p["slice_sizes"], p["mode"] == _FILL
+    if where is None:
+        return None if filled else _taken(reader.graph, eqn, a, indices)
+    shape = eqn.outvars[0].aval.shape
+    batch_axes = [i for i in range(len(shape)) if i not in numbers.offset_dims]
+    window_axes = [i for i in range(a.ndim) if i not in numbers.collapsed_slice_dims]
+    found = np.empty(shape, np.int64)
+    for batch in np.ndindex(*(shape[i] for i in batch_axes)):
+        start = _at(a.ndim, numbers.start_index_map, where[batch], 0)
+        window = _window(start, a.shape, sizes)
+        if filled and _moved(start, window):
+            return None
+        found[_at(len(shape), batch_axes, batch)] = a[window].reshape([sizes[i] for i in window_axes])
+    return [found]
+
+
+def _taken(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
+    """Whole slices along one short axis, at places known only at run time."""
+    numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
+    if len(numbers.start_index_map) != 1 or not set(numbers.collapsed_slice_dims) <= set(numbers.start_index_map):
+        return None
+    (axis,) = numbers.start_index_map
+    whole = tuple(1 if i == axis else n for i, n in enumerate(a.shape))
+    if a.shape[axis] > g.limits.table or sizes != whole:
+        return None
+    columns = np.moveaxis(a, axis, -1).reshape(-1, a.shape[axis]).tolist()
+    picked = [_lookup(g, column, place) for place in flat(indices) for column in columns]
+    shape = eqn.outvars[0].aval.shape
+    batch = [i for i in range(len(shape)) if i not in numbers.offset_dims]
+    order = [*batch, *numbers.offset_dims]
+    return [nodes(picked, (shape[i] for i in order)).transpose(np.argsort(order))]
+
+
+def _at(rank: int, axes: Any, places: Any, others: Any = slice(None)) -> tuple[Any, ...]:
+    """An index: these places along these axes, of the others all."""
+    along = dict(zip(axes, places, strict=True))
+    return tuple(along.get(axis, others) for axis in range(rank))
+
+
+def _moved(start: Any, window: tuple[slice, ...]) -> bool:
+    """Whether a window is not where it was to begin."""
+    return any(int(s) != own.start for s, own in zip(start, window, strict=True))
+
+
+def _scatter(combine: str | None) -> Any:
+    """As XLA's scatter with indices that are known: entries are set, or combined one after the other."""
+
+    def read(reader: Reader, eqn: Any, a: Nodes, indices: Nodes, updates: Nodes) -> list[Nodes] | None:
+        g, numbers = reader.graph, eqn.params["dimension_numbers"]
+        where = g.values(indices)
+        if where is None:
+            return None
+        window_axes = numbers.update_window_dims
+        batch_axes = [i for i in range(updates.ndim) if i not in window_axes]
+        operand_axes = [i for i in range(a.ndim) if i not in numbers.inserted_window_dims]
+        extent = _at(a.ndim, operand_axes, [updates.shape[i] for i in window_axes], 1)
+        found = a.copy()
+        for batch in np.ndindex(*(updates.shape[i] for i in batch_axes)):
+            start = _at(a.ndim, numbers.scatter_dims_to_operand_dims, where[batch], 0)
+            window = _window(start, a.shape, extent)
+            if _moved(start, window) and eqn.params["mode"] != _CLIP:
+                continue  # XLA leaves out what does not fit
+            new = updates[_at(updates.ndim, batch_axes, batch)].reshape(extent)
+            if combine is not None:
+                pairs = zip(flat(found[window]), flat(new), strict=True)
+                new = nodes([OPERATIONS[combine].on(g)(old, one) for old, one in pairs], extent)
+            found[window] = new
+        return [found]
+
+    return read
+
+
+def _one_place(entries: float) -> Callable[[Any], bool]:
+    """Set at a single place, which XLA makes a slice; it has no code for others inside of a function."""
+    small = up_to(entries)
+    return lambda eqn: math.prod(eqn.invars[1].aval.shape[:-1]) <= 1 and small(eqn)
+
+
+_SCATTER = "dimension_numbers mode update_jaxpr update_consts indices_are_sorted unique_indices"
+_SCATTERED = _known("update_window_dims", "inserted_window_dims", "scatter_dims_to_operand_dims")
+
+INDEXING = [
+    moving("dynamic_slice", _dynamic_slice, "slice_sizes"),
+    moving("dynamic_update_slice", _dynamic_update_slice),
+    moving(
+        "gather",
+        _gather,
+        "dimension_numbers slice_sizes mode fill_value indices_are_sorted unique_indices",
+        when=_known("offset_dims", "collapsed_slice_dims", "start_index_map"),
     ),
-    _moving("concatenate", _concatenate, (lambda a: jnp.concatenate([a, a], 1), _M), takes(dimension=ANY)),
-    _moving("stack", _stack, (lambda a: jnp.stack([a, -a], axis=1), _M), takes(axis=ANY)),
-    _moving("unstack", _unstack, (lambda a: jnp.unstack(a, axis=1), _M), takes(axis=ANY)),
-    _moving(
-        "slice",
-        _slice,
-        (lambda a: a[1:, ::2], _M),
-        takes(start_indices=ANY, limit_indices=ANY, strides=ANY),
-        anywhere=True,
+    moving(
+        "scatter",
+        _scatter(None),
+        _SCATTER,
+        when=lambda p: p["update_jaxpr"] is None and _SCATTERED(p),  # else it applies another function
+        inside=_one_place(math.inf),
     ),
-    _moving("rev", _rev, (lambda a: lax.rev(a, (0,)), _M), takes(dimensions=ANY)),
-    _moving("split", _split, (lambda a: jnp.split(a, [1, 3], axis=1), _M), takes(sizes=ANY, axis=ANY)),
-    _moving("tile", _tile, (lambda a: jnp.tile(a, (2, 3)), _M), takes(reps=ANY)),
-    _moving(
-        "iota",
-        _iota,
-        (lambda a: a + lax.broadcasted_iota(a.dtype, (3, 4), 1), _M),
-        takes(dtype=ANY, shape=ANY, dimension=ANY, sharding=ANY),
-    ),
-    _moving("pad", _pad, (lambda a: lax.pad(a, 7.0, ((1, -1, 0), (0, 1, 2))), _M), takes(padding_config=ANY)),
-    Entry(
-        name="sort",
-        takes=(takes(dimension=ANY, is_stable=ANY, num_keys=lambda count: count == 1),),
-        read=_sort,
-        any_type=True,
-        example=(lambda i: jnp.sort(i), np.array([3, 1, 2])),
-    ),
-)
+    moving("scatter-add", _scatter("add"), _SCATTER, when=_SCATTERED, inside=_one_place(4096)),
+    Entry("scatter-mul", _scatter("mul"), _SCATTER, when=_SCATTERED, any_type=True),
+]
