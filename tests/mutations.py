@@ -225,7 +225,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/table/operations.py",
+        "lowering/scalar/operations.py",
         (
             "derivative of atan2",
             "return [g.mul(a[1], inverse), g.neg(g.mul(a[0], inverse))]",
@@ -234,7 +234,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/table/operations.py",
+        "lowering/scalar/operations.py",
         (
             "slope of max where both are equal",
             'g.select(on(g, "eq", *a), g.constant(0.5), g.zero)',
@@ -288,7 +288,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/table/movement.py",
+        "lowering/scalar/movement.py",
         (
             "inner padding",
             "places = low + np.arange(size) * (between + 1)",
@@ -303,7 +303,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/table/movement.py",
+        "lowering/scalar/movement.py",
         (
             "a function at places read as setting",
             'when=lambda p: p["update_jaxpr"] is None and _SCATTERED(p)',
@@ -312,7 +312,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/table/movement.py",
+        "lowering/scalar/movement.py",
         (
             "another order of axes read as the usual one",
             'when=default("dimensions")',
@@ -321,7 +321,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/table/arithmetic.py",
+        "lowering/scalar/arithmetic.py",
         (
             "place of the largest",
             "enumerate(others, start=1)",
@@ -365,7 +365,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- lowering, export --------------------------------------------------------------------------------------------
     *_at(
-        "lowering/scalar/table/operations.py",
+        "lowering/scalar/operations.py",
         (
             "max in C loses NaN",
             'f"($a {compare} $b || isnan($a)) ? $a : $b"',

@@ -45,7 +45,7 @@ class Module:
     def text(self) -> str:
         bits = self.processor.bits
         vectors = f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"'
-        attributes = [f"attributes #0 = {{ noinline nounwind {vectors} }}", "attributes #1 = { cold }"]
+        attributes = [f"attributes #0 = {{ noinline nounwind {vectors} }}"]
         attributes.append('!0 = !{!"branch_weights", i32 1, i32 2000}')
         return "\n".join([*sorted(self.declarations), *self.functions.values(), *attributes, ""])
 
@@ -197,32 +197,22 @@ class Code:
 
     def library(self, function: str, kind: str, *arguments: str) -> str:
         """A function of the C library, lane by lane."""
-        name = f"lanes_{function}"
+        name, own = f"lanes_{function}", self.vector(kind)
         if name not in self.module.functions:
-            names = [f"%a{k}" for k in range(len(arguments))]
-            inner = Code(self.module, self.lanes)
-            result = inner.lane_by_lane(function, kind, names)
-            own = self.vector(kind)
-            self.module.functions[name] = inner.function(
-                f"internal {own} @{name}({', '.join(f'{own} {a}' for a in names)})", f"ret {own} {result}"
-            )
-        own = self.vector(kind)
+            symbol = function if kind == "double" else f"{function}f"
+            self.module.library.add(symbol)
+            names, inner, result = [f"%a{k}" for k in range(len(arguments))], Code(self.module, self.lanes), "poison"
+            for lane in range(self.lanes):
+                given = [(kind, inner.emit(f"extractelement {own} {a}, i32 {lane}")) for a in names]
+                value = inner.call(kind, symbol, *given)
+                result = inner.emit(f"insertelement {own} {result}, {kind} {value}, i32 {lane}")
+            head = f"internal {own} @{name}({', '.join(f'{own} {a}' for a in names)})"
+            self.module.functions[name] = inner.function(head, f"ret {own} {result}")
         return self.emit(f"call {own} @{name}({', '.join(f'{own} {a}' for a in arguments)})")
 
-    def lane_by_lane(self, function: str, kind: str, arguments: Sequence[str]) -> str:
-        """The calls that `library` is made of."""
-        symbol = function if kind == "double" else f"{function}f"
-        self.module.library.add(symbol)
-        result, own = "poison", self.vector(kind)
-        for lane in range(self.lanes):
-            given = [(kind, self.emit(f"extractelement {own} {a}, i32 {lane}")) for a in arguments]
-            value = self.call(kind, symbol, *given)
-            result = self.emit(f"insertelement {own} {result}, {kind} {value}, i32 {lane}")
-        return result
-
-    def function(self, head: str, end: str = "ret void", attributes: str = "#0") -> str:
+    def function(self, head: str, end: str = "ret void") -> str:
         """The instructions so far as a function."""
-        return "\n".join([f"define {head} {attributes} {{", *self.lines, end, "}"])
+        return "\n".join([f"define {head} #0 {{", *self.lines, end, "}"])
 
 
 def _number(kind: str, value: Any) -> str:

@@ -56,6 +56,7 @@ class Rows:
             )
             for place in places
         ]
+        self._align = array.dtype.itemsize
         self._read: dict[int, str] = {}
 
     def read(self, entry: int) -> str:
@@ -89,30 +90,27 @@ class Rows:
         return min(entry // lanes * lanes, size - lanes), lanes
 
     def _loaded(self, start: int, width: int) -> list[str]:
-        code, own, places = self._code, self._code.vector(self._array.kind), self._at(start)
+        code, kind, places = self._code, self._array.kind, self._at(start)
+        own = code.vector(kind)
         if width == code.lanes:
-            return [code.emit(f"load {own}, ptr {place}, align {self._alignment}") for place in places]
-        name, some = (
-            f"llvm.masked.load.{code.suffix(self._array.kind)}.p0",
-            (self._mask(width), (own, "zeroinitializer")),
-        )
-        return [code.call(own, name, ("ptr", place), ("i32", str(self._alignment)), *some) for place in places]
+            return [code.emit(f"load {own}, ptr {place}, align {self._align}") for place in places]
+        rest = ("i32", str(self._align)), self._mask(width), (own, "zeroinitializer")
+        return [code.call(own, f"llvm.masked.load.{code.suffix(kind)}.p0", ("ptr", place), *rest) for place in places]
 
     def _stored(self, start: int, width: int, rows: list[str]) -> None:
-        code, own = self._code, self._code.vector(self._array.kind)
-        name = f"llvm.masked.store.{code.suffix(self._array.kind)}.p0"
+        code, kind = self._code, self._array.kind
+        own, rest = code.vector(kind), (("i32", str(self._align)), self._mask(width))
         for place, row in zip(self._at(start), rows, strict=True):
             if width == code.lanes:
-                code.lines.append(f"store {own} {row}, ptr {place}, align {self._alignment}")
+                code.lines.append(f"store {own} {row}, ptr {place}, align {self._align}")
             else:
-                given = (own, row), ("ptr", place), ("i32", str(self._alignment)), self._mask(width)
-                code.call("void", name, *given)
+                code.call("void", f"llvm.masked.store.{code.suffix(kind)}.p0", (own, row), ("ptr", place), *rest)
 
     def _gathered(self, entry: int) -> str:
         code, array = self._code, self._array
         own, value = code.vector(array.stored), "poison"
         for lane, place in enumerate(self._at(entry)):
-            one = code.emit(f"load {array.stored}, ptr {place}, align {self._alignment}")
+            one = code.emit(f"load {array.stored}, ptr {place}, align {self._align}")
             value = code.emit(f"insertelement {own} {value}, {array.stored} {one}, i32 {lane}")
         return code.emit(f"icmp ne {own} {value}, zeroinitializer") if array.kind == "i1" else value
 
@@ -122,15 +120,11 @@ class Rows:
             value = code.convert("zext", "i1", "i8", value)
         for lane, place in enumerate(self._at(entry)):
             one = code.emit(f"extractelement {code.vector(array.stored)} {value}, i32 {lane}")
-            code.lines.append(f"store {array.stored} {one}, ptr {place}, align {self._alignment}")
+            code.lines.append(f"store {array.stored} {one}, ptr {place}, align {self._align}")
 
     def _at(self, entry: int) -> list[str]:
         stored = self._array.stored
         return [self._code.emit(f"getelementptr {stored}, ptr {p}, i64 {entry}") for p in self._pointers]
-
-    @property
-    def _alignment(self) -> int:
-        return self._array.dtype.itemsize
 
     def _mask(self, width: int) -> tuple[str, str]:
         bits = ", ".join(f"i1 {'true' if k < width else 'false'}" for k in range(self._code.lanes))

@@ -120,7 +120,13 @@ def _with_far(
     here, beyond, after = code.label(), code.label(), code.label()
     code.lines += [f"br label %{here}", f"{here}:", f"br i1 {taken}, label %{beyond}, label %{after}, !prof !0"]
     code.lines.append(f"{beyond}:")
-    exact = [_library(code, kind, *given) for given in zip(angles, near, far, strict=True)]
+    exact = [
+        [
+            code.select(kind, mask, code.library(f, kind, x), value)
+            for f, value in zip(("sin", "cos"), pair, strict=True)
+        ]
+        for x, pair, mask in zip(angles, near, far, strict=True)
+    ]
     code.lines += [f"br label %{after}", f"{after}:"]
     own = code.vector(kind)
     return [
@@ -130,18 +136,3 @@ def _with_far(
         )
         for values, others in zip(near, exact, strict=True)
     ]
-
-
-def _library(code: Code, kind: str, x: str, near: Sequence[str], far: str) -> list[str]:
-    name, own, mask = "far_sine_and_cosine", code.vector(kind), code.vector("i1")
-    pair = f"{{ {own}, {own} }}"
-    if name not in code.module.functions:
-        inner = Code(code.module, code.lanes)
-        result = "poison"
-        for place, (function, value) in enumerate((("sin", "%s"), ("cos", "%c"))):
-            chosen = inner.select(kind, "%far", inner.lane_by_lane(function, kind, ["%x"]), value)
-            result = inner.emit(f"insertvalue {pair} {result}, {own} {chosen}, {place}")
-        head = f"internal {pair} @{name}({own} %x, {own} %s, {own} %c, {mask} %far)"
-        code.module.functions[name] = inner.function(head, f"ret {pair} {result}")
-    both = code.emit(f"call {pair} @{name}({own} {x}, {own} {near[0]}, {own} {near[1]}, {mask} {far}) #1")
-    return [code.emit(f"extractvalue {pair} {both}, {place}") for place in (0, 1)]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr
 from .entry import Nodes, Operation, flat, nodes
-from .table.operations import OPERATIONS
+from .operations import OPERATIONS
 
 __all__ = ["LIMITS", "Call", "Graph", "Limits", "TooLarge"]
 
@@ -290,15 +290,7 @@ class Graph:
 
     def live(self, outputs: Iterable[int]) -> list[int]:
         """All nodes that the outputs need, arguments first."""
-        found: set[int] = set()
-        todo = [int(i) for i in outputs]
-        while todo:
-            i = todo.pop()
-            if i in found:
-                continue
-            found.add(i)
-            todo += self.sources(i)
-        return sorted(found)
+        return sorted(self.one_by_one(outputs))
 
     def one_by_one(self, outputs: Iterable[int]) -> list[int]:
         """The same, each output with what only it and later ones need: few numbers are waiting at any time."""

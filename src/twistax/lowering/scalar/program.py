@@ -42,16 +42,12 @@ class _OwnDerivative:
     def _back(self) -> Any:
         avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
 
+        def real(*values: Any) -> Any:
+            return [r for r in jaxpr_as_fun(self._alone)(*values) if jnp.issubdtype(r.dtype, jnp.inexact)]
+
         def linear(*values: Any) -> Any:
-            real = [k for k, v in enumerate(values) if jnp.issubdtype(v.dtype, jnp.inexact)]
-
-            def moving(*some: Any) -> Any:
-                given = dict(zip(real, some, strict=True))
-                results = jaxpr_as_fun(self._alone)(*(given.get(k, v) for k, v in enumerate(values)))
-                return [r for r in results if jnp.issubdtype(r.dtype, jnp.inexact)]
-
-            results, back = jax.vjp(moving, *(values[k] for k in real))
-            return back([jnp.ones_like(r) for r in results])
+            results, back = jax.vjp(real, *values)
+            return [c for c in back([jnp.ones_like(r) for r in results]) if c.dtype != jax.dtypes.float0]
 
         return _fingerprint(jax.make_jaxpr(linear)(*avals))
 
@@ -260,20 +256,14 @@ def scalarize(
     """
     closed = function if isinstance(function, ClosedJaxpr) else jax.make_jaxpr(function)(*shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
-    dtype = _precision([*avals, *(v.aval for v in closed.jaxpr.outvars)])
-    graph = Graph(dtype, checked, largest, limits)
+    types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
+    own = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
+    graph = Graph(own, checked, largest, limits)
     inputs = tuple(
         nodes([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], a.shape) for k, a in enumerate(avals)
     )
     outputs = Reader(graph).read(closed, inputs)
     return ScalarProgram(graph, inputs, tuple(outputs), tuple(np.dtype(v.aval.dtype) for v in closed.jaxpr.outvars))
-
-
-def _precision(avals: Sequence[Any]) -> np.dtype[Any]:
-    for aval in avals:
-        if np.issubdtype(aval.dtype, np.floating):
-            return np.dtype(aval.dtype)
-    return np.dtype(jax.dtypes.canonicalize_dtype(float))
 
 
 # ---- written anew ----------------------------------------------------------------------------------------------------

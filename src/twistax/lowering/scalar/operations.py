@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jax import lax
 
-from ..entry import Forms, Operation, Select, code, convert, default, everywhere, whole
+from .entry import Forms, Operation, Select, code, convert, default, everywhere, whole
 
 if TYPE_CHECKING:
-    from ..graph import Graph
+    from .graph import Graph
 
 __all__ = ["LARGEST", "OPERATIONS", "SMALLEST", "on"]
 
@@ -236,8 +236,7 @@ _ROWS = [
         c=Forms(
             "$a / $b",
             "($T)($b == 0 ? -1 : $b == -1 ? ($T)(0U - ($U)$a) : ($T)($a / $b))",
-            None,
-            "($T)($b == 0 ? ($T)-1 : ($T)($a / $b))",
+            unsigned="($T)($b == 0 ? ($T)-1 : ($T)($a / $b))",
         ),
         casadi=Forms(lambda casadi, a, b: a / b, lambda casadi, a, b: whole(casadi, a / b)),
     ),
@@ -256,7 +255,7 @@ _ROWS = [
         partials=lambda g, a, y: [g.select(on(g, "ge", a[0], g.zero), g.one, g.constant(-1.0))],  # 1 at zero
         parity=1,
         llvm=Forms(_intrinsic("fabs"), code("magnitude")),
-        c=Forms("fabs$f($a)", "$a < 0 ? ($T)(0U - ($U)$a) : $a", None, "$a"),
+        c=Forms("fabs$f($a)", "$a < 0 ? ($T)(0U - ($U)$a) : $a", unsigned="$a"),
         casadi=everywhere(lambda casadi, a: casadi.fabs(a)),
     ),
     _named(
@@ -264,7 +263,7 @@ _ROWS = [
         np.sign,
         parity=-1,
         llvm=Forms(code("sign"), code("integer_sign")),
-        c=Forms("$a > 0 ? 1 : $a < 0 ? -1 : $a", "($T)($a > 0 ? 1 : $a < 0 ? -1 : 0)", None, "$a > 0 ? 1 : 0"),
+        c=Forms("$a > 0 ? 1 : $a < 0 ? -1 : $a", "($T)($a > 0 ? 1 : $a < 0 ? -1 : 0)", unsigned="$a > 0 ? 1 : 0"),
     ),
     _named("floor", np.floor, llvm=Forms(_intrinsic("floor"))),
     _named("ceil", np.ceil, llvm=Forms(_intrinsic("ceil"))),
@@ -277,8 +276,7 @@ _ROWS = [
         c=Forms(
             "fmod$f($a, $b)",
             "($T)($b == 0 ? $a : $b == -1 ? 0 : $a % $b)",
-            None,
-            "($T)($b == 0 ? $a : $a % $b)",
+            unsigned="($T)($b == 0 ? $a : $a % $b)",
         ),
         casadi=everywhere(lambda casadi, a, b: casadi.fmod(a, b)),
     ),

@@ -1,4 +1,8 @@
-"""Calls, loops and branches, and functions with a derivative of their own."""
+"""The table of primitives: an entry says all that this package knows of a primitive of JAX.
+
+What is not in it, or has parameters that its entry does not know, stays a call of JAX, with the same numbers. Here are
+the entries of calls, loops and branches, and of functions with a derivative of their own.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....jax_inside import all_equations, closed, expansion, scan_parts
-from ..entry import Nodes, each, flat, moving, nodes
-from .operations import on
+from ...jax_inside import Unread, all_equations, closed, expansion, say_once, scan_parts
+from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
+from .entry import Entry, Nodes, convert, each, flat, moving, nodes
+from .movement import INDEXING, MOVEMENT
+from .operations import OPERATIONS, on
 
 if TYPE_CHECKING:
-    from ..program import Reader
+    from .program import Reader
 
-__all__ = ["CONTROL"]
-
+__all__ = ["OPERATIONS", "TABLE", "convert", "entry_of", "say_unread"]
 
 # ---- calls -----------------------------------------------------------------------------------------------------------
 
@@ -96,7 +101,7 @@ def _equations(jaxpr: Any) -> int:
 _WHERE = "in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"
 _SCAN = "jaxpr length reverse unroll"
 
-CONTROL = [
+_CONTROL = [
     moving("jit", _jit, f"jaxpr compiler_options_kvs {_WHERE}", when=lambda p: not p["compiler_options_kvs"]),
     moving("remat2", _jit, "jaxpr prevent_cse differentiated policy"),
     moving("call_hi_primitive", _composite, "_prim"),  # JAX 0.12
@@ -120,3 +125,27 @@ CONTROL = [
     # This package's own.
     moving("scalar_program", None, "program depth inside", moves=False),
 ]
+
+#: By the name of the primitive.
+TABLE: dict[str, Entry] = {
+    **OPERATIONS,
+    **{e.name: e for e in (*ELEMENTWISE, *MOVEMENT, *INDEXING, *CONTRACTION, *LINEAR_ALGEBRA, *_CONTROL)},
+}
+
+
+def entry_of(eqn: Any) -> Entry | None:
+    """The entry of an equation; None where there is none, or where it does not understand all parameters.
+
+    One warning for names of parameters that it does not know.
+    """
+    entry = TABLE.get(eqn.primitive.name)
+    try:
+        return entry if entry is not None and entry.understands(eqn) else None
+    except Unread as error:
+        say_unread(error)
+        return None
+
+
+def say_unread(error: Unread) -> None:
+    """Tell the user, once, that an operation stays a call of JAX."""
+    say_once(f"{error}, which this twistax does not know: that operation runs as JAX has it")

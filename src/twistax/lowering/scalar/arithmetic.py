@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..entry import ALWAYS, NEVER, SMALL, Entry, Nodes, Operation, convert, default, each, gathered, nodes, up_to
+from .entry import ALWAYS, NEVER, SMALL, Entry, Nodes, Operation, convert, default, each, gathered, nodes, up_to
 from .operations import LARGEST, OPERATIONS, SMALLEST, on
 
 if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..program import Reader
+    from .graph import Graph
+    from .program import Reader
 
 __all__ = ["CONTRACTION", "ELEMENTWISE", "LINEAR_ALGEBRA"]
 

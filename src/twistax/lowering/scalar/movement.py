@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..entry import ALWAYS, SMALL, Entry, Nodes, default, flat, moving, nodes, up_to
+from .entry import ALWAYS, SMALL, Entry, Nodes, default, flat, moving, nodes, up_to
 from .operations import OPERATIONS, on
 
 if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..program import Reader
+    from .graph import Graph
+    from .program import Reader
 
 __all__ = ["INDEXING", "MOVEMENT"]
 
