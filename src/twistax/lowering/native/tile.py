@@ -287,8 +287,7 @@ def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
 
 
 def _arguments(program: ScalarProgram) -> list[Array]:
-    g = program.graph
-    return [Array(a.shape, g.dtypes[flat(a)[0]] if a.size else g.dtype) for a in program.inputs]
+    return [Array(a.shape, program.graph.dtype_of(a)) for a in program.inputs]
 
 
 def _needed(program: ScalarProgram) -> set[int]:

@@ -43,7 +43,7 @@ def _power(g: Graph, x: int, n: int) -> int:
 
 def _integer_pow(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     g = reader.graph
-    if a.size and g.dtypes[a.reshape(-1)[0]] != g.dtype:
+    if g.dtype_of(a) != g.dtype:
         return None
     return [each(lambda x: _power(g, x, eqn.params["y"]), a)]
 

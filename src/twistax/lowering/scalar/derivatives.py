@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ...jax_inside import ClosedJaxpr, jaxpr_as_fun
 from .entry import Nodes, flat, nodes
@@ -50,7 +49,7 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
                 _accumulate(g, found, i, c)
     _pull(g, program.live, found, program.depending(active))
     outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
-    return ScalarProgram(g, tuple(inputs), outputs, tuple(_dtype(g, program.inputs[k]) for k in active))
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype_of(program.inputs[k]) for k in active))
 
 
 def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
@@ -152,11 +151,11 @@ def _pull(g: Graph, live: Sequence[int], found: dict[int, int], depending: Colle
 
 def _pulled_call(g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]) -> list[tuple[int, int]]:
     """The arguments of a call and their cotangents."""
-    real = [k for k, r in enumerate(call.results) if jnp.issubdtype(_dtype(g, r), jnp.inexact)]
+    real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
     active = [
         k
         for k, a in enumerate(call.arguments)
-        if jnp.issubdtype(_dtype(g, a), jnp.inexact) and any(i in depending for i in flat(a))
+        if jnp.issubdtype(g.dtype_of(a), jnp.inexact) and any(i in depending for i in flat(a))
     ]
 
     def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
@@ -197,9 +196,5 @@ def _gathered(g: Graph, found: Mapping[int, int], own: Nodes) -> Nodes:
     return nodes([found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in flat(own)], own.shape)
 
 
-def _dtype(g: Graph, own: Nodes) -> np.dtype[Any]:
-    return g.dtypes[flat(own)[0]] if own.size else g.dtype
-
-
 def _shape(g: Graph, own: Nodes) -> Any:
-    return jax.ShapeDtypeStruct(own.shape, _dtype(g, own))
+    return jax.ShapeDtypeStruct(own.shape, g.dtype_of(own))

@@ -285,8 +285,11 @@ class Graph:
         numbers = [self.numbers[i] for i in flat(array)]
         if any(n is None for n in numbers):
             return None
-        dtype = self.dtypes[array.reshape(-1)[0]] if array.size else self.dtype
-        return np.array(numbers, dtype).reshape(array.shape)
+        return np.array(numbers, self.dtype_of(array)).reshape(array.shape)
+
+    def dtype_of(self, array: Nodes) -> np.dtype[Any]:
+        """The type of an array of nodes, that of the program where it is empty."""
+        return self.dtypes[int(array.reshape(-1)[0])] if array.size else self.dtype
 
     def live(self, outputs: Iterable[int]) -> list[int]:
         """All nodes that the outputs need, arguments first."""

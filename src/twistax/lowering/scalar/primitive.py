@@ -146,8 +146,7 @@ class Repeated:
 
     @functools.cached_property
     def results(self) -> Shapes:
-        g, arguments = self._step.graph, self._step.inputs
-        number, *rest = [(a.shape, g.dtypes[int(a.reshape(-1)[0])] if a.size else g.dtype) for a in arguments]
+        number, *rest = [(a.shape, self._step.graph.dtype_of(a)) for a in self._step.inputs]
         return [*rest[len(rest) - self._state :], number]
 
     @functools.cached_property

@@ -232,8 +232,7 @@ class ScalarProgram:
 
     def restricted(self, outputs: Sequence[Nodes]) -> ScalarProgram:
         """The same inputs with other outputs."""
-        types = tuple(self.graph.dtypes[int(o.reshape(-1)[0])] if o.size else self.graph.dtype for o in outputs)
-        return ScalarProgram(self.graph, self.inputs, tuple(outputs), types)
+        return ScalarProgram(self.graph, self.inputs, tuple(outputs), tuple(map(self.graph.dtype_of, outputs)))
 
 
 def scalarize(
