@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_integrate import compilations
 
 import twistax as tx
-from twistax.integrators.tableau import ButcherTableau
+from twistax.integrators.tableaus import ButcherTableau
 from twistax.scenes import SCENES
 from twistax.scenes.scene import rotation_angle
 

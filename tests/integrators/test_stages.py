@@ -12,7 +12,7 @@ import pytest
 
 import twistax as tx
 from twistax.integrators.rkmk import stage_slopes
-from twistax.integrators.tableau import ButcherTableau, Rows
+from twistax.integrators.tableaus import ButcherTableau, Rows
 from twistax.lowering.small_call import held, small_call
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="small calls are for the CPU")

@@ -9,12 +9,11 @@ import pytest
 from scene_oracles import scipy_solution, spinning, tumbling
 
 from twistax.scenes import SCENES, offset_tumble
-from twistax.scenes.arrays import about
 from twistax.scenes.free_rotation import SymmetricBody, TriaxialBody
 from twistax.scenes.heavy_top import INERTIA, MOMENT
 from twistax.scenes.lagrange_top import LagrangeTop
 from twistax.scenes.references import REFERENCES
-from twistax.scenes.scene import rotation_angle
+from twistax.scenes.scene import about, rotation_angle
 
 R0 = about((1.0, 0.0, 0.0), 0.6)
 #: Extended precision is a double on some machines.

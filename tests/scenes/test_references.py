@@ -9,10 +9,9 @@ from scene_oracles import scipy_solution
 from scipy import special
 
 from twistax.scenes import SCENES, check_cases, heavy_top, spring_bodies
-from twistax.scenes.arrays import about
 from twistax.scenes.free_rotation import TriaxialBody
 from twistax.scenes.references import REFERENCES, extrapolated, main
-from twistax.scenes.scene import rotation_angle
+from twistax.scenes.scene import about, rotation_angle
 
 #: Extended precision is a double on some machines.
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -157,7 +156,7 @@ def test_the_springs_keep_what_they_must() -> None:
     assert np.linalg.norm(apart) > 0.5
 
 
-def test_the_command_prints_python(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_prints_the_end(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(REFERENCES, "rocket", dataclasses.replace(REFERENCES["rocket"], steps=40))
     assert main(["rocket"]) == 0
     said, *lines = capsys.readouterr().out.splitlines()

@@ -8,8 +8,9 @@ from .integrate import integrate
 from .magnus import Magnus
 from .method import Method, VectorField
 from .rkmk import RKMK
-from .solution import Result, Solution
+from .solution import Solution
 from .step_control import StepControl
+from .steps import Result
 
 __all__ = [
     "RKMK",

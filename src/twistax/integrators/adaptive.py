@@ -15,77 +15,56 @@ from ..errors import InputError
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
 from ..lowering.small_call import small_call
-from .charts.coordinates import Blocks
+from .charts import Blocks
 from .controls import Signals
-from .events import Watched
 from .kernels import kernel_tries
 from .method import Carry, Stepper
-from .solution import Result
 from .step_control import Errors, StepControl, first_step
-from .steps import Outcome, Part, Run, Saved, Steps, all_finite, check_saves, put, rows, span_of
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite, check_saves, put, rows, span_of
 from .tolerances import Tolerances
-
-__all__ = ["AdaptiveSteps", "Stops"]
 
 #: A step that leaves less than this share of itself to the next stop goes there at once.
 _STRETCH = 0.01
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Stops:
-    """Where the loop over steps halts: at saved times, which it may pass, and at limits, where a step must end.
+class Stops(NamedTuple):
+    """Where the loop over steps halts: at saved times, which it may pass, and at limits, where a step must end."""
 
-    Attributes:
-        limits: (m,) times in order, the last one the end. Rates may jump there.
-        ts: (k,) limits and saved times in order.
-        leg: (k,) the limit that bounds the steps on the way to each.
-        place: (n,) where the saved times stand in ts; None where there are none.
-    """
-
-    limits: Any
-    ts: Any
-    leg: Any
-    place: Any
-
-    @classmethod
-    def of(cls, limits: jax.Array, saves: jax.Array | None) -> Stops:
-        """The stops of sorted limits and saved times.
-
-        Limits that coincide move together: none of the legs between them has a step, so that the derivatives of the
-        two ends of each must be the same. Half of what both do goes to the first, half to the last.
-        """
-        first, last = (jnp.searchsorted(limits, limits, side=side) for side in ("left", "right"))
-        limits = 0.5 * (limits[first] + limits[last - 1])
-        if saves is None:
-            return cls(limits, limits, jnp.arange(limits.size), None)
-        joined = jnp.concatenate([saves, limits])
-        order = jnp.argsort(jax.lax.stop_gradient(joined), stable=True)
-        ts = joined[order]
-        leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
-        return cls(limits, ts, leg, jnp.argsort(order)[: saves.size])
+    limits: Any  # (m,) times in order, the last one the end; rates may jump there
+    ts: Any  # (k,) limits and saved times in order
+    leg: Any  # (k,) the limit that bounds the steps on the way to each
+    place: Any  # (n,) where the saved times stand in ts; None where there are none
 
     @classmethod
     def given(cls, t0: jax.Array, t1: Any, dt: Any, save_at: Any, jumps: Any, signals: Signals) -> Stops:
-        """The stops of what a user gave: saved times; the end, jumps and those of tables as limits.
-
-        Raises:
-            InputError: what `span_of` and `check_saves` raise; jumps that are not finite times.
-        """
+        """The stops of what a user gave: saved times; the end, jumps and those of tables as limits."""
         span = span_of(t0, t1, dt)
         if save_at is not None:
             check_saves(save_at, span)
         if jumps is not None and (np.ndim(jumps) != 1 or not is_finite(jumps)):
             raise InputError(f"jumps expects finite times with shape (n,), got {jumps!r}")
         t1 = jnp.asarray(t1, t0.dtype)
-        known = [jnp.asarray(ts, t0.dtype) for ts in (*signals.jumps, *([] if jumps is None else [jumps]))]
-        # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
-        inside = [jnp.where(ts <= t0, t0, jnp.where(ts >= t1, t1, ts)) for ts in known]
-        limits = jnp.append(jnp.sort(jnp.concatenate(inside)), t1) if inside else t1[None]
+
+        def inside(ts: Any) -> jax.Array:
+            # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+            ts = jnp.asarray(ts, t0.dtype)
+            return jnp.where(ts <= t0, t0, jnp.where(ts >= t1, t1, ts))
+
+        known = [inside(ts) for ts in (*signals.jumps, *([] if jumps is None else [jumps]))]
+        limits = jnp.append(jnp.sort(jnp.concatenate(known)), t1) if known else t1[None]
+        # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of the
+        # two ends of each must be the same. Half of what both do goes to the first, half to the last.
+        first, last = (jnp.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+        limits = 0.5 * (limits[first] + limits[last - 1])
         if save_at is None:
-            return cls.of(limits, None)
+            return cls(limits, limits, jnp.arange(limits.size), None)
         saves = jnp.asarray(save_at, t0.dtype)
-        return cls.of(limits, jnp.where(saves < t0, t0, jnp.where(saves > t1, t1, saves)))
+        saves = jnp.where(saves < t0, t0, jnp.where(saves > t1, t1, saves))
+        joined = jnp.concatenate([saves, limits])
+        order = jnp.argsort(jax.lax.stop_gradient(joined), stable=True)
+        ts = joined[order]
+        leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
+        return cls(limits, ts, leg, jnp.argsort(order)[: saves.size])
 
 
 class _Path(NamedTuple):
@@ -97,30 +76,27 @@ class _Path(NamedTuple):
 
 
 class _Packing(NamedTuple):
-    """How to read a packed state and what a method packed for the next step."""
-
-    state: Callable[[jax.Array], Blocks]
+    state: Callable[[jax.Array], Blocks]  # reads what is packed
     carry: Callable[[jax.Array], Carry]
 
 
 class _Now(NamedTuple):
-    """What the loop carries: the state, what the method carries, the next step to try, the start of the last one taken.
+    """What the loop carries.
 
-    After a failure h is the step that failed.
     Pytrees are packed into vectors: XLA would compute the test of a step again for every scalar it guards.
     """
 
     t: jax.Array
-    h: jax.Array
+    h: jax.Array  # the next step to try; after a failure the one that failed
     y: jax.Array
-    carry: jax.Array
+    carry: jax.Array  # what the method carries
     errors: Errors
     rejected: jax.Array
     tried: jax.Array
     accepted: jax.Array
     evaluations: jax.Array
     code: jax.Array
-    last: tuple[jax.Array, jax.Array] | None
+    last: tuple[jax.Array, jax.Array] | None  # the start of the last step taken
     path: _Path | None
     every: jax.Array | None
     watched: Watched | None
@@ -129,25 +105,24 @@ class _Now(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class AdaptiveSteps(Steps):
-    """Steps from t0 through all stops.
-
-    Attributes:
-        t0: the start.
-        first: the first step to try, in s; zero or less: chosen.
-        stops: where the loop halts.
-        tolerances: the error allowed in a step.
-        control: how the next step follows from the errors, and how many there may be.
-        dense: whether the starts of all steps are kept.
-        watch: the conditions that end the integration.
-    """
+    """Steps from t0 through all stops."""
 
     t0: Any
-    first: Any
+    first: Any  # the first step to try, in s; zero or less: chosen
     stops: Stops
-    tolerances: Tolerances
+    tolerances: Tolerances  # the error allowed in a step
     control: StepControl = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
     watch: Any = None
+
+    too_long = (
+        "however short the step: the solution grows without bound, or a rate stops being finite just after",
+        "stop before that time, or guard the expression",
+    )
+    not_solved = (
+        "even in a step of {h:.3g} s: rates jump there, or are not smooth, or their derivatives are not finite",
+        "name times of jumps with jumps=..., or smooth the expression",
+    )
 
     @property
     def bound(self) -> int:
@@ -172,20 +147,20 @@ class AdaptiveSteps(Steps):
         begun, first = small_call(AdaptiveSteps._begin, self, stepper, y)
         packed, read = ravel_pytree(y)
         carry, read_carry = ravel_pytree(begun)
-        packing, zero = _Packing(read, read_carry), jnp.zeros((), int)
+        packing, zero, number = _Packing(read, read_carry), jnp.zeros((), int), jnp.zeros((), self.t0.dtype)
         now = _Now(
             t=self.t0,
             h=first,
             y=packed,
             carry=carry,
-            errors=Errors.none(self.t0.dtype),
+            errors=Errors(number, number),
             rejected=jnp.asarray(False),
             tried=zero,
             accepted=zero,
             evaluations=zero + 2,
             code=zero,
             last=None if stops.place is None else (self.t0, packed),
-            path=self._empty_path() if record or self.dense else None,
+            path=rows(_Path(zero, number, number), self.bound) if record or self.dense else None,
             every=put(rows(packed, self.bound + 1), 0, packed) if self.dense else None,
             watched=None if self.watch is None else self.watch.begin(stepper, self.t0, first, y),
         )
@@ -195,8 +170,9 @@ class AdaptiveSteps(Steps):
             if stops.limits.size > 1:
                 # Rates may have jumped at the limit before; at saved times they do not.
                 ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
-                resumed = ravel_pytree(stepper.resume(now.t, read(now.y), read_carry(now.carry), ahead))[0]
-                carry = jnp.where(now.t == self._leg(leg)[0], resumed, now.carry)
+                field = stepper.field(now.t, ahead)
+                resumed = stepper.method.resume(field, now.t, read(now.y), read_carry(now.carry))
+                carry = jnp.where(now.t == self._leg(leg)[0], ravel_pytree(resumed)[0], now.carry)
                 now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
             now = self._to(t, leg, stepper, packing, now)
             if now.last is None:
@@ -223,25 +199,21 @@ class AdaptiveSteps(Steps):
         def going(now: _Now, t: jax.Array) -> jax.Array:
             return (now.t < t) & (now.code == 0)
 
-        def one_try(
-            given: tuple[AdaptiveSteps, jax.Array, jax.Array], stepper: Stepper, now: _Now
-        ) -> tuple[_Now, jax.Array]:
+        def one_try(given: Any, stepper: Stepper, now: _Now) -> tuple[_Now, jax.Array]:
             steps, t, leg = given
             found = steps._try(stepper, packing, now, leg)
             return found, going(found, t)
 
-        kernel = None
-        if now.path is None and now.every is None and now.watched is None and self._countable(stepper):
+        # Kernels count evaluations in the precision of the state.
+        most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
+        countable = most < 2 ** jnp.finfo(self.t0.dtype).nmant
+        if now.path is None and now.every is None and now.watched is None and countable:
             kernel = kernel_tries(one_try, (self, t, leg), stepper, now)
-        if kernel is not None:
-            return kernel(now, now.tried, jnp.where(going(now, t), self.bound, now.tried))
+            if kernel is not None:
+                return kernel(now, now.tried, jnp.where(going(now, t), self.bound, now.tried))
         return jax.lax.while_loop(
             lambda n: going(n, t) & (n.tried < self.bound), lambda n: self._try(stepper, packing, n, leg), now
         )
-
-    def _countable(self, stepper: Stepper) -> bool:
-        """Whether all evaluations can be counted in the precision of the state, as kernels do."""
-        return self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1) < 2 ** jnp.finfo(self.t0.dtype).nmant
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
         """One step, taken or taken back."""
@@ -289,6 +261,12 @@ class AdaptiveSteps(Steps):
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
 
+        path = now.path
+        if path is not None:
+            start, length = self._leg(leg)
+            length = jnp.where(length > 0.0, length, 1.0)
+            path = put(path, now.accepted, _Path(leg, (now.t - start) / length, (t - start) / length))
+
         return _Now(
             t=pick(t, now.t),
             h=jnp.where(good, longer, jnp.where(halted, step, shorter)),
@@ -301,8 +279,8 @@ class AdaptiveSteps(Steps):
             evaluations=now.evaluations + found.evaluations,
             code=code,
             last=None if now.last is None else pick((now.t, now.y), now.last),
-            path=None if now.path is None else self._noted(now.path, now.accepted, leg, now.t, t),
-            # A step that is taken back leaves a row that a later one writes again.
+            # A step that is taken back leaves rows that a later one writes again.
+            path=path,
             every=None if now.every is None else put(now.every, now.accepted + 1, y),
             watched=watched,
         )
@@ -321,14 +299,6 @@ class AdaptiveSteps(Steps):
     def saved_times(self) -> jax.Array:
         return self.stops.ts[self.stops.place]
 
-    def too_long(self, h: float) -> tuple[str, str]:
-        cause = "however short the step: the solution grows without bound, or a rate stops being finite just after"
-        return cause, "stop before that time, or guard the expression"
-
-    def not_solved(self, h: float) -> tuple[str, str]:
-        cause = f"even in a step of {h:.3g} s: rates jump there, or are not smooth, or their derivatives are not finite"
-        return cause, "name times of jumps with jumps=..., or smooth the expression"
-
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         y = stepper.coordinates.enter(x)
         carry = stepper.method.begin(stepper.dynamics, y, stepper.rate(outcome.t, y, outcome.h))
@@ -338,21 +308,11 @@ class AdaptiveSteps(Steps):
 
     # ---- the path, to take the same steps again ------------------------------------------------------------------
 
-    def _empty_path(self) -> _Path:
-        number = jnp.zeros((), self.t0.dtype)
-        return rows(_Path(jnp.zeros((), int), number, number), self.bound)
-
     def _leg(self, leg: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Start and length of a leg."""
         limits = self.stops.limits
         start = jnp.where(leg == 0, self.t0, limits[jnp.maximum(leg - 1, 0)])
         return start, limits[leg] - start
-
-    def _noted(self, path: _Path, k: jax.Array, leg: jax.Array, begin: jax.Array, end: jax.Array) -> _Path:
-        """The path with step k, which a later try may write again."""
-        start, length = self._leg(leg)
-        length = jnp.where(length > 0.0, length, 1.0)
-        return put(path, k, _Path(leg, (begin - start) / length, (end - start) / length))
 
     def steps_of(self, path: _Path) -> Part:
         start, length = self._leg(path.leg)

@@ -15,8 +15,6 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays, not_compiled
 from .controls import OfTime, Signals, controls_of
 
-__all__ = ["Ambient", "Arguments", "read_arguments"]
-
 
 class Ambient:
     """A system's state and rates in numbers that a general ODE solver can add and scale.
@@ -35,7 +33,6 @@ class Ambient:
         if not isinstance(dynamics, Dynamics):
             raise not_compiled("ambient_term", dynamics)
         self.dynamics = dynamics
-        self.quaternion = quaternion
         self._numbers = {name: _numbers(group, quaternion) for name, group in dynamics.group.factors.items()}
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
@@ -72,10 +69,14 @@ def _numbers(group: Group, quaternion: bool) -> _Numbers:
             return _Numbers(quaternions.from_rotation, quaternions.to_rotation, _turned)
         return _Numbers(_same, _same, lambda y, velocity: so3.compose(y, so3.hat(velocity)))
     if isinstance(group, SpecialEuclidean):
-        linear_first = group.order.to_linear_first
+        twist = group.order.to_linear_first
         if quaternion:
-            return _Numbers(_from_pose, _to_pose, lambda y, velocity: _moved(y, linear_first(velocity)))
-        return _Numbers(_same, _same, lambda y, velocity: se3.compose(y, se3.hat(linear_first(velocity))))
+            return _Numbers(
+                lambda g: jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]]),
+                lambda y: se3.transform(quaternions.to_rotation(y[:4]), y[4:]),
+                lambda y, velocity: _moved(y, twist(velocity)),
+            )
+        return _Numbers(_same, _same, lambda y, velocity: se3.compose(y, se3.hat(twist(velocity))))
     raise ModelError(f"no plain numbers are known for states on {group.name}")
 
 
@@ -87,46 +88,30 @@ def _turned(q: jax.Array, velocity: jax.Array) -> jax.Array:
     return vector(quaternions.rate(unpack(q), unpack(velocity)))
 
 
-def _from_pose(g: jax.Array) -> jax.Array:
-    return jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]])
-
-
-def _to_pose(y: jax.Array) -> jax.Array:
-    return se3.transform(quaternions.to_rotation(y[:4]), y[4:])
-
-
 def _moved(y: jax.Array, twist: jax.Array) -> jax.Array:
-    """q' and p' = R(q) v."""
     return jnp.concatenate([_turned(y[:4], twist[3:]), so3.act(quaternions.to_rotation(y[:4]), twist[:3])])
 
 
 class Arguments(NamedTuple):
-    """What diffrax calls args, read as `integrate` reads u and params: what a step needs besides its length.
-
-    Attributes:
-        t: the time.
-        x: the state.
-        signals: the prepared controls.
-        params: the prepared parameters.
-    """
+    """What diffrax calls args, read as `integrate` reads u and params: what a step needs besides its length."""
 
     t: jax.Array
     x: Arrays
-    signals: Signals
-    params: Arrays
+    signals: Signals  # prepared
+    params: Arrays  # prepared
 
-    def rates(self, dynamics: Dynamics) -> Arrays:
-        """The rates there. A solver that picks its own steps has no step to look into: tables are read at t itself."""
-        now = self.signals.during(dynamics, self.t, jnp.zeros_like(self.t))(self.t)
+    def rates(self, dynamics: Dynamics, t: jax.Array | None = None, h: jax.Array | None = None) -> Arrays:
+        """The rates there, for controls within the step from t to t + h.
+
+        A solver that picks its own steps has no step to look into: without one tables are read at the time itself.
+        """
+        start, length = (self.t, jnp.zeros_like(self.t)) if t is None or h is None else (t, h)
+        now = self.signals.during(dynamics, start, length)(self.t)
         return dynamics._functions.vector_field(self.t, self.x, now, self.params)
 
 
 def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) -> Arguments:
-    """Time, state and args = (u, params), or None, checked and in one precision. Traceable.
-
-    Raises:
-        InputError: args of another form; the rest as a call of the dynamics does.
-    """
+    """Time, state and args = (u, params), or None, checked and in one precision. Traceable. Raises InputError."""
     if args is not None and not (isinstance(args, (tuple, list)) and len(args) == 2):
         raise InputError(f"args must be (u, params), both as tx.integrate takes them, or None; got {args!r}")
     u, params = (None, None) if args is None else args

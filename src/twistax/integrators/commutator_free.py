@@ -7,20 +7,15 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
 from ..errors import ModelError
-from ..groups.arrays import multiply
 from ..lowering import Dynamics
-from .charts import Exponential
-from .charts.coordinates import Blocks, StateCoordinates, coordinates_of
+from .charts import Blocks, Exponential, StateCoordinates, coordinates_of
 from .method import Method, VectorField
-from .tableau import ButcherTableau, Coefficients
-
-__all__ = ["CF4", "CommutatorFree", "CommutatorFreeTableau"]
+from .rkmk import stage_slopes
+from .tableaus import ButcherTableau, Coefficients, Rows
 
 #: Exponentials in the order in which they act, each the weights of the slopes in its exponent.
 Exponentials: TypeAlias = tuple[tuple[float, ...], ...]
@@ -65,11 +60,6 @@ class CommutatorFreeTableau(Coefficients):
         stages, step = self.weights(self.a).sum(axis=1), self.weights([self.b])[0].sum(axis=0)
         underlying = ButcherTableau(self.name, self.order, stages, step, stages.sum(axis=1))
         object.__setattr__(self, "underlying", underlying)
-
-    @property
-    def stages(self) -> int:
-        """s, the number of rows."""
-        return len(self.a)
 
     @property
     def c(self) -> Any:
@@ -146,28 +136,18 @@ class CommutatorFree(Method):
         return coordinates_of(Exponential(commutators=1), dynamics.group)
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """The stored state after one step of length h. Pure and traceable.
-
-        A loop over the stages as in `stage_slopes`; every stage has as many exponentials as the longest, some of zero.
-        """
+        # Every stage has as many exponentials as the longest, some of zero.
         local, tableau = self.coordinates(field.dynamics), self.tableau
 
-        start, read = ravel_pytree(self.rate(field, t, y))
-        count = len(tableau.a)
-        rows = jnp.zeros((count, start.size), start.dtype).at[0].set(start)
-
-        def reached(weights: jax.Array, rows: jax.Array) -> Blocks:
+        def reached(exponents: list[Blocks]) -> Blocks:
             point = y
-            for exponent in h * multiply(weights, rows):
-                point = local.move(point, read(exponent))
+            for exponent in exponents:
+                point = local.move(point, exponent)
             return point
 
-        def stage(rows: jax.Array, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-            number, weights, node = entry
-            found = self.rate(field, t + node * h, reached(weights, rows))
-            return rows.at[number].set(ravel_pytree(found)[0]), None
+        def slope(time: jax.Array, exponents: list[Blocks]) -> tuple[Blocks, None]:
+            return self.rate(field, time, reached(exponents)), None
 
-        a, c = jnp.asarray(tableau.weights(tableau.a[1:]), start.dtype), jnp.asarray(tableau.c[1:], start.dtype)
-        if count > 1:
-            rows, _ = jax.lax.scan(stage, rows, (jnp.arange(1, count), a, c))
-        return local.settle(reached(jnp.asarray(tableau.weights([tableau.b])[0], start.dtype), rows))
+        stages = Rows(tableau.weights(tableau.a), tableau.c)
+        slopes, _ = stage_slopes(stages, slope, self.rate(field, t, y), None, t, h)
+        return local.settle(reached(slopes.combine(tableau.weights([tableau.b])[0], h)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -14,9 +15,7 @@ from ..errors import InputError, ShapeError
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from ..lowering.inputs import read_values
-
-__all__ = ["ByName", "ZeroOrderHold", "FirstOrderHold", "OfTime", "Signals", "Table", "controls_of"]
+from ..lowering.inputs import is_finite, read_values
 
 #: Tables of more times are searched by halving.
 _SHORT = 64
@@ -46,14 +45,11 @@ class Table(ABC):
             raise ShapeError(
                 f"{name} expects values with a row for each of the {self.ts.shape[0]} times, got {self.values.shape}"
             )
-        if not is_traced(self.ts):
-            steps = np.diff(np.asarray(self.ts))
-            if not (steps > 0).all():
-                i = int(np.argmin(steps > 0))
-                raise InputError(f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} in row {i}")
+        if not is_traced(self.ts) and not (np.diff(np.asarray(self.ts)) > 0).all():
+            i = int(np.argmin(np.diff(np.asarray(self.ts)) > 0))
+            raise InputError(f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} in row {i}")
         for field in ("ts", "values"):
-            array = getattr(self, field)
-            if not is_traced(array) and not np.isfinite(np.asarray(array)).all():
+            if not is_finite(getattr(self, field)):
                 raise InputError(f"{name} has {field} that are not finite")
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -75,26 +71,27 @@ class Table(ABC):
     def jumps(self) -> jax.Array:
         """The times at which the value, or how it changes, jumps."""
 
-    @abstractmethod
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
-        """The value as a function of the times within the step from t to t + h."""
+        """The value as a function of the times within the step from t to t + h.
+
+        The table is read a hair nearer to the middle of the step: far less than a step, but more than round-off. So it
+        shows the side of a jump or a kink that the step lies on, however short the step.
+        """
+        middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
+        rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(h, float(jnp.finfo(t.dtype).tiny))
+        hair = jax.lax.stop_gradient(jnp.clip(rounding, float(np.sqrt(eps)), 1.0))
+        return lambda time: self._value(time, time + hair * (middle - time))
+
+    @abstractmethod
+    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
+        """The value at a time, read on the side of it where `inner` lies."""
 
     def _row(self, t: jax.Array) -> jax.Array:
-        """The last row whose time is not after t; -1 before the first."""
+        """The last row whose time is not after t, of those that begin a piece."""
         # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
         method = "compare_all" if self.ts.size <= _SHORT else "scan_unrolled"
-        return jnp.searchsorted(self.ts, t, side="right", method=method) - 1
-
-
-def _within(t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
-    """Times of the step from t to t + h, a hair nearer to its middle: far less than a step, but more than round-off.
-
-    A table read there shows the side of a jump or a kink that the step lies on, however short the step.
-    """
-    middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
-    rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(h, float(jnp.finfo(t.dtype).tiny))
-    hair = jax.lax.stop_gradient(jnp.clip(rounding, float(np.sqrt(eps)), 1.0))
-    return lambda time: time + hair * (middle - time)
+        row = jnp.searchsorted(self.ts, t, side="right", method=method) - 1
+        return jnp.clip(row, 0, self.ts.shape[0] - self.rows)
 
 
 class ZeroOrderHold(Table):
@@ -110,14 +107,8 @@ class ZeroOrderHold(Table):
     def jumps(self) -> jax.Array:
         return self.ts[1:]
 
-    def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
-        within = _within(t, h)
-
-        def value(time: jax.Array) -> jax.Array:
-            row = self._row(within(time))
-            return self.values[jnp.clip(row, 0, self.ts.shape[0] - 1)]
-
-        return value
+    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
+        return self.values[self._row(inner)]
 
 
 class FirstOrderHold(Table):
@@ -129,27 +120,21 @@ class FirstOrderHold(Table):
     def jumps(self) -> jax.Array:
         return self.ts
 
-    def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
-        within = _within(t, h)
-
-        def value(time: jax.Array) -> jax.Array:
-            inner = within(time)
-            row = jnp.clip(self._row(inner), 0, self.ts.shape[0] - 2)
-            start, end = self.ts[row], self.ts[row + 1]
-            # Not jnp.clip, whose derivative is halved where a step begins or ends with the table.
-            share = jnp.where(
-                inner < self.ts[0], 0.0, jnp.where(inner >= self.ts[-1], 1.0, (time - start) / (end - start))
-            )
-            return self.values[row] + share * (self.values[row + 1] - self.values[row])
-
-        return value
+    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
+        row = self._row(inner)
+        start, end = self.ts[row], self.ts[row + 1]
+        share = (time - start) / (end - start)
+        # Not jnp.clip, whose derivative is halved where a step begins or ends with the table.
+        share = jnp.where(inner < self.ts[0], 0.0, jnp.where(inner >= self.ts[-1], 1.0, share))
+        return self.values[row] + share * (self.values[row + 1] - self.values[row])
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
 class ByName:
-    """Controls by name, each an array that is held or a table. A pytree of its values."""
+    """Controls by name, each an array that is held or a table."""
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self.values = dict(values)
+    values: Mapping[str, Any]
 
     def sample(self, t: Any) -> Mapping[str, Any]:
         """A value of every control, to check names and shapes with."""
@@ -172,27 +157,25 @@ class ByName:
 
 
 class OfTime:
-    """Controls as a function of time. Arrays inside a function that is itself a pytree are traced inputs."""
+    """Controls as a function of time and of inputs. A pytree of the inputs, and of a function that is one itself."""
 
-    def __init__(self, function: Callable[[jax.Array], Mapping[str, Any]]) -> None:
-        self.function = function
+    #: No times that are known: whoever writes the function says where it jumps.
+    jumps: Sequence[jax.Array] = ()
+
+    def __init__(self, function: Callable[..., Mapping[str, Any]], inputs: Sequence[Any] = ()) -> None:
+        self.function, self.inputs = function, inputs
 
     def sample(self, t: Any) -> Mapping[str, Any]:
-        """The controls at the start. Raises InputError if the function does not return a dict."""
-        values = self.function(t)
+        """The controls at a time. Raises InputError if the function does not return a dict."""
+        values = self.function(t, *self.inputs)
         if not isinstance(values, Mapping):
             raise InputError(f"the function u must return a dict by control name, got {type(values).__name__}")
         return values
 
-    @property
-    def jumps(self) -> list[jax.Array]:
-        """None that are known: whoever writes the function says where it jumps."""
-        return []
-
     def opened(self, t: jax.Array) -> OfTime:
         """The same function, the traced values it closes over made inputs, so that derivatives find them."""
         function, inputs = jax.closure_convert(self.function, t)
-        return OfTime(_Opened(function, inputs)) if inputs else self
+        return OfTime(function, inputs) if inputs else self
 
     def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> OfTime:
         """Nothing to cast before the function is called."""
@@ -203,41 +186,20 @@ class OfTime:
         return lambda time: read_values("u(t)", dynamics.controls, self.sample(time), time.dtype)
 
 
-class _Opened:
-    """A function of time and of inputs that it used to close over. A pytree of these."""
+def _flattened(signal: OfTime) -> tuple[tuple[Any, ...], Any]:
+    plain = jax.tree_util.all_leaves([signal.function])
+    return (None if plain else signal.function, signal.inputs), signal.function if plain else None
 
-    def __init__(self, function: Callable[..., Mapping[str, Any]], inputs: Sequence[Any]) -> None:
-        self.function = function
-        self.inputs = list(inputs)
 
-    def __call__(self, t: jax.Array) -> Mapping[str, Any]:
-        return self.function(t, *self.inputs)
-
+jax.tree_util.register_pytree_node(
+    OfTime, _flattened, lambda plain, children: OfTime(children[0] if plain is None else plain, children[1])
+)
 
 Signals: TypeAlias = ByName | OfTime
 
 
-def _flatten_function(signal: OfTime) -> tuple[tuple[Any, ...], Any]:
-    if jax.tree_util.all_leaves([signal.function]):
-        return (), signal.function
-    return (signal.function,), None
-
-
-jax.tree_util.register_pytree_node(
-    _Opened, lambda o: (o.inputs, o.function), lambda function, inputs: _Opened(function, inputs)
-)
-jax.tree_util.register_pytree_node(ByName, lambda s: ((s.values,), None), lambda _, children: ByName(children[0]))
-jax.tree_util.register_pytree_node(
-    OfTime, _flatten_function, lambda function, children: OfTime(children[0] if children else function)
-)
-
-
 def controls_of(u: Any) -> Signals:
-    """The controls a user gave, in one of the two forms.
-
-    Raises:
-        InputError: neither a dict nor a function, or a dict with functions in it.
-    """
+    """The controls a user gave, in one of the two forms. Raises InputError for anything else."""
     if u is None:
         return ByName({})
     if isinstance(u, Mapping):
@@ -247,7 +209,7 @@ def controls_of(u: Any) -> Signals:
                     f"u[{name!r}] is a function.\n"
                     f"  fix: give one function of time for all controls, u=lambda t: {{{name!r}: ...}}, or a table"
                 )
-        return ByName(u)
+        return ByName(dict(u))
     if isinstance(u, Table):
         raise InputError(f"u must be a dict, got a bare {type(u).__name__}.\n  fix: u={{'name of the control': table}}")
     if callable(u):

@@ -1,4 +1,4 @@
-"""Conditions that end an integration where they become zero."""
+"""Conditions that end an integration where they become zero, and the bracketed root where they do."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_a
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts.coordinates import Blocks
+from .charts import Blocks
 from .controls import Signals
 from .method import Stepper
-
-__all__ = ["Event", "Watch", "Watched", "watch_of"]
+from .steps import Part, Result, Run, Saved, Trail, Watched, put
 
 #: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
 #: of the one at the other end of the step.
@@ -56,8 +55,7 @@ class Event:
             raise ModelError(
                 f"Event expects an expression or a function f(t, x, u, params), got {type(self.condition).__name__}"
             )
-        known = self.direction is None or isinstance(self.direction, bool) or self.direction in (1, -1)
-        if not known:
+        if not (isinstance(self.direction, bool) or self.direction in (None, 1, -1)):
             raise ModelError(
                 f"Event: direction must be None (any), True (rising) or False (falling), got {self.direction!r}"
             )
@@ -65,55 +63,30 @@ class Event:
     @property
     def sense(self) -> int:
         """1, -1, or 0 for both."""
-        if self.direction is None:
-            return 0
-        return 1 if self.direction == 1 else -1
-
-
-class _OfExpression:
-    """An expression as a condition. A value: equal where the expressions are."""
-
-    def __init__(self, expr: Expr) -> None:
-        (self._expr,) = canonicalize_all([expr])
-        self._key = self._expr.key()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OfExpression) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
-        inputs = Inputs(t, x, u, params, t.dtype)
-        (value,) = evaluate_all([self._expr], lambda leaf: leaf.read(inputs))
-        return value
-
-
-class Watched(NamedTuple):
-    """What a loop over steps knows of the conditions.
-
-    Attributes:
-        values: (m,) where the step begins; the last ones that were not NaN.
-        hits: (m,) whether each became zero in the last step tried.
-    """
-
-    values: jax.Array
-    hits: jax.Array
+        return 0 if self.direction is None else 1 if self.direction == 1 else -1
 
 
 @dataclasses.dataclass(frozen=True)
+class _OfExpression:
+    """An expression as a condition. A value: equal where the expressions are."""
+
+    key: Any
+    expr: Expr = dataclasses.field(compare=False)
+
+    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
+        inputs = Inputs(t, x, u, params, t.dtype)
+        (value,) = evaluate_all([self.expr], lambda leaf: leaf.read(inputs))
+        return value
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
 class Watch:
-    """The conditions of an integration. A pytree: functions and directions are structure.
+    """The conditions of an integration. A pytree: functions and directions are structure."""
 
-    Attributes:
-        functions: f(t, x, u, params, *inputs) each.
-        senses: 1, -1, or 0 for both, each.
-        inputs: traced values the functions used to close over, so that derivatives find them.
-    """
-
-    functions: tuple[Callable[..., Any], ...]
-    senses: tuple[int, ...]
-    inputs: Any
+    functions: tuple[Any, ...] = dataclasses.field(metadata={"static": True})  # f(t, x, u, params, *inputs) each
+    senses: tuple[int, ...] = dataclasses.field(metadata={"static": True})  # 1, -1, or 0 for both, each
+    inputs: Any  # traced values the functions used to close over, so that derivatives find them
 
     def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Blocks) -> jax.Array:
         """(m,) the conditions at a time and a stored state, within the step of length h from start."""
@@ -135,11 +108,7 @@ class Watch:
     def after(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: Any, last: Any
     ) -> Watched:
-        """At the end y of a step from t: values there, and which became zero on the way. Zero at the end counts.
-
-        Args:
-            first, last: whether this is the first or the last step.
-        """
+        """Values at the end y of a step from t, and which became zero on the way. Zero at the end counts."""
         now = self.values(stepper, t, h, t + h, y)
         hair = _HAIR * float(jnp.finfo(now.dtype).eps)
         sizes = jnp.abs(before.values), jnp.abs(now)
@@ -151,29 +120,27 @@ class Watch:
         return Watched(jnp.where(jnp.isnan(now), before.values, now), hits)
 
 
-jax.tree_util.register_pytree_node(
-    Watch, lambda w: ((w.inputs,), (w.functions, w.senses)), lambda structure, inputs: Watch(*structure, *inputs)
-)
-
-
 def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch, list[jax.Array]]:
-    """The conditions that `integrate` was given, and their values at the start.
-
-    Raises:
-        InputError: neither an event nor a sequence of events; a condition that does not return one number.
-        ModelError: an expression that reads what the system does not have.
-    """
+    """The conditions that `integrate` was given, and their values at the start. Raises InputError and ModelError."""
     events: Sequence[Any] = [event] if isinstance(event, Event) else event
     if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
         raise InputError(f"event expects tx.Event(condition), or a list of them, got {event!r}")
     now = signals.during(dynamics, start.t, jnp.zeros_like(start.t))(start.t)
     arguments = (start.t, dict(start.x), now, dict(start.params))
+    known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
     functions, inputs, values = [], [], []
     for number, own in enumerate(events):
         condition = own.condition
         if isinstance(condition, Expr):
-            _check_leaves(dynamics, condition)
-            condition = _OfExpression(condition)
+            for leaf in leaves_of(condition):
+                if isinstance(leaf, Leaf) and not isinstance(leaf, (Constant, Time)) and leaf.key() not in known:
+                    baked = " (a baked parameter is no input any more)" if isinstance(leaf, Parameter) else ""
+                    raise ModelError(
+                        f"the event {condition!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system "
+                        f"does not have{baked}"
+                    )
+            (expr,) = canonicalize_all([condition])
+            condition = _OfExpression(expr.key(), expr)
         value = condition(*arguments)
         if jnp.shape(value) != () or not jnp.issubdtype(jnp.result_type(value), jnp.floating):
             raise InputError(
@@ -192,14 +159,151 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
     return Watch(tuple(functions), tuple(e.sense for e in events), tuple(inputs)), values
 
 
-def _check_leaves(dynamics: Dynamics, expr: Expr) -> None:
-    """Everything that an expression reads must be there. Raises ModelError."""
-    known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
-    for leaf in leaves_of(expr):
-        if isinstance(leaf, (Constant, Time)) or not isinstance(leaf, Leaf) or leaf.key() in known:
-            continue
-        baked = " (a baked parameter is no input any more)" if isinstance(leaf, Parameter) else ""
-        raise ModelError(
-            f"the event {expr!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system does not "
-            f"have{baked}"
+# ---- where in its last step an integration meets an event, and what becomes of it then -----------------------------
+
+
+class Meeting(NamedTuple):
+    """Where an integration meets an event."""
+
+    met: jax.Array  # whether it does
+    which: jax.Array  # the number of the event; -1 for none
+    s: jax.Array  # how far into the step from where the loop halted; zero for none
+    t: jax.Array  # the start of that step
+    evaluations: jax.Array  # of the right-hand side, to find it
+
+
+def locate(stepper: Stepper, watch: Watch, run: Run) -> Meeting:
+    """The first root in the step that a loop halted before. Traceable, not differentiable."""
+    assert run.watched is not None  # a loop with conditions says what it saw
+    (values, hits), outcome = run.watched, run.outcome
+    t, h = outcome.t, outcome.h
+    met = outcome.code == Result.EVENT.value
+    finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
+
+    def root(_: None, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[None, tuple[jax.Array, jax.Array]]:
+        number, before, hit = entry
+
+        def value(s: jax.Array) -> jax.Array:
+            return watch.values(stepper, t, h, t + s, stepper.advance(t, run.end, s))[number]
+
+        return None, jax.lax.cond(
+            met & hit,
+            lambda: bracketed_root(value, jnp.zeros_like(h), h, before, finest),
+            lambda: (jnp.full_like(h, jnp.inf), jnp.zeros((), int)),
         )
+
+    _, (roots, tries) = jax.lax.scan(root, None, (jnp.arange(values.size), values, hits))
+    which = jnp.argmin(roots)
+    cost = (tries.sum() + met.astype(int)) * stepper.method.evaluations_of(stepper.dynamics)
+    return Meeting(met, jnp.where(met, which, -1), jnp.where(met, roots[which], 0.0), t, cost)
+
+
+def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Meeting) -> Meeting:
+    """The same meeting, whose root moves as the condition does with all inputs: by the implicit function theorem."""
+    which = jnp.maximum(meeting.which, 0)
+
+    def value(s: jax.Array) -> jax.Array:
+        values = watch.values(stepper, meeting.t, h, meeting.t + s, stepper.advance(meeting.t, y, s))
+        return jnp.where(meeting.met, values[which], s)
+
+    root = jax.lax.custom_root(
+        value,
+        jax.lax.stop_gradient(meeting.s),
+        lambda function, known: known,
+        lambda slope, change: change / slope(jnp.ones_like(change)),
+    )
+    return meeting._replace(s=root)
+
+
+def cut_at(stepper: Stepper, run: Run, meeting: Meeting) -> Run:
+    """A run that halted before a step, taken on to the event within it."""
+    met, s, outcome = meeting.met, meeting.s, run.outcome
+    moved = jax.lax.cond(met, lambda y: stepper.advance(meeting.t, y, s), lambda y: y, run.end)
+    one = met.astype(outcome.accepted.dtype)
+    t = jnp.where(met, meeting.t + s, outcome.t)
+    trail = run.trail
+    if trail is not None:
+        last = trail.steps + one
+        trail = Trail(trail.t.at[last].set(jnp.where(met, t, trail.t[last])), put(trail.y, last, moved), last)
+    evaluations = outcome.evaluations + meeting.evaluations
+    outcome = outcome._replace(t=t, tried=outcome.tried + one, accepted=outcome.accepted + one, evaluations=evaluations)
+    return run._replace(end=moved, outcome=outcome, trail=trail)
+
+
+def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, Part]:
+    """Saved times in the last step taken from its start, those after the event not reached; the run is as it halted."""
+    within = meeting.met & (ts > meeting.t) & (ts <= meeting.t + meeting.s)
+    reached = jnp.where(meeting.met, ts <= meeting.t + meeting.s, saved.reached)
+
+    def pick(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(within.reshape(within.shape + (1,) * new.ndim), new[None], old)
+
+    ys = jax.tree.map(pick, run.end, saved.y)
+    steps = pick(run.outcome.accepted, saved.steps)
+    h = jnp.where(within, ts - meeting.t, jnp.where(reached, parts.h, 0.0))
+    return Saved(steps, pick(meeting.t, saved.t), ys, reached), Part(pick(meeting.t, parts.t), h)
+
+
+# ---- the root -----------------------------------------------------------------------------------------------------
+
+#: More evaluations than halving a bracket down to the smallest number that matters would take.
+_MOST = 120
+
+
+class _Bracket(NamedTuple):
+    a: tuple[jax.Array, jax.Array]  # the last place tried, with its value
+    b: tuple[jax.Array, jax.Array]  # the other end of the bracket
+    c: tuple[jax.Array, jax.Array]  # the place before
+    share: jax.Array  # of the way to b, where to look next
+    tries: jax.Array
+
+
+def bracketed_root(
+    function: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax.Array, at_low: jax.Array, finest: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The root between low and high, to `finest`, and the number of evaluations. Traceable.
+
+    Halves the bracket, or interpolates where that is known to be safe. A zero counts as past the root, NaN
+    as before it, so of many zeros in a row the first is found. Where the signs at the two ends are the same,
+    because of round-off, the root is at the end with the smaller value; where at_low is zero it is low.
+
+    Source: Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
+    without using derivatives (1997).
+    """
+    past = -jnp.sign(at_low) * float(jnp.finfo(at_low.dtype).tiny)
+
+    def signed(x: jax.Array) -> jax.Array:
+        value = function(x)
+        return jnp.where(jnp.isnan(value), at_low, jnp.where(value == 0.0, past, value))
+
+    def unsolved(now: _Bracket) -> jax.Array:
+        apart = jnp.sign(now.a[1]) * jnp.sign(now.b[1]) < 0.0
+        return apart & (jnp.abs(now.b[0] - now.a[0]) > 2.0 * finest) & (now.tries < _MOST)
+
+    def narrow(now: _Bracket) -> _Bracket:
+        (a, fa), (b, fb) = now.a, now.b
+        x = a + now.share * (b - a)
+        fx = signed(x)
+        same = jnp.sign(fx) == jnp.sign(fa)
+        # What the new place replaces becomes the third one.
+        c, fc = jnp.where(same, a, b), jnp.where(same, fa, fb)
+        b, fb = jnp.where(same, b, a), jnp.where(same, fb, fa)
+        a, fa = x, fx
+        width = jnp.where(b == a, 1.0, jnp.abs(b - a))
+        xi, phi = (a - b) / _nonzero(c - b), (fa - fb) / _nonzero(fc - fb)
+        safe = (phi * phi < xi) & ((1.0 - phi) * (1.0 - phi) < 1.0 - xi)
+        quadratic = fa / _nonzero(fb - fa) * (fc / _nonzero(fb - fc)) + (c - a) / _nonzero(b - a) * (
+            fa / _nonzero(fc - fa)
+        ) * (fb / _nonzero(fc - fb))
+        edge = jnp.minimum(finest / width, 0.5)
+        share = jnp.clip(jnp.where(safe, quadratic, 0.5), edge, 1.0 - edge)
+        return _Bracket((a, fa), (b, fb), (c, fc), share, now.tries + 1)
+
+    half, none = jnp.full_like(low, 0.5), jnp.zeros((), int)
+    start = _Bracket((high, signed(high)), (low, at_low), (low, at_low), half, none)
+    end = jax.lax.while_loop(unsolved, narrow, start)
+    return jnp.where(jnp.abs(end.a[1]) < jnp.abs(end.b[1]), end.a[0], end.b[0]), end.tries + 1
+
+
+def _nonzero(a: jax.Array) -> jax.Array:
+    return jnp.where(a == 0.0, 1.0, a)

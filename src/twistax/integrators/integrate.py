@@ -25,18 +25,14 @@ from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
 from .controls import OfTime, controls_of
 from .events import watch_of
-from .failures import failure
-from .fixed import fixed_steps
 from .method import Method, Stepper
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
-from .solution import Dense, Result, Solution, Stats
+from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import Steps
+from .steps import Result, Steps, fixed_steps
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
-
-__all__ = ["integrate"]
 
 
 def integrate(
@@ -147,11 +143,7 @@ def integrate(
 
 
 def _check_start(dynamics: Dynamics, inputs: Inputs) -> None:
-    """Check what is known of the prepared start: everything finite, rotations and poses in their groups.
-
-    Raises:
-        InputError: names the value, and for a rotation how far off it is.
-    """
+    """What is known of the prepared start must be finite, rotations and poses in their groups. Raises InputError."""
     for kind, values in (("x0", inputs.x), ("u", inputs.u), ("params", inputs.params), ("t0", {"t0": inputs.t})):
         for name, value in values.items():
             if not is_finite(value):

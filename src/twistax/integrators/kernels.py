@@ -12,10 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from ..lowering.scalar.primitive import Derived, Repeated, call_program, repeat
-from .charts.coordinates import Blocks
+from .charts import Blocks
 from .method import Attempt, Carry, Stepper
-
-__all__ = ["KernelSteps", "advance_again", "kernel_steps", "kernel_tries"]
 
 Now = TypeVar("Now")
 
@@ -30,32 +28,20 @@ def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) 
     return stepper.dynamics._functions.steps.get(key, make)
 
 
-def _types(leaves: list[Any]) -> tuple[Any, ...]:
-    return tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-
-
-def _shapes(types: tuple[Any, ...]) -> list[jax.ShapeDtypeStruct]:
-    return [jax.ShapeDtypeStruct(*each) for each in types]
+def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:
+    return tuple(jax.ShapeDtypeStruct(jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
 
 
 class KernelSteps(NamedTuple):
-    """Equal steps of a method on a system, with inputs of some types, all in one call.
+    """Equal steps of a method on a system, with inputs of some types, all in one call."""
 
-    Attributes:
-        repeated: the step on flat arrays.
-        evaluations: of the right-hand side in a step.
-    """
-
-    repeated: Repeated
-    evaluations: int
+    repeated: Repeated  # the step on flat arrays
+    evaluations: int  # of the right-hand side in a step
 
     def run(
         self, stepper: Stepper, t0: jax.Array, h: jax.Array, first: jax.Array, stop: jax.Array, y: Blocks, carry: Carry
     ) -> tuple[Blocks, Carry, jax.Array]:
-        """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step.
-
-        Traceable, batched by vmap, not differentiable.
-        """
+        """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
         state, structure = jax.tree.flatten((y, carry))
         found, count = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
         y, carry = jax.tree.unflatten(structure, found)
@@ -74,10 +60,11 @@ def kernel_steps(
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
             k, (t0, h, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
-            attempts.append(stepper.in_arrays.follow(t0 + k.astype(t0.dtype) * h, y, carry, h))
+            t, own = t0 + k.astype(t0.dtype) * h, stepper.in_arrays
+            attempts.append(own.method.follow(own.field(t, h), t, y, carry, h))
             return jax.tree.leaves((attempts[-1].y, attempts[-1].carry))
 
-        repeated = stepper.dynamics.backend.repeated(step, _shapes(types), count)
+        repeated = stepper.dynamics.backend.repeated(step, types, count)
         # A step that solves equations may fail, which a kernel does not see.
         if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
             return None
@@ -90,14 +77,10 @@ def kernel_steps(
 def kernel_tries(
     one_try: Callable[[Any, Stepper, Now], tuple[Now, jax.Array]], given: Any, stepper: Stepper, now: Now
 ) -> Callable[[Now, jax.Array, jax.Array], Now] | None:
-    """A loop over now = one_try(given, stepper, now) in one kernel.
+    """A loop over now = one_try(given, stepper, now) in one kernel; its arguments are now, the first try and the stop.
 
-    Args:
-        one_try: also says whether another one follows. What it does depends on the structure of its inputs alone.
-        given: what stays the same.
-    Returns:
-        (now, first, stop) to the last `now`, after stop - first tries at most. Traceable, batched by vmap, not
-        differentiable. Whole numbers are carried as floating-point ones.
+    `one_try` also says whether another one follows; what it does depends on the structure of its inputs alone.
+    Traceable, batched by vmap, not differentiable. Whole numbers are carried as floating-point ones.
     """
     fixed, structure = jax.tree.flatten((given, stepper))
     state, form = jax.tree.flatten(now)
@@ -114,8 +97,8 @@ def kernel_tries(
         return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more]
 
     def make() -> Repeated | None:
-        shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *_shapes(types[: len(fixed)])]
-        shapes += [jax.ShapeDtypeStruct(shape, dtype) for shape, _ in types[len(fixed) :]]
+        shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *types[: len(fixed)]]
+        shapes += [jax.ShapeDtypeStruct(each.shape, dtype) for each in types[len(fixed) :]]
         return stepper.dynamics.backend.repeated(iteration, shapes, len(state))
 
     repeated: Repeated | None = _made(stepper, now, (kernel_tries, structure, form, types), make)
@@ -139,7 +122,7 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
         return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
 
     program: Derived | None = _made(
-        stepper, y, (advance_again, structure, types), lambda: stepper.dynamics.backend.step(step, _shapes(types))
+        stepper, y, (advance_again, structure, types), lambda: stepper.dynamics.backend.step(step, types)
     )
     if program is None:
         return stepper.advance(t, y, h)

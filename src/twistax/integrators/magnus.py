@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from math import sqrt
-from typing import cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,37 +14,14 @@ from ..errors import ModelError
 from ..groups import Euclidean, Group
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts import Exponential
-from .charts.coordinates import Blocks, StateCoordinates, coordinates_of
+from .charts import Blocks, Exponential, StateCoordinates, coordinates_of
 from .method import Method, VectorField
 from .rkmk import stage_slopes
-from .tableau import ButcherTableau
-from .tableaus import DOP853, RK4
+from .tableaus import DOP853, RK4, ButcherTableau
 
-__all__ = ["Magnus"]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Expansion:
-    """Omega with g(t + h) = g(t) Exp(Omega), from the velocities at the Gauss nodes of the step.
-
-    The formulas are those for Y' = A Y. Here g' = g A^, which is Y' = -A Y for Y = g^-1, so that Omega is minus the
-    Omega of -A: every bracket changes its sign.
-
-    Attributes:
-        count: how many nodes there are.
-        inner: the tableau that brings states without a group to the nodes if none is given.
-        omega: Omega from the velocities at the nodes, one a row, the length of the step and the group.
-    """
-
-    count: int
-    inner: ButcherTableau
-    omega: Callable[[jax.Array, jax.Array, Group], jax.Array]
-
-    @property
-    def nodes(self) -> np.ndarray:
-        """Those of Gauss and Legendre in [0, 1]."""
-        return 0.5 * (np.polynomial.legendre.leggauss(self.count)[0] + 1.0)
+# Omega with g(t + h) = g(t) Exp(Omega), from the velocities A at the Gauss nodes of the step, one a row. The formulas
+# are those for Y' = A Y. Here g' = g A^, which is Y' = -A Y for Y = g^-1, so that Omega is minus the Omega of -A: every
+# bracket changes its sign.
 
 
 def _fourth(A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
@@ -65,7 +41,8 @@ def _sixth(A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
     return first + third / 12.0 - outer / 240.0
 
 
-_EXPANSIONS = {4: _Expansion(2, RK4, _fourth), 6: _Expansion(3, DOP853, _sixth)}
+#: By order: how many nodes there are, Omega, and the tableau that brings states without a group to the nodes.
+_EXPANSIONS = {4: (2, _fourth, RK4), 6: (3, _sixth, DOP853)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,13 +66,13 @@ class Magnus(Method):
     """
 
     order: int = 4
-    inner: ButcherTableau | None = None
+    inner: Any = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.order, int) or self.order not in _EXPANSIONS:
             raise ModelError(f"Magnus expects order 4 or 6, got {self.order!r}")
         if self.inner is None:
-            object.__setattr__(self, "inner", _EXPANSIONS[self.order].inner)
+            object.__setattr__(self, "inner", _EXPANSIONS[self.order][2])
         if not isinstance(self.inner, ButcherTableau):
             raise ModelError(f"Magnus expects inner to be a tableau like tx.tableaus.RK4, got {self.inner!r}")
 
@@ -106,23 +83,20 @@ class Magnus(Method):
     @property
     def evaluations(self) -> int:
         """Those of a system whose velocities read no states without a group."""
-        return self._expansion.count
+        return _EXPANSIONS[self.order][0]
 
     def evaluations_of(self, dynamics: Dynamics) -> int:
         """Evaluations of the right-hand side in a step on a system."""
-        stages, flat = len(self._tableau.counted.c), _flat_names(dynamics)
+        stages, flat = len(self.inner.counted.c), _flat_names(dynamics)
         if _fed(dynamics):
             # The first stage of each part is the evaluation at the node.
-            return (self._expansion.count + 1) * stages
-        return self._expansion.count + (stages if flat else 0)
+            return (self.evaluations + 1) * stages
+        return self.evaluations + (stages if flat else 0)
 
     @property
-    def _expansion(self) -> _Expansion:
-        return _EXPANSIONS[self.order]
-
-    @property
-    def _tableau(self) -> ButcherTableau:
-        return cast(ButcherTableau, self.inner)
+    def _nodes(self) -> np.ndarray:
+        """Those of Gauss and Legendre in [0, 1]."""
+        return 0.5 * (np.polynomial.legendre.leggauss(_EXPANSIONS[self.order][0])[0] + 1.0)
 
     def check(self, dynamics: Dynamics) -> None:
         """Raises ModelError, which names the state, if a rate reads a rotation or a pose."""
@@ -140,7 +114,6 @@ class Magnus(Method):
         return coordinates_of(Exponential(), dynamics.group)
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """The stored state after one step of length h. Pure and traceable."""
         local = self.coordinates(field.dynamics)
         return local.settle(local.move(y, self._moves(field, t, y, h)))
 
@@ -167,12 +140,12 @@ class Magnus(Method):
             def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
                 return own.rate(rates(time, _sum(moved, z))), None
 
-            slopes, _ = stage_slopes(self._tableau.counted, slope, own.rate(found), None, start, length * h)
-            further = slopes.combine(self._tableau.b, length * h)
+            slopes, _ = stage_slopes(self.inner.counted, slope, own.rate(found), None, start, length * h)
+            further = slopes.combine(self.inner.b, length * h)
             return _sum(moved, further), {name: found[name] for name in found if name not in flat}
 
         moved = {name: jax.tree.map(jnp.zeros_like, y[name]) for name in flat}
-        starts = np.append(0.0, self._expansion.nodes)
+        starts = np.append(0.0, self._nodes)
         velocities: Arrays
         if _fed(dynamics):
             entries = tuple(jnp.asarray(a, h.dtype) for a in (starts, np.diff(starts, append=1.0)))
@@ -181,12 +154,12 @@ class Magnus(Method):
         else:
             velocities = jax.lax.map(
                 lambda share: {n: v for n, v in rates(t + share * h, moved).items() if n not in flat},
-                jnp.asarray(self._expansion.nodes, h.dtype),
+                jnp.asarray(self._nodes, h.dtype),
             )
             if flat:
                 moved, _ = part(moved, *jnp.asarray([0.0, 1.0], h.dtype))
-        groups = dynamics.group.factors
-        return moved | {n: local.parts[n].rate(self._expansion.omega(A, h, groups[n])) for n, A in velocities.items()}
+        groups, omega = dynamics.group.factors, _EXPANSIONS[self.order][1]
+        return moved | {n: local.parts[n].rate(omega(A, h, groups[n])) for n, A in velocities.items()}
 
 
 def _flat_names(dynamics: Dynamics) -> list[str]:

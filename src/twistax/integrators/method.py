@@ -13,11 +13,9 @@ import jax.numpy as jnp
 from ..errors import ModelError
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
-from .charts.coordinates import Blocks, StateCoordinates, StoredState
+from .charts import Blocks, StateCoordinates, StoredState, coordinates_of
 from .controls import Signals
 from .tolerances import Tolerances
-
-__all__ = ["Attempt", "Carry", "Method", "Stepper", "VectorField"]
 
 #: What a method carries from one step to the next, its own affair: a pytree of arrays of the state's precision.
 Carry: TypeAlias = Any
@@ -44,22 +42,15 @@ class VectorField(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """A step that may be taken back.
+    """A step that may be taken back."""
 
-    Attributes:
-        y: the stored state at its end.
-        carry: what the next step begins with.
-        errors: estimates of the error of the step, in the coordinates around its start; the first one of lowest order
-            but one, the second, where a method has two, of lowest order. None where steps are fixed.
-        evaluations: of the right-hand side, a number or an array.
-        solved: whether the equations of the step were solved; None where it has none.
-    """
-
-    y: Blocks
-    carry: Carry
+    y: Blocks  # the stored state at its end
+    carry: Carry  # what the next step begins with
+    #: Estimates of the error of the step, in the coordinates around its start; the first one of lowest order but one,
+    #: the second, where a method has two, of lowest order. None where steps are fixed.
     errors: tuple[Blocks, ...]
-    evaluations: Any
-    solved: jax.Array | None = None
+    evaluations: Any  # of the right-hand side, a number or an array
+    solved: jax.Array | None = None  # whether the equations of the step were solved; None where it has none
 
 
 class Method(ABC):
@@ -178,23 +169,40 @@ class Method(ABC):
         return stored.value(self.advance(field, t, stored.enter(x), h))
 
 
+class ChartMethod(Method):
+    """A method of a tableau in a chart, the attributes `tableau` and `chart` of a subclass."""
+
+    tableau: Any
+    chart: Any
+
+    @property
+    def name(self) -> str:
+        return f"{self.tableau.name}, {self.chart!r}"
+
+    @property
+    def order(self) -> int:
+        return int(self.tableau.order)
+
+    @property
+    def error_order(self) -> int:
+        return int(self.tableau.error_order)
+
+    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
+        return coordinates_of(self.chart, dynamics.group)
+
+
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Stepper:
-    """A method, a system and its inputs. A pytree: dynamics and method are structure, the rest are inputs.
+    """A method, a system and its inputs. A pytree: dynamics and method are structure, the rest are inputs."""
 
-    Attributes:
-        dynamics, method: what is integrated and how.
-        signals: the prepared controls.
-        params: the prepared parameters.
-        inward: whether rates see times just inside of a step in place of its ends, because they may jump there: a step
-            that ends at a jump must not see the other side.
-    """
-
-    dynamics: Dynamics
-    method: Method
-    signals: Signals
-    params: dict[str, Any]  # not `Arrays`: JAX rebuilds pytrees with stand-ins for arrays
-    inward: bool = False
+    dynamics: Dynamics = dataclasses.field(metadata={"static": True})
+    method: Method = dataclasses.field(metadata={"static": True})
+    signals: Signals  # the prepared controls
+    params: dict[str, Any]  # prepared; not `Arrays`: JAX rebuilds pytrees with stand-ins for arrays
+    #: Whether rates see times just inside of a step in place of its ends, because they may jump there: a step that ends
+    #: at a jump must not see the other side.
+    inward: bool = dataclasses.field(default=False, metadata={"static": True})
 
     @property
     def coordinates(self) -> StateCoordinates:
@@ -218,7 +226,11 @@ class Stepper:
             return VectorField(self.dynamics, during, self.params)
 
         def clock(time: jax.Array) -> jax.Array:
-            return _inside(time, t, h)
+            # A few units of round-off inside of the step where it is one of its ends.
+            small = 4.0 * jnp.finfo(time.dtype).eps
+            hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
+            first, last = t + hair, t + h - hair
+            return jnp.where(time < first, first, jnp.where(time > last, last, time))
 
         return VectorField(self.dynamics, lambda time: during(clock(time)), self.params, clock)
 
@@ -226,33 +238,10 @@ class Stepper:
         """The stored state after a step of length h."""
         return self.method.advance(self.field(t, h), t, y, h)
 
-    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
-        """A step of fixed length h after another one."""
-        return self.method.follow(self.field(t, h), t, y, carry, h)
-
     def rate(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The rate at the start of a step of about length h."""
         return self.method.rate(self.field(t, h), t, y)
 
-    def resume(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Carry:
-        """What a step of about length h begins with where rates may have jumped."""
-        return self.method.resume(self.field(t, h), t, y, carry)
-
     def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
         """A step of length h that may be taken back, with its error."""
         return self.method.attempt(self.field(t, h), t, y, carry, h, tolerances)
-
-
-jax.tree_util.register_pytree_node(
-    Stepper,
-    lambda s: ((s.signals, s.params), (s.dynamics, s.method, s.inward)),
-    lambda structure, inputs: Stepper(*structure[:2], *inputs, inward=structure[2]),
-)
-
-
-def _inside(time: jax.Array, t: jax.Array, h: jax.Array) -> jax.Array:
-    """The time, or a few units of round-off inside of the step from t to t + h where it is one of its ends."""
-    small = 4.0 * jnp.finfo(time.dtype).eps
-    hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
-    first, last = t + hair, t + h - hair
-    return jnp.where(time < first, first, jnp.where(time > last, last, time))

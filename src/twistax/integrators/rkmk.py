@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,22 +13,18 @@ from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
 from ..errors import ModelError
-from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import held, inside_small_call
-from .charts import Chart, Exponential
-from .charts.coordinates import Blocks, StateCoordinates, chart_of, coordinates_of
-from .method import Attempt, Carry, Method, VectorField
-from .tableau import ButcherTableau, Rows
+from .charts import Blocks, Chart, Exponential, chart_of
+from .method import Attempt, Carry, ChartMethod, VectorField
+from .tableaus import ButcherTableau, Rows
 from .tolerances import Tolerances
-
-__all__ = ["RKMK", "Slopes", "stage_slopes"]
 
 Aside = TypeVar("Aside")
 
 
 @dataclasses.dataclass(frozen=True)
-class RKMK(Method):
+class RKMK(ChartMethod):
     """The explicit Runge-Kutta-Munthe-Kaas method of a tableau in a chart.
 
     On states without a group it is the Runge-Kutta method. Methods are values: they are equal where tableaus and charts
@@ -56,23 +52,8 @@ class RKMK(Method):
         object.__setattr__(self, "chart", chart_of("RKMK", self.chart, default))
 
     @property
-    def name(self) -> str:
-        return f"{self.tableau.name}, {self.chart!r}"
-
-    @property
-    def order(self) -> int:
-        return self.tableau.order
-
-    @property
     def evaluations(self) -> int:
         return len(self.tableau.counted.c)
-
-    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        return coordinates_of(self.chart, dynamics.group)
-
-    @property
-    def error_order(self) -> int:
-        return self.tableau.error_order
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable.
@@ -140,18 +121,21 @@ class RKMK(Method):
 # ---- the stages of an explicit method: one loop for every tableau, on any pytree of slopes -------------------------
 
 
-class Slopes:
+class Slopes(NamedTuple):
     """The slopes of all stages, one a row, and how to read a row as the pytree it is."""
 
-    def __init__(self, rows: jax.Array, read: Callable[[jax.Array], Any]) -> None:
-        self.rows = rows
-        self.read = read
+    rows: jax.Array
+    read: Callable[[jax.Array], Any]
 
     def combine(self, weights: Any, h: jax.Array) -> Any:
-        """h sum_i weights[i] k_i over the stages there are; stages beyond the weights count zero."""
-        known = np.zeros(len(self.rows))
-        known[: len(weights)] = weights[: len(self.rows)]
-        return self.read(h * _combination(known, self.rows))
+        """h sum_i weights[i] k_i over the stages there are; stages beyond the weights count zero.
+
+        Of several rows of weights a list of combinations.
+        """
+        table = np.zeros((*np.shape(weights)[:-1], len(self.rows)))
+        known = np.asarray(weights)[..., : len(self.rows)]
+        table[..., : known.shape[-1]] = known
+        return _read(self.read, h * _combination(table, self.rows))
 
 
 def stage_slopes(
@@ -165,25 +149,27 @@ def stage_slopes(
     """k_1, k_2, ... with k_i = slope(t + c_i h, h sum_j a_ij k_j) and k_1 = first, by a loop over the stages.
 
     The loop is traced once whatever the tableau: a step of thirteen stages compiles as fast as one of four, and as one
-    small function it runs as fast as unrolled. Pure and traceable, and differentiable both ways.
-
-    Args:
-        stages: a and c of the stages to run, the first one included.
-        slope: gives the slope of a stage and, aside, what of the last stage the caller wants.
-        first, aside: both of the first stage.
-    Returns:
-        The slopes of all stages, and what the last one set aside.
+    small function it runs as fast as unrolled. Pure and traceable, and differentiable both ways. Where a has a list of
+    rows for every stage, slope is given the list of combinations. Slope also sets aside what of the last stage the
+    caller wants; `aside` is that of the first one.
     """
     start, read = ravel_pytree(first)
     a, c = (np.asarray(table) for table in stages)
     count = len(c)
     rows = jnp.zeros((count, start.size), start.dtype).at[0].set(start)
-    combination = _combinations(a, start.dtype)
+    # Inside a small function a branch for every stage, without the zeros of the tableau; elsewhere, where branches are
+    # slow, a row of weights.
+    branches = [lambda rows, own=own: _sum(own, rows) for own in a[1:]] if inside_small_call() else []
+    weights = None if branches else jnp.asarray(a, start.dtype)
 
     def stage(carried: tuple[jax.Array, Aside], entry: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
         rows, _ = carried
         number, node = entry
-        found, aside = slope(t + node * h, read(h * combination(number, rows)))
+        if weights is None:
+            reached = jax.lax.switch(number - 1, branches, rows)
+        else:
+            reached = _weighted(weights[number], rows)
+        found, aside = slope(t + node * h, _read(read, h * reached))
         k = ravel_pytree(found)[0]
         return (jax.lax.dynamic_update_index_in_dim(rows, k, number, 0, allow_negative_indices=False), aside), None
 
@@ -192,30 +178,23 @@ def stage_slopes(
     return Slopes(rows, read), aside
 
 
-def _combinations(a: NDArray[Any], dtype: Any) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """(i, rows) -> sum_j a_ij rows_j, i a traced number.
-
-    Inside a small function a branch for every i, without the zeros of the tableau; elsewhere, where branches are slow,
-    a row of weights.
-    """
-    if inside_small_call():
-        branches = [lambda rows, row=row: _sum(row, rows) for row in a[1:]]
-        return lambda number, rows: jax.lax.switch(number - 1, branches, rows)
-    weights = jnp.asarray(a, dtype)
-    return lambda number, rows: _weighted(weights[number], rows)
+def _read(read: Callable[[jax.Array], Any], combined: jax.Array) -> Any:
+    return read(combined) if combined.ndim == 1 else [read(row) for row in combined]
 
 
 def _combination(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
-    """weights @ rows for known weights; see `_combinations`."""
+    """weights @ rows for weights that are known."""
     return _sum(weights, rows) if inside_small_call() else _weighted(jnp.asarray(weights, rows.dtype), rows)
 
 
 def _sum(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
     """weights @ rows for weights that are known, term by term."""
+    if weights.ndim == 2:
+        return jnp.stack([_sum(own, rows) for own in weights])
     terms = [float(weights[j]) * rows[j] for j in np.flatnonzero(weights)]
     return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(rows[0])
 
 
 def _weighted(weights: jax.Array, rows: jax.Array) -> jax.Array:
     """weights @ rows as a sum: a product of matrices may call a library, or lose digits on an accelerator."""
-    return jnp.sum(weights[:, None] * rows, axis=0)
+    return jnp.sum(weights[..., None] * (rows if weights.ndim == 1 else rows[None]), axis=-2)

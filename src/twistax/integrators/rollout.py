@@ -3,53 +3,42 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from ..jax_inside import any_of_batch
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
-from .charts.coordinates import Blocks
-from .checkpointed import take_steps
-from .event_root import Meeting, cut_at, locate, refined, saved_before
+from .charts import Blocks
+from .events import Meeting, cut_at, locate, refined, saved_before
 from .kernels import advance_again
 from .method import Stepper
-from .solution import Result
-from .steps import Outcome, Part, Run, Saved, Steps, Trail, all_finite
-
-__all__ = ["Rollout", "rollout"]
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
 
 
 class Rollout(NamedTuple):
-    """Where the steps led.
+    """Where the steps led."""
 
-    Attributes:
-        xs: the states at the saved times, leading axis n, NaN where the steps did not come so far; without saved times
-            empty.
-        end: the state they reached.
-        reached: (n,) whether they came so far.
-        outcome: how they went, those of saved times included in the evaluations.
-        trail: the starts of all steps, where they are kept.
-        event: the number of the event that ended it, -1 for none; None where none is watched for.
-    """
-
+    #: The states at the saved times, leading axis n, NaN where the steps did not come so far; {} without saved times.
     xs: Arrays
-    end: Arrays
-    reached: jax.Array
-    outcome: Outcome
-    trail: Trail | None
-    event: jax.Array | None
+    end: Arrays  # the state they reached
+    reached: jax.Array  # (n,) whether they came so far
+    outcome: Outcome  # how they went, those of saved times included in the evaluations
+    trail: Trail | None  # where it is kept
+    event: jax.Array | None  # the number of the event that ended it, -1 for none; None where none is watched for
 
 
 @jax.jit
 def rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
-    """Take all steps from the state x.
+    """Take all steps from the state x, compiled as one small function where that is known to work.
 
-    The loop over steps is compiled as one small function where that is known to work. Its derivatives, of any order and
-    both ways, are those of the same steps taken again with bounded memory: lengths that were chosen by tolerances are
-    kept, as shares of the way between limits, so that derivatives with respect to all times are right.
+    Its derivatives, of any order and both ways, are those of the same steps taken again with bounded memory: lengths
+    that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
+    all times are right.
     """
     return _rollout(steps, stepper, x)
 
@@ -61,10 +50,7 @@ def _rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
 
 
 def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
-    """The same, all of it batched where one of the inputs is.
-
-    JAX expects the batch axes of a function in those of its derivative too, but looks at the function alone.
-    """
+    """The same, batched where one of the inputs is: JAX expects the batch axes of a function in its derivative too."""
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), found)
@@ -186,3 +172,78 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
         return jax.vmap(step)(jax.tree.map(lambda a: a[saved.steps], every), parts)
 
     return _to_saved_times(steps, stepper, x, run, meeting, advance_all)
+
+
+# ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------
+
+#: Steps in a block: what lies between is computed again on the way back, so that only states are kept.
+_BLOCK = 16
+#: Blocks are nested where there would be more of them than this.
+_NEST = 64
+
+
+def take_steps(
+    step: Callable[[Any, Any], Any], y: Any, each: Any, count: jax.Array, bound: int, record: bool
+) -> tuple[Any, Any]:
+    """y after the first `count` of the steps y -> step(y, each[k]), k = 0, 1, ..., bound - 1.
+
+    Traceable, and differentiable forward and in reverse to any order. On the way back only the states at the starts of
+    blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. What a step
+    closes over is copied for every block, so it should be small. Blocks beyond the count are passed over, also for a
+    whole batch at once under vmap. `record`: also return the values before each step, and after the last one, on a
+    leading axis of bound + 1; entries beyond the count repeat the end.
+    """
+
+    def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+        k, own = entry
+
+        def taken(y: Any) -> Any:
+            return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, own), y)
+
+        return jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y), y if record else None
+
+    def block_of(level: Any) -> Any:
+        """Runs of a level, computed again on the way back, and passed over where the count is reached."""
+
+        @jax.checkpoint
+        def run(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+            return jax.lax.scan(level, y, entries)
+
+        def block(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+            shapes = jax.eval_shape(run, y, entries)[1]
+            first = entries[0].reshape(-1)[0]
+
+            def passed(y: Any) -> tuple[Any, Any]:
+                return y, shapes and jax.tree.map(lambda a, like: jnp.broadcast_to(a, like.shape), y, shapes)
+
+            return jax.lax.cond(any_of_batch(first < count), lambda y: run(y, entries), passed, y)
+
+        return block
+
+    sizes = _sizes(bound)
+    span = math.prod(sizes)
+
+    def padded(a: jax.Array) -> jax.Array:
+        return jnp.concatenate([a, jnp.broadcast_to(a[-1], (span - len(a), *a.shape[1:]))])
+
+    entries = (jnp.arange(span), jax.tree.map(padded, each))
+    entries = jax.tree.map(lambda a: a.reshape(*sizes, *a.shape[1:]), entries)
+    level: Any = one
+    for _ in sizes[1:]:
+        level = block_of(level)
+    end, before = jax.lax.scan(level, y, entries)
+    if not record:
+        return end, None
+    steps = jax.tree.map(lambda a: a.reshape(span, *a.shape[len(sizes) :])[:bound], before)
+    return end, jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), steps, end)
+
+
+def _sizes(bound: int) -> list[int]:
+    """Sizes of the nested blocks, outermost first, whose product is at least the bound."""
+    if bound <= _BLOCK:
+        return [max(bound, 1)]
+    rest = math.ceil(bound / _BLOCK)
+    if rest <= _NEST:
+        return [rest, _BLOCK]
+    outer = math.ceil(math.sqrt(rest))
+    return [outer, math.ceil(rest / outer), _BLOCK]

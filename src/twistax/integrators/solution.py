@@ -1,52 +1,23 @@
-"""What an integration gives back: states, counts, how it ended, and the state at any time."""
+"""What an integration gives back: states, counts, the state at any time; or says, where it ended early."""
 
 from __future__ import annotations
 
 import dataclasses
-import enum
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, IntegrationError
+from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
-from .charts.coordinates import Blocks
+from ..lowering.inputs import is_finite
+from .charts import Blocks, Exponential, StateCoordinates
 from .method import Stepper
-from .steps import Trail
-
-__all__ = ["Dense", "Result", "Solution", "Stats"]
-
-
-class Result(enum.IntEnum):
-    """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
-
-    SUCCESS = 0
-    NON_FINITE = 1
-    MAX_STEPS = 2
-    STEP_TOO_SMALL = 3
-    NEWTON_FAILED = 4
-    EVENT = 5
-
-    @property
-    def sentence(self) -> str:
-        """What happened, in plain words."""
-        return _SENTENCES[self]
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.sentence}"
-
-
-_SENTENCES = {
-    Result.SUCCESS: "the end time was reached",
-    Result.NON_FINITE: "a state became infinite or NaN",
-    Result.MAX_STEPS: "the steps ran out before the end time",
-    Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
-    Result.NEWTON_FAILED: "the equations of an implicit step could not be solved",
-    Result.EVENT: "an event stopped it",
-}
+from .steps import Outcome, Result, Steps, Trail
 
 
 @jax.tree_util.register_dataclass
@@ -71,10 +42,8 @@ class Stats:
         return self.__dict__[name]
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Dense:
-    """The starts of all steps and what takes a step. A pytree.
+class Dense(NamedTuple):
+    """The starts of all steps and what takes a step.
 
     Between two of them the state is one shorter step of the same method, so it stays in its group and is as accurate as
     the others; an interpolating polynomial would cost order and leave the group.
@@ -82,23 +51,6 @@ class Dense:
 
     stepper: Stepper
     trail: Trail
-
-    def evaluate(self, t: Any) -> Arrays:
-        """The states at a time () or at times (n,), on a leading axis then; see `Solution.evaluate`."""
-        ts = jnp.asarray(t, self.trail.t.dtype)
-        if ts.ndim > 1:
-            raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
-        if not is_traced((ts, self.trail)):
-            known = np.asarray(self.trail.t)
-            start, end = float(known[0]), float(known[int(self.trail.steps)])
-            room = 1e-6 * (end - start)
-            times = np.asarray(ts).reshape(-1)
-            outside = ~((times >= start - room) & (times <= end + room))
-            if outside.any():
-                wrong = float(times[int(np.argmax(outside))])
-                raise InputError(f"evaluate expects times in [{start:g}, {end:g}], the integrated span, got {wrong:g}")
-        found = _states(self, ts.reshape(-1))
-        return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
 
 
 @jax.jit
@@ -153,10 +105,109 @@ class Solution:
         """
         if self.dense is None:
             raise InputError("this solution kept no dense output.\n  fix: tx.integrate(..., dense=True)")
-        return self.dense.evaluate(t)
+        trail = self.dense.trail
+        ts = jnp.asarray(t, trail.t.dtype)
+        if ts.ndim > 1:
+            raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
+        if not is_traced((ts, trail)):
+            start, end = float(trail.t[0]), float(trail.t[int(trail.steps)])
+            room, times = 1e-6 * (end - start), np.asarray(ts).reshape(-1)
+            outside = ~((times >= start - room) & (times <= end + room))
+            if outside.any():
+                wrong = float(times[int(np.argmax(outside))])
+                raise InputError(f"evaluate expects times in [{start:g}, {end:g}], the integrated span, got {wrong:g}")
+        found = _states(self.dense, ts.reshape(-1))
+        return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
 
     @property
     def result(self) -> Any:
         """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
         unknown = is_traced(self.code) or np.ndim(self.code) > 0
         return self.code if unknown else Result(int(self.code))
+
+
+# ---- what is said after an integration that ended early -----------------------------------------------------------
+
+#: A rotation by this in a step, in rad, is the likely cause of a failure: stages may rotate further than the start.
+_FAR = 2.0
+
+
+def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
+    """The error for an integration that ended early at the state x."""
+    result, t, h = Result(int(outcome.code)), float(outcome.t), float(outcome.h)
+    last = "last state"
+    if result is Result.NON_FINITE:
+        last = "last finite state"
+        what, cause, fix = _not_finite_end(stepper, steps, outcome, x)
+    elif result is Result.NEWTON_FAILED:
+        what = f"the equations of a step of {stepper.method.name} could not be solved at t = {t:.6g} s"
+        cause, fix = (said.format(h=h) for said in steps.not_solved)
+    else:
+        state = steps.worst(stepper, outcome, x)
+        blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
+        if result is Result.MAX_STEPS:
+            what = f"{int(outcome.tried)} steps ran out{blame}"
+            cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
+            fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
+        else:
+            what = f"no step is small enough for the tolerances{blame}"
+            cause = "a jump in the rates there, a singularity, or dtmin"
+            fix = "name times of jumps with jumps=..., or try looser tolerances"
+    sizes = ", ".join(f"|{name}| = {_largest(value):.3g}" for name, value in x.items())
+    return IntegrationError(
+        f"{what}.\n  likely cause: {cause}\n  {last}: {sizes} (largest entries)\n"
+        f"  fix: {fix}; throw=False keeps the solution up to here"
+    )
+
+
+def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> tuple[str, str, str]:
+    """What happened in the step from x whose end is not finite, the likely cause and what to do."""
+    t, h = outcome.t, outcome.h
+    field = stepper.field(t, h)
+    rates, moved = field(t, x), stepper.method.step(field, t, x, h)
+    # The end may be finite and the rate there not.
+    bad = _not_finite(moved) or list(moved)
+    names = ", ".join(map(repr, bad))
+    what = f"state {names} became infinite or NaN in the step from t = {float(t):.6g} s"
+    bad_controls = _not_finite(field.controls(t)) or _not_finite(field.controls(t + h))
+    if bad_controls:
+        cause = f"control {bad_controls[0]!r} is not finite there"
+        return what, cause, "look at u between the start and the end of this step"
+    # Of states so large that squares and cubes of them overflow, rates are not to blame.
+    huge = any(_largest(v) > float(jnp.finfo(v.dtype).max) ** 0.25 for v in x.values())
+    if _not_finite(rates) and not huge:
+        cause = f"the rate of {_not_finite(rates)[0]!r} is not finite there, e.g. a division by zero"
+        return what, cause, "guard the expression, or stop before that state"
+    turns = _turns(stepper, rates, h)
+    far = max((name for name in turns if name in bad), key=turns.__getitem__, default=None)
+    if far is not None and turns[far] > _FAR:
+        cause = (
+            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {float(h):.6g} s, too far for one step: "
+            "exponential coordinates hold half a turn as polynomials, a full one in closed form"
+        )
+        return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
+    cause, fix = (said.format(h=float(h)) for said in steps.too_long)
+    return what, cause, fix
+
+
+def _not_finite(values: Mapping[str, Any]) -> list[str]:
+    return [name for name, value in values.items() if not is_finite(value)]
+
+
+def _largest(value: Any) -> float:
+    return float(np.abs(np.asarray(value)).max())
+
+
+def _turns(stepper: Stepper, rates: Arrays, h: jax.Array) -> dict[str, float]:
+    """By how many rad each rotation and pose turns in a step, if its rate stays as it is; in exponential coordinates,
+    which alone do not hold any turn.
+    """
+    angular = {}
+    exponential = isinstance(getattr(stepper.method, "chart", Exponential()), Exponential)
+    if exponential and isinstance(stepper.stored, StateCoordinates):
+        for name, group in stepper.dynamics.group.factors.items():
+            if isinstance(group, SpecialOrthogonal):
+                angular[name] = rates[name]
+            elif isinstance(group, SpecialEuclidean):
+                angular[name] = group.order.split(rates[name])[1]
+    return {name: float(h) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}

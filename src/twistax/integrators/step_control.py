@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,27 +11,19 @@ import numpy as np
 
 from ..errors import ModelError
 from ..lowering.small_call import held
-from .charts.coordinates import Blocks
+from .charts import Blocks
 from .method import Stepper
 from .tolerances import Tolerances
-
-__all__ = ["Errors", "StepControl", "first_step"]
 
 #: Errors below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12
 
 
 class Errors(NamedTuple):
-    """Logarithms of the errors of the last accepted steps, in units of what is allowed: the last, the one before."""
+    """Logarithms of the errors of the last accepted steps, in units of what is allowed; zeros before the first step."""
 
     last: jax.Array
     before: jax.Array
-
-    @classmethod
-    def none(cls, dtype: Any) -> Errors:
-        """Before the first step: as if all steps had just been right."""
-        zero = jnp.zeros((), dtype)
-        return cls(zero, zero)
 
 
 @dataclasses.dataclass(frozen=True)

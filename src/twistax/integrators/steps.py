@@ -1,7 +1,9 @@
-"""How an integration goes from its start to its end: the steps, where saved times fall in them, and what loops need."""
+"""How an integration goes from its start to its end: what every loop over steps leaves behind; equal steps."""
 
 from __future__ import annotations
 
+import dataclasses
+import enum
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -14,91 +16,81 @@ from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
-from .charts.coordinates import Blocks
-from .events import Watched
-from .method import Stepper
+from ..lowering.small_call import small_call
+from .charts import Blocks
+from .kernels import kernel_steps
+from .method import Carry, Stepper
 
-__all__ = [
-    "Outcome",
-    "Part",
-    "Run",
-    "Saved",
-    "Steps",
-    "Trail",
-    "all_finite",
-    "check_saves",
-    "put",
-    "rows",
-    "span_of",
-]
+#: A saved time this close to a step, in steps, counts as on it: far more than round-off, far less than anyone means.
+_SNAP = 1e-9
+
+
+class Result(enum.IntEnum):
+    """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
+
+    SUCCESS = 0, "the end time was reached"
+    NON_FINITE = 1, "a state became infinite or NaN"
+    MAX_STEPS = 2, "the steps ran out before the end time"
+    STEP_TOO_SMALL = 3, "no step is small enough for the tolerances"
+    NEWTON_FAILED = 4, "the equations of an implicit step could not be solved"
+    EVENT = 5, "an event stopped it"
+
+    #: What happened, in plain words.
+    sentence: str
+
+    def __new__(cls, code: int, sentence: str = "") -> Result:
+        found = int.__new__(cls, code)
+        found._value_, found.sentence = code, sentence
+        return found
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.sentence}"
 
 
 class Outcome(NamedTuple):
-    """How the steps went: arrays of no dimension.
+    """How the steps went: arrays of no dimension."""
 
-    Attributes:
-        code: the number of the `Result`.
-        tried, accepted: steps.
-        evaluations: of the right-hand side, without those of saved times.
-        t: the time that was reached.
-        h: the length of a step there: after a failure of the one that failed, else of the next one to try.
-    """
-
-    code: jax.Array
-    tried: jax.Array
-    accepted: jax.Array
-    evaluations: jax.Array
-    t: jax.Array
-    h: jax.Array
+    code: jax.Array  # the number of the `Result`
+    tried: jax.Array  # steps
+    accepted: jax.Array  # steps
+    evaluations: jax.Array  # of the right-hand side, without those of saved times
+    t: jax.Array  # the time that was reached
+    h: jax.Array  # the length of a step there: after a failure of the one that failed, else of the next one to try
 
 
 class Trail(NamedTuple):
-    """The starts of all steps, and the end.
+    """The starts of all steps, and the end."""
 
-    Attributes:
-        t: (bound + 1,) their times; infinite beyond the end.
-        y: the stored states there.
-        steps: the number of steps.
-    """
-
-    t: jax.Array
-    y: Blocks
-    steps: jax.Array
+    t: jax.Array  # (bound + 1,) their times; infinite beyond the end
+    y: Blocks  # the stored states there
+    steps: jax.Array  # their number
 
 
 class Saved(NamedTuple):
-    """What a loop over steps leaves behind for the saved times, all with a leading axis n.
+    """What a loop over steps leaves behind for the saved times, all with a leading axis n."""
 
-    Attributes:
-        steps: the accepted steps before each.
-        t, y: time and stored state after that many steps.
-        reached: whether the loop came so far.
-    """
-
-    steps: jax.Array
-    t: jax.Array
+    steps: jax.Array  # the accepted steps before each
+    t: jax.Array  # time and stored state after that many steps
     y: Blocks
-    reached: jax.Array
+    reached: jax.Array  # whether the loop came so far
+
+
+class Watched(NamedTuple):
+    """What a loop over steps knows of the conditions."""
+
+    values: jax.Array  # (m,) where the step begins; the last ones that were not NaN
+    hits: jax.Array  # (m,) whether each became zero in the last step tried
 
 
 class Run(NamedTuple):
-    """What a loop over steps leaves behind.
+    """What a loop over steps leaves behind. It halts before the step with an event."""
 
-    Attributes:
-        end: the stored state it reached.
-        outcome: how the steps went.
-        saved: for the saved times; None where the end alone is asked for.
-        path: what is needed to take the same steps again, where it was asked for.
-        trail: the starts of all steps, where they are kept.
-        watched: what is known of the conditions, where there are any. A loop halts before the step with an event.
-    """
-
-    end: Blocks
+    end: Blocks  # the stored state it reached
     outcome: Outcome
-    saved: Saved | None
-    path: Any
-    trail: Trail | None
-    watched: Watched | None = None
+    saved: Saved | None  # None where the end alone is asked for
+    path: Any  # what is needed to take the same steps again, where it was asked for
+    trail: Trail | None  # where it is kept
+    watched: Watched | None = None  # what is known of the conditions, where there are any
 
 
 class Part(NamedTuple):
@@ -109,15 +101,14 @@ class Part(NamedTuple):
 
 
 class Steps(ABC):
-    """The loop over steps. A pytree: times and tolerances are inputs, rules and bounds are structure.
+    """The loop over steps. A pytree: times and tolerances are inputs, rules and bounds are structure."""
 
-    Attributes:
-        dense: whether the starts of all steps are kept.
-        watch: the conditions that end an integration; None where there are none.
-    """
-
-    dense: bool
-    watch: Any
+    dense: bool  # whether the starts of all steps are kept
+    watch: Any  # the `Watch`, the conditions that end an integration
+    #: Cause and fix, with the length h of the step: of an end that is not finite, where nothing else is known; of the
+    #: equations of an implicit step that could not be solved.
+    too_long: tuple[str, str]
+    not_solved: tuple[str, str]
 
     @property
     @abstractmethod
@@ -126,11 +117,7 @@ class Steps(ABC):
 
     @abstractmethod
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
-        """Take all steps. Traceable, not differentiable in reverse.
-
-        Args:
-            record: keep the path; the bound must be known.
-        """
+        """Take all steps; `record` keeps the path, for a known bound. Traceable, not differentiable in reverse."""
 
     @abstractmethod
     def steps_of(self, path: Any) -> Part:
@@ -138,23 +125,12 @@ class Steps(ABC):
 
     @abstractmethod
     def parts(self, path: Any, saved: Saved) -> Part:
-        """The parts of steps to all saved times, (n,), of length zero where a step ends; likewise.
-
-        Without a path they are as the loop left them.
-        """
+        """The parts of steps to all saved times, (n,), zero where a step ends; without a path as the loop left them."""
 
     @property
     @abstractmethod
     def saved_times(self) -> jax.Array:
         """(n,) the saved times; differentiable."""
-
-    @abstractmethod
-    def too_long(self, h: float) -> tuple[str, str]:
-        """Cause and fix of a step of length h whose end is not finite, where nothing else is known."""
-
-    @abstractmethod
-    def not_solved(self, h: float) -> tuple[str, str]:
-        """Cause and fix of an implicit step of length h whose equations could not be solved."""
 
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         """The state with the largest error in a step from the end; None where errors are not known."""
@@ -167,12 +143,160 @@ class Steps(ABC):
         return Trail(jnp.where(jnp.arange(ends.size) <= steps, ends, jnp.inf), every, steps)
 
 
-def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
-    """(t0, t1) as plain numbers, None where they are traced.
+class _Saves(NamedTuple):
+    """Saved times: each lies `share` of a step after grid point `index`."""
 
-    Raises:
-        InputError: a time or dt that is no finite number; t1 before t0; dt not positive.
-    """
+    ts: Any  # (n,) the times
+    index: Any  # (n,) whole steps before each
+    share: Any  # (n,) in [0, 1]
+
+
+class _Now(NamedTuple):
+    """What the loop carries."""
+
+    steps: jax.Array  # taken so far
+    y: Blocks
+    carry: Carry
+    evaluations: jax.Array
+    code: jax.Array  # the number of the result so far
+    every: Blocks | None  # the states so far if kept
+    watched: Watched | None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class FixedSteps(Steps):
+    """Equal steps from t0; the loop ends at the start of a step that fails."""
+
+    t0: Any
+    h: Any  # the length of a step
+    steps: Any  # their number
+    at: _Saves | None  # where the saved times fall, if there are any
+    #: The number of steps as structure, which derivatives and dense output need; else None.
+    most: int | None = dataclasses.field(metadata={"static": True})
+    dense: bool = dataclasses.field(metadata={"static": True})
+    watch: Any = None
+
+    too_long = (
+        "the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound",
+        "try a smaller dt",
+    )
+    not_solved = (
+        "rates change too much within the step of {h:.6g} s for Newton's method, or they jump",
+        "try a smaller dt, or steps chosen by tolerances: rtol=..., atol=...",
+    )
+
+    @property
+    def bound(self) -> int:
+        if self.most is None:
+            raise InputError(
+                "a derivative is asked for of an integration whose inputs look like plain numbers: does u close over a "
+                "traced value that it does not use at t0?\n  fix: pass that value through params or a table"
+            )
+        return self.most
+
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
+        stops = self.steps[None]
+        if self.at is not None:
+            stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
+        now, found = small_call(FixedSteps._all_steps, self, stepper, y, stops)
+        outcome = Outcome(now.code, now.steps, now.steps, now.evaluations, self._time(now.steps), self.h)
+        trail = None if now.every is None else self.trail(None, now.steps, now.every)
+        saved = None
+        if self.at is not None:
+            starts, reached = jax.tree.map(lambda a: a[:-1], found)
+            saved = Saved(self.at.index, self._time(self.at.index), starts, reached)
+        return Run(now.y, outcome, saved, None, trail, now.watched)
+
+    def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
+        """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
+        every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
+        none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
+        watched = None if self.watch is None else self.watch.begin(stepper, self.t0, self.h, y)
+        start = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
+        kernel = None
+        if every is None and watched is None:
+            kernel = kernel_steps(stepper, self.t0, self.h, none, y, carry)
+
+        def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
+            if kernel is None:
+                now = jax.lax.while_loop(
+                    lambda n: (n.steps < stop) & (n.code == Result.SUCCESS.value),
+                    lambda n: self._one_step(stepper, n),
+                    now,
+                )
+            else:
+                # A loop that halted already stays as it is.
+                stop = jnp.where(now.code == Result.SUCCESS.value, stop, now.steps)
+                y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
+                halted = steps < stop
+                tried = steps - now.steps + halted.astype(steps.dtype)
+                evaluations = now.evaluations + tried * kernel.evaluations
+                code = jnp.where(halted, Result.NON_FINITE.value, now.code)
+                now = _Now(steps, y, carry, evaluations, code, None, None)
+            return now, None if self.at is None else (now.y, now.code == Result.SUCCESS.value)
+
+        return jax.lax.scan(to_stop, start, stops)
+
+    def _one_step(self, stepper: Stepper, now: _Now) -> _Now:
+        """The next step; the state stays where it fails or meets an event."""
+        t = self._time(now.steps)
+        found = stepper.method.follow(stepper.field(t, self.h), t, now.y, now.carry, self.h)
+        good = all_finite(found.y)
+        code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
+        if found.solved is not None:
+            good = good & found.solved
+            code = jnp.where(found.solved, code, Result.NEWTON_FAILED.value)
+        watched = None
+        if now.watched is not None:
+            first, last = now.steps == 0, now.steps + 1 == self.steps
+            watched = self.watch.after(stepper, t, self.h, found.y, now.watched, first, last)
+            hit = good & watched.hits.any()
+            watched = watched._replace(values=jnp.where(hit, now.watched.values, watched.values))
+            code, good = jnp.where(hit, Result.EVENT.value, code), good & ~hit
+        kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
+        steps = now.steps + good.astype(now.steps.dtype)
+        every = None if now.every is None else put(now.every, steps, kept)
+        return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, watched)
+
+    def steps_of(self, path: None) -> Part:
+        k = jnp.arange(self.bound)
+        return Part(self._time(k), jnp.broadcast_to(self.h, k.shape))
+
+    def parts(self, path: None, saved: Saved) -> Part:
+        assert self.at is not None  # else there would be nothing saved
+        return Part(self._time(saved.steps), self.at.share * self.h)
+
+    @property
+    def saved_times(self) -> jax.Array:
+        assert self.at is not None  # else there would be nothing saved
+        return self.at.ts
+
+    def _time(self, k: jax.Array) -> jax.Array:
+        """The start of step k, computed afresh so that it does not drift."""
+        return self.t0 + k.astype(self.t0.dtype) * self.h
+
+
+def all_finite(tree: Any) -> jax.Array:
+    """Whether every entry is finite. One reduction: XLA would compute a chain of tests again at every reader."""
+    return jnp.isfinite(ravel_pytree(tree)[0]).all()
+
+
+def rows(like: Any, count: int) -> Any:
+    """Zeros with a leading axis in front of every leaf of a pytree."""
+    return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), like)
+
+
+def put(table: Any, row: Any, value: Any) -> Any:
+    """The table with one row of every leaf set."""
+    return jax.tree.map(lambda a, b: a.at[row].set(jnp.asarray(b, a.dtype)), table, value)
+
+
+# ---- what a user asked for ----------------------------------------------------------------------------------------
+
+
+def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
+    """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
     for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
         if value is not None and (np.shape(value) != () or not is_finite(value)):
             raise InputError(f"{name} must be a finite number, got {value!r}")
@@ -187,11 +311,7 @@ def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
 
 
 def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
-    """Check saved times as far as they are known; returns whether they are.
-
-    Raises:
-        InputError: not a vector of numbers, not sorted, or outside [t0, t1].
-    """
+    """Check saved times as far as they are known; returns whether they are. Raises InputError."""
     if np.ndim(save_at) != 1 or np.shape(save_at)[0] == 0:
         raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {np.shape(save_at)}")
     if span is None or is_traced(save_at):
@@ -210,19 +330,54 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
     return True
 
 
-def all_finite(tree: Any) -> jax.Array:
-    """Whether every entry of a pytree is finite. Traceable.
+def fixed_steps(
+    t0: Any, t1: Any, dt: Any, steps: Any, save_at: Any, dtype: Any, *, bounded: bool, dense: bool, watch: Any
+) -> FixedSteps:
+    """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
 
-    One reduction of all entries: XLA would compute a chain of scalar tests again at every place that reads the result.
+    `bounded`: their number is to be structure too. Raises InputError.
     """
-    return jnp.isfinite(ravel_pytree(tree)[0]).all()
+    if (dt is None) == (steps is None):
+        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
+    span = span_of(t0, t1, dt)
+    if steps is None:
+        if span is None or is_traced(dt):
+            raise InputError(
+                "t0, t1 or dt is traced (inside jit, grad or vmap), so the number of steps is not known.\n"
+                "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
+            )
+        length = span[1] - span[0]
+        steps = max(1, round(length / float(dt))) if length else 0
+    elif isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        raise InputError(f"steps must be a positive whole number, got {steps!r}")
+    start, end = jnp.asarray(t0, dtype), jnp.asarray(t1, dtype)
+    h = jnp.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
+    at = None
+    if save_at is not None:
+        known = check_saves(save_at, span)
+        at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
+    return FixedSteps(start, h, jnp.asarray(steps), at, steps if bounded or dense else None, dense, watch)
 
 
-def rows(like: Any, count: int) -> Any:
-    """Zeros with a leading axis in front of every leaf of a pytree."""
-    return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), like)
+def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> _Saves:
+    """Where known times fall on a grid of known times."""
+    times = np.asarray(save_at, float)
+    start, end = span
+    length = (end - start) / max(steps, 1) or 1.0
+    position = (times - start) / length
+    nearest = np.rint(position)
+    # What counts as on the grid allows for the precision the times came in.
+    eps = np.finfo(given).eps if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
+    slack = np.maximum(_SNAP, 4 * eps * np.maximum(np.abs(times), abs(start)) / length)
+    snapped = np.abs(position - nearest) <= slack
+    index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
+    share = np.where(snapped, 0.0, position - index)
+    return _Saves(jnp.asarray(times, dtype), jnp.asarray(index, int), jnp.asarray(share, dtype))
 
 
-def put(table: Any, row: Any, value: Any) -> Any:
-    """The table with one row of every leaf set."""
-    return jax.tree.map(lambda a, b: a.at[row].set(jnp.asarray(b, a.dtype)), table, value)
+def _traced_places(save_at: Any, start: jax.Array, h: jax.Array, steps: int) -> _Saves:
+    """The same where times are traced."""
+    ts = jnp.asarray(save_at, start.dtype)
+    place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
+    before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
+    return _Saves(ts, before.astype(int), place - before)

@@ -1,8 +1,15 @@
-"""Butcher tableaus of explicit methods, as data, by order."""
+"""Butcher tableaus of explicit methods: data that is checked when it is made; the tableaus themselves, by order."""
 
 from __future__ import annotations
 
-from .tableau import ButcherTableau, lower_triangle
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ModelError
 
 __all__ = [
     "ALL",
@@ -14,7 +21,162 @@ __all__ = [
     "HEUN",
     "RK4",
     "TSIT5",
+    "ButcherTableau",
 ]
+
+#: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
+_TOLERANCE = 1e-13
+
+
+class Coefficients:
+    """What the data of all methods share: a name, an order, numbers that are checked when it is made, and messages."""
+
+    name: str
+    order: int
+    c: Any
+    #: How messages call it.
+    kind = "tableau"
+
+    @property
+    def stages(self) -> int:
+        """How many there are, one for each node."""
+        return len(self.c)
+
+    def _read(self, field: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+        """Make a field a read-only array of finite doubles, of that shape if one is given."""
+        try:
+            array = np.array(getattr(self, field), dtype=np.float64)
+        except (TypeError, ValueError) as wrong:
+            raise self._error(f"{field} is not an array of numbers: {wrong}") from None
+        if not np.isfinite(array).all():
+            raise self._error(f"{field} has entries that are not finite")
+        if shape is not None and array.shape != shape:
+            raise self._error(f"{field} must have shape {shape}, got {array.shape}")
+        array.setflags(write=False)
+        object.__setattr__(self, field, array)
+        return array
+
+    def _check_order(self, field: str = "order") -> None:
+        order = getattr(self, field)
+        if isinstance(order, bool) or not isinstance(order, int) or order < 1:
+            raise self._error(f"{field} must be a positive whole number, got {order!r}")
+
+    def _error(self, sentence: str) -> ModelError:
+        return ModelError(f"{self.kind} {self.name!r}: {sentence}")
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name}, order {self.order}, {self.stages} stages)"
+
+
+class Rows(NamedTuple):
+    """Stages to run: a (n, n), strictly lower triangular, and c (n,)."""
+
+    a: Any
+    c: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ButcherTableau(Coefficients):
+    """The coefficients of an explicit Runge-Kutta method with s stages. Arrays are read-only.
+
+    For y' = f(t, y):  k_i = f(t + c_i h, y + h sum_j a_ij k_j),  y_1 = y + h sum_i b_i k_i.
+
+    Attributes:
+        name: how tables call it.
+        order: the order of convergence of the solution made with b.
+        a: (s, s), strictly lower triangular; rows sum to c.
+        b, c: (s,); b sums to 1.
+        embedded_order, b_embedded: for pairs, order and weights of the solution that estimates the error, else None.
+        second_embedded_order, b_second_embedded: a second such solution, of lower order, for methods that weigh two
+            estimates against each other.
+        counted: the stages up to the last one that b counts; later ones serve the embedded solutions or the next step.
+
+    Raises:
+        ModelError: a wrong shape, a value that is not finite, an implicit stage, or a sum that is off.
+
+    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.1.
+    """
+
+    name: str
+    order: int
+    a: Any
+    b: Any
+    c: Any
+    embedded_order: int | None = None
+    b_embedded: Any = None
+    second_embedded_order: int | None = None
+    b_second_embedded: Any = None
+    counted: Rows = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        b = self._read("b")
+        if b.ndim != 1 or not b.size:
+            raise self._error(f"b must be a vector, got shape {b.shape}")
+        s = b.size
+        self._read("a", (s, s))
+        self._read("c", (s,))
+        if np.triu(self.a).any():
+            row = int(np.argmax(np.triu(self.a).any(axis=1)))
+            raise self._error(f"row {row} of a has entries on or right of the diagonal: the method is not explicit")
+        off = np.abs(self.a.sum(axis=1) - self.c)
+        if off.max() > _TOLERANCE:
+            row = int(np.argmax(off))
+            raise self._error(f"row {row} of a sums to {self.a[row].sum():.16g}, but c[{row}] is {self.c[row]:.16g}")
+        self._check_solution("order", "b")
+        for order, weights in (("embedded_order", "b_embedded"), ("second_embedded_order", "b_second_embedded")):
+            if (getattr(self, order) is None) != (getattr(self, weights) is None):
+                raise self._error(f"a pair needs both {order} and {weights}")
+            if getattr(self, order) is not None:
+                self._check_solution(order, weights)
+        if self.b_second_embedded is not None and self.b_embedded is None:
+            raise self._error("a second embedded solution needs a first one")
+        n = int(np.flatnonzero(b)[-1]) + 1
+        object.__setattr__(self, "counted", Rows(self.a[:n, :n], self.c[:n]))
+
+    @property
+    def to_the_end(self) -> Rows:
+        """All stages, and as the last one the end of the step: the tableau's own where it has one, else one more."""
+        if self.b[-1] == 0.0 and np.array_equal(self.a[-1], self.b):
+            return Rows(self.a, self.c)
+        wider = np.pad(np.vstack([self.a, self.b]), ((0, 0), (0, 1)))
+        return Rows(wider, np.append(self.c, 1.0))
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether the method estimates its own error."""
+        return self.b_embedded is not None
+
+    @property
+    def error_order(self) -> int:
+        """The power of the step with which the estimated error of one step falls.
+
+        With two embedded solutions the estimate is e1^2 / sqrt(e1^2 + e2^2 / 100), as in the program DOP853.
+
+        Raises:
+            ModelError: the method has no embedded solution.
+        """
+        if self.embedded_order is None:
+            raise self._error("the method has no embedded solution, so it cannot choose its own steps")
+        if self.second_embedded_order is None:
+            return self.embedded_order + 1
+        return 2 * (self.embedded_order + 1) - (self.second_embedded_order + 1)
+
+    def _check_solution(self, order: str, weights: str) -> None:
+        self._check_order(order)
+        total = self._read(weights, self.b.shape).sum()
+        if abs(total - 1.0) > _TOLERANCE:
+            raise self._error(f"{weights} must sum to 1, it sums to {total:.16g}")
+
+
+def lower_triangle(rows: Sequence[Sequence[float | int]]) -> NDArray[Any]:
+    """The square matrix a of the rows below its first one: row i + 1 has entries 0 to i, and the rest is zero."""
+    a = np.zeros((len(rows) + 1, len(rows) + 1))
+    for i, row in enumerate(rows, start=1):
+        a[i, :i] = row
+    return a
+
+
+# ---- by order ------------------------------------------------------------------------------------------------------
 
 #: Euler's method.
 EULER = ButcherTableau("Euler", 1, a=[[0.0]], b=[1.0], c=[0.0])
@@ -37,27 +199,20 @@ BOGACKI_SHAMPINE3 = ButcherTableau(
 #: The classical method of Runge and Kutta.
 #: Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.1.
 RK4 = ButcherTableau(
-    "RK4",
-    4,
-    a=lower_triangle([[1 / 2], [0, 1 / 2], [0, 0, 1]]),
-    b=[1 / 6, 1 / 3, 1 / 3, 1 / 6],
-    c=[0, 1 / 2, 1 / 2, 1],
+    "RK4", 4, a=lower_triangle([[1 / 2], [0, 1 / 2], [0, 0, 1]]), b=[1 / 6, 1 / 3, 1 / 3, 1 / 6], c=[0, 1 / 2, 1 / 2, 1]
 )
 
+# fmt: off
 #: The pair 5(4) of Dormand and Prince; its last stage is the first of the next step.
 #: Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), table II.5.2.
 DORMAND_PRINCE5 = ButcherTableau(
     "Dormand-Prince 5(4)",
     5,
     a=lower_triangle(
-        [
-            [1 / 5],
-            [3 / 40, 9 / 40],
-            [44 / 45, -56 / 15, 32 / 9],
-            [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729],
-            [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656],
-            [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-        ]
+        [[1 / 5], [3 / 40, 9 / 40], [44 / 45, -56 / 15, 32 / 9],
+         [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729],
+         [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656],
+         [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84]]
     ),
     b=[35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84, 0],
     c=[0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1],
@@ -72,30 +227,19 @@ TSIT5 = ButcherTableau(
     "Tsitouras 5(4)",
     5,
     a=lower_triangle(
-        [
-            [0.161],
-            [-0.008480655492356989, 0.335480655492357],
-            [2.8971530571054935, -6.359448489975075, 4.3622954328695815],
-            [5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525],
-            [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383],
-            [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
-        ]
+        [[0.161], [-0.008480655492356989, 0.335480655492357],
+         [2.8971530571054935, -6.359448489975075, 4.3622954328695815],
+         [5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525],
+         [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383],
+         [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774]]
     ),
     b=[0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774, 0],
     c=[0, 0.161, 0.327, 0.9, 0.9800255409045097, 1, 1],
     embedded_order=4,
-    b_embedded=[
-        0.09468075576583945,
-        0.009183565540343254,
-        0.4877705284247616,
-        1.234297566930479,
-        -2.7077123499835256,
-        1.866628418170587,
-        0.015151515151515152,
-    ],
+    b_embedded=[0.09468075576583945, 0.009183565540343254, 0.4877705284247616, 1.234297566930479, -2.7077123499835256,
+                1.866628418170587, 0.015151515151515152],
 )
 
-# fmt: off
 #: DOP853: order 8 with estimates of order 5 and 3, the second of which keeps the first from being too hopeful.
 #: Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.5 and program DOP853,
 #: to double precision.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,28 +15,18 @@ from ..expr import State
 from ..groups import Euclidean, SpecialEuclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from .charts.coordinates import Blocks, StateCoordinates
-
-__all__ = ["Tolerances", "tolerances_of"]
+from .charts import Blocks, StateCoordinates
 
 #: No tolerance is finer than this many times the precision of the numbers.
 _FINEST = 10.0
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Tolerances:
-    """Allowed is atol + rtol * size, size the state's own or the scale it declares, but never less than round-off.
+class Tolerances(NamedTuple):
+    """Allowed is atol + rtol * size, size the state's own or the scale it declares, but never less than round-off."""
 
-    Attributes:
-        rtol: ().
-        atol: name -> () or (n,), in the order in which the state's deviations are held.
-        scale: name -> (n,), the sizes that states declare.
-    """
-
-    rtol: Any
-    atol: Any
-    scale: Any
+    rtol: Any  # ()
+    atol: Any  # name -> () or (n,), in the order in which the state's deviations are held
+    scale: Any  # name -> (n,), the sizes that states declare
 
     def scaled(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
         """The entries of a difference of coordinates, each in units of what is allowed: (dimension,)."""
@@ -75,31 +64,29 @@ def _flat(tree: Any) -> jax.Array:
 
 
 def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
-    """The tolerances a user gave, checked as far as they are known.
-
-    Raises:
-        InputError: rtol below 10 eps; an atol that is negative, of a wrong shape, or of no state.
-    """
+    """The tolerances a user gave, checked as far as they are known. Raises InputError."""
     if rtol is None:
         raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
     if np.shape(rtol) != ():
         raise InputError(f"rtol must be one number, got shape {np.shape(rtol)}; atol may be a dict by state")
+    relative = _numbers("rtol", rtol, dtype)
     finest = _FINEST * float(jnp.finfo(dtype).eps)
-    # Not >=, so that NaN is refused too.
-    if not is_traced(rtol) and not float(rtol) >= finest:
-        precise = (
-            'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double precision, '
-            "or give a larger rtol"
-            if np.dtype(dtype) == np.float32
-            else "give a larger rtol"
-        )
-        raise InputError(
-            f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
-            f"  fix: {precise}"
-        )
+    if not is_traced(rtol):
+        if not 0.0 <= float(rtol) < np.inf:
+            raise InputError(f"rtol must be a positive number, got {float(rtol):g}.\n  fix: e.g. rtol=1e-6")
+        if float(rtol) < finest:
+            precise = (
+                'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double '
+                "precision, or "
+            )
+            precise = precise if np.dtype(dtype) == np.float32 else ""
+            raise InputError(
+                f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
+                f"  fix: {precise}give a larger rtol"
+            )
     atol = rtol if atol is None else atol
-    given = dict(atol) if isinstance(atol, Mapping) else {state.name: atol for state in dynamics.states}
     names = [state.name for state in dynamics.states]
+    given = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
     for name in given:
         if name not in names:
             raise InputError(f"atol names {name!r}, which is no state; the states are: {', '.join(names)}")
@@ -107,39 +94,41 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
         if name not in given:
             raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
     return Tolerances(
-        jnp.asarray(rtol, dtype),
+        relative,
         {state.name: _absolute(state, given[state.name], dtype) for state in dynamics.states},
-        {state.name: _held(state, state.scale, dtype) for state in dynamics.states if state.scale is not None},
+        {s.name: _held(s, jnp.asarray(s.scale, dtype)) for s in dynamics.states if s.scale is not None},
     )
 
 
 def _absolute(state: State, value: Any, dtype: Any) -> jax.Array:
     """The allowed error of one state; a pair for a pose is (rotation, position)."""
-    is_pose = isinstance(state.group, SpecialEuclidean)
-    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2:
-        rotation, position = (jnp.asarray(part, dtype) for part in value)
-        if np.shape(rotation) == () and np.shape(position) == ():
-            found = jnp.stack([position] * 3 + [rotation] * 3)
-            return _positive(state, found)
-    array = jnp.asarray(value, dtype)
-    shape = state.group.shape if isinstance(state.group, Euclidean) else (state.group.dimension,)
-    if array.shape not in ((), shape):
-        pair = ", or the pair (rotation, position)" if is_pose else ""
-        raise InputError(
-            f"atol of state {state.name!r} expects a number or shape {shape}{pair}, got shape {array.shape}"
-        )
-    return _positive(state, _held(state, array, dtype) if array.shape else array)
-
-
-def _held(state: State, values: Any, dtype: Any) -> jax.Array:
-    """Values by tangent entry, in the order in which the state's deviations are held."""
-    array = jnp.asarray(values, dtype)
-    if isinstance(state.group, SpecialEuclidean):
-        return state.group.order.to_linear_first(array)
-    return array.reshape(-1)
-
-
-def _positive(state: State, array: jax.Array) -> jax.Array:
+    place, is_pose = f"atol of state {state.name!r}", isinstance(state.group, SpecialEuclidean)
+    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
+        rotation, position = (_numbers(place, part, dtype) for part in value)
+        array = jnp.stack([position] * 3 + [rotation] * 3)
+    else:
+        array = _numbers(place, value, dtype)
+        shape = state.group.shape if isinstance(state.group, Euclidean) else (state.group.dimension,)
+        if array.shape not in ((), shape):
+            pair = ", or the pair (rotation, position)" if is_pose else ""
+            raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
+        array = _held(state, array) if array.shape else array
+    # Not < 0, so that NaN is refused too.
     if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
-        raise InputError(f"atol of state {state.name!r} must not be negative, got {array}")
+        raise InputError(f"{place} must not be negative, got {array}")
     return array
+
+
+def _held(state: State, array: jax.Array) -> jax.Array:
+    """Values by tangent entry, in the order in which the state's deviations are held."""
+    return state.group.order.to_linear_first(array) if isinstance(state.group, SpecialEuclidean) else array.reshape(-1)
+
+
+def _numbers(place: str, value: Any, dtype: Any) -> jax.Array:
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise InputError(f"{place} expects numbers, got {value!r}")
+    return array.astype(dtype)

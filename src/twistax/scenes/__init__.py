@@ -4,6 +4,7 @@ Importing builds nothing: a scene's system is made and compiled when it is first
 """
 
 from .actuator_lag import ACTUATOR_LAG
+from .check_cases import TUMBLING_BRICK
 from .free_bodies import EULER_TOP, FAST_SPIN, SYMMETRIC_BODY
 from .heavy_top import HEAVY_TOP, LONG_HEAVY_TOP
 from .low_orbit import LOW_ORBIT, SPINNING_SATELLITE
@@ -13,7 +14,6 @@ from .scene import Scene
 from .spring_bodies import SPRING_BODIES
 from .stiff_attitude import STIFF_ATTITUDE
 from .stiff_joint import STIFF_JOINT
-from .tumbling_brick import TUMBLING_BRICK
 
 __all__ = ["SCENES", "Scene"]
 

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 import twistax as tx
 
-from .arrays import about, placed
-from .scene import Scene
-
-__all__ = ["ACTUATOR_LAG", "ARM", "INERTIA", "LAGS", "MASS", "scene", "system"]
+from .scene import Scene, about, newton_euler, placed, stored_end
 
 #: Mass, kg, principal moments of inertia, kg m2, and how far below the centre of mass the thrust acts, m.
 MASS, INERTIA, ARM = 2.0, (0.8, 1.0, 0.3), 0.5
@@ -35,15 +30,13 @@ def system() -> tx.System:
 
     thrust = F * tx.Concat(a, 1.0)
     wrench = tx.lie.wrench(force=thrust - 9.81 * MASS * n, torque=tx.linalg.Cross(np.array([0.0, 0.0, -ARM]), thrust))
-    # As ad*_V(M V), without the round-off of v x m v, which is zero.
-    M, spin = np.array([*3 * (MASS,), *INERTIA]), tx.lie.twist(linear=np.zeros(3), angular=w)
     F_c = 9.81 * MASS * (1.0 + 0.1 * tx.Cos(0.7 * t)) - 2.0 * v[2]
     swing = 0.02 * tx.Concat(tx.Sin(t), tx.Cos(2.0 * t))
     a_c = tx.Concat(0.15 * w[1] - 0.3 * n[0], -0.15 * w[0] - 0.3 * n[1]) + swing
     return tx.System(
         rates={
             g: V,
-            V: (wrench - tx.lie.AdjointDual(spin, M * V)) / M,
+            V: newton_euler(np.array([*3 * (MASS,), *INERTIA]), V, wrench),
             F: (F_c - F) / tau,
             a: (a_c - a) / tau,
         },
@@ -53,47 +46,6 @@ def system() -> tx.System:
 
 #: Values of tau for which the end is known, s.
 LAGS = (1e-4, 1e-5, 1e-6)
-# fmt: off
-#: As `python -m twistax.scenes.references actuator-lag` finds them, by tau.
-_ENDS: dict[float, dict[str, Any]] = {
-    1e-4: {
-        "g": [
-            [-0.7182022004329907, -0.6940959780042733, -0.04915661310039242, 4.059057751203069],
-            [0.6934610053399847, -0.719794059587599, 0.03175446197405552, -11.749458396419902],
-            [-0.05742328243898998, -0.011282069876374378, 0.998286172163692, 9.388643556358797],
-            [0.0, 0.0, 0.0, 1.0],
-        ],
-        "V": [-2.064714653956661, 1.2897687893469338, -0.8882551280846477, -0.1176724115423568, 0.0935360240733081,
-              0.4808286701919628],
-        "F": 19.55912305785895,
-        "a": [0.01207671842711979, 0.004250549595674939],
-    },
-    1e-5: {
-        "g": [
-            [-0.7182044703221406, -0.6940942104421494, -0.049148406281206605, 4.059758572535087],
-            [0.6934591190218211, -0.7197958600872009, 0.0317548428874473, -11.749760195583702],
-            [-0.05741767197277353, -0.011275940404950184, 0.9982865641253572, 9.389531323493651],
-            [0.0, 0.0, 0.0, 1.0],
-        ],
-        "V": [-2.064764855768933, 1.2897681932679677, -0.8882167236274707, -0.11766033477876497, 0.0935183595251376,
-              0.48082608436334184],
-        "F": 19.559099509476358,
-        "a": [0.012074351644132602, 0.004250051542199786],
-    },
-    1e-6: {
-        "g": [
-            [-0.7182046974219222, -0.6940940335557954, -0.04914758573248136, 4.059828653822395],
-            [0.6934589302614738, -0.719796040258484, 0.03175488102354128, -11.74979037205049],
-            [-0.0574171110532186, -0.01127532750979899, 0.9982866033098156, 9.38962009868934],
-            [0.0, 0.0, 0.0, 1.0],
-        ],
-        "V": [-2.064769876274757, 1.2897681346089327, -0.888212883619709, -0.1176591270738713, 0.09351659345177761,
-              0.48082582589154926],
-        "F": 19.559097155048175,
-        "a": [0.012074115002738809, 0.004250001711405589],
-    },
-}
-# fmt: on
 
 
 def scene(lag: float = 1e-5) -> Scene:
@@ -115,7 +67,7 @@ def scene(lag: float = 1e-5) -> Scene:
         },
         duration=5.0,
         params={"tau": lag},
-        reference=_ENDS.get(lag),
+        reference=stored_end("actuator-lag", tau=lag),
     )
 
 

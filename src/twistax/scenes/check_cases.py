@@ -13,6 +13,7 @@ Source of starts, bodies, forces and published values: Murri, Jackson and Shelto
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -20,9 +21,7 @@ import numpy as np
 import twistax as tx
 from twistax.mechanics.environment import atmosphere, earth, gravity
 
-from .arrays import placed
-
-__all__ = ["CASES", "DURATION", "Air", "CheckCase", "Published", "RateDamping", "system"]
+from .scene import Scene, newton_euler, placed, stored_end
 
 Vector = tuple[float, float, float]
 
@@ -35,18 +34,12 @@ DURATION = 30.0
 
 @dataclasses.dataclass(frozen=True)
 class RateDamping:
-    """Aerodynamic moments that damp the rates: -1/4 rho U S (b^2 p, c^2 q, b^2 r), U the speed through the air.
+    """Aerodynamic moments that damp the rates: -1/4 rho U S (b^2 p, c^2 q, b^2 r), U the speed through the air."""
 
-    Attributes:
-        area: S, m2.
-        span, chord: b and c, m.
-        frame_rate: rate about z, rad/s, of the axes relative to which p, q and r count: 0 for inertial axes, the
-            Earth's rate for Earth-fixed ones.
-    """
-
-    area: float
-    span: float
-    chord: float
+    area: float  # S, m2
+    span: float  # b, m
+    chord: float  # c, m
+    #: Rate about z, rad/s, of the axes relative to which p, q and r count: 0 for inertial ones.
     frame_rate: float = 0.0
 
     @property
@@ -58,39 +51,23 @@ class RateDamping:
 
 @dataclasses.dataclass(frozen=True)
 class Published:
-    """Where one published simulation ends, at 30 s.
+    """Where one published simulation ends, at 30 s."""
 
-    Attributes:
-        simulation: its number in the report.
-        rate: body rate with respect to inertial axes, rad/s.
-        euler: (roll, pitch, yaw) of the body relative to north, east, down, rad.
-        position: Earth-centred inertial, m; None where the simulation does not give it.
-    """
-
-    simulation: str
-    rate: Vector
-    euler: Vector
-    position: Vector | None = None
+    simulation: str  # its number in the report
+    rate: Vector  # of the body with respect to inertial axes, rad/s
+    euler: Vector  # (roll, pitch, yaw) of the body relative to north, east, down, rad
+    position: Vector | None = None  # Earth-centred inertial, m; None where the simulation does not give it
 
 
 @dataclasses.dataclass(frozen=True)
 class CheckCase:
-    """One check-case.
+    """One check-case."""
 
-    Attributes:
-        number, title: in the report.
-        mass: kg.
-        inertia: moments of inertia about the body axes, which are principal, kg m2.
-        rate: body rate at the start with respect to inertial axes, rad/s.
-        published: ends of the published simulations.
-        damping: the aerodynamic moments; none for None.
-    """
-
-    number: int
+    number: int  # in the report, as its title
     title: str
-    mass: float
-    inertia: Vector
-    rate: Vector
+    mass: float  # kg
+    inertia: Vector  # moments about the body axes, which are principal, kg m2
+    rate: Vector  # of the body at the start with respect to inertial axes, rad/s
     published: tuple[Published, ...]
     damping: RateDamping | None = None
 
@@ -99,10 +76,7 @@ class CheckCase:
         position = np.array([earth.WGS84.radius + 30_000.0 * FOOT, 0.0, 0.0])
         north_east_down = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
         velocity = np.cross([0.0, 0.0, earth.WGS84.rate], position)
-        return {
-            "g": placed(north_east_down, position),
-            "V": np.concatenate([north_east_down.T @ velocity, self.rate]),
-        }
+        return {"g": placed(north_east_down, position), "V": np.concatenate([north_east_down.T @ velocity, self.rate])}
 
     def parameters(self) -> dict[str, Any]:
         """The parameters of `system`."""
@@ -149,11 +123,8 @@ def system(air: Air = atmosphere.US1976) -> tx.System:
         torque=-density * airspeed * damping * (w - frame_rate * R[2]),
     )
     M = tx.Concat(m, m, m, J)
-    # ad*_V(M V) holds the moment v x m v. It is zero, but at 500 m/s its round-off is not, beside inertias this small.
-    # The twist [0; w] in its place gives the same without it.
-    spin = tx.lie.twist(linear=np.zeros(3), angular=w)
     return tx.System(
-        rates={g: V, V: (F - tx.lie.AdjointDual(spin, M * V)) / M},
+        rates={g: V, V: newton_euler(M, V, F)},
         outputs={
             "position": p,
             "velocity": velocity,
@@ -231,3 +202,28 @@ CASES = {
     ),
 }
 # fmt: on
+
+
+class Vacuum:
+    """No air, so that a case without damping does not compute any."""
+
+    def density(self, altitude: tx.Expr) -> tx.Expr:
+        """0 kg/m3 at every altitude."""
+        return tx.Constant(0.0)
+
+
+#: Case 2, without air.
+TUMBLING_BRICK = Scene(
+    name="tumbling-brick",
+    title="NASA tumbling brick",
+    summary=(
+        "A brick of 2.3 kg dropped from 9144 m over the equator tumbles for 30 s without air: an Euler top of a few "
+        "1e-3 kg m2 at 6.4e6 m from the origin, falling in J2 gravity."
+    ),
+    source="NASA/TM-2015-218675, atmospheric check-case 2",
+    build=functools.partial(system, Vacuum()),
+    start=CASES[2].start(),
+    params=CASES[2].parameters(),
+    duration=DURATION,
+    reference=stored_end("tumbling-brick"),
+)

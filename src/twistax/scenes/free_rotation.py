@@ -7,9 +7,7 @@ import functools
 
 import numpy as np
 
-from .arrays import Array, about
-
-__all__ = ["SymmetricBody", "TriaxialBody"]
+from .scene import Array, about
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -20,21 +18,22 @@ class SymmetricBody:
     start and s = (1 - axial / transverse) w3, and w(t) = Exp(-t s e3) w0. Angles are taken in the longest float NumPy
     has, so that many turns cost no digits: 64 bits of mantissa on x86, where 1e4 rad are known to 1e-15.
 
-    Attributes:
-        transverse, axial: moments of inertia, kg m2.
-        rotation: R0, (3, 3).
-        rate: w0, (3,), rad/s.
     Source: Landau and Lifshitz, Mechanics, section 33 (regular precession of a free symmetrical top).
     """
 
-    transverse: float
+    transverse: float  # moments of inertia, kg m2
     axial: float
-    rotation: Array
-    rate: Array
+    rotation: Array  # R0, (3, 3)
+    rate: Array  # w0, (3,), rad/s
+
+    @property
+    def inertia(self) -> Array:
+        """The principal moments, (3,)."""
+        return np.array([self.transverse, self.transverse, self.axial])
 
     def at(self, t: float) -> tuple[Array, Array]:
         """R (3, 3) and w (3,) at t in s."""
-        J = np.array([self.transverse, self.transverse, self.axial], np.longdouble)
+        J = self.inertia.astype(np.longdouble)
         w0, time = self.rate.astype(np.longdouble), np.longdouble(t)
         L = J * w0
         size = np.sqrt(L @ L)
@@ -59,17 +58,13 @@ class TriaxialBody:
     E the kinetic energy: the component along L of the velocity of axis a. Its integral is an elliptic integral of the
     third kind. Where L points in the body gives the rest of the attitude.
 
-    Attributes:
-        inertia: principal moments about the body axes, (3,), kg m2, all different.
-        rotation: R at t = 0, (3, 3).
-        rate: w at t = 0, (3,), rad/s; not a motion that tends to a spin about the middle axis.
     Source: Landau and Lifshitz, Mechanics, section 37, for w; the integral in Carlson's form, NIST Digital Library of
     Mathematical Functions, section 19.25.
     """
 
-    inertia: Array
-    rotation: Array
-    rate: Array
+    inertia: Array  # principal moments about the body axes, (3,), kg m2, all different
+    rotation: Array  # R at t = 0, (3, 3)
+    rate: Array  # w at t = 0, (3,), rad/s; not a motion that tends to a spin about the middle axis
 
     @functools.cached_property
     def _axes(self) -> Array:
@@ -113,10 +108,8 @@ class _Motion:
 
         a, b, c = J
         # L^2 - 2 E a and 2 E c - L^2, without their cancellation; both are negative where a > b > c.
-        above, below = (
-            b * (b - a) * w[1] ** 2 + c * (c - a) * w[2] ** 2,
-            a * (c - a) * w[0] ** 2 + b * (c - b) * w[1] ** 2,
-        )
+        above = b * (b - a) * w[1] ** 2 + c * (c - a) * w[2] ** 2
+        below = a * (c - a) * w[0] ** 2 + b * (c - b) * w[1] ** 2
         amplitudes = np.sqrt([below / (a * (c - a)), below / (b * (c - b)), above / (c * (c - a))])
         p = np.sign(c - a) * np.sqrt((c - b) * above / (a * b * c))
         m = (b - a) * below / ((c - b) * above)

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import Array, about
-
-__all__ = ["LagrangeTop"]
+from .scene import Array, about
 
 #: Samples of a period, at least and at most. The integrands are smooth and periodic, so that the rule's error falls as
 #: a power of their number; tops that all but pass through the vertical need many.
@@ -30,22 +28,16 @@ class LagrangeTop:
         phi' = sqrt(W / (2 J1) (c - a) (1 - m sin^2 phi)),   m = (b - a)/(c - a),
 
     so that time, precession and spin are integrals over phi of functions with period pi. All is in the longest float
-    NumPy has: where that has 64 bits of mantissa, the angle after 1e5 rad is
-    known to 1e-13.
+    NumPy has: where that has 64 bits of mantissa, the angle after 1e5 rad is known to 1e-13.
 
-    Attributes:
-        transverse, axial: J1 and J3, kg m2.
-        moment: W, N m.
-        rotation: R at t = 0, (3, 3), body to world, z up.
-        rate: w at t = 0, (3,), body axes, rad/s.
     Source: Landau and Lifshitz, Mechanics, section 35, problem 1.
     """
 
-    transverse: float
-    axial: float
-    moment: float
-    rotation: Array
-    rate: Array
+    transverse: float  # J1, kg m2
+    axial: float  # J3, kg m2
+    moment: float  # W, N m
+    rotation: Array  # R at t = 0, (3, 3), body to world, z up
+    rate: Array  # w at t = 0, (3,), body axes, rad/s
 
     def at(self, t: float) -> tuple[Array, Array]:
         """R (3, 3) and w (3,) at t in s."""
@@ -80,14 +72,8 @@ class LagrangeTop:
         n, _, w = self._start
         J, W, (vertical, axial) = np.longdouble(self.transverse), self.moment, self._momenta
         energy = J / 2 * (w[0] ** 2 + w[1] ** 2) + W * n[2]
-        cubic = np.array(
-            [
-                2 * W / J,
-                -2 * energy / J - (axial / J) ** 2,
-                -2 * W / J + 2 * vertical * axial / J**2,
-                2 * energy / J - (vertical / J) ** 2,
-            ]
-        )
+        cubic = np.array([2 * W, -2 * energy, -2 * W, 2 * energy]) / J
+        cubic[1:] += [-((axial / J) ** 2), 2 * vertical * axial / J**2, -((vertical / J) ** 2)]
         slope = cubic[:3] * [3, 2, 1]
         x = np.sort(np.roots(cubic.astype(float)).real).astype(np.longdouble)
         for _ in range(3):

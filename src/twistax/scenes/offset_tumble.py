@@ -9,11 +9,8 @@ import numpy as np
 import twistax as tx
 from twistax.mechanics import SpatialInertia
 
-from .arrays import about, placed
 from .free_rotation import TriaxialBody
-from .scene import Scene
-
-__all__ = ["CENTER", "INERTIA", "MASS", "OFFSET_TUMBLE", "system"]
+from .scene import Scene, about, placed, total_momentum
 
 #: Mass, kg.
 MASS = 2.0
@@ -34,21 +31,13 @@ def system() -> tx.System:
     """
     g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
     M = SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=0.5 * (INERTIA + INERTIA.T)).matrix
-    momentum = tx.lie.SE3AdjointDual(g) @ (M @ V)
     return tx.System(
         rates={g: V, V: tx.linalg.Solve(M, -tx.lie.AdjointDual(V, M @ V))},
-        outputs={
-            "energy": 0.5 * tx.linalg.Dot(V, M @ V),
-            "linear_momentum": tx.lie.linear(momentum),
-            "angular_momentum": tx.lie.angular(momentum),
-        },
+        outputs={"energy": 0.5 * tx.linalg.Dot(V, M @ V), **total_momentum([g], [M @ V])},
     )
 
 
-_START = {
-    "g": placed(about((1.0, 0.0, 0.0), 0.6), [1.0, -2.0, 0.5]),
-    "V": np.array([0.5, -1.0, 0.3, 2.0, 0.2, 1.5]),
-}
+_START = {"g": placed(about((1.0, 0.0, 0.0), 0.6), [1.0, -2.0, 0.5]), "V": np.array([0.5, -1.0, 0.3, 2.0, 0.2, 1.5])}
 _R0, _v0, _w0 = _START["g"][:3, :3], _START["V"][:3], _START["V"][3:]
 _TOP = TriaxialBody(_MOMENTS, _R0 @ _PRINCIPAL, _PRINCIPAL.T @ _w0)
 
@@ -59,10 +48,7 @@ def _exact(t: float) -> dict[str, Any]:
     center = _START["g"][:3, 3] + _R0 @ CENTER + velocity * t
     R, w = _TOP.at(t)
     R, w = R @ _PRINCIPAL.T, _PRINCIPAL @ w
-    return {
-        "g": placed(R, center - R @ CENTER),
-        "V": np.concatenate([R.T @ velocity - np.cross(w, CENTER), w]),
-    }
+    return {"g": placed(R, center - R @ CENTER), "V": np.concatenate([R.T @ velocity - np.cross(w, CENTER), w])}
 
 
 OFFSET_TUMBLE = Scene(

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 import twistax as tx
 
-__all__ = ["G0", "Limit", "Start", "Vehicle", "guess", "limits", "problem", "system"]
-
 #: Standard gravity as rounded in this case, m/s2; also turns specific impulse into exhaust speed.
 G0 = 9.81
 
@@ -30,44 +28,30 @@ Vector = tuple[float, float, float]
 class Vehicle:
     """The stage and what it must not exceed."""
 
-    #: mass at the start and without propellant, kg
-    mass: float = 30_000.0
-    dry_mass: float = 22_000.0
-    #: principal moments of inertia about the centre of mass, kg m2
-    inertia: Vector = (4e6, 4e6, 1e5)
-    #: where the thrust acts, in body axes from the centre of mass, m
-    engine: Vector = (0.0, 0.0, -14.0)
-    #: thrust, N; the engine cannot be shut down
-    min_thrust: float = 320e3
-    max_thrust: float = 800e3
-    #: specific impulse, s
-    specific_impulse: float = 282.0
-    #: angle between the thrust and the body's z axis, rad
-    max_gimbal: float = np.deg2rad(10.0)
-    #: angle between the body's z axis and the vertical, rad
-    max_tilt: float = np.deg2rad(80.0)
-    #: size of the angular velocity, rad/s
-    max_rate: float = np.deg2rad(60.0)
-    #: half opening of the approach cone over the pad, from the vertical, rad
-    glide_slope: float = np.deg2rad(70.0)
-    #: limits of the flight time, s
-    flight_time: tuple[float, float] = (8.0, 20.0)
+    mass: float = 30_000.0  # at the start, kg
+    dry_mass: float = 22_000.0  # without propellant, kg
+    inertia: Vector = (4e6, 4e6, 1e5)  # principal moments about the centre of mass, kg m2
+    engine: Vector = (0.0, 0.0, -14.0)  # where the thrust acts, in body axes from the centre of mass, m
+    min_thrust: float = 320e3  # N; the engine cannot be shut down
+    max_thrust: float = 800e3  # N
+    specific_impulse: float = 282.0  # s
+    max_gimbal: float = np.deg2rad(10.0)  # angle between the thrust and the body's z axis, rad
+    max_tilt: float = np.deg2rad(80.0)  # angle between the body's z axis and the vertical, rad
+    max_rate: float = np.deg2rad(60.0)  # size of the angular velocity, rad/s
+    glide_slope: float = np.deg2rad(70.0)  # half opening of the approach cone over the pad, from the vertical, rad
+    flight_time: tuple[float, float] = (8.0, 20.0)  # its limits, s
 
 
 @dataclasses.dataclass(frozen=True)
 class Start:
     """Where the descent begins."""
 
-    #: height above the pad and horizontal offset from it (x, y), m
-    height: float = 900.0
-    offset: tuple[float, float] = (400.0, 150.0)
-    #: velocity in the world frame, m/s
-    velocity: Vector = (-60.0, -20.0, -100.0)
-    #: the body is turned from upright by this angle, rad, about this world axis
-    tilt: float = np.deg2rad(60.0)
-    tilt_axis: Vector = (-0.2, -1.0, 0.0)
-    #: angular velocity about the same axis, back towards upright, rad/s
-    righting: float = np.deg2rad(4.6)
+    height: float = 900.0  # above the pad, m
+    offset: tuple[float, float] = (400.0, 150.0)  # horizontal, from the pad, (x, y), m
+    velocity: Vector = (-60.0, -20.0, -100.0)  # in the world frame, m/s
+    tilt: float = np.deg2rad(60.0)  # the body is turned from upright by this angle, rad,
+    tilt_axis: Vector = (-0.2, -1.0, 0.0)  # about this world axis
+    righting: float = np.deg2rad(4.6)  # angular velocity about the same axis, back towards upright, rad/s
 
     @property
     def axis(self) -> Array:
@@ -82,25 +66,18 @@ class Start:
 
 @dataclasses.dataclass(frozen=True)
 class Limit:
-    """One limit of the flight, on an output of the system.
+    """One limit of the flight, on an output of the system."""
 
-    Attributes:
-        name: what a reader calls it.
-        output: the output it concerns.
-        bound: the value allowed; `sign` +1 for an upper limit, -1 for a lower one.
-        unit, factor: unit in words, and how many of them a unit of the output is.
-        slack: how far, in `unit`, a flight may exceed it between nodes and still count: 1 %, or 0.5 m on the cone.
-    """
-
-    name: str
+    name: str  # what a reader calls it
     output: str
-    bound: float
-    sign: float
-    unit: str
-    factor: float
+    bound: float  # the value allowed, in the output's unit
+    sign: float  # +1 for an upper limit, -1 for a lower one
+    unit: str  # of what readers see
+    factor: float  # how many of them a unit of the output is
 
     @property
     def slack(self) -> float:
+        """How far, in `unit`, a flight may exceed it between nodes and still count: 1 %, or 0.5 m on the cone."""
         return float(0.01 * abs(self.bound) * self.factor or 0.5)
 
     @property

@@ -2,37 +2,27 @@
 
     python -m twistax.scenes.references [SCENE ...]
 
-prints them, and how far two step sizes are apart. Nothing here uses the package's expressions or integrators: the
-equations are NumPy, solved by extrapolation of the modified midpoint rule (Gragg, Bulirsch, Stoer; Hairer, Norsett,
-Wanner, Solving Ordinary Differential Equations I, section II.9), stiff ones by `collocation`, in NumPy's longest float.
-On x86 that is 64 bits of mantissa, 1e-19; elsewhere it may be a double, and the last digits differ.
+prints them as `ends.json` stores them, and how far two step sizes are apart. Nothing here uses the package's
+expressions or integrators: the equations are NumPy, solved by extrapolation of the modified midpoint rule (Gragg,
+Bulirsch, Stoer; Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.9), stiff ones by
+collocation, in NumPy's longest float. On x86 that is 64 bits of mantissa, 1e-19; elsewhere it may be a double, and
+the last digits differ.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from . import (
-    actuator_lag,
-    heavy_top,
-    low_orbit,
-    rocket,
-    spring_bodies,
-    stiff_attitude,
-    stiff_joint,
-    tumbling_brick,
-)
-from .arrays import Array, about, cross_matrix
-from .collocation import collocated
-from .scene import Scene
-
-__all__ = ["REFERENCES", "Reference", "extrapolated", "main"]
+from ..mechanics.environment import gravity
+from . import actuator_lag, check_cases, heavy_top, low_orbit, rocket, spring_bodies, stiff_attitude, stiff_joint
+from .scene import Array, Scene, about, cross_matrix
 
 Values = Mapping[str, Array]
 
@@ -55,6 +45,12 @@ def _moved(g: Array, V: Array) -> Array:
     return rate
 
 
+def _body(g: Array, V: Array, m: Any, J: Array, force: Array, torque: Array) -> tuple[Array, Array]:
+    """The rates of a pose and a twist about the centre of mass, under a force (3,) and a torque (3,) in body axes."""
+    v, w = V[:3], V[3:]
+    return _moved(g, V), np.concatenate([force / m - _cross(w, v), (torque - _cross(w, J * w)) / J])
+
+
 def _heavy_top(t: Any, y: Values, params: Values) -> dict[str, Array]:
     J, R, w = np.array(heavy_top.INERTIA), y["R"], y["w"]
     # The weight acts at a lever arm along the axis: MOMENT e_z x (-R' e_z).
@@ -72,12 +68,9 @@ def _rocket(t: Any, y: Values, params: Values) -> dict[str, Array]:
     roll = 0.05 - 0.05 * w[0]
     pitch = 0.5 * lift - 0.3 * w[1] + 0.02 * v[2]
     yaw = -0.5 * side - 0.3 * w[2] - 0.02 * v[1]
-    torque = np.array([roll, pitch, yaw]) - _cross(w, m * k * w) - rocket.MASS_FLOW * k * w
-    return {
-        "g": _moved(y["g"], y["V"]),
-        "V": np.concatenate([force / m - _cross(w, v), torque / (m * k)]),
-        "m": np.asarray(rocket.MASS_FLOW),
-    }
+    torque = np.array([roll, pitch, yaw]) - rocket.MASS_FLOW * k * w
+    g, V = _body(y["g"], y["V"], m, m * k, force, torque)
+    return {"g": g, "V": V, "m": np.asarray(rocket.MASS_FLOW)}
 
 
 def _gravity(p: Array, gm: float, radius: float, j2: float) -> Array:
@@ -88,20 +81,13 @@ def _gravity(p: Array, gm: float, radius: float, j2: float) -> Array:
     return -gm / r**3 * (p + 1.5 * j2 * (radius / r) ** 2 * pull * p)
 
 
-def _orbit(inertia: Sequence[float]) -> Callable[[Any, Values, Values], dict[str, Array]]:
-    def rates(t: Any, y: Values, params: Values) -> dict[str, Array]:
-        J, earth, w, p = np.array(inertia), low_orbit.EARTH, y["w"], y["p"]
-        r = np.sqrt(p @ p)
-        down = -(y["R"].T @ p) / r
-        torque = 3 * earth.gm / r**3 * _cross(down, J * down)
-        return {
-            "R": y["R"] @ cross_matrix(w),
-            "w": (torque - _cross(w, J * w)) / J,
-            "p": y["v"],
-            "v": _gravity(p, earth.gm, earth.radius, earth.j2),
-        }
-
-    return rates
+def _orbit(inertia: Sequence[float], t: Any, y: Values, params: Values) -> dict[str, Array]:
+    J, earth, w, p = np.array(inertia), low_orbit.EARTH, y["w"], y["p"]
+    r = np.sqrt(p @ p)
+    down = -(y["R"].T @ p) / r
+    w_rate = (3 * earth.gm / r**3 * _cross(down, J * down) - _cross(w, J * w)) / J
+    v_rate = _gravity(p, earth.gm, earth.radius, earth.j2)
+    return {"R": y["R"] @ cross_matrix(w), "w": w_rate, "p": y["v"], "v": v_rate}
 
 
 def _spring_bodies(t: Any, y: Values, params: Values) -> dict[str, Array]:
@@ -120,18 +106,14 @@ def _spring_bodies(t: Any, y: Values, params: Values) -> dict[str, Array]:
     for i, pull in enumerate(pulls):
         g, V = y[f"g{i + 1}"], y[f"V{i + 1}"]
         m, J = spring_bodies.MASSES[i % 3], np.array(spring_bodies.MOMENTS[i % 3])
-        v, w = V[:3], V[3:]
-        linear = g[:3, :3].T @ pull[:3] / m - _cross(w, v)
-        found[f"g{i + 1}"] = _moved(g, V)
-        found[f"V{i + 1}"] = np.concatenate([linear, (pull[3:] - _cross(w, J * w)) / J])
+        found[f"g{i + 1}"], found[f"V{i + 1}"] = _body(g, V, m, J, g[:3, :3].T @ pull[:3], pull[3:])
     return found
 
 
 def _tumbling_brick(t: Any, y: Values, params: Values) -> dict[str, Array]:
-    earth, J = tumbling_brick.EARTH, params["inertia"]
-    g, v, w = y["g"], y["V"][:3], y["V"][3:]
+    earth, g = gravity.EARTH_J2, y["g"]
     fall = g[:3, :3].T @ _gravity(g[:3, 3], earth.gm, earth.radius, earth.j2)
-    return {"g": _moved(g, y["V"]), "V": np.concatenate([fall - _cross(w, v), -_cross(w, J * w) / J])}
+    return dict(zip(("g", "V"), _body(g, y["V"], 1, params["inertia"], fall, np.zeros(3))))
 
 
 def _stiff_attitude(t: Any, y: Values, params: Values) -> dict[str, Array]:
@@ -147,16 +129,12 @@ def _actuator_lag(t: Any, y: Values, params: Values) -> dict[str, Array]:
     v, w, F, a = y["V"][:3], y["V"][3:], y["F"], y["a"]
     m, J, n = actuator_lag.MASS, np.array(actuator_lag.INERTIA), y["g"][2, :3]
     side = F * a
-    force = np.array([side[0], side[1], F]) - 9.81 * m * n - m * _cross(w, v)
-    torque = actuator_lag.ARM * np.array([side[1], -side[0], 0 * F]) - _cross(w, J * w)
+    force = np.array([side[0], side[1], F]) - 9.81 * m * n
+    torque = actuator_lag.ARM * np.array([side[1], -side[0], 0 * F])
+    g, V = _body(y["g"], y["V"], m, J, force, torque)
     command = 9.81 * m * (1 + 0.1 * np.cos(0.7 * t)) - 2 * v[2]
     gimbals = [-0.3 * n[0] + 0.15 * w[1] + 0.02 * np.sin(t), -0.3 * n[1] - 0.15 * w[0] + 0.02 * np.cos(2 * t)]
-    return {
-        "g": _moved(y["g"], y["V"]),
-        "V": np.concatenate([force / m, torque / J]),
-        "F": (command - F) / params["tau"],
-        "a": (np.array(gimbals) - a) / params["tau"],
-    }
+    return {"g": g, "V": V, "F": (command - F) / params["tau"], "a": (np.array(gimbals) - a) / params["tau"]}
 
 
 def _stiff_joint(t: Any, y: Values, params: Values) -> dict[str, Array]:
@@ -169,27 +147,18 @@ def _stiff_joint(t: Any, y: Values, params: Values) -> dict[str, Array]:
     for i, force in enumerate((pull, -pull)):
         g, V, m, J = y[f"g{i + 1}"], y[f"V{i + 1}"], stiff_joint.MASSES[i], np.array(stiff_joint.MOMENTS[i])
         torque = g[:3, :3].T @ _cross((places[0] + places[1]) / 2 - g[:3, 3], force)
-        linear = g[:3, :3].T @ force / m - _cross(V[3:], V[:3])
-        found[f"g{i + 1}"] = _moved(g, V)
-        found[f"V{i + 1}"] = np.concatenate([linear, (torque - _cross(V[3:], J * V[3:])) / J])
+        found[f"g{i + 1}"], found[f"V{i + 1}"] = _body(g, V, m, J, g[:3, :3].T @ force, torque)
     return found
 
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """How the end of a scene is found.
+    """How the end of a scene is found."""
 
-    Attributes:
-        scenes: the scene, once for each set of numbers for which the end is stored.
-        rates: rates of the states as plain numbers, from (t, states, parameters).
-        steps: that suffice.
-        fastest: of a stiff scene the rate of the fastest transient, 1/s, from the parameters; else None.
-    """
-
-    scenes: tuple[Scene, ...]
-    rates: Callable[[Any, Values, Values], dict[str, Array]]
-    steps: int
-    fastest: Callable[[Values], float] | None = None
+    scenes: tuple[Scene, ...]  # once for each set of numbers for which the end is stored
+    rates: Callable[[Any, Values, Values], dict[str, Array]]  # of the states, from (t, states, parameters)
+    steps: int  # that suffice
+    fastest: Callable[[Values], float] | None = None  # of a stiff scene, from parameters: its fastest rate, 1/s
 
     def end(self, scene: Scene, steps: int | None = None) -> dict[str, Array]:
         """The end of one of the scenes, in extended precision."""
@@ -218,10 +187,12 @@ class Reference:
 REFERENCES = {
     "heavy-top": Reference((heavy_top.HEAVY_TOP,), _heavy_top, 300),
     "rocket": Reference((rocket.ROCKET,), _rocket, 100),
-    "low-orbit": Reference((low_orbit.LOW_ORBIT,), _orbit(low_orbit.INERTIA), 100),
-    "spinning-satellite": Reference((low_orbit.SPINNING_SATELLITE,), _orbit(low_orbit.SPINNING_INERTIA), 24_000),
+    "low-orbit": Reference((low_orbit.LOW_ORBIT,), functools.partial(_orbit, low_orbit.INERTIA), 100),
+    "spinning-satellite": Reference(
+        (low_orbit.SPINNING_SATELLITE,), functools.partial(_orbit, low_orbit.SPINNING_INERTIA), 24_000
+    ),
     "spring-bodies": Reference((spring_bodies.SPRING_BODIES,), _spring_bodies, 150),
-    "tumbling-brick": Reference((tumbling_brick.TUMBLING_BRICK,), _tumbling_brick, 100),
+    "tumbling-brick": Reference((check_cases.TUMBLING_BRICK,), _tumbling_brick, 100),
     "stiff-attitude": Reference(
         tuple(map(stiff_attitude.scene, stiff_attitude.RATES)), _stiff_attitude, 100, lambda params: float(params["k"])
     ),
@@ -260,18 +231,105 @@ def _extrapolated_step(rate: Callable[[Any, Array], Array], t: Any, y: Array, h:
     return y + row[-1]
 
 
-def _print(scene: Scene, steps: int, coarse: Values, fine: Values) -> None:
-    """Print the end of a scene as Python, and how far those of two step sizes are apart."""
-    apart = max(float(np.max(np.abs(fine[s] - coarse[s]) / max(1.0, float(np.max(np.abs(fine[s])))))) for s in fine)
-    values = ", ".join(f"{name} = {value:g}" for name, value in scene.params.items() if value.shape == ())
-    which = f"{scene.name}, {values}" if values else scene.name
-    print(f"# {which}: {steps} and {3 * steps // 2} steps are {apart:.1e} apart")
-    for state, value in fine.items():
-        print(f'    "{state}": np.array({value.astype(float).tolist()}),')
+# ---- stiff equations: Radau IIA of nine stages, order 17 -----------------------------------------------------------
+# Stages and what they must satisfy are in extended precision; Newton's corrections, which only have to be roughly
+# right, are solved for in doubles. Source: Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5
+# and IV.8.
+
+_STAGES = 9
+_ROUNDS = 40  # of Newton's method; it gains two or more digits in each
+_GROWTH = 1.3  # a step over the one before while a transient dies away
+
+
+def collocated(rate: Callable[[Any, Array], Array], y0: Array, duration: float, steps: int, fastest: float) -> Array:
+    """y(duration) of y' = rate(t, y), in the precision of y0.
+
+    Args:
+        steps: how many there would be without the short ones at the start.
+        fastest: rate of the fastest transient, 1/s. The first step is a tenth of its time.
+    Raises:
+        ArithmeticError: Newton's method does not converge.
+    """
+    y, t = y0, y0.dtype.type(0)
+    for h in _lengths(y0.dtype.type(duration), steps, fastest):
+        y, t = _step(rate, t, y, h), t + h
+    return y
+
+
+def _lengths(duration: Any, steps: int, fastest: float) -> Iterator[Any]:
+    """Lengths of steps from a tenth of the fastest time up to duration / steps, and equal ones from there."""
+    longest, left = duration / steps, duration
+    h = min(longest, duration.dtype.type(0.1) / fastest)
+    while h < longest:
+        yield h
+        left, h = left - h, _GROWTH * h
+    count = int(np.ceil(left / longest))
+    yield from (left / count for _ in range(count))
+
+
+def _step(rate: Callable[[Any, Array], Array], t: Any, y: Array, h: Any) -> Array:
+    """One step: the stages z_i = h sum_j a_ij rate(t + c_j h, y + z_j) as deviations from y, the last one the end."""
+    c, a = radau(_STAGES)
+    inverse = np.linalg.inv(np.eye(_STAGES * y.size) - np.kron((h * a).astype(float), _jacobian(rate, t, y)))
+    z, last = np.zeros((_STAGES, y.size), y.dtype), np.inf
+    for _ in range(_ROUNDS):
+        found = np.stack([rate(t + node * h, y + stage) for node, stage in zip(c, z)])
+        wrong = z - h * (a @ found)
+        change = (inverse @ wrong.astype(float).ravel()).reshape(z.shape)
+        z = z - change
+        size = float(np.max(np.abs(change) / np.maximum(1.0, np.abs(y + z).astype(float))))
+        # Small and no longer falling: what is left is round-off, which stiffness makes larger.
+        if size == 0.0 or (size < 1e-13 and size > 0.5 * last):
+            return y + z[-1]
+        last = size
+    raise ArithmeticError(f"Newton's method does not converge in the step of {float(h):g} s from t = {float(t):g} s")
+
+
+def _jacobian(rate: Callable[[Any, Array], Array], t: Any, y: Array) -> Array:
+    """By central differences."""
+    columns = []
+    for i in range(y.size):
+        d = np.zeros_like(y)
+        d[i] = 1e-6 * max(1.0, abs(float(y[i])))
+        columns.append((rate(t, y + d) - rate(t, y - d)) / (2 * d[i]))
+    return np.stack(columns, axis=1).astype(float)
+
+
+@functools.cache
+def radau(stages: int) -> tuple[Array, Array]:
+    """Nodes c (n,) and weights a (n, n) of Radau IIA in extended precision.
+
+    The nodes in [-1, 1] are the roots of P_n - P_(n-1), found by Newton's method. An interpolant in Legendre
+    polynomials through them has the coefficients (2 j + 1) / 2 sum_i w_i P_j(x_i) f_i, since the rule is exact for the
+    products of two polynomials of degree n - 1, and is integrated term by term.
+    """
+    x = np.sort(np.roots(np.polynomial.legendre.leg2poly([0] * (stages - 1) + [-1, 1])[::-1]).real)
+    x = x.astype(np.longdouble)
+    for _ in range(4):
+        p, slope = _legendre(stages, x)
+        x[:-1] -= ((p[-1] - p[-2]) / (slope[-1] - slope[-2]))[:-1]
+        x[-1] = 1
+    p, _ = _legendre(stages, x)
+    w = (1 + x) / (stages * p[stages - 1]) ** 2
+    degrees = np.arange(stages)[:, None]
+    coefficients = (2 * degrees + 1) / np.longdouble(2) * p[:stages] * w
+    # The integral of P_j from -1 to x is (P_(j+1) - P_(j-1)) / (2 j + 1), with P_(-1) = -1.
+    below = np.concatenate([-np.ones((1, stages), np.longdouble), p[: stages - 1]])
+    integrals = (p[1:] - below) / (2 * degrees + 1)
+    return (1 + x) / 2, integrals.T @ coefficients / 2
+
+
+def _legendre(degree: int, x: Array) -> tuple[Array, Array]:
+    """P_0 to P_degree at x, and their derivatives: (degree + 1, n) each."""
+    p, slope = [np.ones_like(x), x], [np.zeros_like(x), np.ones_like(x)]
+    for j in range(1, degree):
+        p.append(((2 * j + 1) * x * p[j] - j * p[j - 1]) / (j + 1))
+        slope.append(slope[j - 1] + (2 * j + 1) * p[j])
+    return np.stack(p), np.stack(slope)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the ends as Python."""
+    """Print the ends as `ends.json` has them, and how far those of two step sizes are apart."""
     parser = argparse.ArgumentParser(prog="python -m twistax.scenes.references", description=__doc__.split("\n")[0])
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(REFERENCES)}; all if left out")
     names = parser.parse_args(arguments).scenes or list(REFERENCES)
@@ -280,7 +338,12 @@ def main(arguments: list[str] | None = None) -> int:
             parser.error(f"no scene {name!r} here; there are {', '.join(REFERENCES)}")
     for how in (REFERENCES[name] for name in names):
         for scene in how.scenes:
-            _print(scene, how.steps, how.end(scene), how.end(scene, 3 * how.steps // 2))
+            more = 3 * how.steps // 2
+            coarse, fine = how.end(scene), how.end(scene, more)
+            apart = max(np.max(np.abs(end - coarse[s])) / max(1.0, np.max(np.abs(end))) for s, end in fine.items())
+            numbers = [f"{name} = {value:g}" for name, value in scene.params.items() if value.shape == ()]
+            print(f"# {', '.join([scene.name, *numbers])}: {how.steps} and {more} steps are {apart:.1e} apart")
+            print(*(f'    "{state}": {value.astype(float).tolist()}' for state, value in fine.items()), sep=",\n")
     return 0
 
 

@@ -6,10 +6,7 @@ import numpy as np
 
 import twistax as tx
 
-from .arrays import about, placed
-from .scene import Scene
-
-__all__ = ["MASS_FLOW", "RADII_SQUARED", "ROCKET", "system"]
+from .scene import Scene, about, newton_euler, placed, stored_end
 
 #: Change of mass, kg/s.
 MASS_FLOW = -0.1
@@ -41,30 +38,12 @@ def system() -> tx.System:
     torque = tx.linalg.Cross(np.array([-0.5, 0.0, 0.0]), thrust) + air - MASS_FLOW * k * w
 
     M = m * tx.Concat(1.0, 1.0, 1.0, k)
-    # As ad*_V(M V), without the round-off of v x m v, which is zero.
-    spin = tx.lie.twist(linear=np.zeros(3), angular=w)
     wrench = tx.lie.wrench(force=thrust + drag + weight, torque=torque)
     return tx.System(
-        rates={g: V, V: (wrench - tx.lie.AdjointDual(spin, M * V)) / M, m: tx.Constant(MASS_FLOW)},
+        rates={g: V, V: newton_euler(M, V, wrench), m: tx.Constant(MASS_FLOW)},
         outputs={"speed": tx.linalg.Norm(v), "height": g[2, 3]},
     )
 
-
-#: As `python -m twistax.scenes.references rocket` finds it.
-_END = {
-    "g": np.array(
-        [
-            [0.7847919257682708, -0.594184874945534, 0.17619865957177164, 65.21137652402875],
-            [-0.3906596372388744, -0.694981814744625, -0.6036433756835726, -99.21636015878971],
-            [0.4811306278770038, 0.4049007428496865, -0.7775401644664102, 64.9098487331667],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    ),
-    "V": np.array(
-        [-2.6234383048672862, -20.16774604190423, 21.465777001965602, 1.171875, 0.5314290079364514, 1.3636627421491658]
-    ),
-    "m": 1.0,
-}
 
 ROCKET = Scene(
     name="rocket",
@@ -81,5 +60,5 @@ ROCKET = Scene(
         "m": 2.0,
     },
     duration=10.0,
-    reference=_END,
+    reference=stored_end("rocket"),
 )

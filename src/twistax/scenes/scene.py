@@ -1,10 +1,12 @@
-"""One physical case with a known answer, and how far a solution is from that answer."""
+"""One physical case with a known answer, and how far a solution is from that answer; rotations and poses in NumPy."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,10 @@ from numpy.typing import NDArray
 
 import twistax as tx
 
-__all__ = ["Scene", "State", "rotation_angle"]
-
 Array = NDArray[Any]
 State = Mapping[str, Any]
+
+_ENDS: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("ends.json").read_text())
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,9 +95,7 @@ class Scene:
             return dict(self.reference)
         if t == 0.0:
             return dict(self.start)
-        known = (
-            f"the truth is known at 0 and {self.duration:g} s" if self.reference is not None else "no truth is known"
-        )
+        known = "no truth is known" if self.reference is None else f"the truth is known at 0 and {self.duration:g} s"
         raise tx.InputError(f"scene {self.name!r} at t = {t!r} s: there is no exact solution, {known}")
 
     def integrate(self, **options: Any) -> tx.Solution:
@@ -122,7 +122,10 @@ class Scene:
         twists = {rate.name for rate in map(self.system.rates.get, poses) if isinstance(rate, tx.State)}
         parts: list[float] = []
         for state in self.system.states:
-            wanted, found = np.asarray(truth[state.name], float), self._value(x, state.name)
+            if state.name not in x:
+                given = ", ".join(x) or "none"
+                raise tx.InputError(f"scene {self.name!r}: state {state.name!r} is missing; given: {given}")
+            wanted, found = np.asarray(truth[state.name], float), np.asarray(x[state.name], float)
             if found.shape != wanted.shape:
                 raise tx.InputError(
                     f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {found.shape}.\n"
@@ -140,10 +143,10 @@ class Scene:
                     parts.append(_distance(wanted, found))
         return float(np.max(parts))
 
-    def _value(self, x: State, name: str) -> Array:
-        if name not in x:
-            raise tx.InputError(f"scene {self.name!r}: state {name!r} is missing; given: {', '.join(x) or 'none'}")
-        return np.asarray(x[name], float)
+
+def stored_end(name: str, **values: float) -> State | None:
+    """The end of a scene, for values of its parameters, as `python -m twistax.scenes.references` finds it, if known."""
+    return _ENDS.get(", ".join([name, *(f"{parameter} = {value:g}" for parameter, value in values.items())]))
 
 
 def _frozen(values: State | None) -> State | None:
@@ -154,6 +157,23 @@ def _frozen(values: State | None) -> State | None:
     for array in arrays.values():
         array.setflags(write=False)
     return arrays
+
+
+def newton_euler(M: Any, V: tx.Expr, wrench: tx.Expr) -> tx.Expr:
+    """V' (6,) of a body with the diagonal inertia M (6,) about its centre of mass: M V' = wrench - ad*_V(M V).
+
+    ad*_V(M V) holds the moment v x m v. It is zero, but its round-off is not, at 500 m/s beside a small inertia. The
+    twist [0; w] in the place of V gives the same without it.
+    """
+    spin = tx.lie.twist(linear=np.zeros(3), angular=tx.lie.angular(V))
+    return (wrench - tx.lie.AdjointDual(spin, M * V)) / M
+
+
+def total_momentum(poses: Sequence[tx.Expr], momenta: Sequence[Any]) -> dict[str, tx.Expr]:
+    """The outputs linear_momentum and angular_momentum (3,) about the world's origin, of the body momenta of bodies."""
+    parts = [tx.lie.SE3AdjointDual(g) @ momentum for g, momentum in zip(poses, momenta)]
+    total = functools.reduce(tx.Add, parts)
+    return {"linear_momentum": tx.lie.linear(total), "angular_momentum": tx.lie.angular(total)}
 
 
 def rotation_angle(truth: Array, found: Array) -> float:
@@ -173,3 +193,25 @@ def rotation_angle(truth: Array, found: Array) -> float:
 def _distance(truth: Array, found: Array) -> float:
     """|found - truth| / max(1, |truth|)."""
     return float(np.linalg.norm(found - truth) / max(1.0, float(np.linalg.norm(truth))))
+
+
+# ---- rotations and poses as NumPy arrays, in the precision of what they are made of --------------------------------
+
+
+def cross_matrix(a: Array) -> Array:
+    """The matrix (3, 3) of the cross product with a (3,)."""
+    x, y, z = a
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=a.dtype)
+
+
+def about(axis: Any, angle: Any) -> Array:
+    """The rotation (3, 3) about a unit axis (3,) by an angle in rad, by Rodrigues' formula."""
+    hat = cross_matrix(np.asarray(axis, np.result_type(np.asarray(axis).dtype, float)))
+    return np.eye(3, dtype=hat.dtype) + np.sin(angle) * hat + (1 - np.cos(angle)) * (hat @ hat)
+
+
+def placed(rotation: Array, position: Any) -> Array:
+    """The pose [R p; 0 1] (4, 4)."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose

@@ -6,10 +6,7 @@ import numpy as np
 
 import twistax as tx
 
-from .arrays import Array, about, placed
-from .scene import Scene
-
-__all__ = ["DAMPING", "MASSES", "MOMENTS", "POINTS", "STIFFNESS", "STIFF_JOINT", "system"]
+from .scene import Array, Scene, about, newton_euler, placed, stored_end, total_momentum
 
 #: N/m and N s/m: the joint gives way by 1e-8 m in 1 N, and its gap closes at some 1e4/s.
 STIFFNESS, DAMPING = 1e8, 2e4
@@ -40,23 +37,14 @@ def system() -> tx.System:
     middle = 0.5 * (ends[0] + ends[1])
 
     rates: dict[tx.State | str, tx.Expr] = {}
-    momentum: tx.Expr = tx.Constant(np.zeros(6))
+    momenta = []
     for g, V, m, J, force in zip(poses, twists, MASSES, MOMENTS, (pull, -pull)):
         M, R = np.array([*3 * (m,), *J]), g[:3, :3]
         body_force = R.T @ force
         wrench = tx.lie.wrench(force=body_force, torque=tx.linalg.Cross(R.T @ (middle - g[:3, 3]), body_force))
-        # As ad*_V(M V), without the round-off of v x m v, which is zero.
-        spin = tx.lie.twist(linear=np.zeros(3), angular=tx.lie.angular(V))
-        rates |= {g: V, V: (wrench - tx.lie.AdjointDual(spin, M * V)) / M}
-        momentum = momentum + tx.lie.SE3AdjointDual(g) @ (M * V)
-    return tx.System(
-        rates=rates,
-        outputs={
-            "gap": tx.linalg.Norm(gap),
-            "linear_momentum": tx.lie.linear(momentum),
-            "angular_momentum": tx.lie.angular(momentum),
-        },
-    )
+        rates |= {g: V, V: newton_euler(M, V, wrench)}
+        momenta.append(M * V)
+    return tx.System(rates=rates, outputs={"gap": tx.linalg.Norm(gap), **total_momentum(poses, momenta)})
 
 
 def _start() -> dict[str, Array]:
@@ -74,32 +62,6 @@ def _start() -> dict[str, Array]:
     }
 
 
-# fmt: off
-#: As `python -m twistax.scenes.references stiff-joint` finds it.
-_END = {
-    "g1": np.array(
-        [
-            [-0.2584095112351402, 0.5287089911519955, -0.8085117977978151, 2.208651344431769],
-            [0.5342764348145276, -0.6190695253594174, -0.575588059269078, -0.23473337236860192],
-            [-0.8048435970454718, -0.5807062299014062, -0.12250330137837644, 0.23759152272156825],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    ),
-    "V1": np.array([-0.10328209907931353, 0.6334966260873066, -0.8531285522139254, 1.7578141143033388,
-                    0.019740611783841955, -1.3566378999062962]),
-    "g2": np.array(
-        [
-            [-0.7631717968945125, -0.5289191977627273, -0.37123212504150793, 1.4756308656693045],
-            [0.4738607889194474, -0.8486652557004193, 0.23499624782447234, 0.45674334378241505],
-            [-0.4393458331991324, 0.0034301610712588414, 0.8983114564813172, -0.30572270743894103],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    ),
-    "V2": np.array([-0.12757578203091605, -0.27677305172238614, -0.0038088902872072702, -0.6416267107663982,
-                    0.8921111589503384, 1.053014512441119]),
-}
-# fmt: on
-
 STIFF_JOINT = Scene(
     name="stiff-joint",
     title="two bodies on a stiff joint",
@@ -112,6 +74,6 @@ STIFF_JOINT = Scene(
     start=_start(),
     duration=2.0,
     params={"k": STIFFNESS, "c": DAMPING},
-    reference=_END,
+    reference=stored_end("stiff-joint"),
     invariants=("linear_momentum", "angular_momentum"),
 )

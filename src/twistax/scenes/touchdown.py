@@ -12,27 +12,18 @@ import numpy as np
 
 from .powered_descent import Array, Limit
 
-__all__ = ["ALLOWED", "SAMPLES", "Descent", "Miss", "Reach", "replayed", "planned", "reaches"]
-
 #: Samples of an interval between nodes; an RKMK method takes as many steps there.
 SAMPLES = 40
 
 
 @dataclasses.dataclass(frozen=True)
 class Descent:
-    """Samples of a descent of the powered-descent system.
+    """Samples of a descent of the powered-descent system, all with a leading axis n."""
 
-    Attributes:
-        ts: (n,) times, s.
-        xs: states by name, leading axis n.
-        us: controls by name at those times, leading axis n.
-        outputs: outputs of the system by name, (n,).
-    """
-
-    ts: Array
-    xs: dict[str, Array]
-    us: dict[str, Array]
-    outputs: dict[str, Array]
+    ts: Array  # times, s
+    xs: dict[str, Array]  # states by name
+    us: dict[str, Array]  # controls by name
+    outputs: dict[str, Array]  # of the system, by name
 
     @property
     def position(self) -> Array:
@@ -84,16 +75,11 @@ def _outputs(dynamics: Any) -> Callable[..., Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Miss:
-    """How far the end of a descent is from standing still on the pad, upright; the heading is free.
+    """How far the end of a descent is from standing still on the pad, upright; the heading is free."""
 
-    Attributes:
-        position, velocity: m and m/s, in any direction.
-        angle: from the vertical, deg.
-    """
-
-    position: float
-    velocity: float
-    angle: float
+    position: float  # m, in any direction
+    velocity: float  # m/s, in any direction
+    angle: float  # from the vertical, deg
 
     @staticmethod
     def of(descent: Descent) -> Miss:
@@ -116,18 +102,12 @@ ALLOWED = Miss(position=0.5, velocity=0.1, angle=0.5)
 
 @dataclasses.dataclass(frozen=True)
 class Reach:
-    """How near a descent comes to a limit.
-
-    Attributes:
-        limit: the limit.
-        value, time: the value nearest to it, in its unit, and when, s.
-        margin: how far that is inside, in its unit; negative where it is exceeded.
-    """
+    """How near a descent comes to a limit."""
 
     limit: Limit
-    value: float
-    time: float
-    margin: float
+    value: float  # nearest to it, in its unit
+    time: float  # when, s
+    margin: float  # how far that is inside, in its unit; negative where it is exceeded
 
     @property
     def holds(self) -> bool:

@@ -1,7 +1,6 @@
 """Lie-group steps inside diffrax: the term, the solver and the controller of `tx.diffrax`."""
 
-from .controller import LieController, controller
-from .solver import LieSolver
-from .term import LieTerm, lie_term
+from .frame import LieTerm, lie_term
+from .solver import LieController, LieSolver, controller
 
 __all__ = ["LieController", "LieSolver", "LieTerm", "controller", "lie_term"]

@@ -1,40 +1,113 @@
-"""A system in a chart for diffrax: rates, coordinates and errors as it wants them, and one explicit step."""
+"""A system as diffrax wants it: its term; in a chart rates, coordinates and errors; one explicit step."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, NoReturn
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ...errors import ModelError
 from ...groups import Euclidean, SpecialEuclidean, so3
 from ...groups.arrays import unpack, vector
+from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
+from ...lowering.dynamics import Arrays, not_compiled
 from ...lowering.small_call import small_call
-from ..ambient import Ambient, Arguments
-from ..charts import Chart
-from ..charts.coordinates import Blocks, StateCoordinates, coordinates_of
+from ..ambient import Ambient, Arguments, read_arguments
+from ..charts import Blocks, Chart, StateCoordinates, coordinates_of
 from ..rkmk import stage_slopes
 from ..steps import all_finite
-from ..tableau import Rows
+from ..tableaus import Rows
 
-__all__ = ["ChartStep", "Frame", "Stepped"]
+
+class LieTerm(diffrax.AbstractTerm):
+    """A system as a term for `LieSolver`. Its rates are body velocities: no solver can add them to a state."""
+
+    dynamics: Dynamics = eqx.field(static=True)
+
+    def vf(self, t: Any, y: Any, args: Any) -> Arrays:
+        """The rates at y with args = (u, params), or None. Raises InputError as a call of the dynamics does."""
+        return read_arguments(self.dynamics, t, y, args).rates(self.dynamics)
+
+    def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Any:
+        """The length of the step."""
+        return t1 - t0
+
+    def prod(self, vf: Any, control: Any) -> NoReturn:
+        """Raises ModelError: a solver that asks for it would add body velocities to poses."""
+        raise ModelError(
+            "a term of tx.diffrax.lie_term gives body velocities, which a plain solver cannot add to poses.\n"
+            "  fix: wrap the solver, tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics), or give a plain solver "
+            "tx.diffrax.ambient_term(dynamics). BacksolveAdjoint with a solver of its own ends here too: leave it out"
+        )
+
+
+def lie_term(dynamics: Dynamics) -> LieTerm:
+    """A system as a term for `LieSolver`, with args = (u, params) as `tx.integrate` takes them, or None.
+
+    Raises:
+        ModelError: no compiled system.
+    """
+    if not isinstance(dynamics, Dynamics):
+        raise not_compiled("lie_term", dynamics)
+    return LieTerm(dynamics)
+
+
+class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
+    """Says what is wrong with a term, where diffrax would only say that it does not fit."""
+
+    def __instancecheck__(cls, term: Any) -> bool:
+        return bool(parts_of(term))
+
+
+class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
+    """What `LieSolver` takes: a term of `lie_term`, or a MultiTerm of such. Others raise ModelError with the reason."""
+
+
+class Part(NamedTuple):
+    """One system among the terms, and the sense of time: 1, or -1 where diffrax integrates backwards."""
+
+    dynamics: Dynamics
+    direction: Any
+
+
+def parts_of(terms: Any) -> tuple[Part, ...]:
+    """The systems in what diffrax passes to a solver or a controller. Raises ModelError for other terms."""
+    WrapTerm, AdjointTerm = wrapped_terms()
+
+    def part(term: Any) -> Part:
+        direction: Any = 1
+        while isinstance(term, WrapTerm):
+            direction, term = direction * term.direction, term.term
+        if isinstance(term, AdjointTerm):
+            raise ModelError(
+                "BacksolveAdjoint cannot work on groups: it integrates the state backwards together with an adjoint "
+                "that would have to live in the cotangent space of every pose.\n"
+                "  fix: leave adjoint out, or take diffrax.RecursiveCheckpointAdjoint(); for forward derivatives "
+                "diffrax.ForwardMode()"
+            )
+        if not isinstance(term, LieTerm):
+            raise ModelError(
+                f"tx.diffrax.LieSolver and tx.diffrax.controller need terms of tx.diffrax.lie_term, got "
+                f"{type(term).__name__}.\n"
+                "  fix: diffeqsolve(tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(...), ...); with a plain term "
+                "take a plain solver and diffrax.PIDController"
+            )
+        return Part(term.dynamics, direction)
+
+    return tuple(map(part, terms.terms if isinstance(terms, diffrax.MultiTerm) else (terms,)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """A system in a chart. A value; coordinates and rates travel as one flat vector each.
-
-    Attributes:
-        dynamics: gives states their meaning.
-        chart: the coordinates around the start of a step.
-    """
+    """A system in a chart, the coordinates around the start of a step. A value; numbers travel as flat vectors."""
 
     dynamics: Dynamics
     chart: Chart
@@ -51,37 +124,26 @@ class Frame:
 
     def rate(self, dynamics: Dynamics, given: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
         """The rate at given.t and given.x for controls within the step from t to t + h."""
-        now = given.signals.during(dynamics, t, h)(given.t)
-        return self.local.rate(_flat(dynamics._functions.vector_field(given.t, given.x, now, given.params)))
+        rates = given.rates(dynamics, t, h)
+        return self.local.rate({name: rate.reshape(-1) for name, rate in rates.items()})
 
-    def still(self, x: Arrays) -> Blocks:
-        """Rates of zero."""
-        groups = self.dynamics.group.factors
-        return self.local.rate({name: jnp.zeros(group.dimension, x[name].dtype) for name, group in groups.items()})
-
-    def read_rate(self, x: Arrays, flat: jax.Array) -> Blocks:
-        """Rates from one flat vector."""
-        return ravel_pytree(self.still(x))[1](flat)
-
-    def read_coordinates(self, x: Arrays, flat: jax.Array) -> Blocks:
-        """Coordinates around x from one flat vector."""
-        local = self.local
-        return ravel_pytree(local.first_slope(local.enter(x), self.still(x)))[1](flat)
+    def packed(self, x: Arrays) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
+        """The coordinates of x itself around x, flat, and how to read flat ones."""
+        return self.local.packed(self.local.enter(x), self.dynamics.group)
 
     def errors(self, x: Arrays, end: Blocks, e: Blocks) -> Arrays:
         """An error e of the coordinates of `end`, as the change of the entries of its value x: [R W, R v; 0 0] for a
         pose and a deviation [v; w]. Infinite where x is not finite.
         """
-        deviations, good = self.local.deviation(e, end), all_finite(x)
         velocities: dict[str, Any] = {}
-        for name, group in self.dynamics.group.factors.items():
+        for name, deviation in self.local.deviation(e, end).items():
+            group = self.dynamics.group.factors[name]
             if isinstance(group, Euclidean):
-                velocities[name] = self.local.parts[name].value(deviations[name])
+                velocities[name] = self.local.parts[name].value(deviation)
             else:
-                tangent = vector(deviations[name])
-                if isinstance(group, SpecialEuclidean):
-                    tangent = group.order.from_linear_first(tangent)
-                velocities[name] = tangent
+                d = vector(deviation)
+                velocities[name] = group.order.from_linear_first(d) if isinstance(group, SpecialEuclidean) else d
+        good = all_finite(x)
         return {name: jnp.where(good, a, jnp.inf) for name, a in self.ambient.rates(x, velocities).items()}
 
     def deviations(self, x: Mapping[str, Any], errors: Mapping[str, Any]) -> Blocks:
@@ -90,84 +152,62 @@ class Frame:
         for name, group in self.dynamics.group.factors.items():
             if isinstance(group, Euclidean):
                 found[name] = self.local.parts[name].enter(errors[name])
-            elif isinstance(group, SpecialEuclidean):
-                back = x[name][:3, :3].T
-                found[name] = (*unpack(so3.act(back, errors[name][:3, 3])), *_rotation(back, errors[name][:3, :3]))
             else:
-                found[name] = _rotation(x[name].T, errors[name])
+                back = x[name][:3, :3].T
+                turned = unpack(so3.vee(so3.compose(back, errors[name][:3, :3])))
+                moved = unpack(so3.act(back, errors[name][:3, 3])) if isinstance(group, SpecialEuclidean) else ()
+                found[name] = (*moved, *turned)
         return found
 
 
-def _rotation(back: jax.Array, error: jax.Array) -> tuple[jax.Array, ...]:
-    return unpack(so3.vee(so3.compose(back, error)))
-
-
 class Stepped(NamedTuple):
-    """A step.
+    """A step."""
 
-    Attributes:
-        x: the state at its end.
-        error: its estimated error, in the form of the state.
-        z: the coordinates of the end, flat.
-        k: (stages, n) the increments of all stages.
-        rate: the rate of the last stage, flat.
-    """
-
-    x: Arrays
-    error: Arrays
-    z: jax.Array
-    k: jax.Array
-    rate: jax.Array
+    x: Arrays  # the state at its end
+    error: Arrays  # its estimated error, in the form of the state
+    z: jax.Array  # the coordinates of the end, flat
+    k: jax.Array  # (stages, n) the increments of all stages
+    rate: jax.Array  # of the last stage, flat
 
 
-class ChartStep:
+def explicit_step(
+    frame: Frame, tableau: diffrax.ButcherTableau, given: Arguments, h: jax.Array, rate: jax.Array | None
+) -> Stepped:
     """The step of an explicit Runge-Kutta solver of diffrax, as one small function where that is known to work.
 
     The tableau is diffrax's, the loop over stages that of `RKMK`: slopes are pulled back in the chart, and the rate of
-    the last stage is handed on as a body velocity, which needs no change of chart.
+    the last stage is handed on as a body velocity, which needs no change of chart; `rate`, where it is known, is that
+    at the start, flat. Traceable.
     """
+    a = np.zeros((tableau.num_stages, tableau.num_stages))
+    for i, row in enumerate(tableau.a_lower):
+        a[i + 1, : i + 1] = row
+    stages, local = Rows(a, np.concatenate([[0.0], tableau.c])), frame.local
 
-    def __init__(self, frame: Frame, tableau: diffrax.ButcherTableau) -> None:
-        count = tableau.num_stages
-        a = np.zeros((count, count))
-        for i, row in enumerate(tableau.a_lower):
-            a[i + 1, : i + 1] = row
-        self.frame = frame
-        self.rows = Rows(a, np.concatenate([[0.0], tableau.c]))
-        self.b, self.b_error = tableau.b_sol, tableau.b_error
-
-    def __call__(self, given: Arguments, h: jax.Array, rate: jax.Array | None) -> Stepped:
-        """The step of length h from given.t and given.x; `rate` there, flat, where it is known. Traceable."""
-
-        @jax.custom_jvp
-        def step(*operands: Any) -> Stepped:
-            return small_call(self._step, *operands)
-
-        step.defjvp(lambda primals, tangents: jax.jvp(self._step, primals, tangents))
-        return step(given, h, rate)
-
-    def _step(self, given: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
-        frame, local, t = self.frame, self.frame.local, given.t
+    def plainly(given: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
         start = local.enter(given.x)
 
         def rate_of(time: jax.Array, y: Blocks) -> Blocks:
-            return frame.rate(frame.dynamics, given._replace(t=time, x=local.value(y)), t, h)
-
-        first = rate_of(t, start) if known is None else frame.read_rate(given.x, known)
-        packed, _ = ravel_pytree(first)
+            return frame.rate(frame.dynamics, given._replace(t=time, x=local.value(y)), given.t, h)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, jax.Array]:
             moved = local.move(start, z)
             rate = rate_of(time, moved)
             return local.slope(z, moved, rate), ravel_pytree(rate)[0]
 
-        slopes, last = stage_slopes(self.rows, slope, local.first_slope(start, first), packed, t, h)
-        z = slopes.combine(self.b, h)
+        if known is None:
+            first = rate_of(given.t, start)
+        else:
+            groups = frame.dynamics.group.factors
+            still = {name: jnp.zeros(group.dimension, known.dtype) for name, group in groups.items()}
+            first = ravel_pytree(local.rate(still))[1](known)
+        slopes, last = stage_slopes(stages, slope, local.first_slope(start, first), ravel_pytree(first)[0], given.t, h)
+        z = slopes.combine(tableau.b_sol, h)
         end = local.settle(local.move(start, z))
         x = local.value(end)
-        error = frame.errors(x, end, slopes.combine(self.b_error, h))
+        error = frame.errors(x, end, slopes.combine(tableau.b_error, h))
         return Stepped(x, error, ravel_pytree(z)[0], h * slopes.rows, last)
 
-
-def _flat(rates: Arrays) -> Arrays:
-    return {name: rate.reshape(-1) for name, rate in rates.items()}
+    step = jax.custom_jvp(lambda *operands: small_call(plainly, *operands))
+    step.defjvp(lambda primals, tangents: jax.jvp(plainly, primals, tangents))
+    return step(given, h, rate)

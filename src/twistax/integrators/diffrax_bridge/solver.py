@@ -1,8 +1,9 @@
-"""Any Runge-Kutta solver of diffrax as a Lie-group solver."""
+"""Any Runge-Kutta solver of diffrax as a Lie-group solver, and a controller of its steps by tolerances."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,13 +18,13 @@ from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays, not_compiled
 from ..ambient import Arguments, read_arguments
-from ..charts import Chart, Exponential, SplitExponential
-from ..charts.coordinates import Blocks, chart_of
-from ..controls import ByName
-from .frame import ChartStep, Frame
-from .term import LieTerms, Part, parts_of
-
-__all__ = ["LieInterpolation", "LieSolver"]
+from ..charts import Blocks, Chart, Exponential, SplitExponential, chart_of
+from ..method import Stepper
+from ..rkmk import RKMK
+from ..step_control import StepControl, first_step
+from ..tableaus import EULER
+from ..tolerances import Tolerances, tolerances_of
+from .frame import Frame, LieTerms, Part, explicit_step, parts_of
 
 
 class LieInterpolation(diffrax.AbstractLocalInterpolation):
@@ -43,7 +44,7 @@ class LieInterpolation(diffrax.AbstractLocalInterpolation):
                 "  fix: evaluate at both times and take dynamics.difference(x, y)"
             )
         local, x = self.frame.local, dict(self.start)
-        z = self.frame.read_coordinates(x, self.coordinates.evaluate(t0, left=left))
+        z = self.frame.packed(x)[1](self.coordinates.evaluate(t0, left=left))
         return local.value(local.settle(local.move(local.enter(x), z)))
 
 
@@ -92,33 +93,18 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     def __init__(self, solver: diffrax.AbstractSolver, dynamics: Dynamics, chart: Chart | None = None) -> None:
         _check(solver, dynamics, chart)
         self.solver = solver
-        self.frame = Frame(dynamics, _default_chart(solver) if chart is None else chart)
+        order: Any = solver.order(None) if _is_explicit(solver) else None
+        default = Exponential(commutators=None if order is None else max(1, order - 2))
+        self.frame = Frame(dynamics, default if chart is None else chart)
         _ = self.frame.ambient  # refuses groups without matrices, by name
 
-    @property
-    def term_structure(self) -> Any:
-        """Terms of `lie_term`; diffrax asks before the first step."""
-        return LieTerms
-
-    @property
-    def interpolation_cls(self) -> Any:  # type: ignore[override]
-        """Makes the interpolation within a step."""
-        return _Interpolate(self.solver.interpolation_cls, self.frame)
-
-    @property
-    def scan_kind(self) -> Any:
-        """The wrapped solver's: ForwardMode and DirectAdjoint set it."""
-        return self.solver.scan_kind
-
-    @property
-    def root_finder(self) -> Any:
-        """The wrapped solver's."""
-        return self.solver.root_finder
-
-    @property
-    def root_find_max_steps(self) -> int:
-        """The wrapped solver's."""
-        return self.solver.root_find_max_steps
+    # What diffrax asks for: terms before the first step, the interpolation within a step, and what the wrapped solver
+    # says; ForwardMode and DirectAdjoint set its scan_kind.
+    term_structure = property(lambda self: LieTerms)
+    interpolation_cls = property(lambda self: _Interpolate(self.solver.interpolation_cls, self.frame))
+    scan_kind = property(lambda self: self.solver.scan_kind)
+    root_finder = property(lambda self: self.solver.root_finder)
+    root_find_max_steps = property(lambda self: self.solver.root_find_max_steps)
 
     def order(self, terms: Any) -> Any:
         """The wrapped solver's."""
@@ -140,7 +126,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         """What a step hands to the next: the rate there, as a body velocity, or the wrapped solver's state."""
         given, h = self._begin(terms, t0, t1, y0, args)
         if not _is_explicit(self.solver):
-            return self.solver.init(self._in_chart(terms, given, h), t0, t1, self._origin(given.x), None)
+            return self.solver.init(self._in_chart(terms, given, h), t0, t1, self.frame.packed(given.x)[0], None)
         return self._rate(given, h) if self._hands_on(given) else None
 
     def step(
@@ -154,7 +140,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         if rate is not None and made_jump is not False:
             anew = any_of_batch(made_jump)
             rate = jax.lax.cond(anew, lambda: self._rate(given, h), lambda: solver_state)
-        done = ChartStep(self.frame, self.solver.tableau)(given, h, rate)
+        done = explicit_step(self.frame, self.solver.tableau, given, h, rate)
         within = {"y0": jnp.zeros_like(done.z), "y1": done.z, "k": done.k}
         handed = done.rate if self._hands_on(given) else None
         return done.x, done.error, {"start": given.x, "within": within}, handed, diffrax.RESULTS.successful
@@ -166,12 +152,12 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         frame, local = self.frame, self.frame.local
         # A table may jump where a step begins, and the last slope is that before the jump.
         made_jump = True if _reads_tables(given) else made_jump
-        inner = self._in_chart(terms, given, h)
-        z, e, within, state, result = self.solver.step(inner, t0, t1, self._origin(given.x), None, state, made_jump)
-        moved = frame.read_coordinates(given.x, z)
+        inner, (origin, read) = self._in_chart(terms, given, h), frame.packed(given.x)
+        z, e, within, state, result = self.solver.step(inner, t0, t1, origin, None, state, made_jump)
+        moved = read(z)
         end = local.settle(local.move(local.enter(given.x), moved))
         x = local.value(end)
-        error = None if e is None else frame.errors(x, end, frame.read_coordinates(given.x, e))
+        error = None if e is None else frame.errors(x, end, read(e))
         if state is not None:
             first, slope = state
             state = first, jax.tree.map(lambda f: self._carried(given.x, moved, end, f), slope)
@@ -180,20 +166,18 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     def _in_chart(self, terms: Any, given: Arguments, h: jax.Array) -> Any:
         """The terms in coordinates around the start of a step."""
         frame, local = self.frame, self.frame.local
-        start = local.enter(given.x)
+        start, read = local.enter(given.x), frame.packed(given.x)[1]
 
-        WrapTerm, _ = wrapped_terms()
-
-        def of(part: Part) -> Any:
+        def in_chart(part: Part) -> Any:
             def slope(t: Any, z: jax.Array, args: None) -> jax.Array:
-                blocks = frame.read_coordinates(given.x, z)
+                blocks = read(z)
                 moved = local.move(start, blocks)
                 at = given._replace(t=jnp.asarray(t, z.dtype), x=local.value(moved))
                 return ravel_pytree(local.slope(blocks, moved, frame.rate(part.dynamics, at, given.t, h)))[0]
 
-            return WrapTerm(diffrax.ODETerm(slope), part.direction)
+            return wrapped_terms()[0](diffrax.ODETerm(slope), part.direction)
 
-        members = tuple(of(part) for part in self._parts(terms))
+        members = tuple(map(in_chart, self._parts(terms)))
         return diffrax.MultiTerm(*members) if len(members) > 1 else members[0]
 
     def _carried(self, x: Arrays, z: Blocks, end: Blocks, flat: jax.Array) -> jax.Array:
@@ -202,7 +186,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         There a slope is the body velocity itself, Omega = J_r(eta) eta'.
         """
         local = self.frame.local
-        eta, slopes = local.tangent(z), local.tangent(self.frame.read_coordinates(x, flat))
+        eta, slopes = local.tangent(z), local.tangent(self.frame.packed(x)[1](flat))
         groups = self.frame.dynamics.group.factors
         omega = {name: group.right_jacobian(eta[name]) @ slopes[name] for name, group in groups.items()}
         return ravel_pytree(local.first_slope(end, local.rate(omega)))[0]
@@ -215,10 +199,6 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         """Whether the last stage of a step is the first of the next; not where a table may jump in between."""
         return bool(self.solver.tableau.fsal) and not _reads_tables(given)
 
-    def _origin(self, x: Arrays) -> jax.Array:
-        local = self.frame.local
-        return jnp.zeros_like(ravel_pytree(local.first_slope(local.enter(x), self.frame.still(x)))[0])
-
     def _begin(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> tuple[Arguments, jax.Array]:
         """The arguments where a step begins, and its length, negative where diffrax integrates backwards."""
         direction = self._parts(terms)[0].direction
@@ -228,15 +208,16 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     def _parts(self, terms: Any) -> tuple[Part, ...]:
         """The systems among the terms. Raises ModelError where they are not those the solver takes."""
         parts = parts_of(terms)
-        expected, name = _terms_taken(self.solver), type(self.solver).__name__
+        tableau = getattr(getattr(self.solver, "solver", self.solver), "tableau", None)
+        expected = len(tableau.tableaus) if isinstance(tableau, diffrax.MultiButcherTableau) else 1
         if len(parts) != expected:
-            take = (
-                "diffrax.MultiTerm(tx.diffrax.lie_term(explicit), tx.diffrax.lie_term(implicit)), two systems whose "
-                "rates add up"
-                if expected > 1
-                else "one tx.diffrax.lie_term(dynamics)"
+            take = "one tx.diffrax.lie_term(dynamics)"
+            if expected > 1:
+                take = "diffrax.MultiTerm(tx.diffrax.lie_term(explicit), tx.diffrax.lie_term(implicit)), two systems "
+                take += "whose rates add up"
+            raise ModelError(
+                f"{type(self.solver).__name__} got {len(parts)} term{'s' * (len(parts) > 1)}.\n  fix: give it {take}"
             )
-            raise ModelError(f"{name} got {len(parts)} term{'s' * (len(parts) > 1)}.\n  fix: give it {take}")
         for part in parts:
             if part.dynamics.group != self.frame.dynamics.group:
                 raise ModelError(
@@ -254,13 +235,7 @@ def _is_explicit(solver: Any) -> bool:
 
 
 def _reads_tables(given: Arguments) -> bool:
-    return isinstance(given.signals, ByName) and bool(given.signals.jumps)
-
-
-def _terms_taken(solver: Any) -> int:
-    """How many terms a solver takes."""
-    tableau = getattr(getattr(solver, "solver", solver), "tableau", None)
-    return len(tableau.tableaus) if isinstance(tableau, diffrax.MultiButcherTableau) else 1
+    return bool(given.signals.jumps)
 
 
 def _check(solver: Any, dynamics: Any, chart: Any) -> None:
@@ -285,7 +260,114 @@ def _check(solver: Any, dynamics: Any, chart: Any) -> None:
         )
 
 
-def _default_chart(solver: Any) -> Chart:
-    if not _is_explicit(solver):
-        return Exponential()
-    return Exponential(commutators=max(1, solver.order(None) - 2))
+# ---- steps chosen by tolerances -----------------------------------------------------------------------------------
+
+
+class _State(eqx.Module):
+    """What the controller remembers: the PID controller's state, and what the first call learned of the system."""
+
+    pid: Any
+    tolerances: Tolerances
+    frame: Frame = eqx.field(static=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Probe(RKMK):
+    """A method of any error order, for the first step."""
+
+    error_order: int = 1
+
+
+class LieController(diffrax.AbstractAdaptiveStepSizeController):
+    """diffrax's PIDController, fed with errors in the tangent space. Made by `controller`.
+
+    Attributes:
+        rtol, atol, norm: for the equations of implicit solvers; atol the smallest of those given.
+        allowed: the absolute tolerance as it was given, a number or a dict by state.
+        pid: the controller of the length of the steps.
+    """
+
+    rtol: Any
+    atol: Any
+    norm: Any
+    allowed: Any
+    pid: diffrax.PIDController
+
+    def wrap(self, direction: Any) -> LieController:
+        """Itself: nothing here depends on the sense of time."""
+        return self
+
+    def init(
+        self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], dt0: Any, args: Any, func: Any, error_order: Any
+    ) -> tuple[Any, _State]:
+        """The end of the first step, chosen by the rates where dt0 is None.
+
+        Raises:
+            ModelError: terms that are not those of `lie_term`, or another solver around `LieSolver`.
+            InputError: tolerances that do not fit.
+        """
+        parts = parts_of(terms)
+        if type(getattr(func, "__self__", None)) is diffrax.HalfSolver:
+            raise ModelError(
+                "HalfSolver(LieSolver(...)) compares matrices entry by entry.\n"
+                "  fix: wrap the other way round: tx.diffrax.LieSolver(diffrax.HalfSolver(...), dynamics)"
+            )
+        dynamics, direction = parts[0]
+        given = read_arguments(dynamics, direction * t0, y0, args)
+        dtype = jnp.result_type(*given.x.values())
+        tolerances = tolerances_of(dynamics, self.rtol, self.allowed, dtype)
+        frame = Frame(dynamics, Exponential())
+        if dt0 is None:
+            room = jnp.asarray(direction * (t1 - t0), given.t.dtype)
+            length, method = jnp.abs(room), _Probe(EULER, frame.chart, 1 if error_order is None else error_order)
+            stepper = Stepper(dynamics, method, given.signals, given.params)
+            y = frame.local.enter(given.x)
+            rate = stepper.rate(given.t, y, jnp.sign(room) * 1e-6 * length)
+            h = first_step(stepper, tolerances, given.t, y, rate, 1e-3 * length, length)
+            dt0 = jax.lax.stop_gradient(jnp.minimum(h, length)).astype(jnp.result_type(t0))
+        t_end, pid = self.pid.init(terms, t0, t1, given.x, dt0, args, func, error_order)
+        return t_end, _State(pid, tolerances, frame)
+
+    def adapt_step_size(
+        self, t0: Any, t1: Any, y0: Any, y1_candidate: Any, args: Any, y_error: Any, error_order: Any, state: _State
+    ) -> tuple[Any, Any, Any, Any, _State, Any]:
+        """As PIDController, with the errors of the step in units of what is allowed."""
+        scaled = None
+        if y_error is not None:
+            before, after, error = jax.lax.stop_gradient((dict(y0), dict(y1_candidate), dict(y_error)))
+            local, e = state.frame.local, state.frame.deviations(after, error)
+            scaled = state.tolerances.scaled(local, e, local.enter(before), local.enter(after))
+            scaled = jnp.where(jnp.isfinite(scaled), scaled, jnp.inf)
+        nothing = jnp.zeros(state.frame.dynamics.dimension, y0[next(iter(y0))].dtype)
+        found = self.pid.adapt_step_size(t0, t1, nothing, nothing, args, scaled, error_order, state.pid)
+        keep, start, end, jumped, pid, result = found
+        return keep, start, end, jumped, _State(pid, state.tolerances, state.frame), result
+
+
+def controller(rtol: Any, atol: Any = None, *, step_ts: Any = None, jump_ts: Any = None, **options: Any) -> Any:
+    """Steps for `LieSolver` whose error is at most atol + rtol x size, measured in the tangent space.
+
+    Rotations count in rad against size 1, positions in their unit against their distance from the origin, other states
+    entry by entry; as the tolerances of `tx.integrate`. A plain diffrax.PIDController works too and compares the
+    entries of the matrices.
+
+    Args:
+        rtol: relative tolerance.
+        atol: absolute tolerance, rtol if left out: a number, or a dict by state; for a pose a pair (rotation,
+            position).
+        step_ts, jump_ts: times at which steps end, and at which rates or controls jump, as in
+            diffrax.ClipStepSizeController.
+        options: pcoeff, icoeff, dcoeff, safety, factormin, factormax, dtmin, dtmax, force_dtmin, as in
+            diffrax.PIDController; the numbers of `tx.StepControl` if left out.
+    Raises:
+        InputError: when the integration begins, for tolerances that do not fit the system.
+    """
+    usual = dataclasses.asdict(StepControl())
+    del usual["max_steps"]
+    pid = diffrax.PIDController(**{"rtol": 0.0, "atol": 1.0, **usual, **options})
+    allowed = rtol if atol is None else atol
+    smallest = functools.reduce(jnp.minimum, [jnp.min(jnp.asarray(leaf)) for leaf in jax.tree.leaves(allowed)])
+    found = LieController(rtol, smallest, pid.norm, allowed, pid)
+    if step_ts is None and jump_ts is None:
+        return found
+    return diffrax.ClipStepSizeController(found, step_ts=step_ts, jump_ts=jump_ts)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tableau import Coefficients
+from ..tableaus import Coefficients
 
 __all__ = [
     "GAUSS_LEGENDRE4",
@@ -72,11 +72,6 @@ class CollocationTableau(Coefficients):
             raise self._error("the inverse of a has eigenvalues that nearly coincide")
 
     @property
-    def stages(self) -> int:
-        """s."""
-        return int(self.c.size)
-
-    @property
     def stiffly_accurate(self) -> bool:
         """Whether the last stage is the end of the step; such a method estimates its own error."""
         return bool(self.c[-1] == 1.0 and np.abs(self.a[-1] - self.b).max() < _TOLERANCE)
@@ -100,12 +95,11 @@ class CollocationTableau(Coefficients):
 
     @functools.cached_property
     def _eigen(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Eigenvalues of a^-1 with their vectors: real ones, then of each pair that with positive imaginary part."""
+        """Eigenvalues of a^-1 with their vectors in columns: real ones, then of each pair that with Im > 0."""
         values, vectors = np.linalg.eig(self.inverse)
-        real = np.flatnonzero(np.abs(values.imag) < 1e-12 * np.abs(values))
-        pairs = np.flatnonzero(values.imag >= 1e-12 * np.abs(values))
-        found = np.concatenate([values[real].real, values[pairs]]).astype(complex)
-        return found, np.concatenate([vectors[:, real].real, vectors[:, pairs]], axis=1).astype(complex)
+        values = np.where(np.abs(values.imag) < 1e-12 * np.abs(values), values.real, values)
+        order = [*np.flatnonzero(values.imag == 0.0), *np.flatnonzero(values.imag > 0.0)]
+        return values[order], vectors[:, order]
 
     @property
     def real(self) -> tuple[float, ...]:
@@ -119,13 +113,11 @@ class CollocationTableau(Coefficients):
 
     @functools.cached_property
     def transform(self) -> NDArray[Any]:
-        """T with a^-1 T = T L, L of the real eigenvalues and, for each pair p + iq, the block [[p, q], [-q, p]].
-
-        Its columns are the real eigenvectors, then real and imaginary part of those of the pairs.
+        """T with a^-1 T = T L, L of the real eigenvalues and, for each pair p + iq, the block [[p, q], [-q, p]]: the
+        real eigenvectors, then real and imaginary part of those of the pairs.
         """
-        values, vectors = self._eigen
         columns = []
-        for value, vector in zip(values, vectors.T, strict=True):
+        for value, vector in zip(self._eigen[0], self._eigen[1].T, strict=True):
             columns += [vector.real] if value.imag == 0.0 else [vector.real, vector.imag]
         return np.stack(columns, axis=1)
 
@@ -136,25 +128,18 @@ class CollocationTableau(Coefficients):
 
     @functools.cached_property
     def polynomial(self) -> NDArray[Any]:
-        """(s, s): the coefficients of x, x^2, ... of the polynomial through zero and z, x = 0 to 1 over the step, are
-        this times z.
-        """
+        """(s, s): times z, the coefficients of x, x^2, ... of the polynomial through zero and z; x = 1 is the end."""
         return np.linalg.inv(np.vander(self.c, self.stages, increasing=True) * self.c[:, None])
 
     @property
     def start_weight(self) -> float:
-        """g0, the weight of the slope at the start of the step in the embedded solution.
-
-        One over the real eigenvalue, with an even number of stages over the size of the first pair.
-        """
+        """g0, the weight of the first slope in the embedded solution: 1 over the real eigenvalue, or a pair's size."""
         return 1.0 / (self.real[0] if self.real else abs(self.pairs[0]))
 
     @functools.cached_property
     def error_weights(self) -> NDArray[Any]:
-        """e with y_embedded - y_1 = g0 h f(t, y) + sum_i e_i z_i, where the embedded solution has order s.
-
-        The embedded solution weighs the slopes at 0 and c by g0 and b_embedded, and integrates polynomials of degree
-        s - 1.
+        """e with y_embedded - y_1 = g0 h f(t, y) + sum_i e_i z_i: the embedded solution weighs the slopes at 0 and c by
+        g0 and others, and integrates polynomials of degree s - 1.
         """
         moments = np.vander(self.c, self.stages, increasing=True).T
         difference = np.linalg.solve(moments, -self.start_weight * np.eye(self.stages)[0])
@@ -178,13 +163,7 @@ _3, _6, _15 = sqrt(3.0), sqrt(6.0), sqrt(15.0)
 
 #: Radau IIA with two stages. L-stable.
 #: Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.5.
-RADAU_IIA3 = CollocationTableau(
-    "Radau IIA 3",
-    3,
-    a=[[5 / 12, -1 / 12], [3 / 4, 1 / 4]],
-    b=[3 / 4, 1 / 4],
-    c=[1 / 3, 1],
-)
+RADAU_IIA3 = CollocationTableau("Radau IIA 3", 3, a=[[5 / 12, -1 / 12], [3 / 4, 1 / 4]], b=[3 / 4, 1 / 4], c=[1 / 3, 1])
 
 #: Radau IIA with three stages, the method of the program RADAU5. L-stable.
 #: Source: as above.
@@ -243,10 +222,4 @@ GAUSS_LEGENDRE6 = CollocationTableau(
 )
 
 #: Every implicit tableau, by order.
-IMPLICIT: tuple[CollocationTableau, ...] = (
-    RADAU_IIA3,
-    GAUSS_LEGENDRE4,
-    RADAU_IIA5,
-    GAUSS_LEGENDRE6,
-    RADAU_IIA9,
-)
+IMPLICIT: tuple[CollocationTableau, ...] = (RADAU_IIA3, GAUSS_LEGENDRE4, RADAU_IIA5, GAUSS_LEGENDRE6, RADAU_IIA9)

@@ -11,19 +11,15 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
-from ...jax_inside import small_calls_in_branches
-from ...lowering import Dynamics
+from ...jax_inside import opened, small_calls_in_branches
+from ...lowering import XLA, Dynamics
 from ...lowering.small_call import small_call
-from ..charts import Chart, Exponential
-from ..charts.coordinates import Blocks, StateCoordinates, chart_of, coordinates_of
-from ..method import Attempt, Carry, Method, VectorField
+from ..charts import Blocks, Chart, Exponential, chart_of
+from ..method import Attempt, Carry, ChartMethod, VectorField
 from ..steps import all_finite
 from ..tolerances import Tolerances
 from .collocation import CollocationTableau
 from .newton import Factors, Parts, combined, newton
-from .stage_equations import StageEquations, zero_coordinates
-
-__all__ = ["ImplicitRKMK"]
 
 #: Newton steps before a step is given up: where it may be taken back, and where it may not.
 _FEW, _MANY = 8, 200
@@ -33,34 +29,36 @@ _SHARE = 0.005
 _ALIKE = 0.2
 #: and as long as Newton's method converges this fast.
 _FAST = 0.03
+#: Jacobians of more scalars are left to XLA as arrays: they would take seconds to compile.
+_LARGEST = 2000
 
 
 class _Last(NamedTuple):
-    """The last step: the coordinates of its stages (s, N), its length, and how fast Newton's method converged."""
+    """The last step."""
 
-    Z: jax.Array
+    Z: jax.Array  # the coordinates of its stages (s, N)
     h: jax.Array
-    contraction: jax.Array
+    contraction: jax.Array  # how fast Newton's method converged
 
 
 class _Learned(NamedTuple):
-    """What steps chosen by tolerances carry: the last step, the inverses in use, and the step they were made for."""
+    """What steps chosen by tolerances carry."""
 
     last: _Last
-    inverses: tuple[Parts, ...]
-    h: jax.Array
+    inverses: tuple[Parts, ...]  # in use
+    h: jax.Array  # the step they were made for
 
 
 class _Found(NamedTuple):
-    """A step: its stages, whether they solve the equations, and evaluations, a Jacobian counted as one."""
+    """A step."""
 
     last: _Last
-    solved: jax.Array
-    evaluations: Any
+    solved: jax.Array  # whether its stages solve the equations
+    evaluations: Any  # a Jacobian counted as one
 
 
 @dataclasses.dataclass(frozen=True)
-class ImplicitRKMK(Method):
+class ImplicitRKMK(ChartMethod):
     """The implicit Runge-Kutta method of a collocation tableau in a chart: for stiff systems, or symmetric.
 
     With z_i the coordinates of stage i around the start of the step, z_i = h sum_j a_ij k_j, k_j the slope of the chart
@@ -105,38 +103,26 @@ class ImplicitRKMK(Method):
         object.__setattr__(self, "chart", chart_of("ImplicitRKMK", self.chart, Exponential()))
 
     @property
-    def name(self) -> str:
-        return f"{self.tableau.name}, {self.chart!r}"
-
-    @property
-    def order(self) -> int:
-        return self.tableau.order
-
-    @property
     def evaluations(self) -> int:
         """With three Newton steps."""
         return 1 + 3 * self.tableau.stages
 
-    @property
-    def error_order(self) -> int:
-        return self.tableau.error_order
-
-    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        return coordinates_of(self.chart, dynamics.group)
-
     # ---- one step by itself --------------------------------------------------------------------------------------
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        equations = self._equations(field, t, y, h)
-        return self._moved(equations, self._solution(equations))
+        equations = _StageEquations(self, field, t, y, h)
+        return equations.moved(self._solution(equations))
 
-    def _solution(self, equations: StageEquations) -> jax.Array:
+    def _solution(self, equations: _StageEquations) -> jax.Array:
         """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
             # Steps that are differentiated run in branches.
-            call = small_call if small_calls_in_branches() else _plainly
-            found = call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
+            nothing = self._nothing(equations.zero)
+            if small_calls_in_branches():
+                found = small_call(lambda last: self._to_round_off(equations, last), nothing)
+            else:
+                found = self._to_round_off(equations, nothing)
             return jnp.where(found.solved, found.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
@@ -150,12 +136,12 @@ class ImplicitRKMK(Method):
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        return self._nothing(zero_coordinates(self.coordinates(dynamics), dynamics, y)[0])
+        return self._nothing(self.coordinates(dynamics).packed(y, dynamics.group)[0])
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
-        equations = self._equations(field, t, y, h)
+        equations = _StageEquations(self, field, t, y, h)
         found = self._to_round_off(equations, carry)
-        return Attempt(self._moved(equations, found.last.Z), found.last, (), found.evaluations, found.solved)
+        return Attempt(equations.moved(found.last.Z), found.last, (), found.evaluations, found.solved)
 
     # ---- steps chosen by tolerances ------------------------------------------------------------------------------
 
@@ -163,21 +149,18 @@ class ImplicitRKMK(Method):
     resume_evaluations = 0
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        return self._unlearned(dynamics, y)
+        last = self.before(dynamics, y)
+        return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
 
     def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
         # Inverses from before a jump would take a long step across slow rates for one across stiff ones: the update
         # and the error both come out small.
-        return self._unlearned(field.dynamics, y)
-
-    def _unlearned(self, dynamics: Dynamics, y: Blocks) -> _Learned:
-        last = self.before(dynamics, y)
-        return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
+        return self.begin(field.dynamics, y, {})
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
-        equations = self._equations(field, t, y, h)
+        equations = _StageEquations(self, field, t, y, h)
         local, read = equations.local, equations.read
         eps = float(jnp.finfo(h.dtype).eps)
         rounding = 10.0 * eps / tolerances.rtol
@@ -203,12 +186,9 @@ class ImplicitRKMK(Method):
         raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(found.last.Z))[0]
         errors = (read(factors.damped(raw)),)
         evaluations = found.evaluations + renewed.astype(found.evaluations.dtype)
-        return Attempt(self._moved(equations, found.last.Z), learned, errors, evaluations, found.solved)
+        return Attempt(equations.moved(found.last.Z), learned, errors, evaluations, found.solved)
 
     # ---- what all of them share ----------------------------------------------------------------------------------
-
-    def _equations(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> StageEquations:
-        return StageEquations(self.tableau, self.coordinates(field.dynamics), field, t, y, h)
 
     def _nothing(self, zero: jax.Array) -> _Last:
         """What is known before the first step."""
@@ -231,29 +211,21 @@ class ImplicitRKMK(Method):
         return jnp.where(known, jnp.stack([at(1.0 + float(c) * ratio) for c in self.tableau.c]), 0.0)
 
     def _found(
-        self,
-        equations: StageEquations,
-        given: Any,
-        factors: Factors,
-        size: Callable[[jax.Array], jax.Array],
-        last: _Last,
-        most: int,
-        rounding: jax.Array | float = 1.0,
+        self, equations: _StageEquations, given: Any, factors: Factors, size: Any, last: _Last, most: int, rounding: Any
     ) -> _Found:
+        """The stages by Newton's method, what is left of size below 1, from what the last step suggests."""
         guess = self._guess(last, equations.h)
         # A step that may not be taken back gets a second guess.
         again = most == _MANY
-
-        def update(Z: jax.Array) -> jax.Array:
-            return factors.solve(equations.residual(Z))
-
-        solved = newton(update, size, guess, last.contraction, most, again, rounding)
+        solved = newton(
+            lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most, again, rounding
+        )
         evaluations = 1 + self.tableau.stages * solved.iterations
         # Where rates are NaN to begin with it is not the equations that are at fault.
         good = solved.done | ~all_finite(given)
         return _Found(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 
-    def _to_round_off(self, equations: StageEquations, last: _Last) -> _Found:
+    def _to_round_off(self, equations: _StageEquations, last: _Last) -> _Found:
         """The stages as well as rounding allows."""
         local, read, y, h = equations.local, equations.read, equations.y, equations.h
         start, J = equations.start()
@@ -272,14 +244,63 @@ class ImplicitRKMK(Method):
         def size(dZ: jax.Array) -> jax.Array:
             return jnp.sqrt(jnp.mean(jnp.square(jax.vmap(deviation)(dZ) / unit[None, :])))
 
-        return self._found(equations, (start, J), factors, size, last, _MANY)
+        return self._found(equations, (start, J), factors, size, last, _MANY, 1.0)
 
-    @staticmethod
-    def _moved(equations: StageEquations, Z: jax.Array) -> Blocks:
+
+class _StageEquations:
+    """Z = h (a x I) K(Z) for the packed coordinates Z (s, N) of the stages of a step of length h from (t, y).
+
+    With w_i = z_i the state of stage i is move(y, w_i), and its slope k_i that of the chart there. For a symmetric
+    tableau coordinates are around the middle of the step instead: with D = sum_i d_i z_i and m = move(y, D/2) the state
+    of stage i is move(m, w_i), w_i = z_i - D/2. Then the step of -h from the end leads back to the start.
+
+    Source for the middle: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section V.4.
+    """
+
+    def __init__(self, method: ImplicitRKMK, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> None:
+        self.tableau, self.local, self.field = method.tableau, method.coordinates(field.dynamics), field
+        self.t, self.y, self.h = t, y, h
+        self.zero, self.read = self.local.packed(y, field.dynamics.group)
+
+    def moved(self, Z: jax.Array) -> Blocks:
         """The stored state at the end of the step."""
-        local = equations.local
-        return local.settle(local.move(equations.y, equations.read(equations.end(Z))))
+        return self.local.settle(self.local.move(self.y, self.read(self._end(Z))))
 
+    def _end(self, Z: jax.Array) -> jax.Array:
+        return combined([self.tableau.end], list(Z))[0]
 
-def _plainly(function: Callable[[Any], Any], argument: Any) -> Any:
-    return function(argument)
+    def slopes(self, Z: jax.Array) -> jax.Array:
+        """K(Z), one stage a row."""
+        base = self.y
+        if self.tableau.symmetric:
+            half = 0.5 * self._end(Z)
+            base, Z = self.local.move(self.y, self.read(half)), Z - half[None, :]
+        nodes = jnp.asarray(self.tableau.c, self.h.dtype)
+        # One after the other: XLA would compute a whole slope for every entry of a table of them.
+        return jax.lax.map(lambda entry: self._slope(self.t + entry[0] * self.h, base, entry[1]), (nodes, Z))
+
+    def start(self) -> tuple[jax.Array, jax.Array]:
+        """The slope at the start of the step (N,), and its derivative with respect to the coordinates (N, N)."""
+
+        def along(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return jax.jvp(lambda z: self._slope(self.t, self.y, z), (self.zero,), (direction,))
+
+        eye = jnp.eye(self.zero.size, dtype=self.zero.dtype)
+        of, values = opened(jax.make_jaxpr(lambda: list(jax.vmap(along, out_axes=(None, 1))(eye)))())
+        # Most of it is zero, or the same in many columns: scalars leave that out.
+        slope, jacobian = XLA(least=0, largest=_LARGEST).emit(jax.make_jaxpr(of)(*values)).function(*values)
+        return slope, jacobian
+
+    def first_slope(self) -> jax.Array:
+        """The slope at the start of the step (N,)."""
+        return self._slope(self.t, self.y, self.zero)
+
+    def residual(self, Z: jax.Array) -> jax.Array:
+        """a^-1 Z - h K(Z)."""
+        return jnp.stack(combined(self.tableau.inverse, list(Z))) - self.h * self.slopes(Z)
+
+    def _slope(self, time: jax.Array, base: Blocks, z: jax.Array) -> jax.Array:
+        coordinates = self.read(z)
+        moved = self.local.move(base, coordinates)
+        rate = self.local.rate(self.field(time, self.local.value(moved)))
+        return ravel_pytree(self.local.slope(coordinates, moved, rate))[0]

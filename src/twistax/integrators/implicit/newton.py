@@ -11,8 +11,6 @@ import jax.numpy as jnp
 
 from .collocation import CollocationTableau
 
-__all__ = ["Factors", "Parts", "Solved", "combined", "inverse", "newton"]
-
 #: Updates within this many times round-off count as solved when they stop falling.
 _STALLED = 1e3
 
@@ -23,30 +21,17 @@ Parts: TypeAlias = tuple[jax.Array, ...]
 _LARGEST = 24
 
 
-class Solved(NamedTuple):
-    """What Newton's method found.
+class Newton(NamedTuple):
+    """What Newton's method found, and what its loop carries."""
 
-    Attributes:
-        Z: the solution.
-        done: whether it is one.
-        iterations: how many updates were made.
-        contraction: r / (1 - r), r the ratio of the last two updates: how far off Z still is, in units of the last one.
-    """
-
-    Z: jax.Array
-    done: jax.Array
-    iterations: jax.Array
-    contraction: jax.Array
-
-
-class _Now(NamedTuple):
-    Z: jax.Array
-    size: jax.Array
-    done: jax.Array
+    Z: jax.Array  # the solution
+    size: jax.Array  # of the last update
+    done: jax.Array  # whether Z solves the equations
     failed: jax.Array
-    iterations: jax.Array
+    iterations: jax.Array  # how many updates were made
+    #: r / (1 - r), r the ratio of the last two updates: how far off Z still is, in units of the last one.
     contraction: jax.Array
-    again: jax.Array
+    again: jax.Array  # whether it may start once more
 
 
 def newton(
@@ -56,24 +41,19 @@ def newton(
     contraction: jax.Array,
     most: int,
     again: bool,
-    rounding: jax.Array | float = 1.0,
-) -> Solved:
+    rounding: jax.Array | float,
+) -> Newton:
     """Z <- Z - update(Z) from a guess, until what is left to come is below 1. Pure and traceable.
 
     It ends early where updates grow, are not finite, or `most` are made. Updates that stop falling while they are below
-    1e3 times round-off are solved as well as can be.
-
-    Args:
-        size: the size of an update, in units of what is asked for.
-        contraction: what the last solution was left with, so that one update may do.
-        most: how many updates there may be.
-        again: start once more, from zero, where the guess leads nowhere.
-        rounding: about the size of an update that is round-off.
+    1e3 times `rounding` are solved as well as can be. `size` is that of an update in units of what is asked for,
+    `contraction` what the last solution was left with. `again`: start once more, from zero, where the guess leads
+    nowhere.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping.
     """
 
-    def iterate(now: _Now) -> _Now:
+    def iterate(now: Newton) -> Newton:
         step = update(now.Z)
         found = size(step)
         later = now.size > 0.0
@@ -87,13 +67,13 @@ def newton(
         if again:
             Z, found = jnp.where(restart, 0.0, Z), jnp.where(restart, 0.0, found)
         contraction = jnp.where(failed, 1.0, left)
-        return _Now(Z, found, done & ~failed, failed & ~restart, now.iterations + 1, contraction, now.again & ~restart)
+        count, again_left = now.iterations + 1, now.again & ~restart
+        return Newton(Z, found, done & ~failed, failed & ~restart, count, contraction, again_left)
 
     eps = float(jnp.finfo(guess.dtype).eps)
     no, none = jnp.asarray(False), jnp.zeros((), int)
-    start = _Now(guess, jnp.zeros((), guess.dtype), no, no, none, contraction, jnp.asarray(again))
-    end = jax.lax.while_loop(lambda n: ~n.done & ~n.failed & (n.iterations < most), iterate, start)
-    return Solved(end.Z, end.done, end.iterations, end.contraction)
+    start = Newton(guess, jnp.zeros((), guess.dtype), no, no, none, contraction, jnp.asarray(again))
+    return jax.lax.while_loop(lambda n: ~n.done & ~n.failed & (n.iterations < most), iterate, start)
 
 
 # ---- the equations of all stages, by the eigenvalues of the tableau ------------------------------------------------
@@ -112,8 +92,7 @@ class Factors:
     """
 
     def __init__(self, tableau: CollocationTableau, inverses: tuple[Parts, ...]) -> None:
-        self.tableau, self.inverses = tableau, inverses
-        count = len(tableau.real)
+        self.tableau, count = tableau, len(tableau.real)
         self.real, self.pairs = inverses[:count], inverses[count:]
 
     @staticmethod
@@ -163,15 +142,16 @@ class Factors:
 
 
 def inverse(matrix: Parts) -> Parts:
-    """The inverse of a square matrix, by Gauss-Jordan elimination with partial pivoting. Pure and traceable.
+    """The inverse of a square matrix, by Gauss-Jordan elimination with partial pivoting; NaN of a singular one.
 
     An inverse, not factors: products with it are loops over independent numbers, while substitution is a chain. It is
-    about as accurate where it serves Newton's method, which looks at residuals. NaN where the matrix is singular.
+    about as accurate where it serves Newton's method, which looks at residuals.
 
     Source: Golub, Van Loan, Matrix Computations (2013), sections 3.4 and 3.5.
     """
     if matrix[0].shape[0] > _LARGEST:
-        return _by_library(matrix)
+        found = jnp.linalg.inv(matrix[0] if len(matrix) == 1 else jax.lax.complex(*matrix))
+        return (found,) if len(matrix) == 1 else (found.real, found.imag)
     places = jnp.arange(matrix[0].shape[0])
 
     def eliminate(k: jax.Array, now: tuple[Parts, jax.Array]) -> tuple[Parts, jax.Array]:
@@ -220,10 +200,3 @@ def _reciprocal(a: Parts) -> Parts:
     p, q = a[0] / scale, a[1] / scale
     square = scale * (p * p + q * q)
     return (p / square, -q / square)
-
-
-def _by_library(matrix: Parts) -> Parts:
-    if len(matrix) == 1:
-        return (jnp.linalg.inv(matrix[0]),)
-    found = jnp.linalg.inv(jax.lax.complex(*matrix))
-    return (found.real, found.imag)

@@ -1,8 +1,9 @@
-"""A rigid body in free motion. Its momenta stand still in the world, and are stored there."""
+"""Points and rigid bodies in free motion. Momenta stand still in the world, and are stored there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -10,18 +11,78 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...errors import ModelError
-from ...expr import Constant, Expr, Inputs, Parameter, evaluate_all, leaves_of
-from ...groups import Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
+from ...expr import Constant, Expr, Inputs, Parameter, evaluate_all, leaves_of, to_expr
+from ...groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
 from ...groups.arrays import Components, add, scale, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts import Ambient
-from ..charts.coordinates import Blocks, tightened
-from .inertia import CenteredInertia, RotationalInertia, rigid, rotational
-from .motion import Flows, FreeMotion, Sum, begun, increased, name_of, value
-from .spin import arrays, conjugate
+from ..charts import Ambient, Blocks, FlatCoordinates, conjugate, tightened
+from .inertia import BodyInertia, arrays, rigid, rotational
+from .motion import Flows, FreeMotion, begun, increased, name_of, value
 
-__all__ = ["FreeBody"]
+
+@dataclasses.dataclass(frozen=True)
+class FreeParticle(FreeMotion):
+    """A point, or anything else with p' = v: two states without a group, of one shape. Free, it goes straight ahead.
+
+    The rate of v is the acceleration; no mass is needed.
+
+    Args:
+        position, velocity: p and v, states or their names.
+
+    Raises:
+        ModelError: when integrated: states of another kind.
+    """
+
+    position: Any
+    velocity: Any
+    parameters = ()
+
+    def __post_init__(self) -> None:
+        for field in ("position", "velocity"):
+            object.__setattr__(self, field, name_of(getattr(self, field)))
+
+    def check(self, dynamics: Dynamics) -> None:
+        groups = [dynamics.group.factors[name] for name in (self.position, self.velocity)]
+        if not all(isinstance(group, Euclidean) for group in groups) or groups[0].shape != groups[1].shape:
+            raise ModelError(
+                f"{self!r}: expects two states without a group and of one shape, got {groups[0].name} and "
+                f"{groups[1].name}.\n"
+                "  fix: a rotation or a pose is that of a tx.FreeBody(pose, velocity, inertia=...)"
+            )
+
+    def rates(self, dynamics: Dynamics, x: Arrays, params: Arrays) -> Arrays:
+        v = x[self.velocity]
+        return {self.position: v, self.velocity: jnp.zeros_like(v)}
+
+    def flows(self, dynamics: Dynamics, params: Arrays) -> Flows:
+        group = dynamics.group.factors[self.position]
+        assert isinstance(group, Euclidean)  # `check` refuses others
+        return _ParticleFlows(self.position, self.velocity, FlatCoordinates(group))
+
+
+@dataclasses.dataclass(frozen=True)
+class _ParticleFlows(Flows):
+    position: str
+    velocity: str
+    part: FlatCoordinates
+
+    def enter(self, x: Arrays) -> Blocks:
+        return {name: begun(self.part.enter(x[name])) for name in (self.position, self.velocity)}
+
+    def value(self, y: Blocks) -> Arrays:
+        return {name: self.part.value(value(y[name])) for name in (self.position, self.velocity)}
+
+    def at_rest(self, y: Blocks) -> Arrays:
+        p = self.part.value(value(y[self.position]))
+        return {self.position: p, self.velocity: jnp.zeros_like(p)}
+
+    def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
+        return y | {self.position: increased(y[self.position], scale(dt, value(y[self.velocity])))}
+
+    def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
+        change = self.part.rate(rates[self.velocity])
+        return y | {self.velocity: increased(y[self.velocity], scale(dt, change))}
 
 
 class FreeBody(FreeMotion):
@@ -52,23 +113,23 @@ class FreeBody(FreeMotion):
         self._is_momentum = velocity is None
         self.position = name_of(pose)
         self.velocity = name_of(momentum if self._is_momentum else velocity)
-        self.inertia = _inertia_of(inertia)
-        self.parameters = _parameters_of(self.inertia)
+        if isinstance(inertia, str):
+            self.inertia: Expr | str = inertia
+            self.parameters, key = (inertia,), inertia
+        else:
+            self.inertia, self.parameters = expr, _ = _inertia_of(inertia)
+            key = expr.key()
+        self._key = (self.position, self.velocity, self._is_momentum, key)
 
     def __repr__(self) -> str:
         kind = "momentum" if self._is_momentum else "velocity"
         return f"FreeBody(pose={self.position!r}, {kind}={self.velocity!r})"
 
-    def _key(self) -> tuple[Any, ...]:
-        own = self.inertia
-        key = own.key() if isinstance(own, Expr) else (own.shape, own.tobytes()) if isinstance(own, np.ndarray) else own
-        return (self.position, self.velocity, self._is_momentum, key)
-
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, FreeBody) and self._key() == other._key()
+        return isinstance(other, FreeBody) and self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        return hash(self._key)
 
     def check(self, dynamics: Dynamics) -> None:
         group = dynamics.group.factors[self.position]
@@ -89,17 +150,18 @@ class FreeBody(FreeMotion):
                 )
             if not any(name in dynamics._functions.rate_reads(state.name) for state in dynamics.states):
                 raise ModelError(f"{self!r}: inertia reads parameter {name!r}, which no rate reads")
-        shape = self._source(dynamics).shape
-        shapes = ((3,), (3, 3)) if isinstance(group, SpecialOrthogonal) else ((6,), (6, 6))
-        if shape not in shapes:
-            raise ModelError(f"{self!r}: inertia expects shape {shapes[0]} or {shapes[1]} on {group.name}, got {shape}")
         source = self._source(dynamics)
-        if isinstance(source, np.ndarray):
-            self._of_body(dynamics, source, None)
+        shapes = ((3,), (3, 3)) if isinstance(group, SpecialOrthogonal) else ((6,), (6, 6))
+        if source.shape not in shapes:
+            raise ModelError(
+                f"{self!r}: inertia expects shape {shapes[0]} or {shapes[1]} on {group.name}, got {source.shape}"
+            )
+        if isinstance(source, Constant):
+            self._body_inertia(group, _evaluated(source, {}), None)
 
     def rates(self, dynamics: Dynamics, x: Arrays, params: Arrays) -> Arrays:
         group, velocity = dynamics.group.factors[self.position], x[self.velocity]
-        M = jnp.asarray(self._value(dynamics, params), velocity.dtype)
+        M = jnp.asarray(_evaluated(self._source(dynamics), params), velocity.dtype)
         M = M if M.ndim == 2 else jnp.diag(M)
         twist = jnp.linalg.solve(M, velocity) if self._is_momentum else velocity
         if isinstance(group, SpecialEuclidean):
@@ -112,83 +174,58 @@ class FreeBody(FreeMotion):
         return {self.position: twist, self.velocity: change}
 
     def flows(self, dynamics: Dynamics, params: Arrays) -> Flows:
-        group = dynamics.group.factors[self.position]
-        source = self._source(dynamics)
-        known = None if isinstance(source, np.ndarray) else _default(source)
-        own = self._of_body(dynamics, self._value(dynamics, params), known)
-        names = (self.position, self.velocity)
-        into, out = (own.centered, own.about_origin) if self._is_momentum else (own.momenta, own.velocity)
-        if isinstance(own, CenteredInertia) and isinstance(group, SpecialEuclidean):
-            return _PoseFlows(names, group, own, into, out)
-        return _AttitudeFlows(names, group, own, into, out)
+        group, source = dynamics.group.factors[self.position], self._source(dynamics)
+        default = None
+        if not isinstance(source, Constant):
+            own = {leaf.name: leaf.value for leaf in leaves_of(source) if isinstance(leaf, Parameter)}
+            if all(value is not None for value in own.values()):
+                with jax.ensure_compile_time_eval():
+                    default = np.asarray(_evaluated(source, own), np.float64)
+        inertia = self._body_inertia(group, _evaluated(source, params), default)
+        return _BodyFlows((self.position, self.velocity), group, inertia, self._is_momentum)
 
-    def _source(self, dynamics: Dynamics) -> Expr | np.ndarray:
+    def _source(self, dynamics: Dynamics) -> Expr:
         """The inertia, a name replaced by its parameter."""
-        if not isinstance(self.inertia, str):
+        if isinstance(self.inertia, Expr):
             return self.inertia
         return next(leaf for leaf in dynamics.parameters if leaf.name == self.inertia)
 
-    def _value(self, dynamics: Dynamics, params: Arrays) -> np.ndarray | jax.Array:
-        source = self._source(dynamics)
-        return source if isinstance(source, np.ndarray) else _evaluated(source, params)
-
-    def _of_body(self, dynamics: Dynamics, value: Any, known: np.ndarray | None) -> RotationalInertia:
+    def _body_inertia(self, group: Group, value: Any, default: np.ndarray | None) -> BodyInertia:
         """The inertia from its value, constant or traced, and its default where there is one."""
-        group, place = dynamics.group.factors[self.position], f"{self!r}: inertia"
+        place = f"{self!r}: inertia"
         if not isinstance(group, SpecialEuclidean):
-            return rotational(place, value, known)
+            return rotational(place, value, default)
         if not group.order.linear_leads:
-            value, known = (None if a is None else _swapped(a) for a in (value, known))
-        return rigid(place, value, known)
+            value, default = (None if a is None else _swapped(a) for a in (value, default))
+        return rigid(place, value, default)
 
 
-def _inertia_of(given: Any) -> Expr | np.ndarray | str:
-    """The inertia as it is kept: a read-only array, an expression of parameters, or a name."""
-    if isinstance(given, Constant):
-        given = given.value
-    if isinstance(given, str):
-        return given
-    if isinstance(given, Expr):
-        leaves = leaves_of(given)
-        if not any(isinstance(leaf, Parameter) for leaf in leaves) or not all(
-            isinstance(leaf, (Parameter, Constant)) for leaf in leaves
-        ):
-            raise ModelError(f"FreeBody expects inertia to be an array or an expression of parameters, got {given!r}")
-        return given
+def _inertia_of(given: Any) -> tuple[Expr, tuple[str, ...]]:
+    """The inertia as an expression, and the names of its parameters."""
     try:
-        array = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        expr = to_expr(given)
+    except ModelError as error:
         raise ModelError(
             f"FreeBody expects inertia to be numbers, a Parameter or its name: {error}\n"
             "  fix: what is traced goes through a Parameter of the system: inertia='J', params={'J': ...}"
         ) from None
-    if not np.isfinite(array).all():
+    leaves = list(leaves_of(expr))
+    names = tuple(leaf.name for leaf in leaves if isinstance(leaf, Parameter))
+    if not (isinstance(expr, Constant) or names) or not all(isinstance(a, (Parameter, Constant)) for a in leaves):
+        raise ModelError(f"FreeBody expects inertia to be an array or an expression of parameters, got {given!r}")
+    if isinstance(expr, Constant) and not np.isfinite(expr.value).all():
         raise ModelError("FreeBody expects a finite inertia")
-    array.setflags(write=False)
-    return array
+    return expr, names
 
 
-def _parameters_of(inertia: Expr | np.ndarray | str) -> tuple[str, ...]:
-    if isinstance(inertia, str):
-        return (inertia,)
-    leaves = leaves_of(inertia) if isinstance(inertia, Expr) else ()
-    return tuple(leaf.name for leaf in leaves if isinstance(leaf, Parameter))
-
-
-def _evaluated(source: Expr, params: Mapping[str, Any]) -> jax.Array:
-    arrays = {name: jnp.asarray(value) for name, value in params.items()}
-    dtype = jnp.result_type(*(arrays.values() or (float,)))
-    inputs = Inputs(jnp.zeros((), dtype), {}, {}, arrays, dtype)
+def _evaluated(source: Expr, params: Mapping[str, Any]) -> Any:
+    """The value: of a constant an array of NumPy."""
+    if isinstance(source, Constant):
+        return np.asarray(source.value, np.float64)
+    values = {name: jnp.asarray(value) for name, value in params.items()}
+    dtype = jnp.result_type(*(values.values() or (float,)))
+    inputs = Inputs(jnp.zeros((), dtype), {}, {}, values, dtype)
     return evaluate_all([source], lambda leaf: leaf.read(inputs))[0]
-
-
-def _default(source: Expr) -> np.ndarray | None:
-    """The inertia with the parameters' own values; None where one has none."""
-    own = {leaf.name: leaf.value for leaf in leaves_of(source) if isinstance(leaf, Parameter)}
-    if any(value is None for value in own.values()):
-        return None
-    with jax.ensure_compile_time_eval():
-        return np.asarray(_evaluated(source, own), np.float64)
 
 
 def _swapped(M: Any) -> Any:
@@ -196,99 +233,61 @@ def _swapped(M: Any) -> Any:
     return (np if isinstance(M, np.ndarray) else jnp).roll(M, 3, axis=tuple(range(M.ndim)))
 
 
-# ---- the flows ----------------------------------------------------------------------------------------------------
+class _BodyFlows(Flows):
+    """Stored: q, for a pose also the sum of the centre of mass; the sum of L about the centre, for a pose also of p.
 
-Map = Callable[[Components], Components]
-
-
-class _AttitudeFlows(Flows):
-    """A body that turns about the origin of its frame. Stored: (q,) and the sum of momentum in world axes.
-
-    Args:
-        names: of the attitude, and of its velocity or momentum.
-        group: of the attitude.
-        own: the inertia.
-        into, out: from the second state, or its rate at rest, to momenta in body axes, and back.
+    The centre of an attitude is the origin of its frame. Momenta and the centre of mass are in world axes.
     """
 
-    def __init__(self, names: tuple[str, str], group: Group, own: RotationalInertia, into: Map, out: Map) -> None:
+    def __init__(self, names: tuple[str, str], group: Group, own: BodyInertia, is_momentum: bool) -> None:
         self.position, self.velocity = names
-        self.group, self.spin, self.into, self.out = group, own.spin, into, out
-        self.part = Ambient().coordinates(group)
+        self.group, self.own, self.part = group, own, Ambient().coordinates(group)
+        # From the second state, or its rate at rest, to momenta in body axes, and back.
+        self.into = own.centered if is_momentum else own.momenta
+        self.out = own.about_origin if is_momentum else own.velocity
 
     def enter(self, x: Arrays) -> Blocks:
         pose = self.part.enter(x[self.position])
         momenta = self.into(self.part.rate(x[self.velocity]))
-        return {self.position: self._to_center(pose), self.velocity: begun(_turned(pose[:4], momenta))}
+        stored = (*pose[:4], *begun(add(pose[4:], self._arm(pose))))
+        return {self.position: stored, self.velocity: begun(_turned(pose[:4], momenta))}
 
     def value(self, y: Blocks) -> Arrays:
-        pose, momenta = y[self.position], value(y[self.velocity])
-        own = self.out(_turned(conjugate(pose[:4]), momenta))
-        return {self.position: self.part.value(self._from_center(pose)), self.velocity: self._array(own)}
+        q, momenta = y[self.position][:4], value(y[self.velocity])
+        own = vector(self.out(_turned(conjugate(q), momenta)))
+        if isinstance(self.group, SpecialEuclidean):
+            own = self.group.order.from_linear_first(own)
+        return {self.position: self._pose(y), self.velocity: own}
 
     def at_rest(self, y: Blocks) -> Arrays:
-        pose = self.part.value(self._from_center(y[self.position]))
+        pose = self._pose(y)
         return {self.position: pose, self.velocity: jnp.zeros(self.group.dimension, pose.dtype)}
 
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
         pose, momenta = y[self.position], value(y[self.velocity])
-        q = self.spin.symmetric(pose[:4], momenta[:3], dt)
-        return {self.position: (*q, *self._carried(pose[4:], momenta, dt)), self.velocity: y[self.velocity]}
+        q = self.own.spin.symmetric(pose[:4], momenta[:3], dt)
+        return y | {self.position: (*q, *increased(pose[4:], scale(dt / self.own.mass, momenta[3:])))}
 
     def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
-        pose, momenta = y[self.position], y[self.velocity]
-        q = self.spin.others_flow(pose[:4], momenta[:3], dt, backwards)
-        return {self.position: (*q, *pose[4:]), self.velocity: momenta}
+        pose = y[self.position]
+        q = self.own.spin.others_flow(pose[:4], y[self.velocity][:3], dt, backwards)
+        return y | {self.position: (*q, *pose[4:])}
 
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
-        pose, momenta = y[self.position], y[self.velocity]
-        force = _turned(pose[:4], self.into(self.part.rate(rates[self.velocity])))
-        return {self.position: pose, self.velocity: increased(momenta, scale(dt, force))}
+        force = _turned(y[self.position][:4], self.into(self.part.rate(rates[self.velocity])))
+        return y | {self.velocity: increased(y[self.velocity], scale(dt, force))}
 
     def settle(self, y: Blocks) -> Blocks:
         pose = y[self.position]
-        return {self.position: (*tightened(pose[:4]), *pose[4:]), self.velocity: y[self.velocity]}
+        return y | {self.position: (*tightened(pose[:4]), *pose[4:])}
 
-    def _array(self, own: Components) -> jax.Array:
-        return vector(own)
-
-    def _to_center(self, pose: Components) -> Components:
-        return pose
-
-    def _from_center(self, stored: Components) -> Components:
-        return stored
-
-    def _carried(self, center: Sum, momenta: Components, dt: jax.Array) -> Sum:
-        return center
-
-
-class _PoseFlows(_AttitudeFlows):
-    """A body that also moves. Stored: q and the sum of the centre of mass; that of L about the centre of mass and of p.
-
-    Momenta and the centre of mass are in world axes.
-    """
-
-    def __init__(
-        self, names: tuple[str, str], group: SpecialEuclidean, own: CenteredInertia, into: Map, out: Map
-    ) -> None:
-        super().__init__(names, group, own, into, out)
-        self.mass, self.center, self.order = own.mass, own.center, group.order
-
-    def _array(self, own: Components) -> jax.Array:
-        return self.order.from_linear_first(vector(own))
-
-    def _to_center(self, pose: Components) -> Components:
-        return (*pose[:4], *begun(add(pose[4:], self._arm(pose))))
-
-    def _from_center(self, stored: Components) -> Components:
-        return (*stored[:4], *add(value(stored[4:]), scale(-1.0, self._arm(stored))))
-
-    def _carried(self, center: Sum, momenta: Components, dt: jax.Array) -> Sum:
-        return increased(center, scale(dt / self.mass, momenta[3:]))
+    def _pose(self, y: Blocks) -> jax.Array:
+        stored = y[self.position]
+        return self.part.value((*stored[:4], *add(value(stored[4:]), scale(-1.0, self._arm(stored)))))
 
     def _arm(self, pose: Components) -> Components:
-        """From the origin of the frame to the centre of mass, in world axes."""
-        return quaternions.rotate(pose[:4], arrays(self.center, pose[0]))
+        """From the origin of the frame to the centre of mass of a pose, in world axes; of an attitude nothing."""
+        return quaternions.rotate(pose[:4], arrays(self.own.center, pose[0])) if self.own.center else ()
 
 
 def _turned(q: Components, vectors: Components) -> Components:

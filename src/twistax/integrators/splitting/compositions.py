@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..tableau import Coefficients
+from ..tableaus import Coefficients
 
 __all__ = ["ALL", "KAHAN_LI6", "KAHAN_LI8", "STRANG", "SUZUKI4", "Composition"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -14,16 +13,14 @@ from ...expr import State
 from ...groups.arrays import Components
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.coordinates import Blocks, StoredState
-
-__all__ = ["AllFlows", "Flows", "FreeMotion", "Sum", "begun", "increased", "name_of", "value"]
+from ..charts import Blocks, StoredState
 
 
 class Flows(StoredState):
     """The free motion of a part of a system with its parameters, as a product of exact flows.
 
-    The kinetic energy is a sum; `outer` is the exact flow of its main part, `inner` those of the rest. Every method
-    takes the whole state and gives its own part of it, by name. Pure and traceable.
+    The kinetic energy is a sum; `outer` is the exact flow of its main part, `inner` those of the rest. `enter`, `value`
+    and `at_rest` give the part's own states; the flows give all stored states back. Pure and traceable.
     """
 
     @abstractmethod
@@ -34,48 +31,17 @@ class Flows(StoredState):
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
         """The stored states dt later by the main part of the free motion."""
 
-    @abstractmethod
     def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
         """The same by the flows of the rest, one after the other; backwards in the opposite order."""
+        return y
 
     @abstractmethod
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
         """The stored states after dt under forces that give these rates at rest: momenta change, positions stay."""
 
-    @abstractmethod
     def settle(self, y: Blocks) -> Blocks:
         """The stored states, put back into the group to round-off."""
-
-
-class AllFlows(Flows):
-    """The flows of all parts: they share no state, so their flows commute."""
-
-    def __init__(self, parts: Sequence[Flows]) -> None:
-        self.parts = tuple(parts)
-
-    def enter(self, x: Arrays) -> Blocks:
-        return self._joined(lambda part: part.enter(x))
-
-    def value(self, y: Blocks) -> Arrays:
-        return {name: value for part in self.parts for name, value in part.value(y).items()}
-
-    def at_rest(self, y: Blocks) -> Arrays:
-        return {name: value for part in self.parts for name, value in part.at_rest(y).items()}
-
-    def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
-        return self._joined(lambda part: part.outer(y, dt))
-
-    def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
-        return self._joined(lambda part: part.inner(y, dt, backwards))
-
-    def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
-        return self._joined(lambda part: part.kick(y, rates, dt))
-
-    def settle(self, y: Blocks) -> Blocks:
-        return self._joined(lambda part: part.settle(y))
-
-    def _joined(self, blocks: Callable[[Flows], Blocks]) -> Blocks:
-        return {name: block for part in self.parts for name, block in blocks(part).items()}
+        return y
 
 
 class FreeMotion(ABC):
@@ -113,25 +79,23 @@ def name_of(leaf: Any) -> str:
     return leaf
 
 
-# ---- sums: what rounding takes away is kept beside them, and added the next time ----------------------------------
-
-#: Values, and what of their last increments is not in them, as many each.
-Sum = Components
+# ---- sums: values, then what of their last increments is not in them, which is added the next time -----------------
 
 
-def begun(values: Components) -> Sum:
+def begun(values: Components) -> Components:
     """A sum that starts at these values."""
     return (*values, *(jnp.zeros_like(value) for value in values))
 
 
-def value(total: Sum) -> Components:
+def value(total: Components) -> Components:
     """The values of a sum."""
     return total[: len(total) // 2]
 
 
-def increased(total: Sum, increments: Components) -> Sum:
-    """The sum with increments added. Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section
-    VIII.5 (compensated summation).
+def increased(total: Components, increments: Components) -> Components:
+    """The sum with increments added.
+
+    Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section VIII.5 (compensated summation).
     """
     values, lost = value(total), total[len(total) // 2 :]
     wanted = tuple(d + e for d, e in zip(increments, lost, strict=True))

@@ -1,27 +1,41 @@
-"""Splitting methods: free motion and kicks, one after the other."""
+"""Splitting methods: free motion and kicks, one after the other; whether a system has that form."""
 
 from __future__ import annotations
 
 import dataclasses
 import weakref
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
+from ...expr import Parameter
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.coordinates import Blocks
+from ..charts import Blocks, StoredState
 from ..method import Method, VectorField
-from .check import check_motions
 from .compositions import Composition
-from .motion import AllFlows, FreeMotion
-
-__all__ = ["Splitting"]
+from .motion import Flows, FreeMotion
 
 #: What was found to fit: parts by system.
 _CHECKED: weakref.WeakKeyDictionary[Dynamics, set[tuple[FreeMotion, ...]]] = weakref.WeakKeyDictionary()
+
+
+class _AllParts(StoredState):
+    """The flows of all parts, which share no state."""
+
+    def __init__(self, parts: Sequence[Flows]) -> None:
+        self.parts = parts
+
+    def enter(self, x: Arrays) -> Blocks:
+        return {name: block for part in self.parts for name, block in part.enter(x).items()}
+
+    def value(self, y: Blocks) -> Arrays:
+        return {name: value for part in self.parts for name, value in part.value(y).items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,27 +99,164 @@ class Splitting(Method):
         """
         known = _CHECKED.setdefault(dynamics, set())
         if self.bodies not in known:
-            check_motions(dynamics, self.bodies)
+            _check(dynamics, self.bodies)
             known.add(self.bodies)
 
-    def stored(self, dynamics: Dynamics, params: Arrays) -> AllFlows:
-        return AllFlows([body.flows(dynamics, params) for body in self.bodies])
+    def stored(self, dynamics: Dynamics, params: Arrays) -> _AllParts:
+        return _AllParts([body.flows(dynamics, params) for body in self.bodies])
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """The stored state after one step of length h. Pure and traceable. The clock goes with the free motion."""
-        flows = self.stored(field.dynamics, field.params)
+        parts = self.stored(field.dynamics, field.params).parts
 
         def stage(y: Blocks, entry: tuple[jax.Array, ...]) -> tuple[Blocks, None]:
             weight, node, further = entry
-            y = flows.inner(y, 0.5 * weight * h, backwards=False)
-            time = t + node * h
-            rates = field(time, flows.at_rest(y))
-            y = flows.kick(y, rates, weight * h)
-            y = flows.inner(y, 0.5 * weight * h, backwards=True)
-            return flows.settle(flows.outer(y, further * h)), None
+            for part in parts:
+                y = part.inner(y, 0.5 * weight * h, backwards=False)
+            rates = field(t + node * h, {name: x for part in parts for name, x in part.at_rest(y).items()})
+            for part in parts:
+                y = part.kick(y, rates, weight * h)
+                y = part.inner(y, 0.5 * weight * h, backwards=True)
+                y = part.settle(part.outer(y, further * h))
+            return y, None
 
         first, *_ = between = self.composition.between
-        entries = (self.composition.weights, self.composition.nodes, between[1:])
-        y = flows.outer(y, float(first) * h)
-        tables = tuple(jnp.asarray(entry, h.dtype) for entry in entries)
-        return jax.lax.scan(stage, y, tables, unroll=self.composition.stages == 1)[0]
+        for part in parts:
+            y = part.outer(y, float(first) * h)
+        tables = (self.composition.weights, self.composition.nodes, between[1:])
+        entries = tuple(jnp.asarray(table, h.dtype) for table in tables)
+        return jax.lax.scan(stage, y, entries, unroll=self.composition.stages == 1)[0]
+
+
+# ---- whether a system is free motion and kicks: found by derivatives at random states ------------------------------
+
+#: Random states to look at.
+_DRAWS = 3
+
+_OTHERWISE = "tx.RKMK(tableau) takes every system"
+
+
+def _check(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
+    """Hold a system against the free motions of its parts. Raises ModelError with what is different.
+
+    Rates that are free motion and kicks have three marks, and these are looked at where states are random numbers: the
+    rates of positions are those of the free motion; the derivatives of the rates of velocities with respect to all
+    velocities are those of the free motion, and vanish at rest; parameters that the free motion does not read do not
+    change them. Derivatives, because differences of rates would drown in large forces.
+    """
+    covered = [name for motion in motions for name in (motion.position, motion.velocity)]
+    known = [state.name for state in dynamics.states]
+    for name in covered:
+        if name not in known:
+            raise ModelError(f"Splitting: {name!r} is no state of the system; it has: {', '.join(map(repr, known))}")
+        if covered.count(name) > 1:
+            raise ModelError(f"Splitting: state {name!r} belongs to two parts of {list(motions)!r}")
+    missing = [name for name in known if name not in covered]
+    if missing:
+        raise ModelError(
+            f"Splitting: no body covers state {missing[0]!r}.\n"
+            "  fix: add a tx.FreeBody or a tx.FreeParticle to bodies; "
+            f"a state that is no position or velocity has no free motion, but {_OTHERWISE}"
+        )
+    for motion in motions:
+        motion.check(dynamics)
+    rng = np.random.default_rng(5)
+    with jax.ensure_compile_time_eval():
+        compare = jax.jit(lambda *draw: _compared(dynamics, motions, *draw))
+        for _ in range(_DRAWS):
+            found = jax.device_get(compare(*_drawn(dynamics, rng)))
+            for motion in motions:
+                _judge(motion, found)
+
+
+def _compared(
+    dynamics: Dynamics, motions: Sequence[FreeMotion], t: Any, d: Arrays, u: Arrays, params: Arrays, direction: Arrays
+) -> dict[str, Any]:
+    """What is compared at the state Exp(d), by its name, the parameters moved in a direction; traceable."""
+    x = {name: group.exp(d[name].reshape(-1)) for name, group in dynamics.group.factors.items()}
+    names = [motion.velocity for motion in motions]
+    velocities = {name: x[name] for name in names}
+
+    def system(velocities: Arrays, params: Arrays) -> Arrays:
+        return dynamics._functions.vector_field(t, x | velocities, u, params)
+
+    def free(velocities: Arrays, params: Arrays) -> Arrays:
+        rates = [motion.rates(dynamics, x | velocities, params) for motion in motions]
+        return {name: rate for own in rates for name, rate in own.items()}
+
+    def slopes(rates: Any, velocities: Arrays, params: Arrays) -> dict[str, Any]:
+        """The derivatives of the rates of velocities by all velocities, a matrix each."""
+        flat, read = ravel_pytree(velocities)
+        return jax.jacfwd(lambda z: {n: rates(read(z), params)[n].reshape(-1) for n in names})(flat)
+
+    read = {name for motion in motions for name in motion.parameters}
+    moved = {n: jnp.zeros_like(d) if n in read else d for n, d in direction.items()}
+    return {
+        "system": slopes(system, velocities, params),
+        "free": slopes(free, velocities, params),
+        "rest": slopes(system, {name: jnp.zeros_like(value) for name, value in velocities.items()}, params),
+        "change": jax.jvp(lambda p: slopes(system, velocities, p), (params,), (moved,))[1] if params else {},
+        "position": (system(velocities, params), free(velocities, params)),
+    }
+
+
+def _judge(motion: FreeMotion, found: dict[str, Any]) -> None:
+    position, velocity = motion.position, motion.velocity
+    ours, theirs = (rates[position] for rates in found["position"])
+    tolerance = float(np.sqrt(np.finfo(theirs.dtype).eps))
+    if not np.abs(ours - theirs).max() <= tolerance * np.abs(theirs).max():
+        raise ModelError(
+            f"Splitting: the rate of {position!r} is not the velocity of {motion!r}.\n"
+            f"  fix: for a FreeBody it is the body velocity, or J^-1 or M^-1 times the body momentum; {_OTHERWISE}"
+        )
+    system, free, rest = (found[kind][velocity] for kind in ("system", "free", "rest"))
+    size = max(np.abs(free).max(), np.abs(system).max())
+    if not np.isfinite(size):
+        raise ModelError(
+            f"Splitting: the rate of {velocity!r} is not finite at random states, so it cannot be checked.\n"
+            f"  fix: {_OTHERWISE}"
+        )
+    if np.abs(rest).max() > tolerance**1.5 * size:
+        raise ModelError(
+            f"Splitting: the rate of {velocity!r} depends on velocities also near rest: drag, damping, a gyroscopic or "
+            f"Coriolis force. Splitting needs forces that depend on poses and time alone.\n  fix: {_OTHERWISE}"
+        )
+    off = np.abs(system - free).max()
+    if off > tolerance * size:
+        raise ModelError(
+            f"Splitting: the rate of {velocity!r} depends on velocities in another way than that of {motion!r} in free "
+            f"motion (relative difference {off / size:.1e}): another inertia, or a force that depends on velocities.\n"
+            f"  fix: give the inertia of the system, in its axes; {_OTHERWISE}"
+        )
+    if found["change"] and np.abs(found["change"][velocity]).max() > tolerance * size:
+        raise ModelError(
+            f"Splitting: the inertia of {motion!r} depends on parameters of the system that it does not name.\n"
+            "  fix: give inertia as the Parameter, its name, or an expression of parameters; or fold them into the "
+            "system: tx.compile(system, bake={...})"
+        )
+
+
+def _drawn(dynamics: Dynamics, rng: np.random.Generator) -> tuple[Any, ...]:
+    """A time, tangents of states, controls, parameters, and a direction to move the parameters in."""
+    d = {
+        state.name: rng.normal(size=state.group.dimension) * np.ravel(1.0 if state.scale is None else state.scale)
+        for state in dynamics.states
+    }
+    u = {control.name: rng.normal(size=control.shape) for control in dynamics.controls}
+    params = {parameter.name: _near(parameter, rng) for parameter in dynamics.parameters}
+    direction = {name: np.where(own == 0.0, 1.0, own) * rng.normal(size=own.shape) for name, own in params.items()}
+    drawn = (rng.uniform(0.0, 2.0), d, u, params, direction)
+    return jax.tree.map(lambda value: jnp.asarray(value, jax.dtypes.canonicalize_dtype(float)), drawn)
+
+
+def _near(parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
+    """A value near the parameter's own, of the same form; where it has none, one that a real body may have."""
+    share = rng.uniform(0.8, 1.2)
+    if parameter.value is not None:
+        return np.asarray(share * parameter.value)
+    if parameter.shape == (3, 3):
+        arm = rng.normal(size=(3, 3))
+        return np.eye(3) + 0.1 * (arm @ arm.T)
+    if parameter.shape in ((6,), (6, 6)):
+        diagonal = np.array([share, share, share, *rng.uniform(1.0, 2.0, size=3)])
+        return diagonal if parameter.shape == (6,) else np.diag(diagonal)
+    return np.asarray(rng.uniform(1.0, 2.0, size=parameter.shape))

@@ -14,8 +14,7 @@ import twistax as tx
 
 from ...groups import SO3, SpecialEuclidean
 from ...integrators import Method
-from ...integrators.charts import Chart
-from ...integrators.charts.coordinates import Block, Coordinates, GroupCoordinates
+from ...integrators.charts import Block, Chart, Coordinates, GroupCoordinates
 from ...scenes import SCENES, heavy_top, offset_tumble
 from ..checks import Between, Check, Section, at_most, simulated
 

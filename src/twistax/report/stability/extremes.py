@@ -9,9 +9,8 @@ import numpy as np
 import twistax as tx
 
 from ...scenes import SCENES, offset_tumble
-from ...scenes.arrays import about, cross_matrix
 from ...scenes.free_rotation import SymmetricBody
-from ...scenes.scene import rotation_angle
+from ...scenes.scene import about, cross_matrix, rotation_angle
 from ..checks import Check, Either, Ends, Section, at_most, simulated
 from ..rows import plain
 

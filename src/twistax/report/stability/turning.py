@@ -9,8 +9,7 @@ import numpy as np
 
 import twistax as tx
 
-from ...scenes.arrays import about
-from ...scenes.scene import rotation_angle
+from ...scenes.scene import about, rotation_angle
 from ..checks import Check, Ends, Place, Section, at_most, simulated
 
 __all__ = ["TURNING", "exact"]
