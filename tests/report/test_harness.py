@@ -18,29 +18,24 @@ import pytest
 
 import twistax as tx
 from twistax.__main__ import main
-from twistax.report.checked import Checked, draw
 from twistax.report.checks import (
     Absent,
-    Between,
     Check,
-    Either,
     Ended,
-    Ends,
-    Found,
-    Place,
-    Refused,
     Section,
     agree,
     at_least,
     at_most,
+    between,
+    either,
+    ends,
+    refused,
     simulated,
 )
-from twistax.report.command import run_report
-from twistax.report.origin import Origin
-from twistax.report.pages.page import Picture, duration, render, renew, section_table
-from twistax.report.progress import Progress
-from twistax.report.rows import Row, number, plain
-from twistax.report.store import Store
+from twistax.report.command import Progress, run_report
+from twistax.report.page import Picture, duration, render, renew, table_of
+from twistax.report.report import Checked, draw
+from twistax.report.rows import Origin, Row, Store, number, plain
 from twistax.report.timing import Repeats, Timed, compiled, in_turn, ratio
 
 LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
@@ -94,7 +89,8 @@ def test_competitors_take_turns() -> None:
 
 def test_times_are_medians_of_an_evaluation() -> None:
     timed = Timed(lambda: None, evaluations=10, samples=[3.0, 1.0, 2.0])
-    assert (timed.seconds, timed.fastest, timed.quartiles) == (0.2, 0.1, (0.15, 0.25))
+    assert timed.seconds == 0.2
+    assert timed.numbers == {"lower": 0.15, "upper": 0.25, "fastest": 0.1, "repeats": 3.0}
     assert ratio(timed, Timed(lambda: None, samples=[0.1])) == pytest.approx(2.0)
     run = compiled(lambda x: x + 1.0, np.ones(3))
     assert run.compile_seconds > 0.0
@@ -105,34 +101,34 @@ def test_times_are_medians_of_an_evaluation() -> None:
 
 
 @pytest.mark.parametrize(
-    "expected", [Between(), at_most(1.0), at_least(1.0), Ends(tx.Result.SUCCESS), Refused(tx.InputError, "")]
+    "expected", [between(), at_most(1.0), at_least(1.0), ends(tx.Result.SUCCESS), refused(tx.InputError, "")]
 )
-@pytest.mark.parametrize("found", [Found(math.nan), Found(math.inf), Found(failure=LOST), Found(failure=TypeError())])
-def test_nan_and_unforeseen_failures_are_never_what_was_asked_for(expected: Any, found: Found) -> None:
+@pytest.mark.parametrize("found", [math.nan, math.inf, LOST, TypeError()])
+def test_nan_and_unforeseen_failures_are_never_what_was_asked_for(expected: Any, found: float | Exception) -> None:
     assert not expected.met(found)
 
 
 def test_numbers_are_held_against_bars() -> None:
-    assert at_most(1e-3).met(Found(1e-3))
-    assert not at_most(1e-3).met(Found(1.1e-3))
-    assert at_least(4.0).met(Found(4.0))
-    assert not at_least(4.0).met(Found(3.9))
-    assert Between(4.8, 5.2).text == "at least 4.8, at most 5.2"
-    assert Either(at_most(1.0), Ends(tx.Result.MAX_STEPS)).met(Found(failure=Ended(tx.Result.MAX_STEPS, 0.1)))
-    assert not Either(at_most(1.0), Ends(tx.Result.MAX_STEPS)).met(Found(2.0))
+    assert at_most(1e-3).met(1e-3)
+    assert not at_most(1e-3).met(1.1e-3)
+    assert at_least(4.0).met(4.0)
+    assert not at_least(4.0).met(3.9)
+    assert between(4.8, 5.2).text == "at least 4.8, at most 5.2"
+    assert either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(Ended(tx.Result.MAX_STEPS, 0.1))
+    assert not either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(2.0)
 
 
 def test_an_end_needs_its_name_and_its_time() -> None:
-    expected = Ends(tx.Result.NON_FINITE, 0.9, 1.1)
-    assert expected.met(Found(failure=Ended(tx.Result.NON_FINITE, 1.0)))
-    assert not expected.met(Found(failure=Ended(tx.Result.NON_FINITE, 1.2)))
-    assert not expected.met(Found(failure=Ended(tx.Result.MAX_STEPS, 1.0)))
+    expected = ends(tx.Result.NON_FINITE, 0.9, 1.1)
+    assert expected.met(Ended(tx.Result.NON_FINITE, 1.0))
+    assert not expected.met(Ended(tx.Result.NON_FINITE, 1.2))
+    assert not expected.met(Ended(tx.Result.MAX_STEPS, 1.0))
 
 
 def test_an_error_needs_its_type_and_its_words_in_the_first_line() -> None:
-    assert Refused(tx.IntegrationError, "'x' became infinite").met(Found(failure=LOST))
-    assert not Refused(tx.IntegrationError, "fix").met(Found(failure=LOST))
-    assert not Refused(tx.InputError, "'x' became infinite").met(Found(failure=LOST))
+    assert refused(tx.IntegrationError, "'x' became infinite").met(LOST)
+    assert not refused(tx.IntegrationError, "fix").met(LOST)
+    assert not refused(tx.InputError, "'x' became infinite").met(LOST)
 
 
 def test_an_integration_that_ends_early_raises_how_and_when() -> None:
@@ -162,15 +158,17 @@ def raising(error: Exception) -> Callable[[], float]:
 
 def section(*more: Check, wide: bool = False) -> Section:
     lost = raising(Ended(tx.Result.NON_FINITE, 0.5))
-    reasons = {
-        "Short steps.": [Check("a small error", "RK4", lambda: 2e-9, at_most(1e-8), place=Place("RK4", 1.0))],
-        "Long steps.": [Check("a larger one", "RK4", lambda: 2e-5, at_most(1e-4), place=Place("RK4", 10.0))],
-        "Too long steps.": [
-            Check("too far | beyond", "RK4", lost, Ends(tx.Result.NON_FINITE), slow=True, place=Place("RK4", 100.0))
-        ],
-        "For a test.": list(more),
-    }
-    return Section("made", "Made up", "For a test.", reasons, axes=("step", "error"), wide=wide)
+    content = [
+        "Short steps.",
+        Check("a small error", "RK4", lambda: 2e-9, at_most(1e-8), place=("RK4", 1.0)),
+        "Long steps.",
+        Check("a larger one", "RK4", lambda: 2e-5, at_most(1e-4), place=("RK4", 10.0)),
+        "Too long steps.",
+        Check("too far | beyond", "RK4", lost, ends(tx.Result.NON_FINITE), slow=True, place=("RK4", 100.0)),
+        "For a test.",
+        *more,
+    ]
+    return Section("long", content, axes=("step", "error"), wide=wide)
 
 
 SILENT = Check("a silent one", "RK4", lambda: math.nan, at_most(1.0))
@@ -193,17 +191,16 @@ def run(folder: Path, *more: Check, quick: bool = False, again: bool = False, re
         method=None,
         case=None,
     )
-    texts = {"name": "stability", "title": "Title", "about": "About.", "note": "A note."}
-    return run_report(Checked(given, [section(*more)], **texts), given)
+    return run_report(Checked("stability", [section(*more)], given), given)
 
 
 def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, quick=True) == 0
-    assert "made                  2 rows" in capsys.readouterr().out
+    assert "long                  2 rows" in capsys.readouterr().out
     assert run(tmp_path) == 0
-    assert "made                  1 rows" in capsys.readouterr().out  # those that were there are kept
+    assert "long                  1 rows" in capsys.readouterr().out  # those that were there are kept
     assert run(tmp_path, again=True) == 0
-    assert "made                  3 rows" in capsys.readouterr().out
+    assert "long                  3 rows" in capsys.readouterr().out
     with (tmp_path / "stability.csv").open() as file:
         table = list(csv.DictReader(file))
     assert [row["holds"] for row in table] == ["True"] * 3
@@ -214,10 +211,10 @@ def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys:
         assert "Too long steps." in text
         assert "NON_FINITE at t = 0.5 s" in text
         assert "python -m twistax report --stability --out" in text
-    assert "figures/stability-made.svg" in markdown
+    assert "figures/stability-long.svg" in markdown
     assert "too far \\| beyond" in markdown
     assert "data:image/svg+xml" in page
-    assert (tmp_path / "figures/stability-made.svg").exists()
+    assert (tmp_path / "figures/stability-long.svg").exists()
 
 
 def test_a_bar_that_fails_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -235,7 +232,7 @@ def test_what_is_not_installed_is_named_and_no_failure(tmp_path: Path, capsys: p
     assert "not run: it is not installed" in (tmp_path / "stability.md").read_text()
     assert "1 rows were not run" in (tmp_path / "stability.md").read_text()
     assert run(tmp_path, ABSENT) == 0  # looked for again
-    assert "made                  0 rows" in capsys.readouterr().out.split("time")[1]
+    assert "long                  0 rows" in capsys.readouterr().out.split("time")[1]
 
 
 def test_without_matplotlib_everything_but_the_figures_is_there(
@@ -249,7 +246,7 @@ def test_without_matplotlib_everything_but_the_figures_is_there(
 
 def test_the_figure_shows_numbers_and_ends() -> None:
     made = section()
-    text = draw(made, [check.row(made) for _, check in made]).decode()
+    text = draw(made, [check.run(made.name) for _, check in made], {"title": "Made up"}).decode()
     assert "Made up" in text
     assert "x: ends by name" in text
 
@@ -260,7 +257,7 @@ def test_a_wide_table_has_a_column_for_each_contender_and_bars_they_share_in_its
         Row("g", "log", "float64", value=9.0, unit="ulp", bar="at most 8 ulp", holds=False),
         Row("g", "log", "float32", value=3.0, unit="ulp"),
     ]
-    head, table, _ = section_table(rows, wide=True)
+    head, table, _ = table_of(rows, wide=True)
     assert head == ["", "float64 (at most 8 ulp)", "float32"]
     assert table == [["exp", "2 ulp", ""], ["log", "**9 ulp MISSED**", "3 ulp"]]
 
@@ -296,10 +293,9 @@ def test_tables_of_a_document_are_renewed_and_its_prose_is_kept(tmp_path: Path) 
 def test_the_progress_bar_is_for_terminals(terminal: bool, shown: bool) -> None:
     stream = io.StringIO()
     stream.isatty = lambda: terminal  # type: ignore[method-assign]
-    progress = Progress(stream, 2, shown)
-    progress.start("euler-top")
-    progress.tell("timing", 0.5)
-    progress.end()
+    progress = Progress(stream, ["euler-top", "rocket"], shown)
+    progress.tell("euler-top", "timing", 0.5)
+    progress.clear()
     assert (" 25% " in stream.getvalue() and "euler-top  timing" in stream.getvalue()) == (terminal and shown)
 
 

@@ -15,17 +15,13 @@ import pytest
 
 import twistax as tx
 from twistax.report.command import run_report
-from twistax.report.origin import Origin
-from twistax.report.progress import quiet
-from twistax.report.rows import Row
-from twistax.report.speed import report
-from twistax.report.speed.by_hand import Matrices
-from twistax.report.speed.casadi import Casadi
+from twistax.report.rows import Origin, Row, Store
+from twistax.report.speed import page
+from twistax.report.speed.casadi import CASADI
 from twistax.report.speed.case import CASES, Case, FreeBody
-from twistax.report.speed.contender import PLAIN, SCALARS, Contender
+from twistax.report.speed.contenders import PLAIN, SCALARS, Contender
 from twistax.report.speed.measure import QUICK, apart, measure
-from twistax.report.speed.programs import JACOBIAN, LOOP, SINGLE, VALUE, Batch, Lacks, Quantity, Task, values
-from twistax.report.store import Store
+from twistax.report.speed.programs import JACOBIAN, LOOP, SINGLE, VALUE, Lacks, Quantity, Task, batch, values
 from twistax.report.timing import Repeats, Timed
 
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
@@ -53,19 +49,13 @@ class Pretending(Task):
         return self._program(count, count)
 
 
-class Pretender(Contender):
-    how, colour = "pretends", "C0"
+def pretender(
+    name: str, factor: float = 1.0, seconds: float = 0.1, refuses: str = "", needs: Sequence[str] = ()
+) -> Contender:
+    def task(case: Case, quantity: Quantity) -> Task:
+        return Pretending(quantity.shape(case), factor, seconds, refuses)
 
-    def __init__(
-        self, name: str, factor: float = 1.0, gone: str | None = None, seconds: float = 0.1, refuses: str = ""
-    ) -> None:
-        self.name, self.factor, self.gone, self.seconds, self.refuses = name, factor, gone, seconds, refuses
-
-    def absent(self) -> str | None:
-        return self.gone
-
-    def task(self, case: Case, quantity: Quantity) -> Task:
-        return Pretending(quantity.shape(case), self.factor, self.seconds, self.refuses)
+    return Contender(name, "C0", "pretends", task, tools=needs)
 
 
 def run(folder: Path, *contenders: Contender) -> int:
@@ -83,19 +73,19 @@ def run(folder: Path, *contenders: Contender) -> int:
         method=None,
         case=None,
     )
-    return run_report(report.Speed(given, contenders), given)
+    return run_report(page.Speed(given, contenders), given)
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "QUICK", SHORT)
+    monkeypatch.setattr(page, "QUICK", SHORT)
 
 
 def test_a_run_says_who_is_absent_and_who_disagrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    gone = Pretender("gone", gone="gone is not installed")
-    assert run(tmp_path, Pretender("ours"), Pretender("plain JAX", 1 + 1e-12), Pretender("wrong", 1 + 1e-6), gone) == 1
+    gone = pretender("gone", needs=["no-such-tool"])
+    assert run(tmp_path, pretender("ours"), pretender("plain JAX", 1 + 1e-12), pretender("wrong", 1 + 1e-6), gone) == 1
     said = capsys.readouterr().out
-    assert "absent    gone: gone is not installed" in said
+    assert "absent    gone: there is no no-such-tool" in said
     assert "doubt     wrong disagrees by 1e-06: free-body value in a loop" in said
 
     with (tmp_path / "speed.csv").open() as file:
@@ -120,7 +110,7 @@ def test_a_run_says_who_is_absent_and_who_disagrees(tmp_path: Path, capsys: pyte
 
 
 def test_what_was_measured_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    both = Pretender("ours"), Pretender("plain JAX")
+    both = pretender("ours"), pretender("plain JAX")
     assert run(tmp_path, *both) == 0
     assert "   6 rows" in capsys.readouterr().out
     document = json.loads((tmp_path / "speed.json").read_text())
@@ -137,7 +127,8 @@ def test_bars_are_ratios_and_seconds_to_compile() -> None:
         return Row("aba-7", "value", by, use, value, numbers={"compile_seconds": 2.0})
 
     found = {
-        (each.by, each.setting): each for each in report.bar_rows([row("twistax XLA", 1.0), row("plain JAX", 4.0)])
+        (each.by, each.setting): each
+        for each in page.bar_rows([row("twistax XLA", 1.0), row("plain JAX", 4.0)], "aba-7")
     }
     assert (found["twistax XLA", "over plain JAX"].value, found["twistax XLA", "over plain JAX"].verdict) == (
         0.25,
@@ -149,22 +140,22 @@ def test_bars_are_ratios_and_seconds_to_compile() -> None:
 
 
 def measured(store: Store, contenders: Sequence[Contender], case: Case = CASES["free-body"]) -> dict[Any, Row]:
-    measure(case, VALUE, [SINGLE, LOOP, Batch.with_points(8)], contenders, SHORT, store, quiet)
+    measure(case, VALUE, [SINGLE, LOOP, batch(8)], contenders, SHORT, store)
     return {(row.by, row.setting): row for row in store}
 
 
 def test_what_would_take_too_long_is_left_out(tmp_path: Path) -> None:
     """It goes by the batch before; calls from Python and loops say nothing of a batch."""
     store, hurried = Store(tmp_path / "rows.json", ORIGIN), dataclasses.replace(SHORT, longest=1e-12)
-    uses = [SINGLE, Batch.with_points(64), Batch.with_points(4096)]
-    measure(CASES["free-body"], VALUE, uses, [Pretender("ours")], hurried, store, quiet)
+    uses = [SINGLE, batch(64), batch(4096)]
+    measure(CASES["free-body"], VALUE, uses, [pretender("ours")], hurried, store)
     results = {row.setting: row.note for row in store}
     assert [results[use.name] for use in uses] == ["done", "done", "a call would take 0 s"]
 
 
 def test_a_use_that_is_refused_says_why(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.json", ORIGIN)
-    rows = measured(store, [Pretender("ours"), Pretender("peer", refuses="loop")])
+    rows = measured(store, [pretender("ours"), pretender("peer", refuses="loop")])
     assert rows["peer", "in a loop"].note == "it has no loop"
     assert rows["peer", "batch of 8"].done
     again = Store(tmp_path / "rows.json", ORIGIN)
@@ -174,17 +165,16 @@ def test_a_use_that_is_refused_says_why(tmp_path: Path) -> None:
 
 def test_what_compiles_for_too_long_is_not_compiled_again(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.json", ORIGIN)
-    rows = measured(store, [Pretender("ours"), Pretender("slow", seconds=SHORT.patience + 1.0)])
+    rows = measured(store, [pretender("ours"), pretender("slow", seconds=SHORT.patience + 1.0)])
     assert rows["slow", "single call"].done
     assert rows["slow", "in a loop"].note == f"compiling another use took {SHORT.patience + 1.0:.0f} s"
 
 
 def test_a_failure_of_a_peer_ends_its_row_alone(tmp_path: Path) -> None:
-    class Failing(Pretender):
-        def task(self, case: Case, quantity: Quantity) -> Task:
-            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nand more")
+    def task(case: Case, quantity: Quantity) -> Task:
+        raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nand more")
 
-    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [Pretender("ours"), Failing("peer")])
+    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [pretender("ours"), Contender("peer", "C1", "fails", task)])
     assert rows["peer", "in a loop"].note == "failed: RESOURCE_EXHAUSTED: Out of memory"
     assert rows["ours", "in a loop"].done
 
@@ -210,7 +200,7 @@ def test_ours_and_plain_jax_agree_in_every_use(tmp_path: Path) -> None:
 
 def test_a_package_that_is_not_there_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert Casadi().absent() == "casadi is not installed"
+    assert CASADI.absent() == "casadi is not installed"
 
 
 def test_c_of_casadi_gives_what_the_matrices_give() -> None:
@@ -218,7 +208,7 @@ def test_c_of_casadi_gives_what_the_matrices_give() -> None:
     pytest.importorskip("casadi")
     case = CASES["free-body"]
     for quantity in (VALUE, JACOBIAN):
-        ours, task = PLAIN.task(case, quantity), Casadi().task(case, quantity)
+        ours, task = PLAIN.task(case, quantity), CASADI.task(case, quantity)
         expected = values(ours.batch(3))
         assert apart(values(task.batch(3)), expected, len(quantity.shape(case))) < 1e-13
         assert apart(values(task.loop(5)), expected[0], len(quantity.shape(case))) < 1e-13
@@ -234,7 +224,7 @@ def test_parts_of_a_result_are_joined_for_the_comparison_alone() -> None:
 
 
 def by_hand(name: str, *arguments: Any) -> Any:
-    return np.concatenate(CASES[name].by_hand(Matrices(np), *arguments))
+    return np.concatenate(CASES[name].by_hand(np, *arguments))
 
 
 def test_forces_and_accelerations_are_inverse_to_each_other() -> None:

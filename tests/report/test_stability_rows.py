@@ -2,8 +2,9 @@
 
 import pytest
 
-from twistax.report.checks import Check, Found
-from twistax.report.stability.sections import SECTIONS
+from twistax.report.checks import Check
+from twistax.report.page import texts
+from twistax.report.stability.page import SECTIONS
 
 #: Sections that take long to compile, beside the rows that take long to run.
 SLOW = ("stiff", "single", "jumps", "long")
@@ -20,13 +21,13 @@ CHECKS = [
 
 @pytest.mark.parametrize("check", CHECKS)
 def test_the_row_is_what_was_asked_for(check: Check) -> None:
-    found = Found.of(check.measure)
-    assert check.expected.met(found), f"{found.number:.2g}, {found.note}; asked for: {check.expected.text}"
+    row = check.run()
+    assert row.holds, f"{row.came}; asked for: {row.bar}"
 
 
 def test_every_row_explains_itself() -> None:
     for section in SECTIONS:
-        assert section.about.endswith(".")
+        assert texts("stability")["sections"][section.name]["about"].endswith(".")
         keys = [section.key(check) for _, check in section]
         assert len(set(keys)) == len(keys)
         assert all(why.endswith(".") for why, _ in section)

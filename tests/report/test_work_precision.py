@@ -13,37 +13,27 @@ import pytest
 
 import twistax as tx
 from twistax.__main__ import main
-from twistax.report.origin import Origin
-from twistax.report.progress import quiet
-from twistax.report.store import Store
+from twistax.report.rows import Origin, Store
 from twistax.report.timing import Repeats
-from twistax.report.work_precision import measure, report
-from twistax.report.work_precision.contender import QUICK, Contender, Counts, Effort, Ladder, Program, tolerances
-from twistax.report.work_precision.contenders import CONTENDERS
+from twistax.report.work_precision import measure, page
+from twistax.report.work_precision.contenders import CONTENDERS, QUICK, Contender, Counts, Program, tolerances
 from twistax.report.work_precision.measure import measure_scene
 from twistax.scenes import SCENES, Scene
 
 TOP = SCENES["euler-top"]
+LINE = CONTENDERS["tsit5"].line
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, tolerances=tolerances(-6, -9, 1), repeats=Repeats(4, 2, 0.05))
 
 
-@dataclasses.dataclass(frozen=True)
-class Pretended(Contender):
+def pretended(scene: Scene) -> Program:
     """Knows the answer, and misses it by the tolerance."""
 
-    name: str = "pretended"
-    line: Any = CONTENDERS["tsit5"].line
+    def solve(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
+        good = tolerance > 3e-9
+        return start["w"] + tolerance, Counts(jnp.asarray(3), jnp.asarray(1), jnp.asarray(24), good)
 
-    def ladder(self, effort: Effort) -> Ladder:
-        return effort.tolerances
-
-    def build(self, scene: Scene) -> Program:
-        def solve(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
-            good = tolerance > 3e-9
-            return start["w"] + tolerance, Counts(jnp.asarray(3), jnp.asarray(1), jnp.asarray(24), good)
-
-        return Program({"w": jnp.asarray(scene.end["w"])}, solve, lambda w: {**scene.end, "w": w}, True)
+    return Program({"w": jnp.asarray(scene.end["w"])}, solve, lambda w: {**scene.end, "w": w})
 
 
 def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
@@ -55,7 +45,7 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     said = capsys.readouterr()
     assert said.err == ""  # no bar where there is no terminal
     assert "  18 rows" in said.out
-    assert "bar       Euler top, error 1e-6, DOP853, quaternion over diffrax in one call" in said.out
+    assert "  Euler top, error 1e-6, DOP853, quaternion over diffrax in one call" in said.out
 
     with (tmp_path / "report.csv").open() as file:
         table = list(csv.DictReader(file))
@@ -76,8 +66,8 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     assert len(document["rows"]) == 18
     assert len(document["bars"]) == 4
     fastest = min((row for row in table if float(row["error"]) < 1e-6), key=lambda row: float(row["value"]))
-    for page in ("report.md", "report.html"):
-        text = (tmp_path / page).read_text()
+    for name in ("report.md", "report.html"):
+        text = (tmp_path / name).read_text()
         assert f"(6 digits). Fastest: {CONTENDERS[fastest['by']].line.title} on Euler top." in text
         assert document["machine"] in text
     assert (tmp_path / "figures/euler-top.svg").stat().st_size < 150_000
@@ -100,7 +90,7 @@ def test_a_wrong_answer_ends_in_status_1(
     end = {name: np.array(value) for name, value in TOP.end.items()}
     end["w"][0] += 1e-3
     wrong = dataclasses.replace(TOP, exact=None, reference=end)
-    monkeypatch.setattr(report, "SCENES", {"euler-top": wrong})
+    monkeypatch.setattr(page, "SCENES", {"euler-top": wrong})
     told = ["report", "--quick", "--scene", "euler-top", "--method", "diffrax-tsit5-call", "--out", str(tmp_path)]
     assert main(told) == 1
     assert "IT DISAGREES" in capsys.readouterr().out
@@ -109,7 +99,7 @@ def test_a_wrong_answer_ends_in_status_1(
 
 def test_rows_say_what_happened(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.json", ORIGIN)
-    assert measure_scene(TOP, [Pretended()], SHORT, store, quiet) == []
+    assert measure_scene(TOP, [Contender("pretended", LINE, pretended)], SHORT, store) == {}
     rows = {row.numbers["setting"]: row for row in store}
     assert list(rows) == [1e-6, 1e-7, 1e-8, 1e-9]
     size = float(np.linalg.norm(TOP.end["w"]))
@@ -124,12 +114,12 @@ def test_rows_say_what_happened(tmp_path: Path) -> None:
 
 
 def test_a_method_that_cannot_run_a_scene_is_named(tmp_path: Path) -> None:
-    class Refusing(Pretended):
-        def build(self, scene: Scene) -> Program:
-            raise tx.ModelError("the rate depends on the pose\n  fix: another method")
+    def refusing(scene: Scene) -> Program:
+        raise tx.ModelError("the rate depends on the pose\n  fix: another method")
 
-    (refused,) = measure_scene(TOP, [Refusing()], SHORT, Store(tmp_path / "rows.json", ORIGIN), quiet)
-    assert (refused.scene, refused.reason) == ("euler-top", "the rate depends on the pose")
+    store = Store(tmp_path / "rows.json", ORIGIN)
+    refused = measure_scene(TOP, [Contender("refusing", LINE, refusing)], SHORT, store)
+    assert refused == {"refusing": "the rate depends on the pose"}
 
 
 def test_diffrax_in_one_call_is_compiled_as_one_small_function() -> None:

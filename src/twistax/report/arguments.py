@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import functools
+import importlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-
-__all__ = ["add_options"]
+from typing import Any
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -24,19 +25,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="minutes rather than an hour: few methods or functions, coarse settings, few repeats, nothing that takes "
         "long; the longest scenes only if asked for",
     )
-    for name, known, text in (
-        ("scene", _scenes, "only this scene"),
-        ("method", _methods, "only this method"),
-        ("case", _cases, "with --speed, only this function"),
-        ("only", _sections, "with --stability or --figures, only this section"),
+    for name, what, names, text in (
+        ("scene", "scene", lambda: _load("..scenes").SCENES, "only this scene"),
+        ("method", "method", lambda: _load(".work_precision.contenders").CONTENDERS, "only this method"),
+        ("case", "case", lambda: _load(".speed.case").CASES, "with --speed, only this function"),
+        ("only", "section", _sections, "with --stability or --figures, only this section"),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
         parser.add_argument(
-            f"--{name}",
-            type=_one_of(name.replace("only", "section"), known),
-            action="append",
-            metavar="NAME",
-            help=several,
+            f"--{name}", type=functools.partial(_one_of, what, names), action="append", metavar="NAME", help=several
         )
     parser.add_argument(
         "--out",
@@ -55,42 +52,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-progress", action="store_true", help="no progress bar")
 
 
-def _one_of(what: str, names: Callable[[], Iterable[str]]) -> Callable[[str], str]:
-    def read(text: str) -> str:
-        known = list(names())
-        if text not in known:
-            raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
-        return text
+def _load(module: str) -> Any:
+    return importlib.import_module(module, __package__)
 
-    return read
+
+def _sections() -> list[str]:
+    return [section.name for kind in ("figures", "stability") for section in _load(f".{kind}.page").SECTIONS]
+
+
+def _one_of(what: str, names: Callable[[], Iterable[str]], text: str) -> str:
+    known = list(names())
+    if text not in known:
+        raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
+    return text
 
 
 def _file(text: str) -> Path:
     if not Path(text).is_file():
         raise argparse.ArgumentTypeError(f"there is no file {text!r}")
     return Path(text)
-
-
-def _scenes() -> Iterable[str]:
-    from ..scenes import SCENES
-
-    return SCENES
-
-
-def _methods() -> Iterable[str]:
-    from .work_precision.contenders import CONTENDERS
-
-    return CONTENDERS
-
-
-def _cases() -> Iterable[str]:
-    from .speed.case import CASES
-
-    return CASES
-
-
-def _sections() -> Iterable[str]:
-    from .figures.sections import SECTIONS as figures
-    from .stability.sections import SECTIONS as stability
-
-    return [section.name for section in (*figures, *stability)]

@@ -1,18 +1,28 @@
-"""What was measured: the one row of all reports."""
+"""What was measured: the one row of all reports, where rows come from, and how they are kept."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+import hashlib
+import json
 import math
-from collections.abc import Iterable, Mapping
+import os
+import platform
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-__all__ = ["DONE", "Row", "number", "plain", "save_csv"]
+import jax
+
+import twistax
 
 #: The note of a row that has its value.
 DONE = "done"
+#: What native kernels need, and what stands for the version of a package that is not installed.
+KERNELS, ABSENT = "llvmlite", "absent"
+_VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy", KERNELS)
 
 Key = tuple[str, str, str, str]
 
@@ -58,8 +68,10 @@ class Row:
 
     @property
     def came(self) -> str:
-        """The value with its unit, or the note."""
-        return f"{number(self.value)} {self.unit}".rstrip() if math.isfinite(self.value) else self.note
+        """The value with its unit, or the note that says why there is none."""
+        if math.isfinite(self.value):
+            return f"{number(self.value)} {self.unit}".rstrip()
+        return "-" if self.done else self.note
 
     @property
     def verdict(self) -> str:
@@ -70,23 +82,18 @@ class Row:
 
     def record(self) -> dict[str, Any]:
         """Plain values by name, None in place of what is not finite."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         numbers = {name: _finite(value) for name, value in self.numbers.items()}
-        return values | {"value": _finite(self.value), "numbers": numbers}
+        return dataclasses.asdict(self) | {"value": _finite(self.value), "numbers": numbers}
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Row:
         """The row of a record. Raises KeyError or TypeError for what is none."""
-        numbers = {name: _read(value) for name, value in record["numbers"].items()}
-        return cls(**{**record, "value": _read(record["value"]), "numbers": numbers})
+        value, *numbers = (math.nan if v is None else float(v) for v in (record["value"], *record["numbers"].values()))
+        return cls(**{**record, "value": value, "numbers": dict(zip(record["numbers"], numbers, strict=True))})
 
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _read(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 def number(value: float) -> str:
@@ -116,3 +123,123 @@ def save_csv(path: Path, rows: Iterable[Row]) -> None:
         for record in records:
             values = record | record.pop("numbers")
             table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in values.items()})
+
+
+# ---- where rows come from -------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """Rows of different origins do not belong together.
+
+    Attributes:
+        versions: of the packages in use.
+        code: digest of this package's own code; the demo, and what only writes pages, left out.
+        machine: processor, cores, Python, JAX and its flags.
+        effort: what was run, and how often it was repeated.
+    """
+
+    versions: Mapping[str, str]
+    code: str
+    machine: str
+    effort: Mapping[str, Any]
+
+    @classmethod
+    def now(cls, effort: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> Origin:
+        """Of rows measured now.
+
+        Args:
+            effort: plain values.
+            versions: of other packages in use.
+        """
+        found = {name: _version(name) for name in _VERSIONED} | dict(versions or {})
+        return cls(found, _code(), _machine(), dict(effort))
+
+    @property
+    def digest(self) -> str:
+        """A short word that differs where anything does."""
+        return _digest(json.dumps(dataclasses.asdict(self), sort_keys=True).encode())
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ABSENT
+
+
+def _code() -> str:
+    root = Path(twistax.__file__).parent
+    files = [path for path in sorted(root.rglob("*")) if path.suffix in (".py", ".c") and path.stem != "page"]
+    return _digest(b"".join(path.read_bytes() for path in files if root / "demo" not in path.parents))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def _machine() -> str:
+    """Processor, cores, Python, JAX and its flags in one line."""
+    model, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
+    if info.exists():
+        named = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        model = named[0].split(":", 1)[1].strip() if named else model
+    return (
+        f"{model}, {os.cpu_count()} cores, Python {platform.python_version()}, JAX {jax.__version__} on "
+        f"{jax.devices()[0].platform}, XLA_FLAGS {os.environ.get('XLA_FLAGS', 'none')}"
+    )
+
+
+# ---- how they are kept ----------------------------------------------------------------------------------------------
+
+
+class Store:
+    """Rows of one origin in a JSON file, written whenever some are added: an interrupted run goes on where it stopped.
+
+    Rows of another origin, and a file that is damaged, are dropped when it is opened; `dropped` counts rows.
+    """
+
+    def __init__(self, path: Path, origin: Origin) -> None:
+        self._path, self.origin = path, origin
+        self._rows: dict[Key, Row] = {}
+        self.dropped = 0
+        try:
+            document = json.loads(path.read_text())
+            rows = [Row.of(record) for record in document["rows"]]
+            if document["digest"] == origin.digest:
+                self._rows = {row.key: row for row in rows}
+            else:
+                self.dropped = len(rows)
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            pass
+
+    def get(self, group: str, what: str, by: str, setting: str = "") -> Row | None:
+        """The row of that key, or None."""
+        return self._rows.get((group, what, by, setting))
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Keep rows, on disk too."""
+        self._rows |= {row.key: row for row in rows}
+        self.save()
+
+    def forget(self, group: str) -> None:
+        """Drop the rows of a group."""
+        self._rows = {key: row for key, row in self._rows.items() if row.group != group}
+
+    def save(self, bars: Sequence[Row] = ()) -> None:
+        """Write strict JSON, a row a line, with rows about rows beside them."""
+        head = dataclasses.asdict(self.origin) | {"digest": self.origin.digest}
+        parts = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in head.items()]
+        for name, rows in (("bars", bars), ("rows", list(self))):
+            lines = ",\n".join(json.dumps(row.record(), allow_nan=False) for row in rows)
+            parts.append(f"{json.dumps(name)}: [\n{lines}\n]")
+        # What is half written never takes the place of what is there.
+        draft = self._path.with_suffix(".part")
+        draft.write_text("{\n" + ",\n".join(parts) + "\n}\n")
+        draft.replace(self._path)
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self._rows.values())
+
+    def __len__(self) -> int:
+        return len(self._rows)

@@ -12,9 +12,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .progress import Tell, quiet
+from .rows import Row, Store
 
-__all__ = ["Repeats", "Timed", "compiled", "empty_call_seconds", "in_turn", "ratio", "seconds_of"]
+#: Called with what is going on, and how much of the present part is done, 0 to 1.
+Tell = Callable[[str, float], None]
+
+
+def quiet(what: str, share: float) -> None:
+    """Tells nobody."""
+
 
 #: Timed calls in a row on each visit, after one that is not timed; what is longer (s) is called once.
 _CALLS, _SHORT = 3, 5e-3
@@ -77,25 +83,35 @@ class Timed:
         return median(self.samples) / self.evaluations
 
     @property
-    def fastest(self) -> float:
-        return min(self.samples) / self.evaluations
-
-    @property
-    def quartiles(self) -> tuple[float, float]:
-        """The lower and the upper one."""
-        if len(self.samples) == 1:
-            return self.seconds, self.seconds
-        lower, _, upper = quantiles(self.samples, method="inclusive")
-        return lower / self.evaluations, upper / self.evaluations
+    def numbers(self) -> dict[str, float]:
+        """The quartiles, the fastest, and how many there are."""
+        lower, _, upper = quantiles(self.samples, method="inclusive") if len(self.samples) > 1 else 3 * self.samples
+        ends = {"lower": lower, "upper": upper, "fastest": min(self.samples)}
+        return {name: value / self.evaluations for name, value in ends.items()} | {"repeats": float(len(self.samples))}
 
 
-def compiled(function: Callable[..., Any], *arguments: Any, evaluations: int = 1) -> Timed:
-    """A traceable function compiled for its arguments."""
+def compiled(function: Callable[..., Any], *arguments: Any, evaluations: int = 1, calls: int = 1) -> Timed:
+    """A traceable function compiled for its arguments.
+
+    Args:
+        evaluations: in a call.
+        calls: from Python that are timed together, each waited for.
+    """
     begin = time.perf_counter()
-    run = jax.jit(function).lower(*arguments).compile()
-    seconds, needed = time.perf_counter() - begin, run.memory_analysis()
+    run = jax.jit(function)
+    program = run.lower(*arguments).compile()
+    seconds, needed = time.perf_counter() - begin, program.memory_analysis()
     memory = math.nan if needed is None else float(needed.temp_size_in_bytes)
-    return Timed(lambda: run(*arguments), evaluations, seconds, memory)
+    # Calls from Python find the jitted function faster than the compiled one.
+    call = lambda: jax.block_until_ready(run(*arguments))  # noqa: E731
+    return Timed(lambda: repeated(calls, call), calls * evaluations, seconds, memory)
+
+
+def repeated(count: int, call: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of the last of some calls."""
+    for _ in range(count):
+        result = call(*arguments)
+    return result
 
 
 def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> None:
@@ -115,6 +131,16 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
                 if short:
                     each.result()
                 each.samples.extend(seconds_of(each.result) for _ in range(_CALLS if short else 1))
+
+
+def keep(pairs: Sequence[tuple[Row, Timed | None]], repeats: Repeats, store: Store, tell: Tell = quiet) -> None:
+    """Time those that are done in turn, but for what has samples already, and put all rows into the store."""
+    timed = [(row, each if row.done else None) for row, each in pairs]
+    in_turn([each for _, each in timed if each and not each.samples], repeats, tell)
+    store.add(
+        dataclasses.replace(row, value=each.seconds, numbers={**row.numbers, **each.numbers}) if each else row
+        for row, each in timed
+    )
 
 
 def ratio(one: Timed, other: Timed) -> float:

@@ -16,10 +16,9 @@ from ...integrators import VectorField
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
-from ..checks import Between, Check, Section, agree, at_most
+from ..checks import Check, Section, agree, at_most, between
 from ..timing import Repeats, Timed, compiled, in_turn
-
-__all__ = ["GRADIENTS", "LINEARISATION", "linearised"]
+from .stiffness import fourth_order
 
 _RK4 = tx.RKMK(tx.tableaus.RK4)
 _REPEATS = Repeats(5, 5)
@@ -37,36 +36,41 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     A rocket stage: a pose, a body twist and a mass under thrust, 0.5 s. Differences are of the largest entry, with the
     unknowns in their scales. Needs JAX's x64 switch.
     """
-    dynamics = tx.compile(system())
-    leaves = (*system().states, *system().controls)
+    dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Vehicle()
+    n, leaves = dynamics.dimension, (*system().states, *system().controls)
     sizes = [(leaf.group.dimension,) if hasattr(leaf, "group") else leaf.shape for leaf in leaves]
     scales = [np.broadcast_to(np.asarray(leaf.scale), size).ravel() for leaf, size in zip(leaves, sizes, strict=True)]
     scale = np.concatenate([*scales, [_STEP]])
-    xs, us = _points(dynamics, scale)
-    ways: dict[str, Callable[..., jax.Array]] = {
-        _CLOSED: lambda x, u: _closed(dynamics, x, u),
-        _LOGARITHM: lambda x, u: _by_logarithm(dynamics, x, u),
-        _DIFFERENCES: lambda x, u: _by_differences(dynamics, scale, x, u),
-    }
-    timed = {name: compiled(jax.vmap(way), xs, us, evaluations=_BATCH) for name, way in ways.items()}
-    results = {name: np.asarray(each.result()) for name, each in timed.items()}
-    rows = scale[: dynamics.dimension, None]
-    apart = {name: float(np.max(np.abs(results[_CLOSED] - values) * scale / rows)) for name, values in results.items()}
-    in_turn(list(timed.values()), _REPEATS)
-    return timed, apart
-
-
-def _points(dynamics: tx.Dynamics, scale: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
-    """States around the start of the descent and thrusts around 60 %, leading axis the batch."""
-    rng, vehicle = np.random.default_rng(0), Vehicle()
-    moves = 0.3 * rng.normal(size=(_BATCH, dynamics.dimension)) * scale[: dynamics.dimension]
+    # States around the start of the descent and thrusts around 60 %, leading axis the batch.
+    moves = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]
     xs = jax.jit(jax.vmap(dynamics.retract, (None, 0)))(initial(Start(), vehicle), moves)
-    return xs, {"T": jnp.asarray(vehicle.max_thrust * (np.array([0.0, 0.0, 0.6]) + 0.1 * rng.normal(size=(_BATCH, 3))))}
+    thrusts = vehicle.max_thrust * (np.array([0.0, 0.0, 0.6]) + 0.1 * rng.normal(size=(_BATCH, 3)))
 
+    def closed(x: Any, u: Any) -> jax.Array:
+        step = discretize(dynamics, 0.0, x, u, _STEP)
+        return jnp.concatenate([step.A, step.B, step.h_derivative[:, None]], axis=1)
 
-def _closed(dynamics: tx.Dynamics, x: Any, u: Any) -> jax.Array:
-    step = discretize(dynamics, 0.0, x, u, _STEP)
-    return jnp.concatenate([step.A, step.B, step.h_derivative[:, None]], axis=1)
+    def by_logarithm(x: Any, u: Any) -> jax.Array:
+        return jax.jacfwd(_moved_end(dynamics, x, u))(jnp.zeros(n + 4))
+
+    def by_differences(x: Any, u: Any) -> jax.Array:
+        end = jax.vmap(_moved_end(dynamics, x, u))
+
+        def central(size: float) -> jax.Array:
+            steps = size * jnp.diag(jnp.asarray(scale))
+            return (end(steps) - end(-steps)).T / (2.0 * size * scale[None, :])
+
+        return (4.0 * central(5e-4) - central(1e-3)) / 3.0
+
+    ways = {_CLOSED: closed, _LOGARITHM: by_logarithm, _DIFFERENCES: by_differences}
+    arguments = xs, {"T": jnp.asarray(thrusts)}
+    timed = {name: compiled(jax.vmap(way), *arguments, evaluations=_BATCH) for name, way in ways.items()}
+    results = {name: np.asarray(each.result()) for name, each in timed.items()}
+    differences = {
+        name: np.abs(results[_CLOSED] - values) * scale / scale[:n, None] for name, values in results.items()
+    }
+    in_turn(list(timed.values()), _REPEATS)
+    return timed, {name: float(np.max(each)) for name, each in differences.items()}
 
 
 def _moved_end(dynamics: tx.Dynamics, x: Any, u: Any) -> Callable[[jax.Array], jax.Array]:
@@ -76,46 +80,29 @@ def _moved_end(dynamics: tx.Dynamics, x: Any, u: Any) -> Callable[[jax.Array], j
     def end(z: jax.Array) -> Any:
         inputs = dynamics._functions.prepare(0.0, dynamics.retract(x, z[:n]), {"T": u["T"] + z[n : n + 3]})
         control, length = dict(inputs.u), _STEP + z[n + 3]
-        return _RK4.step(
-            VectorField(dynamics, lambda _: control, dict(inputs.params)), inputs.t, dict(inputs.x), length
-        )
+        field = VectorField(dynamics, lambda _: control, dict(inputs.params))
+        return _RK4.step(field, inputs.t, dict(inputs.x), length)
 
     planned = end(jnp.zeros(n + 4))
     return lambda z: dynamics.difference(planned, end(z))
 
 
-def _by_logarithm(dynamics: tx.Dynamics, x: Any, u: Any) -> jax.Array:
-    return jax.jacfwd(_moved_end(dynamics, x, u))(jnp.zeros(dynamics.dimension + 4))
-
-
-def _by_differences(dynamics: tx.Dynamics, scale: np.ndarray, x: Any, u: Any) -> jax.Array:
-    end = jax.vmap(_moved_end(dynamics, x, u))
-
-    def central(size: float) -> jax.Array:
-        steps = size * jnp.diag(jnp.asarray(scale))
-        return (end(steps) - end(-steps)).T / (2.0 * size * scale[None, :])
-
-    return (4.0 * central(5e-4) - central(1e-3)) / 3.0
+def _linearised(way: str, what: str) -> float:
+    timed = linearised()[0][way]
+    return timed.compile_seconds if what == "compiling" else 1e6 * timed.seconds
 
 
 LINEARISATION = Section(
     "linearisation",
-    "Linearising a step",
-    "A, B and dx/dh of an RKMK4 step of a rocket stage, by the closed form and by other ways.",
-    {
-        "": [
-            Check("closed form against", _LOGARITHM, lambda: linearised()[1][_LOGARITHM], at_most(1e-12)),
-            Check("closed form against", _DIFFERENCES, lambda: linearised()[1][_DIFFERENCES], at_most(1e-8)),
-            *(
-                check
-                for way in (_CLOSED, _LOGARITHM)
-                for check in (
-                    Check("compiling", way, lambda way=way: linearised()[0][way].compile_seconds, Between(unit="s")),  # type: ignore[misc]
-                    Check("an interval", way, lambda way=way: 1e6 * linearised()[0][way].seconds, Between(unit="us")),  # type: ignore[misc]
-                )
-            ),
-        ]
-    },
+    [
+        Check("closed form against", _LOGARITHM, lambda: linearised()[1][_LOGARITHM], at_most(1e-12)),
+        Check("closed form against", _DIFFERENCES, lambda: linearised()[1][_DIFFERENCES], at_most(1e-8)),
+        *(
+            Check(what, way, functools.partial(_linearised, way, what), between(unit=unit))
+            for way in (_CLOSED, _LOGARITHM)
+            for what, unit in (("compiling", "s"), ("an interval", "us"))
+        ),
+    ],
 )
 
 # ---- of a whole integration -----------------------------------------------------------------------------------------
@@ -147,12 +134,9 @@ def _gradient(way: str) -> dict[str, float]:
     run = jax.jit(function)
     gradient, solution = compiled(jax.grad(function), z), Timed(lambda: run(z))
     reverse, forward = gradient.result(), jax.jit(jax.jacfwd(function))(z)
-    four = [8.0 * (run(h) - run(-h)) - (run(2.0 * h) - run(-2.0 * h)) for h in _H * jnp.eye(n + 1)]
+    others = {"to forward mode": forward, "to differences": fourth_order(run, n + 1, _H)}
     size = float(jnp.abs(reverse).max())
-    found = {
-        "to forward mode": float(jnp.abs(reverse - forward).max()) / size,
-        "to differences": float(jnp.abs(reverse - jnp.stack(four) / (12.0 * _H)).max()) / size,
-    }
+    found = {name: float(jnp.abs(reverse - other).max()) / size for name, other in others.items()}
     agree(max(found.values()), 1e-6)
     in_turn([gradient, solution], _REPEATS)
     return found | {
@@ -163,24 +147,21 @@ def _gradient(way: str) -> dict[str, float]:
     }
 
 
+_COLUMNS = {
+    "to forward mode": at_most(1e-8),
+    "to differences": at_most(1e-8),
+    "compiling": at_most(10.0, "s"),
+    "gradient": between(unit="ms"),
+    "solution": between(unit="ms"),
+    "memory": between(unit="MB"),
+}
+
 GRADIENTS = Section(
     "gradients",
-    "The gradient of a whole integration",
-    "The rocket scene, 10 s; reverse mode, its differences relative to the largest entry, and its memory beside "
-    "arguments and results.",
-    {
-        "": [
-            Check(way, name, functools.partial(lambda way, name: _gradient(way)[name], way, name), expected, slow=True)
-            for way in _WAYS
-            for name, expected in {
-                "to forward mode": at_most(1e-8),
-                "to differences": at_most(1e-8),
-                "compiling": at_most(10.0, "s"),
-                "gradient": Between(unit="ms"),
-                "solution": Between(unit="ms"),
-                "memory": Between(unit="MB"),
-            }.items()
-        ]
-    },
+    [
+        Check(way, name, functools.partial(lambda way, name: _gradient(way)[name], way, name), expected, slow=True)
+        for way in _WAYS
+        for name, expected in _COLUMNS.items()
+    ],
     wide=True,
 )

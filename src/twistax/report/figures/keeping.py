@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +16,10 @@ from ...groups import SO3, SpecialEuclidean
 from ...integrators import Method
 from ...integrators.charts import Block, Chart, Coordinates, GroupCoordinates
 from ...scenes import SCENES, heavy_top, offset_tumble
-from ..checks import Between, Check, Section, at_most, simulated
-
-__all__ = [
-    "KEEPING",
-    "LONG",
-    "Change",
-    "Matrices",
-    "Motion",
-    "changes",
-    "constant_twist",
-    "free_body",
-    "spatial_inertia",
-    "top",
-]
+from ...scenes.scene import cross_matrix
+from ..checks import Check, Expected, Section, at_most, between, simulated
 
 Array = NDArray[Any]
-#: States with a leading axis to what is kept, (n,) or (n, k), and its size (n,).
-Kept = Callable[[Mapping[str, Array]], tuple[Array, Array]]
 
 #: The body of the drifts: mass, kg; centre of mass from its origin, m; inertia about it, kg m2; twist at the start.
 MASS, CENTRE, INERTIA = 2.0, np.array([0.1, -0.2, 0.3]), np.diag([1.0, 2.0, 3.0])
@@ -43,17 +29,42 @@ _MILLION, _DT = 1_000_000, 1e-2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
-    """A system, its start, what a true motion keeps by name, and its free motion for splittings."""
+    """A body that moves.
 
-    name: str
+    Attributes:
+        inertia: (6, 6), order [v; w]; None where nothing but the group is of interest.
+        moment: of a weight on its third axis, N m.
+        bodies: its free motion, for splittings.
+    """
+
     dynamics: tx.Dynamics
     start: Mapping[str, Any]
-    kept: Mapping[str, Kept]
+    inertia: Array | None = None
+    moment: float = 0.0
     bodies: Any = None
 
+    def kept(self, xs: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+        """What a true motion keeps of states with a leading axis, (n, ...), and its size (n,), by name.
 
-@dataclasses.dataclass(frozen=True)
-class Change:
+        Under a weight that is the energy and the vertical momentum; else also the linear momentum, and both, about the
+        first position. Their size is that of what they are the sum of: the arm, which grows with the way, times the
+        linear one.
+        """
+        R = xs["R"] if "R" in xs else xs["g"][:, :3, :3]
+        found = {"R'R - I": (np.swapaxes(R, 1, 2) @ R - np.eye(3), np.ones(len(R)))}
+        if self.inertia is None:
+            return found
+        V = xs["V"] if "V" in xs else np.pad(xs["w"], ((0, 0), (3, 0)))
+        arm = xs["g"][:, :3, 3] - xs["g"][0, :3, 3] if "g" in xs else np.zeros((len(R), 3))
+        mu = V @ self.inertia
+        p, L = (np.einsum("nij,nj->ni", R, part) for part in (mu[:, :3], mu[:, 3:]))
+        linear, angular, length = np.linalg.norm((p, L, arm), axis=-1)
+        energy, both = 0.5 * np.sum(V * mu, axis=1) + self.moment * R[:, 2, 2], np.hstack([p, L + np.cross(arm, p)])
+        found |= {"energy": (energy, np.abs(energy)), "vertical momentum": (L[:, 2], angular)}
+        return found | {"linear momentum": (p, linear), "momentum": (both, linear * (1.0 + length) + angular)}
+
+
+class Change(NamedTuple):
     """Of what is kept, since the start, after each number of steps: as it is, and over its size then."""
 
     absolute: Array
@@ -62,23 +73,16 @@ class Change:
 
 @functools.cache
 def changes(motion: Motion, method: Method, dt: float, counts: tuple[int, ...]) -> dict[str, Change]:
-    """By what is kept, and by "R'R - I". Vectors and matrices by their norms. Needs JAX's x64 switch."""
+    """By what is kept. Vectors and matrices by their norms. Needs JAX's x64 switch."""
     times = np.array([0, *counts]) * dt
-    sol = simulated(
-        motion.dynamics, dict(motion.start), t1=float(times[-1]), steps=max(counts), method=method, save_at=times
-    )
-    xs = {name: np.asarray(value) for name, value in sol.xs.items()}
+    options: dict[str, Any] = {"t1": float(times[-1]), "steps": max(counts), "method": method, "save_at": times}
+    sol = simulated(motion.dynamics, motion.start, **options)
     found = {}
-    for name, kept in {**motion.kept, "R'R - I": _defect}.items():
-        values, sizes = kept(xs)
-        change = np.linalg.norm((values - values[0]).reshape(len(values), -1), axis=1)
-        found[name] = Change(change[1:], (change / sizes)[1:])
+    for name, (values, sizes) in motion.kept({name: np.asarray(value) for name, value in sol.xs.items()}).items():
+        change = np.linalg.norm((values - values[0]).reshape(len(values), -1), axis=1)[1:]
+        # What is zero throughout has no size.
+        found[name] = Change(change, np.divide(change, sizes[1:], out=np.zeros(len(change)), where=sizes[1:] > 0.0))
     return found
-
-
-def _defect(xs: Mapping[str, Array]) -> tuple[Array, Array]:
-    R = xs["R"] if "R" in xs else xs["g"][:, :3, :3]
-    return np.swapaxes(R, 1, 2) @ R - np.eye(3), np.ones(len(R))
 
 
 # ---- motions --------------------------------------------------------------------------------------------------------
@@ -86,49 +90,13 @@ def _defect(xs: Mapping[str, Array]) -> tuple[Array, Array]:
 
 def spatial_inertia(m: float = MASS, c: Array = CENTRE, inertia: Array = INERTIA) -> Array:
     """(6, 6) about the body's origin, order [v; w]."""
-    arm = np.asarray(tx.lie.so3.hat(c))
+    arm = cross_matrix(c)
     return np.block([[m * np.eye(3), -m * arm], [m * arm, inertia - m * arm @ arm]])
 
 
-def _of_pose(M: Array, about: Array) -> dict[str, Kept]:
-    """Energy; linear momentum in the world; and both momenta, the angular one about a point.
-
-    The size of both is that of what they are the sum of: the arm, which grows with the way, times the linear one.
-    """
-
-    def momenta(xs: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        R, mu = xs["g"][:, :3, :3], xs["V"] @ M
-        p, L = (np.einsum("nij,nj->ni", R, part) for part in (mu[:, :3], mu[:, 3:]))
-        return p, L, xs["g"][:, :3, 3] - about
-
-    def energy(xs: Mapping[str, Array]) -> tuple[Array, Array]:
-        values = 0.5 * np.sum(xs["V"] * (xs["V"] @ M), axis=1)
-        return values, np.abs(values)
-
-    def linear(xs: Mapping[str, Array]) -> tuple[Array, Array]:
-        p, _, _ = momenta(xs)
-        return p, np.linalg.norm(p, axis=1)
-
-    def both(xs: Mapping[str, Array]) -> tuple[Array, Array]:
-        p, L, arm = momenta(xs)
-        size = np.linalg.norm(p, axis=1) * (1.0 + np.linalg.norm(arm, axis=1)) + np.linalg.norm(L, axis=1)
-        return np.concatenate([p, L + np.cross(arm, p)], axis=1), size
-
-    return {"energy": energy, "linear momentum": linear, "momentum": both}
-
-
-def _of_rotation(J: Array, moment: float) -> dict[str, Kept]:
-    """Energy, and the momentum: of a top, on which a weight acts, its vertical part alone."""
-
-    def energy(xs: Mapping[str, Array]) -> tuple[Array, Array]:
-        values = 0.5 * np.sum(xs["w"] * J * xs["w"], axis=1) + moment * xs["R"][:, 2, 2]
-        return values, np.abs(values)
-
-    def momentum(xs: Mapping[str, Array]) -> tuple[Array, Array]:
-        L = np.einsum("nij,nj->ni", xs["R"], J * xs["w"])
-        return (L[:, 2] if moment else L), np.linalg.norm(L, axis=1)
-
-    return {"energy": energy, "vertical momentum" if moment else "momentum": momentum}
+def _of_rotation(dynamics: tx.Dynamics, start: Mapping[str, Any], J: Array, moment: float = 0.0) -> Motion:
+    inertia = spatial_inertia(0.0, np.zeros(3), np.diag(J))
+    return Motion(dynamics, start, inertia, moment, tx.FreeBody("R", "w", inertia=J))
 
 
 @functools.cache
@@ -137,22 +105,20 @@ def top(moments: tuple[float, ...] = heavy_top.INERTIA) -> Motion:
     J, weight = np.array(moments), np.array([0.0, 0.0, heavy_top.MOMENT])
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     system = tx.System(rates={R: w, w: (tx.linalg.Cross(J * w, w) + tx.linalg.Cross(R[2], weight)) / J})
-    name = f"heavy top, moments {', '.join(f'{each:g}' for each in moments)}"
-    start, bodies = SCENES["heavy-top"].start, tx.FreeBody("R", "w", inertia=J)
-    return Motion(name, tx.compile(system), start, _of_rotation(J, heavy_top.MOMENT), bodies)
+    return _of_rotation(tx.compile(system), SCENES["heavy-top"].start, J, heavy_top.MOMENT)
 
 
 @functools.cache
-def _torque_free() -> tuple[Motion, Motion]:
-    """On SO(3), and on SE(3) with a centre of mass off the origin."""
-    spin, tumble, J = SCENES["euler-top"], SCENES["offset-tumble"], np.array([1.0, 2.0, 3.0])
-    M = spatial_inertia(offset_tumble.MASS, offset_tumble.CENTER, offset_tumble.INERTIA)
-    kept = _of_pose(M, np.asarray(tumble.start["g"])[:3, 3])
-    on_rotations = tx.FreeBody("R", "w", inertia=J)
-    return (
-        Motion("torque-free body", spin.dynamics, spin.start, _of_rotation(J, 0.0), on_rotations),
-        Motion("the same with a pose", tumble.dynamics, tumble.start, kept, tx.FreeBody("g", "V", inertia=M)),
-    )
+def _spin() -> Motion:
+    """A torque-free body on SO(3)."""
+    return _of_rotation(SCENES["euler-top"].dynamics, SCENES["euler-top"].start, np.array([1.0, 2.0, 3.0]))
+
+
+@functools.cache
+def tumble() -> Motion:
+    """A torque-free body on SE(3), its centre of mass off the origin."""
+    scene, M = SCENES["offset-tumble"], spatial_inertia(offset_tumble.MASS, offset_tumble.CENTER, offset_tumble.INERTIA)
+    return Motion(scene.dynamics, scene.start, M, bodies=tx.FreeBody("g", "V", inertia=M))
 
 
 @functools.cache
@@ -160,14 +126,14 @@ def free_body() -> Motion:
     """A rigid body under no force, its centre of mass away from its origin."""
     g, V, M = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), spatial_inertia()
     dynamics = tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, -tx.lie.AdjointDual(V, M @ V))}))
-    return Motion("free body", dynamics, {"g": np.eye(4), "V": TWIST}, _of_pose(M, np.zeros(3)))
+    return Motion(dynamics, {"g": np.eye(4), "V": TWIST}, M)
 
 
 @functools.cache
 def constant_twist() -> Motion:
     """The same round-off at every step: the worst for matrices that nothing puts back."""
     g, xi = tx.State("g", group=tx.SE3), tx.Parameter("xi", shape=(6,), value=TWIST)
-    return Motion("constant twist", tx.compile(tx.System(rates={g: xi})), {"g": np.eye(4)}, {})
+    return Motion(tx.compile(tx.System(rates={g: xi})), {"g": np.eye(4)})
 
 
 # ---- a chart for comparison -----------------------------------------------------------------------------------------
@@ -196,39 +162,30 @@ class Matrices(Chart):
 _RK4 = tx.RKMK(tx.tableaus.RK4)
 
 
-def _drift(motion: Motion, chart: Chart | None) -> float:
-    return changes(motion, tx.RKMK(tx.tableaus.RK4, chart), _DT, (_MILLION,))["R'R - I"].absolute[-1]
+def _momentum() -> float:
+    counts = tuple(range(50, 5001, 50))
+    return float(changes(free_body(), _RK4, 1e-3, counts)["linear momentum"].absolute.max())
 
 
-def _stored(motion: Callable[[], Motion], chart: Chart | None, what: str, expected: Between) -> Check:
-    kind = "quaternion" if chart is None else "matrix that nothing puts back"
-    return Check(
-        f"R'R - I after a million steps, {what}", f"RK4, {kind}", lambda: _drift(motion(), chart), expected, True
-    )
+def _drift(motion: Callable[[], Motion], chart: Chart | None, bar: float) -> Check:
+    what = f"R'R - I after a million steps, {'tumbling' if motion is free_body else 'constant twist'}"
+    by = f"RK4, {'quaternion' if chart is None else 'matrix that nothing puts back'}"
+    method = tx.RKMK(tx.tableaus.RK4, chart)
+    measure = lambda: changes(motion(), method, _DT, (_MILLION,))["R'R - I"].absolute[-1]  # noqa: E731
+    return Check(what, by, measure, at_most(bar), slow=True)
 
 
 KEEPING = Section(
     "keeping",
-    "What is kept",
-    "A free body with an offset centre of mass; norms of changes since the start.",
-    {
-        "": [
-            Check(
-                "world linear momentum, 5 s, steps of 1 ms",
-                "RK4",
-                lambda: changes(free_body(), _RK4, 1e-3, tuple(range(50, 5001, 50)))["linear momentum"].absolute.max(),
-                at_most(1e-9, "N s"),
-            ),
-        ],
-        "A stored quaternion does not grow.": [
-            _stored(free_body, None, "tumbling", at_most(1e-14)),
-            _stored(constant_twist, None, "constant twist", at_most(1e-14)),
-        ],
-        "A matrix under a constant twist rounds alike at every step, so the drift grows with the number of steps.": [
-            _stored(free_body, Matrices(), "tumbling", at_most(1e-11)),
-            _stored(constant_twist, Matrices(), "constant twist", Between()),
-        ],
-    },
+    [
+        Check("world linear momentum, 5 s, steps of 1 ms", "RK4", _momentum, at_most(1e-9, "N s")),
+        "A stored quaternion does not grow.",
+        _drift(free_body, None, 1e-14),
+        _drift(constant_twist, None, 1e-14),
+        "A matrix under a constant twist rounds alike at every step, so the drift grows with the number of steps.",
+        _drift(free_body, Matrices(), 1e-11),
+        _drift(constant_twist, Matrices(), 1e-11),
+    ],
 )
 
 #: The largest relative changes over a million steps.
@@ -240,29 +197,24 @@ def _long(motion: Callable[[], Motion], title: str, name: str, composition: Any)
         it = motion()
         method: Method = tx.Splitting(composition, it.bodies) if composition else _RK4
         counts = tuple(range(_MILLION // 100, _MILLION + 1, _MILLION // 100))
-        return changes(it, method, _DT, counts)[name].relative.max()
+        return float(changes(it, method, _DT, counts)[name].relative.max())
 
-    expected = at_most(_BARS[name]) if composition is tx.compositions.KAHAN_LI6 else Between()
+    expected: Expected = at_most(_BARS[name]) if composition is tx.compositions.KAHAN_LI6 else between()
     return Check(f"{title}: {name}", composition.name if composition else "RK4", measure, expected, slow=True)
 
 
 LONG = Section(
     "long",
-    "A million steps",
-    "Steps of 10 ms: the largest relative changes of what a true motion keeps, at 100 times. The momentum of a body "
-    "with a pose is both, about the start.",
-    {
-        "": [
-            _long(motion, title, name, composition)
-            for motion, title, names in (
-                (top, "heavy top", ("energy", "vertical momentum")),
-                (lambda: top((1.0, 1.3, 0.5)), "heavy top, three moments", ("energy", "vertical momentum")),
-                (lambda: _torque_free()[0], "torque-free, SO(3)", ("energy", "momentum")),
-                (lambda: _torque_free()[1], "torque-free, SE(3)", ("energy", "momentum")),
-            )
-            for name in names
-            for composition in (*tx.compositions.ALL, None)
-        ]
-    },
+    [
+        _long(motion, title, name, composition)
+        for motion, title, momentum in (
+            (top, "heavy top", "vertical momentum"),
+            (functools.partial(top, (1.0, 1.3, 0.5)), "heavy top, three moments", "vertical momentum"),
+            (_spin, "torque-free, SO(3)", "momentum"),
+            (tumble, "torque-free, SE(3)", "momentum"),
+        )
+        for name in ("energy", momentum)
+        for composition in (*tx.compositions.ALL, None)
+    ],
     wide=True,
 )

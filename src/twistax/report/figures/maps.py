@@ -8,7 +8,7 @@ Beyond 1 rad the figure is divided by the angle, because rounding the angle itse
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -20,15 +20,13 @@ import numpy as np
 from ...groups import se3
 from ..checks import Absent, Check, Section, at_most
 
-__all__ = ["BAR", "MAPS", "SECTION", "Exact", "Map", "mpmath", "poses_of", "twists", "worst_units"]
-
 BAR = 8.0
 """The largest figure allowed."""
 
 _DIGITS = 60
 _SEED = 20240607
 
-Rows = list[list[Any]]
+Array = np.ndarray
 
 
 def mpmath() -> ModuleType:
@@ -41,15 +39,20 @@ def mpmath() -> ModuleType:
 
 
 class Exact:
-    """The maps of one twist with fifty digits and more: textbook closed forms, and Taylor sums where those cancel."""
+    """The maps of one twist with fifty digits and more: textbook closed forms, and Taylor sums where those cancel.
 
-    def __init__(self, xi: np.ndarray) -> None:
+    Attributes:
+        v, w, W, V: parts of the twist (3, 1), and the matrices of their cross products.
+        rotation, position: of Exp.
+        jacobian, coupling: the blocks of the left Jacobian, that of SO(3) and the upper right one.
+        jacobian_inv, coupling_inv: those of its inverse.
+    """
+
+    def __init__(self, xi: Array) -> None:
         self.mp = mpmath()
-        numbers = [self.mp.mpf(float(entry)) for entry in xi]
-        self.v, self.w = numbers[:3], numbers[3:]
+        self.v, self.w = (self.mp.matrix([float(entry) for entry in part]) for part in (xi[:3], xi[3:]))
+        self.V, self.W = (self.mp.matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]]) for x, y, z in (self.v, self.w))
         self.x = sum(entry * entry for entry in self.w)
-        self.wv = sum(a * b for a, b in zip(self.w, self.v, strict=True))
-        self.W, self.V = _hat(self.w), _hat(self.v)
 
     @cached_property
     def coefficients(self) -> tuple[Any, Any, Any, Any, Any]:
@@ -58,104 +61,58 @@ class Exact:
         if x < 1:
 
             def taylor(k: int, slope: bool) -> Any:
-                terms = (
-                    (-1) ** j * (j * x ** (j - 1) if slope else x**j) / mp.factorial(2 * j + k)
-                    for j in range(1 if slope else 0, 30)
-                )
-                return mp.fsum(terms)
+                powers = ((j * x ** (j - 1) if j else 0) if slope else x**j for j in range(30))
+                return mp.fsum((-1) ** j * power / mp.factorial(2 * j + k) for j, power in enumerate(powers))
 
             return taylor(1, False), taylor(2, False), taylor(3, False), taylor(2, True), taylor(3, True)
         t = mp.sqrt(x)
-        s, c = mp.sin(t), mp.cos(t)
-        b, d = (1 - c) / x, (t - s) / (x * t)
-        return s / t, b, d, (s / t - 2 * b) / (2 * x), ((1 - c) / x - 3 * d) / (2 * x)
-
-    def _polynomial(self, a: Any, b: Any) -> Rows:
-        """I + a W + b W^2."""
-        square = _product(self.W, self.W)
-        return [[(i == j) + a * self.W[i][j] + b * square[i][j] for j in range(3)] for i in range(3)]
+        a, b, d = mp.sin(t) / t, (1 - mp.cos(t)) / x, (t - mp.sin(t)) / (x * t)
+        return a, b, d, (a - 2 * b) / (2 * x), (b - 3 * d) / (2 * x)
 
     @cached_property
-    def rotation(self) -> Rows:
+    def rotation(self) -> Any:
         a, b, *_ = self.coefficients
-        return self._polynomial(a, b)
+        return self.mp.eye(3) + a * self.W + b * self.W * self.W
 
     @cached_property
-    def jacobian(self) -> Rows:
-        """The left Jacobian of SO(3)."""
+    def jacobian(self) -> Any:
         _, b, c, *_ = self.coefficients
-        return self._polynomial(b, c)
+        return self.mp.eye(3) + b * self.W + c * self.W * self.W
 
     @cached_property
-    def coupling(self) -> Rows:
-        """The upper right block of the left Jacobian of SE(3): the derivative of `jacobian` in the direction v."""
+    def coupling(self) -> Any:
+        """The derivative of `jacobian` in the direction v."""
         _, b, c, db, dc = self.coefficients
-        W, V, WW = self.W, self.V, _product(self.W, self.W)
-        mixed, other = _product(W, V), _product(V, W)
-        return [
-            [
-                b * V[i][j] + c * (mixed[i][j] + other[i][j]) + 2 * self.wv * (db * W[i][j] + dc * WW[i][j])
-                for j in range(3)
-            ]
-            for i in range(3)
-        ]
+        W, V, wv = self.W, self.V, (self.w.T * self.v)[0]
+        return b * V + c * (W * V + V * W) + 2 * wv * (db * W + dc * W * W)
 
     @property
-    def position(self) -> list[Any]:
-        return [sum(a * b for a, b in zip(row, self.v, strict=True)) for row in self.jacobian]
+    def position(self) -> Any:
+        return self.jacobian * self.v
 
     @cached_property
-    def jacobian_inv(self) -> Rows:
-        """The inverse by cofactors, not by its closed form."""
-        J = self.jacobian
-        cofactor = [
-            [
-                J[(i + 1) % 3][(j + 1) % 3] * J[(i + 2) % 3][(j + 2) % 3]
-                - J[(i + 1) % 3][(j + 2) % 3] * J[(i + 2) % 3][(j + 1) % 3]
-                for j in range(3)
-            ]
-            for i in range(3)
-        ]
-        determinant = sum(J[0][j] * cofactor[0][j] for j in range(3))
-        return [[cofactor[j][i] / determinant for j in range(3)] for i in range(3)]
+    def jacobian_inv(self) -> Any:
+        return self.jacobian**-1
 
     @cached_property
-    def coupling_inv(self) -> Rows:
-        """-J^-1 Q J^-1."""
-        product = _product(_product(self.jacobian_inv, self.coupling), self.jacobian_inv)
-        return [[-entry for entry in row] for row in product]
+    def coupling_inv(self) -> Any:
+        return -(self.jacobian_inv * self.coupling * self.jacobian_inv)
 
 
-def _hat(w: Sequence[Any]) -> Rows:
-    x, y, z = w
-    return [[0, -z, y], [z, 0, -x], [-y, x, 0]]
-
-
-def _product(A: Rows, B: Rows) -> Rows:
-    return [[sum(A[i][k] * B[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
-
-
-def twists(count: int, largest: float, dtype: Any, below: bool = False) -> np.ndarray:
+def twists(count: int, largest: float, dtype: Any, below: bool = False) -> Array:
     """Twists with translations of size 1e-8 to 1e6 and angles up to `largest`: a third even, a third logarithmic, a
     third at zero, at the smallest numbers, around the switch points of the series and around multiples of pi / 2.
 
     With `below`, angles stay away from `largest` by what rounding the pose may add to them.
     """
-    rng = np.random.default_rng(_SEED)
-    info = np.finfo(dtype)
+    rng, info = np.random.default_rng(_SEED), np.finfo(dtype)
     top = largest * (1.0 - 1e3 * float(info.eps)) if below else largest
     named = [0.0, float(info.tiny) ** 0.97, float(info.tiny) ** 0.5, 1e-20, 1e-9, 1e-7, 1e-5, 1e-4, 1e-3]
     named += [centre * (1 + step) for centre in (1.0, 2.0, 4.0) for step in (-1e-6, 1e-6)]
     named += [0.5 * np.pi * k * (1 + step) for k in range(1, 13) for step in (-1e-3, -1e-6, 1e-6, 1e-3)]
-    named = [angle for angle in named if angle <= top] + [top]
-    parts = np.array_split(np.arange(count), 3)
-    angles = np.concatenate(
-        [
-            rng.uniform(0.0, top, len(parts[0])),
-            10.0 ** rng.uniform(-8.0, np.log10(top), len(parts[1])),
-            np.resize(named, len(parts[2])),
-        ]
-    )
+    even, logarithmic, rest = map(len, np.array_split(np.arange(count), 3))
+    drawn = [rng.uniform(0.0, top, even), 10.0 ** rng.uniform(-8.0, np.log10(top), logarithmic)]
+    angles = np.concatenate([*drawn, np.resize([*(angle for angle in named if angle <= top), top], rest)])
     axes = rng.normal(size=(count, 3))
     axes[::7] = np.eye(3)[rng.integers(0, 3, len(axes[::7]))]
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -169,120 +126,85 @@ def twists(count: int, largest: float, dtype: Any, below: bool = False) -> np.nd
     return result
 
 
-def _units(got: np.ndarray, exact: Sequence[Any], size: float, angle: float, mp: ModuleType) -> float:
-    """The largest error in units of the last place at `size`, divided by the angle beyond 1 rad."""
-    if not np.all(np.isfinite(got)):
-        return float("inf")
-    worst = max(abs(mp.mpf(float(value)) - entry) for value, entry in zip(got.ravel(), _entries(exact), strict=True))
-    if worst == 0:
-        return 0.0
-    unit = max(float(np.spacing(got.dtype.type(size))), float(np.finfo(got.dtype).tiny))
-    return float(worst / unit) / max(1.0, angle)
-
-
-def _entries(rows: Sequence[Any]) -> list[Any]:
-    return [entry for row in rows for entry in row] if isinstance(rows[0], list) else list(rows)
-
-
-def _largest(rows: Sequence[Any]) -> float:
-    return float(max(abs(entry) for entry in _entries(rows)))
-
-
-def _blocks_of_exp(xi: np.ndarray, got: np.ndarray) -> dict[str, tuple[np.ndarray, Any, float]]:
-    exact = Exact(xi)
-    return {
-        "rotation": (got[:3, :3], exact.rotation, _largest(exact.rotation)),
-        "position": (got[:3, 3], exact.position, _largest(exact.v)),
-    }
-
-
-def _blocks_of_log(xi: np.ndarray, got: np.ndarray) -> dict[str, tuple[np.ndarray, Any, float]]:
-    v, w = [float(entry) for entry in xi[:3]], [float(entry) for entry in xi[3:]]
-    return {"rotation": (got[3:], w, _largest(w)), "position": (got[:3], v, _largest(v))}
-
-
-def _blocks_of_jacobian(inverse: bool, sign: float) -> Callable[..., dict[str, tuple[np.ndarray, Any, float]]]:
-    def blocks(xi: np.ndarray, got: np.ndarray) -> dict[str, tuple[np.ndarray, Any, float]]:
-        exact = Exact(sign * xi)
-        diagonal = exact.jacobian_inv if inverse else exact.jacobian
-        coupling = exact.coupling_inv if inverse else exact.coupling
-        return {
-            "rotation": (got[:3, :3], diagonal, _largest(diagonal)),
-            "translation": (got[:3, 3:], coupling, _largest(coupling)),
-        }
-
-    return blocks
-
-
-def poses_of(xis: np.ndarray) -> np.ndarray:
-    """The exact poses, rounded once."""
-    poses = np.tile(np.eye(4, dtype=xis.dtype), (len(xis), 1, 1))
-    for pose, xi in zip(poses, xis, strict=True):
-        exact = Exact(xi)
-        pose[:3, :3] = [[float(entry) for entry in row] for row in exact.rotation]
-        pose[:3, 3] = [float(entry) for entry in exact.position]
-    return poses
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Map:
-    """A map of twists, its exact value by blocks of the result with their names, and how far it is asked for."""
+    """A map of twists, and how far it is asked for.
+
+    Attributes:
+        blocks: by name, the place of a block in the result, its exact value, and what its size is that of.
+        sign: of the twist whose exact values count.
+        of_poses: whether it maps the poses of the twists.
+    """
 
     name: str
     function: Callable[..., jax.Array]
-    blocks: Callable[..., dict[str, tuple[np.ndarray, Any, float]]]
+    blocks: Mapping[str, tuple[Any, str, str]]
     largest: float
     angles: str
-    names: tuple[str, str]
+    sign: float = 1.0
     of_poses: bool = False
 
 
-_POSE, _MATRIX = ("rotation", "position"), ("rotation", "translation")
+_EXP = {"rotation": (np.s_[:3, :3], "rotation", "rotation"), "position": (np.s_[:3, 3:], "position", "v")}
+_LOG = {"rotation": (np.s_[3:, None], "w", "w"), "position": (np.s_[:3, None], "v", "v")}
+_JACOBIAN, _INVERSE = (
+    {"rotation": (np.s_[:3, :3], J, J), "translation": (np.s_[:3, 3:], Q, Q)}
+    for J, Q in (("jacobian", "coupling"), ("jacobian_inv", "coupling_inv"))
+)
 
 MAPS = (
-    Map("exp", se3.exp, _blocks_of_exp, 20.0, "0 to 20", _POSE),
-    Map("log", se3.log, _blocks_of_log, float(np.pi), "below pi", _POSE, of_poses=True),
-    Map("left_jacobian", se3.left_jacobian, _blocks_of_jacobian(False, 1.0), 20.0, "0 to 20", _MATRIX),
-    Map("left_jacobian_inv", se3.left_jacobian_inv, _blocks_of_jacobian(True, 1.0), 6.0, "0 to 6", _MATRIX),
-    Map("right_jacobian_inv", se3.right_jacobian_inv, _blocks_of_jacobian(True, -1.0), 6.0, "0 to 6", _MATRIX),
+    Map("exp", se3.exp, _EXP, 20.0, "0 to 20"),
+    Map("log", se3.log, _LOG, float(np.pi), "below pi", of_poses=True),
+    Map("left_jacobian", se3.left_jacobian, _JACOBIAN, 20.0, "0 to 20"),
+    Map("left_jacobian_inv", se3.left_jacobian_inv, _INVERSE, 6.0, "0 to 6"),
+    Map("right_jacobian_inv", se3.right_jacobian_inv, _INVERSE, 6.0, "0 to 6", sign=-1.0),
 )
 
 
-def worst_units(each: Map, xis: np.ndarray) -> dict[str, tuple[float, float]]:
+def worst_units(each: Map, xis: Array) -> dict[str, tuple[float, float]]:
     """By block the largest error of a map over twists (n, 6), in units in the last place, and the angle where it is."""
-    mp = mpmath()
-    with mp.workdps(_DIGITS):
-        results = np.asarray(jax.jit(jax.vmap(each.function))(poses_of(xis) if each.of_poses else xis))
-        worst: dict[str, tuple[float, float]] = {}
-        for xi, got in zip(xis, results, strict=True):
+    with mpmath().workdps(_DIGITS):
+        exacts = [Exact(each.sign * xi) for xi in xis]
+        arguments = np.stack([_pose(exact, xis.dtype) for exact in exacts]) if each.of_poses else xis
+        results = np.asarray(jax.jit(jax.vmap(each.function))(arguments))
+        worst = dict.fromkeys(each.blocks, (0.0, 0.0))
+        for xi, exact, got in zip(xis, exacts, results, strict=True):
             angle = float(np.linalg.norm(xi[3:].astype(np.float64)))
-            for block, (values, exact, size) in each.blocks(xi, got).items():
-                found = (_units(values, exact, size, angle, mp), angle)
-                worst[block] = max(worst.get(block, (0.0, 0.0)), found)
+            for block, (place, value, size) in each.blocks.items():
+                units = _units(got[place], getattr(exact, value), getattr(exact, size)) / max(1.0, angle)
+                worst[block] = max(worst[block], (units, angle))
     return worst
 
 
+def _pose(exact: Exact, dtype: Any) -> Array:
+    """The exact pose, rounded once."""
+    top = np.hstack([np.array(part.tolist(), dtype=float) for part in (exact.rotation, exact.position)])
+    return np.vstack([top, [[0.0, 0.0, 0.0, 1.0]]]).astype(dtype)
+
+
+def _units(got: Array, exact: Any, sized: Any) -> float:
+    """The largest error in units of the last place at the largest entry of what gives the size."""
+    if not np.all(np.isfinite(got)):
+        return float("inf")
+    worst = max(abs(float(value) - entry) for value, entry in zip(got.ravel(), exact, strict=True))
+    size = got.dtype.type(max(abs(float(entry)) for entry in sized))
+    return float(worst / max(float(np.spacing(size)), float(np.finfo(got.dtype).tiny)))
+
+
 @functools.cache
-def _worst(each: Map, precision: str, cases: int) -> dict[str, tuple[float, float]]:
-    dtype = np.dtype(precision).type
-    return worst_units(each, twists(cases, each.largest, dtype, below=each.of_poses))
+def _worst(each: Map, precision: str) -> dict[str, tuple[float, float]]:
+    """Of 600 twists."""
+    return worst_units(each, twists(600, each.largest, np.dtype(precision).type, below=each.of_poses))
 
 
 def _check(each: Map, precision: str, block: str) -> Check:
-    """Of 600 twists; float64 needs JAX's x64 switch."""
-    return Check(
-        f"{each.name}, angles {each.angles} rad",
-        f"{precision}, {block}",
-        lambda: _worst(each, precision, 600)[block][0],
-        at_most(BAR, "ulp"),
-    )
+    """Double precision needs JAX's x64 switch."""
+    what, by = f"{each.name}, angles {each.angles} rad", f"{precision}, {block}"
+    return Check(what, by, lambda: _worst(each, precision)[block][0], at_most(BAR, "ulp"))
 
 
-SECTION = Section(
+LAST_PLACES = Section(
     "maps",
-    "The maps in the last place",
-    "The maps of SE(3) against values with fifty digits, worst of 600 cases, in units in the last place (ulp) times "
-    "the angle beyond 1 rad; translations 1e-8 to 1e6.",
-    {"": [_check(*each) for each in ((m, p, b) for m in MAPS for p in ("float64", "float32") for b in m.names)]},
+    [_check(each, name, block) for each in MAPS for name in ("float64", "float32") for block in each.blocks],
     wide=True,
 )

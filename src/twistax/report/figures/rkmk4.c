@@ -120,7 +120,7 @@ static inline void step(real *y, real h) {
     for (int i = 4; i < STATE; i++) y[i] = end[i];
 }
 
-/* Fly y, in place, by so many steps of h seconds. */
-void fly(real *y, real h, long steps) {
+/* Move y, in place, by so many steps of h seconds. */
+void integrate(real *y, real h, long steps) {
     for (long i = 0; i < steps; i++) step(y, h);
 }

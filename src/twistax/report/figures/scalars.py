@@ -19,13 +19,12 @@ from ...lowering.native.backend import installed
 from ...lowering.scalar.derivatives import cotangent_program, jacobian
 from ...lowering.scalar.primitive import Derived, call_program
 from ...lowering.scalar.program import ScalarProgram, one_by_one, scalarize
-from ..checks import Absent, Between, Check, Section, agree, at_most
+from ..checks import Absent, Check, Section, agree, at_most, between
 from ..speed.case import CASES, Case
-from ..timing import Repeats, Timed, in_turn, ratio
+from ..speed.measure import apart
+from ..timing import Repeats, Timed, compiled, in_turn, ratio, seconds_of
 from .maps import mpmath
 from .steps import c_body
-
-__all__ = ["KERNELS", "OPERATIONS", "angles", "batch_ratio", "disagreement", "in_arrays", "program_of", "units_off"]
 
 #: Arrays to a list of arrays.
 Function = Callable[..., list[jax.Array]]
@@ -37,12 +36,7 @@ Function = Callable[..., list[jax.Array]]
 def in_arrays(case: Case) -> Function:
     """The function of a case in arrays."""
     dynamics = tx.compile(case.system(), backend=tx.JAX())
-
-    def function(a: jax.Array, b: jax.Array, c: jax.Array) -> list[jax.Array]:
-        rates = dynamics(0.0, *case.inputs(a, b, c))
-        return [rates[name] for name in case.rates]
-
-    return function
+    return lambda a, b, c: case.read(dynamics(0.0, *case.inputs(a, b, c)))
 
 
 @functools.cache
@@ -55,6 +49,7 @@ def _shapes(case: Case) -> list[jax.ShapeDtypeStruct]:
     return [jax.ShapeDtypeStruct((n,), float) for n in case.sizes]
 
 
+@functools.cache
 def _slopes(case: Case) -> ScalarProgram:
     """Its derivatives by the first two arguments."""
     program = program_of(case)
@@ -64,74 +59,50 @@ def _slopes(case: Case) -> ScalarProgram:
 def _unrolled_in(case: Case) -> float:
     """Seconds from the jaxpr to scalars, the best of three."""
     closed = jax.make_jaxpr(in_arrays(case))(*_shapes(case))
-    return min(_seconds(lambda: scalarize(closed)) for _ in range(3))
-
-
-def _seconds(work: Callable[[], Any]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
+    return min(seconds_of(lambda: scalarize(closed)) for _ in range(3))
 
 
 def disagreement(program: ScalarProgram, function: Function, case: Case, derivative: bool) -> float:
     """The largest difference of values or Jacobians from those of the arrays at 20 random states, relative."""
     derived, splits = Derived(program), np.cumsum(case.sizes)[:-1]
-
-    def flat(function: Function) -> Callable[[jax.Array], jax.Array]:
-        value = lambda z: jnp.concatenate(function(*jnp.split(z, splits)))  # noqa: E731
-        return jax.jacfwd(value) if derivative else value
-
     points = jnp.concatenate(list(map(jnp.asarray, case.points(20))), axis=1)
-    a, b = (
-        np.asarray(jax.jit(jax.vmap(flat(each)))(points)) for each in (lambda *z: call_program(derived, *z), function)
-    )
-    axes = tuple(range(1, a.ndim))
-    return float(np.max(np.max(np.abs(a - b), axis=axes) / np.max(np.abs(b), axis=axes)))
+
+    def evaluated(function: Function) -> NDArray[np.float64]:
+        value = lambda z: jnp.concatenate(function(*jnp.split(z, splits)))  # noqa: E731
+        return np.asarray(jax.jit(jax.vmap(jax.jacfwd(value) if derivative else value))(points))
+
+    return apart(evaluated(lambda *z: call_program(derived, *z)), evaluated(function), rank=2 if derivative else 1)
+
+
+def _off(case: Case, derivative: bool) -> float:
+    return disagreement(program_of(case), in_arrays(case), case, derivative)
+
+
+_MOST = {"free-body": at_most(230), "rnea-7": at_most(1020), "aba-7": at_most(1800)}
 
 
 def _of_case(case: Case) -> list[Check]:
-    bars = {"free-body": 230, "rnea-7": 1020, "aba-7": 1800}
-    count = at_most(bars[case.name]) if case.name in bars else Between()
-    unrolling = at_most(0.1 if case.sizes[0] < 30 else 1.0, "s") if case.name != "free-body" else Between(unit="s")
+    check, short = functools.partial(Check, case.title), case.sizes[0] < 30
+    limit = between(unit="s") if case.name == "free-body" else at_most(0.1 if short else 1.0, "s")
     found = [
-        Check(case.title, "operations", lambda: program_of(case).operations, count),
-        Check(case.title, "unrolled in", lambda: _unrolled_in(case), unrolling),
+        check("operations", lambda: program_of(case).operations, _MOST.get(case.name, between())),
+        check("unrolled in", lambda: _unrolled_in(case), limit),
     ]
     if case.name == "aba-7":
+        gradient = lambda: cotangent_program(program_of(case), range(3)).operations  # noqa: E731
         found += [
-            Check(
-                case.title, "operations of its Jacobian by q and qd", lambda: _slopes(case).operations, at_most(16500)
-            ),
-            Check(
-                case.title,
-                "operations of a gradient",
-                lambda: cotangent_program(program_of(case), range(3)).operations,
-                at_most(5600),
-            ),
+            check("operations of its Jacobian by q and qd", lambda: _slopes(case).operations, at_most(16500)),
+            check("operations of a gradient", gradient, at_most(5600)),
         ]
-    if case.sizes[0] < 30:
+    if short:
         found += [
-            Check(
-                case.title,
-                name,
-                functools.partial(lambda d: disagreement(program_of(case), in_arrays(case), case, d), derivative),
-                at_most(bar),
-                slow=True,
-            )
-            for name, derivative, bar in (("values off", False, 1e-13), ("Jacobian off", True, 1e-12))
+            check("values off", lambda: _off(case, False), at_most(1e-13), slow=True),
+            check("Jacobian off", lambda: _off(case, True), at_most(1e-12), slow=True),
         ]
     return found
 
 
-OPERATIONS = Section(
-    "operations",
-    "Scalar programs",
-    "Operations on scalars once zeros, ones and repeated parts are gone: additions, subtractions, products, divisions, "
-    "changes of sign, sines and cosines. Values and Jacobians against the same dynamics in arrays at 20 random states, "
-    "relative to the largest entry.",
-    {"": [check for case in CASES.values() for check in _of_case(case)]},
-    wide=True,
-)
+OPERATIONS = Section("operations", [check for case in CASES.values() for check in _of_case(case)], wide=True)
 
 # ---- kernels --------------------------------------------------------------------------------------------------------
 
@@ -165,20 +136,11 @@ def _native(run: Any, *arguments: Any) -> Any:
 def _above_an_empty_call() -> float:
     """What a jitted call of the Panda's forward dynamics takes beyond one that adds the three vectors, us."""
     _need_llvmlite()
-    dynamics, calls = tx.compile(_PANDA.system(), backend=tx.Native()), 200
+    dynamics = tx.compile(_PANDA.system(), backend=tx.Native())
     point = [jnp.asarray(each[0]) for each in _PANDA.points(1)]
-    full = _native(jax.jit(lambda *z: dynamics(0.0, *_PANDA.inputs(*z))["qd"]), *point)
-    empty = jax.jit(lambda q, qd, tau: q + qd + tau)
-
-    def repeated(run: Any) -> Timed:
-        def call() -> Any:
-            for _ in range(calls):
-                result = jax.block_until_ready(run(*point))
-            return result
-
-        return Timed(call, calls)
-
-    timed = [repeated(full), repeated(empty)]
+    full = lambda *z: dynamics(0.0, *_PANDA.inputs(*z))["qd"]  # noqa: E731
+    _native(jax.jit(full), *point)
+    timed = [compiled(each, *point, calls=200) for each in (full, lambda q, qd, tau: q + qd + tau)]
     in_turn(timed, Repeats(31, 31))
     return 1e6 * (timed[0].seconds - timed[1].seconds)
 
@@ -209,14 +171,14 @@ def batch_ratio(count: int = 65_536, steps: int = 1_000, rounds: int = 1) -> tup
     if not (jnp.all(codes == tx.Result.SUCCESS) and jnp.all(other_codes == tx.Result.SUCCESS)):
         raise RuntimeError("not all reached the end")
     # NumPy's maximum hands on NaN; Python's loses it.
-    apart = float(np.max([jnp.abs(ends[name] - others[name]).max() for name in ends]))
+    difference = float(np.max([jnp.abs(ends[name] - others[name]).max() for name in ends]))
     in_turn(timed, Repeats(rounds, rounds))
-    return ratio(*timed), apart
+    return ratio(*timed), difference
 
 
 def _agreeing_ratio() -> float:
-    found, apart = batch_ratio()
-    agree(apart, 1e-11)
+    found, difference = batch_ratio()
+    agree(difference, 1e-11)
     return found
 
 
@@ -249,42 +211,17 @@ def _last_places() -> float:
     return units_off(angles(30_000), tx.Native())
 
 
+def _kernel(what: str, measure: Callable[[], float], bar: float, unit: str = "", slow: bool = True) -> Check:
+    return Check(what, "llvmlite", measure, at_most(bar, unit), slow)
+
+
 KERNELS = Section(
     "kernels",
-    "Native kernels",
-    "What kernels take to build and to call, and whether they are right.",
-    {
-        "": [
-            Check(
-                "building the Panda's ABA",
-                "llvmlite",
-                lambda: _build_seconds(lambda: program_of(_PANDA)),
-                at_most(0.4, "s"),
-            ),
-            Check(
-                "building its Jacobian",
-                "llvmlite",
-                lambda: _build_seconds(lambda: one_by_one(_slopes(_PANDA))),
-                at_most(4.0, "s"),
-                slow=True,
-            ),
-            Check(
-                "a call of it above one that adds its arguments", "llvmlite", _above_an_empty_call, at_most(1.0, "us")
-            ),
-            Check(
-                "65,536 integrations of 1,000 RKMK4 steps, time over that of XLA's loop",
-                "llvmlite",
-                _agreeing_ratio,
-                at_most(0.3),
-                slow=True,
-            ),
-            Check(
-                "sine and cosine of 90,000 angles up to 1e9 rad, worst",
-                "llvmlite",
-                _last_places,
-                at_most(2.0, "ulp"),
-                slow=True,
-            ),
-        ]
-    },
+    [
+        _kernel("building the Panda's ABA", lambda: _build_seconds(lambda: program_of(_PANDA)), 0.4, "s", slow=False),
+        _kernel("building its Jacobian", lambda: _build_seconds(lambda: one_by_one(_slopes(_PANDA))), 4.0, "s"),
+        _kernel("a call of it above one that adds its arguments", _above_an_empty_call, 1.0, "us", slow=False),
+        _kernel("65,536 integrations of 1,000 RKMK4 steps, time over that of XLA's loop", _agreeing_ratio, 0.3),
+        _kernel("sine and cosine of 90,000 angles up to 1e9 rad, worst", _last_places, 2.0, "ulp"),
+    ],
 )

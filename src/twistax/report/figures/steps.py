@@ -7,7 +7,7 @@ import functools
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +15,6 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 import twistax as tx
 
@@ -25,13 +24,10 @@ from ...integrators import VectorField
 from ...integrators.charts import Chart
 from ...lowering.backends import Backend
 from ...lowering.small_call import small_call
-from ..checks import Absent, Between, Check, Section, agree, at_most
+from ..checks import Absent, Check, Section, agree, at_most, between
 from ..timing import Repeats, Timed, compiled, in_turn, ratio
 
-__all__ = ["BESIDE", "BRIDGE", "SOURCE", "STEPS", "beside_c", "bridged", "c_body", "looped"]
-
 _REPEATS = Repeats(7, 5)
-_TABLEAUS = (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
 
 # ---- tableaus and charts --------------------------------------------------------------------------------------------
 
@@ -51,8 +47,8 @@ def _start() -> dict[str, jax.Array]:
 
 def _apart(ends: Any, others: Any) -> float:
     """The largest difference of an entry; NaN if there is one."""
-    gaps = jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others)
-    return float(np.max(np.stack([np.asarray(gap) for gap in jax.tree.leaves(gaps)])))
+    gaps = jax.tree.leaves(jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others))
+    return float(np.max(gaps))
 
 
 @functools.cache
@@ -79,14 +75,12 @@ def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
 
 
 def _of_chart(tableau: Any, chart: Chart) -> list[Check]:
-    method = tx.RKMK(tableau, chart)
-    columns: dict[str, tuple[Callable[[], float], Between]] = {
-        "a step": (lambda: 1e6 * looped(method)["small"].seconds, Between(unit="us")),
-        "a step of the default loop": (lambda: 1e6 * looped(method)["default"].seconds, Between(unit="us")),
-        "compiling": (lambda: looped(method)["small"].compile_seconds, at_most(2.0, "s")),
-    }
-    what = f"{tableau.name}, {chart!r}"
-    return [Check(what, by, measure, expected, slow=True) for by, (measure, expected) in columns.items()]
+    what, method, us = f"{tableau.name}, {chart!r}", tx.RKMK(tableau, chart), between(unit="us")
+    return [
+        Check(what, "a step", lambda: 1e6 * looped(method)["small"].seconds, us, slow=True),
+        Check(what, "a step of the default loop", lambda: 1e6 * looped(method)["default"].seconds, us, slow=True),
+        Check(what, "compiling", lambda: looped(method)["small"].compile_seconds, at_most(2.0, "s"), slow=True),
+    ]
 
 
 def _charts(commutators: int) -> list[Chart]:
@@ -96,43 +90,41 @@ def _charts(commutators: int) -> list[Chart]:
 
 STEPS = Section(
     "steps",
-    "A step of every tableau and chart",
-    "One body with 13 states; the loop compiled as one small function, which is what integration uses where no kernel "
-    "does, and as XLA does by default. Both end alike.",
-    {"": [c for tableau in _TABLEAUS for chart in _charts(tableau.order - 2) for c in _of_chart(tableau, chart)]},
+    [
+        check
+        for tableau in (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
+        for chart in _charts(tableau.order - 2)
+        for check in _of_chart(tableau, chart)
+    ],
     wide=True,
 )
 
 # ---- through diffrax ------------------------------------------------------------------------------------------------
 
-_DT, _ALLOWED = 1e-3, 1e-6
-
-
-def _controllers(adaptive: bool) -> tuple[Any, Any]:
-    """Of both; adaptive ones measure errors but may take one length only, so that both take the same steps."""
-    if not adaptive:
-        return diffrax.ConstantStepSize(), diffrax.ConstantStepSize()
-    limits: dict[str, Any] = {"rtol": _ALLOWED, "atol": _ALLOWED, "dtmin": _DT, "dtmax": _DT}
-    return bridge.controller(**limits), diffrax.PIDController(pcoeff=0.2, icoeff=0.6, **limits)
-
 
 def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000) -> float:
     """The time of a step of `LieSolver` over that of the same solver on quaternions.
 
+    Adaptive ones measure errors but may take one length only, so that both take the same steps.
+
     Raises:
         RuntimeError: they take different steps, or their ends are more than 1e-9 apart.
     """
-    dynamics, end = _body(), jnp.asarray(_DT * steps)
+    dynamics, dt = _body(), 1e-3
     term, lie = bridge.ambient_term(dynamics), bridge.LieSolver(solver, dynamics, chart)
-    of_group, plain = _controllers(adaptive)
+    of_group: Any = diffrax.ConstantStepSize()
+    plain: Any = of_group
+    if adaptive:
+        limits: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-6, "dtmin": dt, "dtmax": dt}
+        of_group, plain = bridge.controller(**limits), diffrax.PIDController(pcoeff=0.2, icoeff=0.6, **limits)
 
     def run(term: Any, own: Any, control: Any, read: Callable[[Any], Any], write: Callable[[Any], Any]) -> Timed:
         def solve(x: Any, end: jax.Array) -> Any:
             options: dict[str, Any] = {"stepsize_controller": control, "max_steps": steps + 16}
-            sol = diffrax.diffeqsolve(term, own, jnp.zeros(()), end, _DT, write(x), **options)
+            sol = diffrax.diffeqsolve(term, own, jnp.zeros(()), end, dt, write(x), **options)
             return jax.vmap(read)(sol.ys), sol.stats["num_accepted_steps"]
 
-        return compiled(solve, _start(), end, evaluations=steps)
+        return compiled(solve, _start(), jnp.asarray(dt * steps), evaluations=steps)
 
     ours = run(bridge.lie_term(dynamics), lie, of_group, lambda y: y, lambda x: x)
     theirs = run(term, solver, plain, term.from_ambient, term.to_ambient)
@@ -145,22 +137,18 @@ def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000)
 
 BRIDGE = Section(
     "bridge",
-    "A step through diffrax",
-    "A step of `LieSolver` over one of the same solver of diffrax on quaternions; both take the same steps.",
-    {
-        "": [
-            Check(
-                f"{solver.__name__}, {chart!r}" if chart else f"{solver.__name__}, default chart",
-                "adaptive" if adaptive else "constant steps",
-                functools.partial(lambda solver, *rest: bridged(solver(), *rest), solver, chart, adaptive),
-                at_most(1.5),
-                slow=True,
-            )
-            for solver in (diffrax.Tsit5, diffrax.Dopri8)
-            for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
-            for adaptive in (False, True)
-        ]
-    },
+    [
+        Check(
+            f"{solver.__name__}, {chart!r}" if chart else f"{solver.__name__}, default chart",
+            "adaptive" if adaptive else "constant steps",
+            functools.partial(lambda solver, *rest: bridged(solver(), *rest), solver, chart, adaptive),
+            at_most(1.5),
+            slow=True,
+        )
+        for solver in (diffrax.Tsit5, diffrax.Dopri8)
+        for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
+        for adaptive in (False, True)
+    ],
     wide=True,
 )
 
@@ -170,9 +158,6 @@ SOURCE = Path(__file__).with_name("rkmk4.c")
 #: What C is compiled with: the usual, and what is faster where the compiler's vectors of scalars do not pay.
 _FLAGS = (("-O3", "-march=native"), ("-O3", "-march=native", "-fno-tree-vectorize"))
 _VELOCITY = np.array([1.0, 0.5, -0.3, 0.4, 1.2, -0.7])  # m/s, rad/s
-
-#: (y, step, steps): moves y = [q, p, v, w] in place.
-Loop = Callable[[NDArray[Any], float, int], None]
 
 
 def c_body(backend: Backend | Literal["auto"] = "auto") -> tx.Dynamics:
@@ -184,17 +169,24 @@ def c_body(backend: Backend | Literal["auto"] = "auto") -> tx.Dynamics:
     return tx.compile(tx.System(rates={g: V, V: tx.Concat(acceleration, turning)}), backend=backend)
 
 
-def _library(flags: Sequence[str], folder: Path) -> Loop:
+def _in_c(flags: tuple[str, ...], dt: float, steps: int) -> Timed:
     """The loop of `rkmk4.c`. Raises Absent without gcc."""
-    gcc = shutil.which("gcc")
-    if gcc is None:
+    if shutil.which("gcc") is None:
         raise Absent("not run: there is no gcc on this machine")
-    target = folder / f"rkmk4{''.join(flags)}.so"
-    subprocess.run([gcc, *flags, "-shared", "-fPIC", "-o", str(target), str(SOURCE)], check=True)
-    loop = ctypes.CDLL(str(target)).fly
+    # What is loaded stays when its file is gone.
+    with tempfile.TemporaryDirectory() as folder:
+        target = f"{folder}/rkmk4.so"
+        subprocess.run(["gcc", *flags, "-shared", "-fPIC", "-o", target, str(SOURCE)], check=True)
+        loop = ctypes.CDLL(target).integrate
     loop.argtypes = [np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS"), ctypes.c_double, ctypes.c_long]
     loop.restype = None
-    return loop
+
+    def call() -> Any:
+        y = np.concatenate([[1.0], np.zeros(6), _VELOCITY])
+        loop(y, dt, steps)
+        return y
+
+    return Timed(call, steps)
 
 
 @functools.cache
@@ -206,40 +198,27 @@ def beside_c(steps: int = 500_000) -> list[Timed]:
         RuntimeError: the ends are more than 1e-10 apart.
     """
     dt, dynamics, x0 = 1e-5, c_body(), {"g": np.eye(4), "V": _VELOCITY}
-
-    def in_c(loop: Loop) -> dict[str, Any]:
-        y = np.concatenate([[1.0], np.zeros(6), _VELOCITY])
-        loop(y, dt, steps)
-        return {"g": (y[:4], y[4:7]), "V": y[7:]}
-
-    with tempfile.TemporaryDirectory() as folder:
-        loops = [_library(flags, Path(folder)) for flags in _FLAGS]
+    in_c = [_in_c(flags, dt, steps) for flags in _FLAGS]
     ours = Timed(lambda: tx.integrate(dynamics, x0, t1=steps * dt, steps=steps).xs, steps)
-    timed = [ours, *(Timed(functools.partial(in_c, loop), steps) for loop in loops)]
-    end = ours.result()
-    for each in timed[1:]:
-        found = each.result()
-        q, p = map(jnp.asarray, found["g"])
-        pose = se3.transform(quaternions.to_rotation(q), p)
-        agree(_apart({"g": end["g"][0], "V": end["V"][0]}, {"g": pose, "V": found["V"]}), 1e-10)
-    in_turn(timed, _REPEATS)
-    return timed
+    end = {name: value[0] for name, value in ours.result().items()}
+    for each in in_c:
+        q, p, V = np.split(each.result(), (4, 7))
+        pose = se3.transform(quaternions.to_rotation(jnp.asarray(q)), jnp.asarray(p))
+        agree(_apart(end, {"g": pose, "V": V}), 1e-10)
+    in_turn([ours, *in_c], _REPEATS)
+    return [ours, *in_c]
 
+
+def _beside(number: int) -> float:
+    return ratio(beside_c()[0], beside_c()[number])
+
+
+_WHAT = "a step: our time over that of C"
 
 BESIDE = Section(
     "beside",
-    "Beside C",
-    "RKMK4 on a cheap body by `tx.integrate` with its defaults, and the same loop in C. Ends agree.",
-    {
-        "": [
-            Check(
-                "a step: our time over that of C",
-                f"gcc {' '.join(flags)}",
-                functools.partial(lambda i: ratio(beside_c()[0], beside_c()[i]), i),
-                at_most(2.0) if i == 1 else Between(),
-                slow=True,
-            )
-            for i, flags in enumerate(_FLAGS, 1)
-        ]
-    },
+    [
+        Check(_WHAT, f"gcc {' '.join(_FLAGS[0])}", lambda: _beside(1), at_most(2.0), slow=True),
+        Check(_WHAT, f"gcc {' '.join(_FLAGS[1])}", lambda: _beside(2), slow=True),
+    ],
 )

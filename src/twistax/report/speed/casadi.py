@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
 import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from ..timing import Timed
-from .by_hand import Matrices
+from ..timing import Timed, repeated
 from .case import Case
-from .contender import Contender
+from .contenders import Contender
 from .programs import CALLS, GRADIENT, JACOBIAN, TINY, VALUE, Lacks, Quantity, Task
-
-__all__ = ["Casadi"]
 
 _FLAGS = ("-O3", "-march=native", "-fPIC", "-shared")
 _LOOP = Path(__file__).with_name("loop.c")
@@ -30,45 +27,21 @@ _PATIENCE = 120.0
 _VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 
 
-class Casadi(Contender):
-    name, colour = "CasADi C", "C1"
-    how = (
-        "the same plain matrices as SX symbols, C written by `Function.generate`, compiled with "
-        f"`gcc {' '.join(_FLAGS[:2])}`; loop and batch are loops in C on one core, a single call goes through its "
-        "Python interface (`casadi.external`). Derivatives are its own, `jacobian` and `gradient`."
-    )
-    packages = (("casadi", "casadi"),)
+def _as_numpy(ca: Any) -> Any:
+    """SX symbols under the names of NumPy, with structural zeros."""
 
-    def absent(self) -> str | None:
-        return super().absent() or (None if shutil.which("gcc") else "there is no gcc to compile its C")
+    def asarray(value: Any) -> Any:
+        return ca.SX(ca.sparsify(ca.DM(np.asarray(value, float))))
 
-    def task(self, case: Case, quantity: Quantity) -> Task:
-        return _CasadiTask(case, quantity)
+    def block(rows: Any) -> Any:
+        return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
+    def stack(parts: Any) -> Any:
+        return ca.vertcat(*parts)
 
-class _Sx(Matrices):
-    """Symbols with structural zeros."""
-
-    def constant(self, value: Any) -> Any:
-        return self.xp.SX(self.xp.sparsify(self.xp.DM(np.asarray(value, float))))
-
-    def matrix(self, rows: Sequence[Sequence[Any]]) -> Any:
-        return self.xp.sparsify(self.block(rows))
-
-    def block(self, rows: Sequence[Sequence[Any]]) -> Any:
-        return self.xp.vertcat(*(self.xp.horzcat(*row) for row in rows))
-
-    def vector(self, entries: Sequence[Any]) -> Any:
-        return self.xp.vertcat(*entries)
-
-    def joined(self, parts: Sequence[Any]) -> Any:
-        return self.xp.vertcat(*parts)
-
-    def dot(self, a: Any, b: Any) -> Any:
-        return self.xp.dot(a, b)
-
-    def outer(self, a: Any, b: Any) -> Any:
-        return a @ b.T
+    made = {"asarray": asarray, "array": lambda rows: ca.sparsify(block(rows)), "block": block}
+    joined = {"stack": stack, "concatenate": stack, "outer": lambda a, b: a @ b.T}
+    return SimpleNamespace(sin=ca.sin, cos=ca.cos, dot=ca.dot, **made, **joined)
 
 
 def _derived(ca: Any, quantity: Quantity) -> Callable[[Any, Any], Any]:
@@ -108,8 +81,7 @@ class _CasadiTask(Task):
 
         self._case, self._shape = case, quantity.shape(case)
         arguments = [ca.SX.sym(name, size) for name, size in zip("abc", case.sizes, strict=True)]
-        matrices = _Sx(ca)
-        result = matrices.joined(case.by_hand(matrices, *arguments))
+        result = ca.vertcat(*case.by_hand(_as_numpy(ca), *arguments))
         begin = time.perf_counter()
         result = _derived(ca, quantity)(result, ca.vertcat(*arguments[:2]))
         function = ca.Function("evaluated", arguments, [ca.densify(result)])
@@ -126,32 +98,38 @@ class _CasadiTask(Task):
     def single(self) -> Timed:
         import casadi as ca
 
-        arguments = [ca.DM(points[0]) for points in self._case.points(1)]
-        function, shape = self._external, self._shape
+        arguments, function = [ca.DM(points[0]) for points in self._case.points(1)], self._external
+        return Timed(lambda: self._read(repeated(CALLS, function, *arguments)), CALLS, self._seconds)
 
-        def calls() -> Any:
-            for _ in range(CALLS):
-                result = function(*arguments)
-            return np.asarray(result.full()).T.reshape(shape)
-
-        return Timed(calls, CALLS, self._seconds)
+    def _read(self, result: Any) -> Any:
+        return np.asarray(result.full()).T.reshape(self._shape)
 
     def loop(self, steps: int) -> Timed:
-        arguments = [np.ascontiguousarray(points[0]) for points in self._case.points(1)]
-        out = np.zeros(self._shape)
-
-        def call() -> Any:
-            self._library.twistax_loop(steps, TINY, *arguments, out)
-            return out
-
-        return Timed(call, steps, self._seconds)
+        arguments = [points[0] for points in self._case.points(1)]
+        return self._called(self._library.twistax_loop, arguments, (), steps, steps, TINY)
 
     def batch(self, count: int) -> Timed:
-        arguments = [np.ascontiguousarray(points) for points in self._case.points(count)]
-        out = np.zeros((count, *self._shape))
+        return self._called(self._library.twistax_batch, self._case.points(count), (count,), count, count)
 
-        def call() -> Any:
-            self._library.twistax_batch(count, *arguments, out)
+    def _called(
+        self, call: Any, points: Sequence[Any], leading: tuple[int, ...], evaluations: int, *given: Any
+    ) -> Timed:
+        arguments, out = [np.ascontiguousarray(each) for each in points], np.zeros((*leading, *self._shape))
+
+        def run() -> Any:
+            call(*given, *arguments, out)
             return out
 
-        return Timed(call, count, self._seconds)
+        return Timed(run, evaluations, self._seconds)
+
+
+CASADI = Contender(
+    "CasADi C",
+    "C1",
+    "the same plain matrices as SX symbols, C written by `Function.generate`, compiled with "
+    f"`gcc {' '.join(_FLAGS[:2])}`; loop and batch are loops in C on one core, a single call goes through its "
+    "Python interface (`casadi.external`). Derivatives are its own, `jacobian` and `gradient`.",
+    _CasadiTask,
+    packages=(("casadi", "casadi"),),
+    tools=("gcc",),
+)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -15,16 +14,14 @@ import twistax as tx
 
 from ...mechanics import Chain, SpatialInertia, chain_models, forward_dynamics, inverse_dynamics
 from . import by_hand
-from .by_hand import Links, Matrices
-
-__all__ = ["CASES", "Case", "ForwardDynamics", "FreeBody", "InverseDynamics", "OfChain", "numbers"]
+from .by_hand import Links
 
 Array = NDArray[np.float64]
 #: x, u and params of a call of the dynamics.
 Inputs = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
-class Case(ABC):
+class _Function:
     """A function of three vectors to one. Derivatives are by the first two.
 
     Attributes:
@@ -32,12 +29,16 @@ class Case(ABC):
         title: on the page.
         sizes: of the arguments.
         results: length of the result.
+        rates: the states whose rates, one after the other, are the result.
+        by: what `dynamics.jacobian` takes derivatives by, in the order of the arguments.
     """
 
     name: str
     title: str
     sizes: tuple[int, int, int]
     results: int
+    rates: tuple[str, ...]
+    by: tuple[str, ...]
 
     @property
     def columns(self) -> int:
@@ -48,35 +49,14 @@ class Case(ABC):
         """Random arguments, (count, size) each; the first ones are the same for every count."""
         drawn = np.random.default_rng(20240611).normal(size=(count, sum(self.sizes)))
         a, b, c = np.split(drawn, np.cumsum(self.sizes)[:-1], axis=1)
-        return self._valid(a), b, c
+        return a, b, c
 
-    def _valid(self, a: Array) -> Array:
-        return a
-
-    @abstractmethod
-    def system(self) -> tx.System:
-        """With our own nodes; made anew on each call."""
-
-    @abstractmethod
-    def inputs(self, a: Any, b: Any, c: Any) -> Inputs:
-        """The three vectors as x, u and params of the system."""
-
-    @property
-    @abstractmethod
-    def rates(self) -> tuple[str, ...]:
-        """The states whose rates, one after the other, are the result."""
-
-    @property
-    @abstractmethod
-    def by(self) -> tuple[str, ...]:
-        """What `dynamics.jacobian` takes derivatives by, in the order of the arguments."""
-
-    @abstractmethod
-    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
-        """The result in plain matrices, in as many vectors as `rates` has names."""
+    def read(self, rates: Mapping[str, Any]) -> list[Any]:
+        """The result from the rates of the system."""
+        return [rates[name] for name in self.rates]
 
 
-class FreeBody(Case):
+class FreeBody(_Function):
     """Rates of position and quaternion (7,) and of the twist (6,), under weight and a wrench."""
 
     name, title = "free-body", "free body, 13 states"
@@ -99,11 +79,13 @@ class FreeBody(Case):
         """M (6, 6)."""
         return numbers(self.body.matrix)
 
-    def _valid(self, a: Array) -> Array:
-        length = np.linalg.norm(a[:, 3:], axis=1, keepdims=True)
-        return np.concatenate([a[:, :3], a[:, 3:] / length], axis=1)
+    def points(self, count: int) -> tuple[Array, Array, Array]:
+        a, b, c = super().points(count)
+        a[:, 3:] /= np.linalg.norm(a[:, 3:], axis=1, keepdims=True)
+        return a, b, c
 
     def system(self) -> tx.System:
+        """With our own nodes; made anew on each call."""
         y, V, F = tx.State("y", shape=(7,)), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
         v, w, q = V[:3], V[3:], y[3:]
         R = tx.spatial.QDCM(q)
@@ -113,19 +95,21 @@ class FreeBody(Case):
         return tx.System(rates={y: moved, V: self.body.acceleration(V, wrench)})
 
     def inputs(self, a: Any, b: Any, c: Any) -> Inputs:
+        """The three vectors as x, u and params of the system."""
         return {"y": a, "V": b}, {"F": c}, {}
 
-    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
-        return by_hand.free_body(m, self.inertia, self.mass_moment, a, b, c)
+    def by_hand(self, xp: Any, a: Any, b: Any, c: Any) -> list[Any]:
+        """The result in plain matrices of NumPy, or what is called alike, in as many vectors as `rates` has names."""
+        return by_hand.free_body(xp, self.inertia, self.mass_moment, a, b, c)
 
 
-class OfChain(Case):
-    """A function of positions, velocities and a third vector of a chain."""
+class OfChain(_Function):
+    """Of positions, velocities and accelerations of a chain the forces of its motors, or the other way round."""
 
     rates, by = ("qd",), ("u", "x")
 
-    def __init__(self, name: str, title: str, links: int, model: Callable[[], Chain]) -> None:
-        self.name, self.title, self._model = name, title, model
+    def __init__(self, name: str, title: str, links: int, model: Callable[[], Chain], inverse: bool) -> None:
+        self.name, self.title, self._model, self.inverse = name, title, model, inverse
         self.sizes, self.results = (links, links, links), links
 
     @functools.cached_property
@@ -138,37 +122,21 @@ class OfChain(Case):
         return [(numbers(link.mount), numbers(link.body.matrix)) for link in self.chain.links]
 
     def system(self) -> tx.System:
-        n = self.results
+        n, algorithm = self.results, inverse_dynamics if self.inverse else forward_dynamics
         q, qd = tx.Control("q", shape=(n,)), tx.State("qd", shape=(n,))
         third = tx.Parameter("third", shape=(n,), value=np.zeros(n))
-        return tx.System(rates={qd: self.written(q, qd, third)}, parameters=[third])
-
-    @abstractmethod
-    def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
-        """The result with our own nodes."""
+        return tx.System(rates={qd: algorithm(self.chain, q, qd, third)}, parameters=[third])
 
     def inputs(self, a: Any, b: Any, c: Any) -> Inputs:
         return {"qd": b}, {"q": a}, {"third": c}
 
-
-class InverseDynamics(OfChain):
-    """Forces of the motors, of positions, velocities and accelerations."""
-
-    def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
-        return inverse_dynamics(self.chain, q, qd, third)
-
-    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
-        return [by_hand.inverse_dynamics(m, self.links, a, b, c)]
+    def by_hand(self, xp: Any, a: Any, b: Any, c: Any) -> list[Any]:
+        algorithm = by_hand.inverse_dynamics if self.inverse else by_hand.forward_dynamics
+        return [algorithm(xp, self.links, a, b, c)]
 
 
-class ForwardDynamics(OfChain):
-    """Accelerations, of positions, velocities and forces of the motors."""
-
-    def written(self, q: tx.Expr, qd: tx.Expr, third: tx.Expr) -> tx.Expr:
-        return forward_dynamics(self.chain, q, qd, third)
-
-    def by_hand(self, m: Matrices, a: Any, b: Any, c: Any) -> list[Any]:
-        return [by_hand.forward_dynamics(m, self.links, a, b, c)]
+#: What is evaluated.
+Case = FreeBody | OfChain
 
 
 def numbers(value: Any) -> Array:
@@ -181,10 +149,10 @@ def _cases() -> list[Case]:
     arm, rods = chain_models.panda, functools.partial(chain_models.equal_links, 30)
     return [
         FreeBody(),
-        InverseDynamics("rnea-7", "RNEA, 7 links", 7, arm),
-        ForwardDynamics("aba-7", "ABA, 7 links", 7, arm),
-        InverseDynamics("rnea-30", "RNEA, 30 links", 30, rods),
-        ForwardDynamics("aba-30", "ABA, 30 links", 30, rods),
+        OfChain("rnea-7", "RNEA, 7 links", 7, arm, inverse=True),
+        OfChain("aba-7", "ABA, 7 links", 7, arm, inverse=False),
+        OfChain("rnea-30", "RNEA, 30 links", 30, rods, inverse=True),
+        OfChain("aba-30", "ABA, 30 links", 30, rods, inverse=False),
     ]
 
 

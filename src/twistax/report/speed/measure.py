@@ -7,20 +7,15 @@ import math
 import subprocess
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..progress import Tell
-from ..rows import Row
-from ..store import Store
-from ..timing import Repeats, Timed, in_turn
+from ..rows import Row, Store
+from ..timing import Repeats, Tell, Timed, keep, quiet
 from .case import Case
-from .contender import Contender
-from .programs import Batch, Lacks, Quantity, Task, Use, values
-
-__all__ = ["AGREEMENT", "FULL", "QUICK", "Effort", "apart", "measure"]
+from .contenders import Contender
+from .programs import Lacks, Quantity, Task, Use, values
 
 #: The largest difference from the reference with which a contender is timed.
 AGREEMENT = 1e-9
@@ -59,125 +54,67 @@ def measure(
     contenders: Sequence[Contender],
     effort: Effort,
     store: Store,
-    tell: Tell,
+    tell: Tell = quiet,
 ) -> None:
     """Rows of all uses, kept use by use; those that are there already are not measured again.
 
     Args:
         contenders: all are on this machine; the first that has the task is the reference.
     """
-    group = _Group(case, quantity, contenders, effort, store)
+    tasks: dict[str, Task | str] = {}
     for number, use in enumerate(uses):
-        if all(group.row(use, each) for each in contenders):
+        if all(store.get(case.name, quantity.name, each.name, use.name) for each in contenders):
             continue
 
-        def said(what: str, share: float, number: int = number, use: Use = use) -> None:
+        def told(what: str, share: float, number: int = number, use: Use = use) -> None:
             tell(f"{quantity.name}, {use.name}: {what}", (number + share) / len(uses))
 
-        store.add(group.measure(use, [other for other in uses if isinstance(other, Batch)], said))
-
-
-class _Group:
-    """A quantity of a case by all contenders. Tasks are made once for all uses."""
-
-    def __init__(
-        self, case: Case, quantity: Quantity, contenders: Sequence[Contender], effort: Effort, store: Store
-    ) -> None:
-        self._case, self._quantity, self._contenders = case, quantity, contenders
-        self._effort, self._store = effort, store
-        #: A task, or why there is none.
-        self._tasks: dict[str, Task | str] = {}
-
-    def row(self, use: Use, contender: Contender) -> Row | None:
-        """The row that is there."""
-        return self._store.get(self._case.name, self._quantity.name, contender.name, use.name)
-
-    def measure(self, use: Use, batches: Sequence[Batch], tell: Tell) -> list[Row]:
-        """A row of each contender."""
-        rows: dict[str, Row] = {}
-        timed: dict[str, Timed] = {}
+        pairs: list[tuple[Row, Timed | None]] = []
         reference: NDArray[np.float64] | None = None
         sitting = datetime.now().isoformat(timespec="seconds")
-        for number, contender in enumerate(self._contenders):
-            name = contender.name
-            tell(f"compiling {name}", 0.5 * number / len(self._contenders))
-            row = Row(self._case.name, self._quantity.name, name, use.name, unit="s", sitting=sitting)
+        for i, contender in enumerate(contenders):
+            told(f"compiling {contender.name}", 0.5 * i / len(contenders))
+            row = Row(case.name, quantity.name, contender.name, use.name, unit="s", sitting=sitting)
+            smaller = [store.get(*row.key[:3], other.name) for other in uses if 0 < other.count < use.count]
+            wait = max((row.value * use.count for row in smaller if row is not None and row.done), default=0.0)
             try:
-                program, found = self._program(use, batches, contender)
+                if wait > effort.longest:
+                    raise Lacks(f"a call would take {wait:.0f} s")
+                timed = use.of(_task(tasks, contender, case, quantity))
+                result = values(timed)
             except Lacks as error:
-                rows[name] = dataclasses.replace(row, note=str(error))
+                pairs.append((dataclasses.replace(row, note=str(error)), None))
                 continue
             except (RuntimeError, MemoryError, subprocess.SubprocessError) as error:  # of a compiler, or no memory
-                rows[name] = dataclasses.replace(row, note=f"failed: {_first_line(error)}")
+                first = (str(error).strip().splitlines() or [type(error).__name__])[0]
+                pairs.append((dataclasses.replace(row, note=f"failed: {first[:120]}"), None))
                 continue
-            reference = found if reference is None else reference
-            difference = apart(found, reference, len(self._quantity.shape(self._case)))
-            numbers = {
-                "difference": difference,
-                "evaluations": float(program.evaluations),
-                "compile_seconds": program.compile_seconds,
-            }
-            agrees = difference <= AGREEMENT
-            note = row.note if agrees else f"disagrees by {difference:.0e}"
-            rows[name] = dataclasses.replace(row, note=note, numbers=numbers)
-            if agrees:
-                timed[name] = program
-                program.look()
-        self._time(list(timed.values()), tell)
-        return [_with_times(row, timed.get(name)) for name, row in rows.items()]
-
-    def _program(self, use: Use, batches: Sequence[Batch], contender: Contender) -> tuple[Timed, NDArray[np.float64]]:
-        """What is timed, and its results. Raises Lacks, also for what was refused before."""
-        wait = self._wait(use, batches, contender)
-        if wait > self._effort.longest:
-            raise Lacks(f"a call would take {wait:.0f} s")
-        task = self._task(contender)
-        program = use.of(task)
-        found = values(program)
-        if program.compile_seconds > self._effort.patience:
-            self._tasks[contender.name] = f"compiling another use took {program.compile_seconds:.0f} s"
-        return program, found
-
-    def _task(self, contender: Contender) -> Task:
-        if contender.name not in self._tasks:
-            try:
-                self._tasks[contender.name] = contender.task(self._case, self._quantity)
-            except Lacks as error:
-                self._tasks[contender.name] = str(error)
-        found = self._tasks[contender.name]
-        if isinstance(found, str):
-            raise Lacks(found)
-        return found
-
-    def _wait(self, use: Use, batches: Sequence[Batch], contender: Contender) -> float:
-        """What a call will take, s, going by smaller batches; zero where there is none."""
-        if not isinstance(use, Batch):
-            return 0.0
-        rows = [self.row(other, contender) for other in batches if other.count < use.count]
-        return max((row.value * use.count for row in rows if row is not None and row.done), default=0.0)
-
-    def _time(self, timed: Sequence[Timed], tell: Tell) -> None:
-        long = [each for each in timed if each.rough > self._effort.longest]
-        for each in long:
-            each.samples.append(each.rough)
-        in_turn([each for each in timed if each not in long], self._effort.repeats, tell)
+            if timed.compile_seconds > effort.patience:
+                tasks[contender.name] = f"compiling another use took {timed.compile_seconds:.0f} s"
+            reference = result if reference is None else reference
+            pairs.append((_compared(row, timed, apart(result, reference, len(quantity.shape(case)))), timed))
+            if pairs[-1][0].done and timed.look() > effort.longest:
+                timed.samples.append(timed.rough)
+        keep(pairs, effort.repeats, store, told)
 
 
-def _with_times(row: Row, timed: Timed | None) -> Row:
-    if timed is None:
-        return row
-    lower, upper = timed.quartiles
-    more: dict[str, Any] = {
-        "lower": lower,
-        "upper": upper,
-        "fastest": timed.fastest,
-        "repeats": float(len(timed.samples)),
-    }
-    return dataclasses.replace(row, value=timed.seconds, numbers={**row.numbers, **more})
+def _task(tasks: dict[str, Task | str], contender: Contender, case: Case, quantity: Quantity) -> Task:
+    """Made once for all uses. Raises Lacks, also for what was refused before."""
+    if contender.name not in tasks:
+        try:
+            tasks[contender.name] = contender.task(case, quantity)
+        except Lacks as error:
+            tasks[contender.name] = str(error)
+    found = tasks[contender.name]
+    if isinstance(found, str):
+        raise Lacks(found)
+    return found
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
+def _compared(row: Row, timed: Timed, difference: float) -> Row:
+    numbers = {"evaluations": float(timed.evaluations), "compile_seconds": timed.compile_seconds}
+    note = row.note if difference <= AGREEMENT else f"disagrees by {difference:.0e}"
+    return dataclasses.replace(row, note=note, numbers={"difference": difference, **numbers})
 
 
 def apart(found: NDArray[np.float64], reference: NDArray[np.float64], rank: int) -> float:

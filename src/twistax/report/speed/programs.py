@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -13,19 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from ..timing import Timed
+from ..timing import Timed, compiled
 from .case import Case
-
-__all__ = [
-    *("CALLS", "GRADIENT", "JACOBIAN", "LOOP", "QUANTITIES", "SINGLE", "TINY", "USES", "VALUE"),
-    *("Batch", "JaxTask", "Lacks", "Quantity", "Task", "Use", "values"),
-]
 
 #: Calls from Python that are timed together.
 CALLS = 20
 #: What a loop feeds back is multiplied by this: it changes nothing, and no compiler can know.
 TINY = 1e-200
-#: Bytes that a program may need beside its arguments and results, and for these.
+#: Bytes that a program may need beside its arguments and results.
 _MEMORY = 8e9
 
 #: Three vectors to arrays, traceable; one after the other along the last axis they are the result.
@@ -75,13 +70,10 @@ def _gradient(function: Function) -> Function:
     return lambda a, b, c: list(slopes(a, b, c))
 
 
+_SLOPES, _TOTAL = "Jacobian by the first two arguments", "gradient of the sum of the results by the first two arguments"
 VALUE = Quantity("value", "value", lambda case: (case.results,), lambda function: function)
-JACOBIAN = Quantity(
-    "jacobian", "Jacobian by the first two arguments", lambda case: (case.results, case.columns), _jacobian
-)
-GRADIENT = Quantity(
-    "gradient", "gradient of the sum of the results by the first two arguments", lambda case: (case.columns,), _gradient
-)
+JACOBIAN = Quantity("jacobian", _SLOPES, lambda case: (case.results, case.columns), _jacobian)
+GRADIENT = Quantity("gradient", _TOTAL, lambda case: (case.columns,), _gradient)
 QUANTITIES = (VALUE, JACOBIAN, GRADIENT)
 
 # ---- tasks and uses -------------------------------------------------------------------------------------------------
@@ -105,26 +97,25 @@ class Task(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class Use:
-    """What a task is asked for."""
+    """What a task is asked for.
+
+    Attributes:
+        count: of points at once; zero if it is no batch.
+    """
 
     name: str
     of: Callable[[Task], Timed]
+    count: int = 0
 
 
-@dataclasses.dataclass(frozen=True)
-class Batch(Use):
+def batch(count: int) -> Use:
     """For many points at once."""
-
-    count: int
-
-    @classmethod
-    def with_points(cls, count: int) -> Batch:
-        return cls(f"batch of {count:,}", lambda task: task.batch(count), count)
+    return Use(f"batch of {count:,}", lambda task: task.batch(count), count)
 
 
 SINGLE = Use("single call", lambda task: task.single())
 LOOP = Use("in a loop", lambda task: task.loop(1000))
-USES: tuple[Use, ...] = (SINGLE, LOOP, *map(Batch.with_points, (64, 4096, 65536)))
+USES: tuple[Use, ...] = (SINGLE, LOOP, *map(batch, (64, 4096, 65536)))
 
 
 class JaxTask(Task):
@@ -138,14 +129,7 @@ class JaxTask(Task):
         self._case, self._make = case, make
 
     def single(self) -> Timed:
-        run, arguments, seconds = self._compiled(lambda function: function, *self._point())
-
-        def calls() -> Any:
-            for _ in range(CALLS):
-                result = jax.block_until_ready(run(*arguments))
-            return result
-
-        return Timed(calls, CALLS, seconds)
+        return self._compiled(lambda function: function, calls=CALLS)
 
     def loop(self, steps: int) -> Timed:
         def looped(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -156,29 +140,25 @@ class JaxTask(Task):
                 fed = result[0].reshape(-1)
                 return (tuple(a + TINY * fed[: a.size] for a in arguments), result), None
 
-            def run(*arguments: Any) -> Any:
-                first = jax.tree.map(lambda r: jnp.zeros(r.shape, r.dtype), jax.eval_shape(function, *arguments))
-                return jax.lax.scan(step, (arguments, first), None, length=steps)[0][1]
+            def run(*point: Any) -> Any:
+                first = jax.tree.map(lambda r: jnp.zeros(r.shape, r.dtype), jax.eval_shape(function, *point))
+                return jax.lax.scan(step, (point, first), None, length=steps)[0][1]
 
             return run
 
-        run, arguments, seconds = self._compiled(looped, *self._point())
-        return Timed(lambda: run(*arguments), steps, seconds)
+        return self._compiled(looped, evaluations=steps)
 
     def batch(self, count: int) -> Timed:
-        run, arguments, seconds = self._compiled(jax.vmap, *map(jnp.asarray, self._case.points(count)))
-        return Timed(lambda: run(*arguments), count, seconds)
+        return self._compiled(jax.vmap, count, evaluations=count)
 
-    def _point(self) -> list[jax.Array]:
-        return [jnp.asarray(each[0]) for each in self._case.points(1)]
-
-    def _compiled(self, use: Callable[..., Any], *arguments: jax.Array) -> tuple[Any, Sequence[jax.Array], float]:
-        """The jitted function, which calls from Python find faster than the compiled one."""
+    def _compiled(self, use: Callable[..., Any], points: int = 0, **counts: int) -> Timed:
+        """For one point, or for a batch of them."""
+        arguments = [jnp.asarray(each if points else each[0]) for each in self._case.points(points or 1)]
         begin = time.perf_counter()
-        run = jax.jit(use(self._make()))
-        compiled = run.lower(*arguments).compile()
-        seconds, needed = time.perf_counter() - begin, compiled.memory_analysis()
-        total = 0 if needed is None else needed.temp_size_in_bytes + needed.output_size_in_bytes
-        if total > _MEMORY:
-            raise Lacks(f"it would need {total / 1e9:.0f} GB")
-        return run, arguments, seconds
+        function = use(self._make())
+        made = time.perf_counter() - begin
+        timed = compiled(function, *arguments, **counts)
+        timed.compile_seconds += made
+        if timed.memory > _MEMORY:
+            raise Lacks(f"it would need {timed.memory / 1e9:.0f} GB")
+        return timed

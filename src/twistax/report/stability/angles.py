@@ -13,11 +13,9 @@ import twistax as tx
 
 from ...groups import se3, so3
 from ...scenes import SCENES
-from ..checks import Check, Refused, Section, at_most, simulated
+from ..checks import Check, Section, at_most, refused, simulated
 from ..figures.maps import BAR, MAPS, Map, twists, worst_units
 from ..rows import plain
-
-__all__ = ["ANGLES", "PRECISION"]
 
 #: Angles, rad.
 _ANGLES = (1e-300, 1e-100, 1e-30, 1e-16, 1e-8, 1e-6, 1e-4, 1e-2, 0.5, 1.0, 2.0, 3.0)
@@ -65,66 +63,56 @@ def _half_turn() -> float:
     return float(np.linalg.norm(back - np.pi * _AXIS)) if np.isfinite(slope).all() else float("nan")
 
 
-def _inverse_at(angle: float) -> float:
+def _at_full_turn() -> float:
     """How far the inverse of the left Jacobian is from inverting it, relative to its size."""
-    J, inverse = so3.left_jacobian(jnp.asarray(angle * _AXIS)), so3.left_jacobian_inv(jnp.asarray(angle * _AXIS))
+    w = jnp.asarray((2.0 * np.pi - 1e-6) * _AXIS)
+    J, inverse = so3.left_jacobian(w), so3.left_jacobian_inv(w)
     return float(np.max(np.abs(J @ inverse - np.eye(3))) / np.max(np.abs(inverse)))
 
 
-def _pose_round_trip(size: float, angle: float) -> float:
-    xi = np.concatenate([size * _VELOCITY, angle * _AXIS])
+def _pose_round_trip() -> float:
+    xi = np.concatenate([1e9 * _VELOCITY, 1e-9 * _AXIS])
     back = np.asarray(se3.log(se3.exp(jnp.asarray(xi))))
     parts = [np.linalg.norm(back[i:j] - xi[i:j]) / np.linalg.norm(xi[i:j]) for i, j in ((0, 3), (3, 6))]
     return float(max(parts))
 
 
-def _on_rotations(what: str, measure: Any, expected: Any, slow: bool = False) -> Check:
-    return Check(what, "tx.lie.so3", measure, expected, slow=slow)
-
-
 ANGLES = Section(
     "angles",
-    "Angles from 1e-300 to 1e3 rad",
-    "The maps against values with fifty digits, in units in the last place (ulp); log(Exp(w)) against w, relative to "
-    "|w|; its derivative against the identity, forward and backward. The axis is (1, 2, -2)/3.",
-    {
-        "Series where closed forms cancel, closed forms elsewhere: near round-off everywhere (per rad beyond 1 rad).": [
-            _accuracy(each) for each in MAPS
-        ],
-        "Small rotations keep their direction and size to round-off, far below where R equals the identity.": [
-            _on_rotations(
+    [
+        "Series where closed forms cancel, closed forms elsewhere: near round-off everywhere (per rad beyond 1 rad).",
+        *[_accuracy(each) for each in MAPS],
+        "Small rotations keep their direction and size to round-off, far below where R equals the identity.",
+        *(
+            Check(
                 f"log(Exp(w)), |w| = {plain(angle)} rad",
+                "tx.lie.so3",
                 functools.partial(_round_trip, angle, False),
                 at_most(1e-15 if angle < 1.5 else 3e-15),
             )
             for angle in _ANGLES
-        ],
-        "Every coefficient function carries a derivative of its own: no 0/0 at any angle.": [
-            _on_rotations(
+        ),
+        "Every coefficient function carries a derivative of its own: no 0/0 at any angle.",
+        *(
+            Check(
                 f"derivative of log(Exp(w)), |w| = {plain(angle)} rad",
+                "tx.lie.so3",
                 functools.partial(_round_trip, angle, True),
                 at_most(2e-14),
             )
             for angle in _ANGLES
-        ],
-        "At half a turn w and -w are the same rotation; the one whose first entry is positive comes back, with finite "
-        "derivatives.": [_on_rotations("log of a half turn", _half_turn, at_most(1e-15, "rad"), slow=True)],
-        "At a full turn the left Jacobian has no inverse; just before, the loss is that of its condition.": [
-            _on_rotations(
-                "left Jacobian times its inverse, 1e-6 rad before a full turn",
-                lambda: _inverse_at(2.0 * np.pi - 1e-6),
-                at_most(1e-9),
-            ),
-        ],
-        "Rotation and translation do not share a scale: each comes back to its own round-off.": [
-            Check(
-                "log(Exp(xi)) of a pose with |v| = 1e9 m, |w| = 1e-9 rad",
-                "tx.lie.se3",
-                lambda: _pose_round_trip(1e9, 1e-9),
-                at_most(1e-15),
-            ),
-        ],
-    },
+        ),
+        "At half a turn w and -w are one rotation; the one with a positive first entry comes back, with finite slopes.",
+        Check("log of a half turn", "tx.lie.so3", _half_turn, at_most(1e-15, "rad"), slow=True),
+        "At a full turn the left Jacobian has no inverse; just before, the loss is that of its condition.",
+        Check(
+            "left Jacobian times its inverse, 1e-6 rad before a full turn", "tx.lie.so3", _at_full_turn, at_most(1e-9)
+        ),
+        "Rotation and translation do not share a scale: each comes back to its own round-off.",
+        Check(
+            "log(Exp(xi)) of a pose with |v| = 1e9 m, |w| = 1e-9 rad", "tx.lie.se3", _pose_round_trip, at_most(1e-15)
+        ),
+    ],
 )
 
 
@@ -163,30 +151,24 @@ def _single_round_trip() -> float:
 
 PRECISION = Section(
     "single",
-    "Single precision",
-    "Arrays in float32 give a solution in float32, with x64 switched on. Errors in units of its precision, 1.2e-7.",
-    {
-        "Only round-off is left: a few units for some rad of motion.": [
-            Check("Euler top, 2 s, equal steps of 0.02 s", "DOP853", lambda: _error(dt=0.02), at_most(50.0, "eps")),
-        ],
-        "A tolerance of 80 eps is kept.": [
-            Check("Euler top, 2 s, rtol 1e-5", "DOP853", lambda: _error(rtol=1e-5), at_most(200.0, "eps")),
-        ],
-        "Finer than round-off no step can be; the message tells how to get doubles.": [
-            Check(
-                "rtol 1e-6, which is below ten eps",
-                "DOP853",
-                lambda: _error(rtol=1e-6),
-                Refused(tx.InputError, "ten times the round-off of float32"),
-            ),
-        ],
-        "The stored quaternion is put back to length one in every step.": [
-            Check("R'R - I after 10,000 steps", "RK4", _defect, at_most(5.0, "eps")),
-        ],
-        "The squares underflow; the series never sees them.": [
-            _on_rotations("log(Exp(w)), |w| = 3e-30 rad", _single_round_trip, at_most(4.0, "eps")),
-        ],
-        "Single precision has switch points of its own between series and closed forms.": [
+    [
+        "Only round-off is left: a few units for some rad of motion.",
+        Check("Euler top, 2 s, equal steps of 0.02 s", "DOP853", lambda: _error(dt=0.02), at_most(50.0, "eps")),
+        "A tolerance of 80 eps is kept.",
+        Check("Euler top, 2 s, rtol 1e-5", "DOP853", lambda: _error(rtol=1e-5), at_most(200.0, "eps")),
+        "Finer than round-off no step can be; the message tells how to get doubles.",
+        Check(
+            "rtol 1e-6, which is below ten eps",
+            "DOP853",
+            lambda: _error(rtol=1e-6),
+            refused(tx.InputError, "ten times the round-off of float32"),
+        ),
+        "The stored quaternion is put back to length one in every step.",
+        Check("R'R - I after 10,000 steps", "RK4", _defect, at_most(5.0, "eps")),
+        "The squares underflow; the series never sees them.",
+        Check("log(Exp(w)), |w| = 3e-30 rad", "tx.lie.so3", _single_round_trip, at_most(4.0, "eps")),
+        "Single precision has switch points of its own between series and closed forms.",
+        *[
             Check(
                 f"{each.name} of SE(3), 60 twists",
                 "tx.lie.se3",
@@ -196,5 +178,5 @@ PRECISION = Section(
             )
             for each in MAPS
         ],
-    },
+    ],
 )

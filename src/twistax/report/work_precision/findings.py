@@ -9,15 +9,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from ..checks import at_most, judged
 from ..rows import Row, plain
-from .contender import Contender, Line, Side
-from .contenders import CONTENDERS, ONE_CALL, OURS, SHIPPED
-
-__all__ = ["AGREED", "BARS", "TARGETS", "Bar", "Curve", "Doubt", "Findings", "Ranked", "bar_rows", "doubts"]
+from .contenders import CONTENDERS, ONE_CALL, OURS, SHIPPED, Contender, Line, Side
 
 #: Errors at which methods are compared.
 TARGETS = (1e-6, 1e-9)
 #: A method agrees with the truth if one of its runs comes this close.
-AGREED = 1e-6
+_AGREED = 1e-6
 #: Or if its finest run comes within so many of its tolerances: then it was only not run finer.
 _TOLERANCES = 100.0
 #: Errors below this are round-off, and have a logarithm.
@@ -46,32 +43,25 @@ class Doubt:
     excuse: str
 
     @property
-    def disagrees(self) -> bool:
-        return not self.excuse
-
-    @property
     def sentence(self) -> str:
         best = f"smallest error {self.best:.1e}, " if math.isfinite(self.best) else ""
         return f"{self.method} on {self.scene}: {best}{self.excuse or 'and does not fall: IT DISAGREES'}"
 
 
 def doubts(rows: Iterable[Row]) -> list[Doubt]:
-    """Methods whose errors do not get below `AGREED`."""
+    """Methods whose errors do not get small."""
     runs: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         runs.setdefault((row.group, row.by), []).append(row)
     found = []
     for (scene, method), own in runs.items():
-        done = [row for row in sorted(own, key=_fineness) if row.done]
+        # Numbers of steps grow, tolerances fall.
+        sign = {row.key: 1.0 if row.setting.startswith("steps") else -1.0 for row in own}
+        done = sorted((row for row in own if row.done), key=lambda row: sign[row.key] * row.numbers["setting"])
         best = min((_error(row) for row in done if math.isfinite(_error(row))), default=math.inf)
-        if best > AGREED:
+        if best > _AGREED:
             found.append(Doubt(scene, method, best, _excuse(done)))
     return found
-
-
-def _fineness(row: Row) -> float:
-    """Numbers of steps grow, tolerances fall."""
-    return row.numbers["setting"] if row.setting.startswith("steps") else -row.numbers["setting"]
 
 
 def _excuse(done: list[Row]) -> str:
@@ -122,21 +112,11 @@ class Curve:
 
 def _between(coarse: Row, fine: Row, error: float) -> float:
     high, low, at = (math.log(max(value, _ROUND_OFF)) for value in (_error(coarse), _error(fine), error))
-    if high == low:
-        return fine.value
-    share = (high - at) / (high - low)
+    share = (high - at) / (high - low) if high > low else 1.0
     return math.exp((1.0 - share) * math.log(coarse.value) + share * math.log(fine.value))
 
 
 # ---- all of it ------------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class Ranked:
-    """A line and the time it takes, s."""
-
-    line: Line
-    seconds: float
 
 
 class Findings:
@@ -149,7 +129,7 @@ class Findings:
         contenders: by name; their order is that of tables.
     """
 
-    def __init__(self, rows: Iterable[Row], contenders: Mapping[str, Contender]) -> None:
+    def __init__(self, rows: Iterable[Row], contenders: Mapping[str, Contender] = CONTENDERS) -> None:
         self.rows = [row for row in rows if row.by in contenders]
         present = {row.by for row in self.rows}
         self.contenders = {name: contender for name, contender in contenders.items() if name in present}
@@ -160,15 +140,15 @@ class Findings:
     @property
     def agreed(self) -> bool:
         """Whether every method that was run far enough finds the same answers; one of ours must reach an end."""
-        return not any(doubt.disagrees or self._fails(doubt) for doubt in self.doubts)
-
-    def _fails(self, doubt: Doubt) -> bool:
-        return math.isinf(doubt.best) and self.contenders[doubt.method].line.side == OURS
+        return not any(
+            not doubt.excuse or (math.isinf(doubt.best) and self.contenders[doubt.method].line.side == OURS)
+            for doubt in self.doubts
+        )
 
     @functools.cache  # noqa: B019  lives as long as the report
     def curve(self, scene: str, line: Line) -> Curve:
         """Of a line's runs of a scene, without methods that disagree."""
-        out = {doubt.method for doubt in self.doubts if doubt.scene == scene and doubt.disagrees}
+        out = {doubt.method for doubt in self.doubts if doubt.scene == scene and not doubt.excuse}
         own = [row for row in self.rows if row.group == scene and row.by not in out]
         return Curve.of(row for row in own if self.contenders[row.by].line == line)
 
@@ -176,12 +156,12 @@ class Findings:
         """Seconds for an error; NaN where the line does not get there."""
         return self.curve(scene, line).time_at(error)
 
-    def ranking(self, scene: str, error: float, lines: Sequence[Line] | None = None) -> list[Ranked]:
-        """Lines that reach an error, the fastest first."""
-        times = [Ranked(line, self.time(scene, line, error)) for line in (self.lines if lines is None else lines)]
-        return sorted((each for each in times if math.isfinite(each.seconds)), key=lambda each: each.seconds)
+    def ranking(self, scene: str, error: float, lines: Sequence[Line] | None = None) -> list[tuple[float, Line]]:
+        """Seconds and line of those that reach an error, the fastest first."""
+        times = [(self.time(scene, line, error), line) for line in (self.lines if lines is None else lines)]
+        return sorted((each for each in times if math.isfinite(each[0])), key=lambda each: each[0])
 
-    def best(self, scene: str, error: float, side: Side) -> Ranked | None:
+    def best(self, scene: str, error: float, side: Side) -> tuple[float, Line] | None:
         """The fastest line of a side."""
         return next(iter(self.ranking(scene, error, [line for line in self.lines if line.side == side])), None)
 
@@ -190,63 +170,30 @@ class Findings:
         there = [line for line in self.lines if self.curve(scene, line).rows]
         return [line for line in there if line.drawn] or there
 
-    def sittings(self, scene: str) -> int:
-        """How many sittings the rows of a scene come from."""
-        return len({row.sitting for row in self.rows if row.group == scene})
-
 
 # ---- bars: what we want to be true, said beforehand -----------------------------------------------------------------
 
-
-@dataclasses.dataclass(frozen=True)
-class Bar:
-    """A method's time over the better of diffrax's Tsit5 and Dopri8, at most `limit` at every error of `TARGETS`."""
-
-    scene: str
-    method: str
-    against: Side
-    limit: float
-
-
 #: The chart of DOP853 that is compared on each scene, chosen before the measurement.
 _NAMED = dict.fromkeys(("euler-top", "heavy-top", "rocket", "low-orbit"), "dop853-quaternion") | {"fast-spin": "dop853"}
-_EXPONENTIAL = "dop853"
 #: What it is compared with: the better of these.
-_RIVALS = {
-    ONE_CALL: ("diffrax-tsit5-call", "diffrax-dopri8-call"),
-    SHIPPED: ("diffrax-tsit5", "diffrax-dopri8"),
-}
+_RIVALS = {ONE_CALL: ("diffrax-tsit5-call", "diffrax-dopri8-call"), SHIPPED: ("diffrax-tsit5", "diffrax-dopri8")}
 
 
-def _bars() -> tuple[Bar, ...]:
-    found: dict[Bar, None] = {}
-    for scene, method in _NAMED.items():
-        fast = scene == "fast-spin"
-        found[Bar(scene, method, ONE_CALL, 0.4 if fast else 0.7)] = None
-        found[Bar(scene, _EXPONENTIAL, ONE_CALL, 0.4 if fast else 0.85)] = None
-        found[Bar(scene, method, SHIPPED, 0.3)] = None
-    return tuple(found)
-
-
-BARS = _bars()
-
-
-def bar_rows(
-    findings: Findings, names: Mapping[str, str], contenders: Mapping[str, Contender] = CONTENDERS
-) -> list[Row]:
-    """Every bar whose scene and method were run, at every error.
-
-    Args:
-        names: titles of the scenes.
-    """
+def bar_rows(findings: Findings, scene: str, title: str) -> list[Row]:
+    """Times over the better of diffrax's Tsit5 and Dopri8, of the methods that were run, at every error."""
+    if scene not in _NAMED or scene not in findings.scenes:
+        return []
+    fast = scene == "fast-spin"
+    bars = {
+        (_NAMED[scene], ONE_CALL): 0.4 if fast else 0.7,
+        ("dop853", ONE_CALL): 0.4 if fast else 0.85,
+        (_NAMED[scene], SHIPPED): 0.3,
+    }
     found = []
-    for bar in BARS:
-        if bar.scene in findings.scenes and bar.method in findings.contenders:
-            ours, rivals = contenders[bar.method].line, [contenders[name].line for name in _RIVALS[bar.against]]
-            for error in TARGETS:
-                theirs = min((each.seconds for each in findings.ranking(bar.scene, error, rivals)), default=math.nan)
-                ratio = findings.time(bar.scene, ours, error) / theirs
-                what = f"{names[bar.scene]}, error {plain(error)}"
-                row = Row("bars", what, ours.title, f"over {bar.against.name}", ratio)
-                found.append(judged(row, at_most(bar.limit)))
+    for (method, against), limit in bars.items():
+        line, rivals = CONTENDERS[method].line, [CONTENDERS[name].line for name in _RIVALS[against]]
+        for error in TARGETS if method in findings.contenders else ():
+            theirs = min((seconds for seconds, _ in findings.ranking(scene, error, rivals)), default=math.nan)
+            ratio, what = findings.time(scene, line, error) / theirs, f"{title}, error {plain(error)}"
+            found.append(judged(Row("bars", what, line.title, f"over {against.name}", ratio), at_most(limit)))
     return found

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,90 +15,72 @@ import numpy as np
 import twistax as tx
 
 from ...scenes import Scene
-from ..progress import Tell
-from ..rows import Row
-from ..store import Store
-from ..timing import Timed, in_turn, seconds_of
-from .contender import Contender, Counts, Effort, Program
-
-__all__ = ["WHAT", "Refusal", "measure_scene"]
+from ..rows import Row, Store
+from ..timing import Tell, Timed, keep, quiet, seconds_of
+from .contenders import Contender, Effort
 
 #: What is measured of a scene.
 WHAT = "one call"
 
 
-@dataclasses.dataclass(frozen=True)
-class Refusal:
-    """A method that cannot run a scene, and why."""
-
-    scene: str
-    method: str
-    reason: str
-
-
 def measure_scene(
-    scene: Scene, contenders: Iterable[Contender], effort: Effort, store: Store, tell: Tell
-) -> list[Refusal]:
+    scene: Scene, contenders: Sequence[Contender], effort: Effort, store: Store, tell: Tell = quiet
+) -> dict[str, str]:
     """Run what is not in the store yet, time it in turn, and keep the rows.
 
     Returns:
-        the methods that cannot run the scene.
+        the methods that cannot run the scene, and why.
     """
-    refused: list[Refusal] = []
-    runs: list[tuple[Row, Timed]] = []
+    refused: dict[str, str] = {}
+    runs: list[tuple[Row, Timed | None]] = []
     sitting = datetime.now().isoformat(timespec="seconds")
-    methods = list(contenders)
-    for number, contender in enumerate(methods):
-        tell(f"compiling {contender.name}", 0.5 * number / len(methods))
+    for number, contender in enumerate(contenders):
+        tell(f"compiling {contender.name}", 0.5 * number / len(contenders))
         try:
             runs += _climb(scene, contender, effort, store, sitting)
         except tx.TwistaxError as error:
-            refused.append(Refusal(scene.name, contender.name, str(error).splitlines()[0]))
-    in_turn([timed for row, timed in runs if row.done], effort.repeats, tell)
-    store.add([_with_times(row, timed) for row, timed in runs])
+            refused[contender.name] = str(error).splitlines()[0]
+    keep(runs, effort.repeats, store, tell)
     return refused
-
-
-def _with_times(row: Row, timed: Timed) -> Row:
-    if not timed.samples:
-        return row
-    numbers = {**row.numbers, "fastest": timed.fastest, "repeats": float(len(timed.samples))}
-    return dataclasses.replace(row, value=timed.seconds, numbers=numbers)
 
 
 def _climb(
     scene: Scene, contender: Contender, effort: Effort, store: Store, sitting: str
-) -> Iterator[tuple[Row, Timed]]:
+) -> Iterator[tuple[Row, Timed | None]]:
     """From coarse to fine, one run each, except for rows that are there."""
-    ladder = contender.ladder(effort)
+    unit, enough = ("steps", effort.enough) if contender.equal else ("tolerance", 0.0)
     launch: _Launch | None = None
-    for setting in ladder.rungs:
-        named = f"{ladder.unit} {setting:g}"
+    for setting in effort.steps if contender.equal else effort.tolerances:
+        named = f"{unit} {setting:g}"
         row = store.get(scene.name, WHAT, contender.name, named)
         if row is None:
-            launch = launch or _Launch(contender.build(scene))
-            numbers = {"setting": setting}
-            row = Row(scene.name, WHAT, contender.name, named, unit="s", sitting=sitting, numbers=numbers)
-            row, timed = launch.first(scene, row)
+            launch = launch or _Launch(contender, scene)
+            row = Row(scene.name, WHAT, contender.name, named, unit="s", sitting=sitting, numbers={"setting": setting})
+            row, timed = launch.first(row)
             yield row, timed
-            seconds = timed.rough
+            seconds = timed.rough if timed else 0.0
         else:
             seconds = row.value
-        if seconds > effort.longest or row.numbers.get("error", math.nan) < ladder.enough:
+        if seconds > effort.longest or row.numbers.get("error", math.nan) < enough:
             return
 
 
 class _Launch:
     """A program jitted, and how long it took to compile."""
 
-    def __init__(self, program: Program) -> None:
-        self._program, self._compile_seconds = program, math.nan
-        self._run = jax.jit(program.solve, static_argnums=() if program.one_for_all else 1)
+    def __init__(self, contender: Contender, scene: Scene) -> None:
+        self._scene, self._program, self._equal = scene, contender.build(scene), contender.equal
+        self._run = jax.jit(self._program.solve, static_argnums=1 if self._equal else ())
+        self._compile_seconds = math.nan
 
-    def first(self, scene: Scene, row: Row) -> tuple[Row, Timed]:
+    def first(self, row: Row) -> tuple[Row, Timed | None]:
         """The row of the first run with a setting, and what is timed."""
+        setting = row.numbers["setting"]
+        arguments = self._program.start, setting if self._equal else jnp.asarray(setting)
         try:
-            timed = Timed(self._call(row.numbers["setting"]))
+            if self._equal or math.isnan(self._compile_seconds):
+                self._compile_seconds = seconds_of(lambda: self._run.lower(*arguments).compile())
+            timed = Timed(functools.partial(self._run, *arguments))
             end, counts = timed.result()
             timed.look()
         except (RuntimeError, ValueError) as error:  # diffrax raises where it gives up, from a callback
@@ -106,23 +88,11 @@ class _Launch:
                 raise
             lines = str(error).strip().splitlines()
             said = [line for line in lines if "RuntimeError" in line] or lines
-            return dataclasses.replace(row, note=said[0].strip()[:80]), Timed(lambda: None, rough=0.0)
+            return dataclasses.replace(row, note=said[0].strip()[:80]), None
         good = bool(counts.good)
         state = {name: np.asarray(value) for name, value in self._program.state(end).items()}
-        counted = {name: float(getattr(counts, name)) for name in ("evaluations", "accepted", "rejected")}
-        numbers = {"error": float(scene.error(state)) if good else math.nan, "compile_seconds": self._compile_seconds}
+        numbers = {"error": float(self._scene.error(state)) if good else math.nan}
+        numbers |= {"compile_seconds": self._compile_seconds}
+        numbers |= {name: float(getattr(counts, name)) for name in ("evaluations", "accepted", "rejected")}
         note = row.note if good else "did not reach the end"
-        return dataclasses.replace(row, note=note, numbers={**row.numbers, **numbers, **counted}), timed
-
-    def _call(self, setting: float) -> Callable[[], tuple[Any, Counts]]:
-        """The compiled function with its arguments ready; compiles if need be."""
-        run, start, one = self._run, self._program.start, self._program.one_for_all
-        argument = jnp.asarray(setting) if one else setting
-
-        def call() -> tuple[Any, Counts]:
-            return run(start, argument)
-
-        first = seconds_of(call)
-        if not one or math.isnan(self._compile_seconds):
-            self._compile_seconds = first - seconds_of(call)
-        return call
+        return dataclasses.replace(row, note=note, numbers={**row.numbers, **numbers}), timed

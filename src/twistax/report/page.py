@@ -1,22 +1,25 @@
-"""Pages as Markdown and as HTML, each written once as a template."""
+"""How results are shown: pages and tables as Markdown and HTML, each written once as a template, and figures."""
 
 from __future__ import annotations
 
 import base64
 import html
+import io
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..rows import Row, number
-
-__all__ = ["MISSING", "Picture", "bar_table", "duration", "render", "renew", "section_table"]
+from .rows import Row, plain
 
 #: Said where the template engine is not installed.
 MISSING = "the report needs jinja2, which is not installed; fix: pip install 'twistax[report]'"
 
+_TEMPLATES = Path(__file__).with_name("templates")
+
+#: Head, rows, and how many columns are words.
 Table = tuple[list[str], list[list[str]], int]
 
 
@@ -39,17 +42,23 @@ def render(name: str, context: Mapping[str, Any]) -> tuple[str, str]:
         import jinja2
     except ImportError as error:
         raise ImportError(MISSING) from error
-    folder = jinja2.FileSystemLoader(Path(__file__).with_name("templates"))
+    folder = jinja2.FileSystemLoader(_TEMPLATES)
     # Text is escaped by the filters, as Markdown is no HTML.
     engine = jinja2.Environment(loader=folder, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    engine.filters |= {"flat": _flat, "cell": _cell, "inline": _inline, "number": _number, "duration": duration}
+    engine.filters |= {"flat": _flat, "cell": lambda text: text.replace("|", "\\|"), "inline": _inline}
+    engine.filters |= {"duration": duration, "plain": plain, "listed": _listed, "span": _span}
     page = engine.get_template(f"{name}.j2")
-    markdown = page.render(context, form="markdown.j2")
-    body = page.render(context, form="html.j2")
-    return (
-        re.sub(r"\n{3,}", "\n\n", markdown).strip() + "\n",
-        engine.get_template("frame.html.j2").render(title=context["title"], body=re.sub(r"\n{2,}", "\n", body).strip()),
+    markdown, body = (page.render(context, form=form) for form in ("markdown.j2", "html.j2"))
+    framed = engine.get_template("frame.html.j2").render(
+        title=context["title"], body=re.sub(r"\n{2,}", "\n", body).strip()
     )
+    return re.sub(r"\n{3,}", "\n\n", markdown).strip() + "\n", framed
+
+
+def texts(report: str) -> dict[str, Any]:
+    """What the page of a report of checks says beside rows: title, about, note, and those of its sections."""
+    found: dict[str, Any] = tomllib.loads((_TEMPLATES / "sections.toml").read_text())[report]
+    return found
 
 
 def _flat(text: str) -> str:
@@ -57,18 +66,10 @@ def _flat(text: str) -> str:
     return " ".join(text.split())
 
 
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
-
-
 def _inline(text: str) -> str:
     escaped = html.escape(_flat(text), quote=False)
     escaped = re.sub(r"`([^`]+)`", r"<code>\1</code>", escaped)
     return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", escaped)
-
-
-def _number(value: float) -> str:
-    return number(value) if math.isfinite(value) else "-"
 
 
 def duration(seconds: float) -> str:
@@ -81,19 +82,32 @@ def duration(seconds: float) -> str:
     return f"{seconds / 1e-6:.3g} us"
 
 
+def _listed(words: Iterable[str]) -> str:
+    """a, b and c."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _span(values: Iterable[float]) -> str:
+    """The least to the largest."""
+    ends = sorted(values)
+    low, high = f"{ends[0]:.2f}", f"{ends[-1]:.2f}"
+    return low if low == high else f"{low} to {high}"
+
+
 # ---- tables ---------------------------------------------------------------------------------------------------------
 
 
 def bar_table(rows: Sequence[Row]) -> Table:
-    """Head, rows, and how many columns are words: what, by whom, with what, and what came of the bar."""
+    """One line for each row: what, by whom, with what, and what came of the bar."""
     named = any(row.setting for row in rows)
     head = ["what", "by", *(["setting"] if named else []), "measured", "bar", ""]
     table = [[r.what, r.by, *([r.setting] if named else []), r.came, r.bar, r.verdict] for r in rows]
     return head, table, len(head)
 
 
-def section_table(rows: Sequence[Row], wide: bool) -> Table:
-    """One row for each, or a column for each `by`, whose head has the bar that its rows share."""
+def table_of(rows: Sequence[Row], wide: bool) -> Table:
+    """As `bar_table`, or with a column for each `by`, whose head has the bar that its rows share."""
     if not wide:
         return bar_table(rows)
     columns = list(dict.fromkeys(row.by for row in rows))
@@ -132,7 +146,35 @@ def renew(path: Path, tables: Mapping[str, Table]) -> list[str]:
     return names
 
 
-def listed(words: Iterable[str]) -> str:
-    """a, b and c."""
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
+# ---- figures --------------------------------------------------------------------------------------------------------
+
+
+def panels(title: str, labels: tuple[str, str], size: tuple[float, float] = (7.0, 5.0), count: int = 1) -> Any:
+    """A figure with panels below each other, which share the label of x.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    for axes in figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]:
+        axes.grid(alpha=0.25)
+        axes.set_ylabel(labels[1], fontsize=11)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.axes[0].set_title(title, fontsize=13, loc="left")
+    figure.axes[-1].set_xlabel(labels[0], fontsize=11)
+    return figure
+
+
+def as_svg(figure: Any, columns: int = 2) -> bytes:
+    """The figure with its legend below, as SVG: text stays text, and the same data gives the same file."""
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    out = io.BytesIO()
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=9, frameon=False)
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "twistax", "font.family": "sans-serif"}):
+        FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None})
+    return out.getvalue()

@@ -1,1 +1,0 @@
-"""How results are shown: pages by templates, and figures, all in one style."""
