@@ -90,16 +90,16 @@ def _comparison(sign: str, name: str, number: Any, **more: Any) -> Operation:
     )
 
 
-def _bits(name: str, number: Any, array: Any, signs: tuple[str, str], casadi: str, **more: Any) -> Operation:
-    """Of truth values, or of integers bit by bit; `signs` are those of C. CasADi has no bits of integers."""
-    return Operation(
-        name=name,
-        number=number,
-        array=array,
-        arity=2,
+def _bits(bit: str, truth: str, name: str, casadi: str, **more: Any) -> Operation:
+    """Of integers bit by bit, or of truth values, by C's signs. CasADi has no bits of integers."""
+    return _named(
+        name,
+        getattr(np, f"bitwise_{name}"),
+        2,
+        array=getattr(lax, f"bitwise_{name}"),
         symmetric=True,
         llvm=Forms(None, _instruction(name), _instruction(name)),
-        c=Forms(None, f"($T)($a {signs[0]} $b)", f"$a {signs[1]} $b"),
+        c=Forms(None, f"($T)($a {bit} $b)", f"$a {truth} $b"),
         casadi=Forms(None, None, lambda module, a, b: getattr(module, casadi)(a, b)),
         **more,
     )
@@ -361,9 +361,9 @@ _ROWS = [
         c=Forms("isfinite($a) != 0"),
         casadi=everywhere(lambda casadi, a: casadi.fabs(a) < np.inf),
     ),
-    _bits("and", np.bitwise_and, lax.bitwise_and, ("&", "&&"), "logic_and", maker=_made(_pair, "and", False)),
-    _bits("or", np.bitwise_or, lax.bitwise_or, ("|", "||"), "logic_or", maker=_made(_pair, "or", True)),
-    _bits("xor", np.bitwise_xor, lax.bitwise_xor, ("^", "!="), "ne"),
+    _bits("&", "&&", "and", "logic_and", maker=_made(_pair, "and", False)),
+    _bits("|", "||", "or", "logic_or", maker=_made(_pair, "or", True)),
+    _bits("^", "!=", "xor", "ne"),
     _named(
         "not",
         np.invert,
