@@ -54,12 +54,10 @@ class CommutatorFreeTableau(Coefficients):
     underlying: ButcherTableau = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
-        count = len(self.a)
-        object.__setattr__(self, "a", tuple(self._exponentials(f"a[{i}]", row, i) for i, row in enumerate(self.a)))
-        object.__setattr__(self, "b", self._exponentials("b", self.b, count))
+        a = tuple(self._exponentials(f"a[{i}]", row, i) for i, row in enumerate(self.a))
+        self._set(a=a, b=self._exponentials("b", self.b, len(a)))
         stages, step = self.weights(self.a).sum(axis=1), self.weights([self.b])[0].sum(axis=0)
-        underlying = ButcherTableau(self.name, self.order, stages, step, stages.sum(axis=1))
-        object.__setattr__(self, "underlying", underlying)
+        self._set(underlying=ButcherTableau(self.name, self.order, stages, step, stages.sum(axis=1)))
 
     @property
     def c(self) -> Any:

@@ -53,8 +53,12 @@ class Coefficients:
         if shape is not None and array.shape != shape:
             raise self._error(f"{field} must have shape {shape}, got {array.shape}")
         array.setflags(write=False)
-        object.__setattr__(self, field, array)
+        self._set(**{field: array})
         return array
+
+    def _set(self, **values: Any) -> None:
+        for field, value in values.items():
+            object.__setattr__(self, field, value)
 
     def _check_order(self, field: str = "order") -> None:
         order = getattr(self, field)
@@ -131,7 +135,7 @@ class ButcherTableau(Coefficients):
         if self.b_second_embedded is not None and self.b_embedded is None:
             raise self._error("a second embedded solution needs a first one")
         n = int(np.flatnonzero(b)[-1]) + 1
-        object.__setattr__(self, "counted", Rows(self.a[:n, :n], self.c[:n]))
+        self._set(counted=Rows(self.a[:n, :n], self.c[:n]))
 
     @property
     def to_the_end(self) -> Rows:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from math import sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..tableaus import Coefficients
 
@@ -53,6 +51,18 @@ class CollocationTableau(Coefficients):
     a: Any
     b: Any
     c: Any
+    # What follows from these.
+    inverse: Any = dataclasses.field(init=False)  # a^-1
+    end: Any = dataclasses.field(init=False)  # d with y_1 = y + sum_i d_i z_i
+    real: tuple[float, ...] = dataclasses.field(init=False)  # the real eigenvalues of a^-1
+    pairs: tuple[complex, ...] = dataclasses.field(init=False)  # the complex ones with positive imaginary part
+    #: T with a^-1 T = T L, L of the real eigenvalues and, for each pair p + iq, the block [[p, q], [-q, p]].
+    transform: Any = dataclasses.field(init=False)
+    untransform: Any = dataclasses.field(init=False)  # T^-1
+    #: (s, s): times z, the coefficients of x, x^2, ... of the polynomial through zero and z; x = 1 is the end.
+    polynomial: Any = dataclasses.field(init=False)
+    start_weight: float = dataclasses.field(init=False)  # g0 of the embedded solution
+    error_weights: Any = dataclasses.field(init=False)  # e with y_embedded - y_1 = g0 h f(t, y) + sum_i e_i z_i
 
     def __post_init__(self) -> None:
         s = self._read("c").size
@@ -68,8 +78,34 @@ class CollocationTableau(Coefficients):
         for k in range(1, self.order + 1):
             if abs(self.b @ self.c ** (k - 1) - 1.0 / k) > _TOLERANCE:
                 raise self._error(f"b does not integrate c^{k - 1}, which order {self.order} needs")
-        if np.abs(np.linalg.det(self.transform)) < 1e-6:
+        self._derive()
+
+    def _derive(self) -> None:
+        s, inverse = self.stages, np.linalg.inv(self.a)
+        values, vectors = np.linalg.eig(inverse)
+        values = np.where(np.abs(values.imag) < 1e-12 * np.abs(values), values.real, values)
+        real, paired = np.flatnonzero(values.imag == 0.0), np.flatnonzero(values.imag > 0.0)
+        columns = [vectors[:, i].real for i in real]
+        for i in paired:
+            columns += [vectors[:, i].real, vectors[:, i].imag]
+        transform = np.stack(columns, axis=1)
+        if np.abs(np.linalg.det(transform)) < 1e-6:
             raise self._error("the inverse of a has eigenvalues that nearly coincide")
+        # Of an embedded solution that weighs the slopes at 0 and c and integrates polynomials of degree s - 1.
+        start_weight = 1.0 / (values[real[0]].real if real.size else abs(values[paired[0]]))
+        powers = np.vander(self.c, s, increasing=True)
+        difference = np.linalg.solve(powers.T, -start_weight * np.eye(s)[0])
+        self._set(
+            inverse=inverse,
+            end=np.eye(s)[-1] if self.stiffly_accurate else np.linalg.solve(self.a.T, self.b),
+            real=tuple(float(values[i].real) for i in real),
+            pairs=tuple(complex(values[i]) for i in paired),
+            transform=transform,
+            untransform=np.linalg.inv(transform),
+            polynomial=np.linalg.inv(powers * self.c[:, None]),
+            start_weight=float(start_weight),
+            error_weights=np.linalg.solve(self.a.T, difference),
+        )
 
     @property
     def stiffly_accurate(self) -> bool:
@@ -80,70 +116,6 @@ class CollocationTableau(Coefficients):
     def symmetric(self) -> bool:
         """Whether the method of the step -h is its inverse: the nodes are."""
         return bool(np.abs(self.c + self.c[::-1] - 1.0).max() < _TOLERANCE)
-
-    @functools.cached_property
-    def inverse(self) -> NDArray[Any]:
-        """a^-1."""
-        return np.linalg.inv(self.a)
-
-    @functools.cached_property
-    def end(self) -> NDArray[Any]:
-        """d with y_1 = y + sum_i d_i z_i: b a^-1, and the last unit vector where the last stage is the end."""
-        if self.stiffly_accurate:
-            return np.eye(self.stages)[-1]
-        return np.linalg.solve(self.a.T, self.b)
-
-    @functools.cached_property
-    def _eigen(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Eigenvalues of a^-1 with their vectors in columns: real ones, then of each pair that with Im > 0."""
-        values, vectors = np.linalg.eig(self.inverse)
-        values = np.where(np.abs(values.imag) < 1e-12 * np.abs(values), values.real, values)
-        order = [*np.flatnonzero(values.imag == 0.0), *np.flatnonzero(values.imag > 0.0)]
-        return values[order], vectors[:, order]
-
-    @property
-    def real(self) -> tuple[float, ...]:
-        """The real eigenvalues of a^-1."""
-        return tuple(float(value.real) for value in self._eigen[0] if value.imag == 0.0)
-
-    @property
-    def pairs(self) -> tuple[complex, ...]:
-        """The complex ones with positive imaginary part."""
-        return tuple(complex(value) for value in self._eigen[0] if value.imag != 0.0)
-
-    @functools.cached_property
-    def transform(self) -> NDArray[Any]:
-        """T with a^-1 T = T L, L of the real eigenvalues and, for each pair p + iq, the block [[p, q], [-q, p]]: the
-        real eigenvectors, then real and imaginary part of those of the pairs.
-        """
-        columns = []
-        for value, vector in zip(self._eigen[0], self._eigen[1].T, strict=True):
-            columns += [vector.real] if value.imag == 0.0 else [vector.real, vector.imag]
-        return np.stack(columns, axis=1)
-
-    @functools.cached_property
-    def untransform(self) -> NDArray[Any]:
-        """T^-1."""
-        return np.linalg.inv(self.transform)
-
-    @functools.cached_property
-    def polynomial(self) -> NDArray[Any]:
-        """(s, s): times z, the coefficients of x, x^2, ... of the polynomial through zero and z; x = 1 is the end."""
-        return np.linalg.inv(np.vander(self.c, self.stages, increasing=True) * self.c[:, None])
-
-    @property
-    def start_weight(self) -> float:
-        """g0, the weight of the first slope in the embedded solution: 1 over the real eigenvalue, or a pair's size."""
-        return 1.0 / (self.real[0] if self.real else abs(self.pairs[0]))
-
-    @functools.cached_property
-    def error_weights(self) -> NDArray[Any]:
-        """e with y_embedded - y_1 = g0 h f(t, y) + sum_i e_i z_i: the embedded solution weighs the slopes at 0 and c by
-        g0 and others, and integrates polynomials of degree s - 1.
-        """
-        moments = np.vander(self.c, self.stages, increasing=True).T
-        difference = np.linalg.solve(moments, -self.start_weight * np.eye(self.stages)[0])
-        return np.linalg.solve(self.a.T, difference)
 
     @property
     def error_order(self) -> int:

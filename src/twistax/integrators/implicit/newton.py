@@ -85,8 +85,7 @@ def combined(weights: Any, rows: Sequence[jax.Array]) -> list[jax.Array]:
 
 
 class Factors:
-    """What solves (a^-1 x I - I x h J) X = R: one real inverse for each real eigenvalue of a^-1, a complex one for each
-    pair.
+    """What solves (a^-1 x I - I x h J) X = R: an inverse for each real eigenvalue of a^-1, and for each complex pair.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8.
     """
