@@ -306,8 +306,6 @@ class AdaptiveSteps(Steps):
         parts = self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
         return max(parts, key=lambda name: float(parts[name]))
 
-    # ---- the path, to take the same steps again ------------------------------------------------------------------
-
     def _leg(self, leg: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Start and length of a leg."""
         limits = self.stops.limits

@@ -301,9 +301,6 @@ class _Maps:
         return held(found) if terms > 2 else (held(found[0]), found[1])
 
 
-# ---- charts -------------------------------------------------------------------------------------------------------
-
-
 class Chart(ABC):
     """Which coordinates a step uses around its start. A value: equal charts mean the same.
 

@@ -244,8 +244,6 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
     return Saved(steps, pick(meeting.t, saved.t), ys, reached), Part(pick(meeting.t, parts.t), h)
 
 
-# ---- the root -----------------------------------------------------------------------------------------------------
-
 #: More evaluations than halving a bracket down to the smallest number that matters would take.
 _MOST = 120
 

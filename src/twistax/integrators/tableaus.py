@@ -172,15 +172,13 @@ class ButcherTableau(Coefficients):
             raise self._error(f"{weights} must sum to 1, it sums to {total:.16g}")
 
 
-def lower_triangle(rows: Sequence[Sequence[float | int]]) -> NDArray[Any]:
+def lower_triangle(rows: Sequence[Any]) -> NDArray[Any]:
     """The square matrix a of the rows below its first one: row i + 1 has entries 0 to i, and the rest is zero."""
     a = np.zeros((len(rows) + 1, len(rows) + 1))
     for i, row in enumerate(rows, start=1):
         a[i, :i] = row
     return a
 
-
-# ---- by order ------------------------------------------------------------------------------------------------------
 
 #: Euler's method.
 EULER = ButcherTableau("Euler", 1, a=[[0.0]], b=[1.0], c=[0.0])

@@ -24,7 +24,7 @@ from ..ambient import Ambient, Arguments, read_arguments
 from ..charts import Blocks, Chart, StateCoordinates, coordinates_of
 from ..rkmk import stage_slopes
 from ..steps import all_finite
-from ..tableaus import Rows
+from ..tableaus import Rows, lower_triangle
 
 
 class LieTerm(diffrax.AbstractTerm):
@@ -179,10 +179,7 @@ def explicit_step(
     the last stage is handed on as a body velocity, which needs no change of chart; `rate`, where it is known, is that
     at the start, flat. Traceable.
     """
-    a = np.zeros((tableau.num_stages, tableau.num_stages))
-    for i, row in enumerate(tableau.a_lower):
-        a[i + 1, : i + 1] = row
-    stages, local = Rows(a, np.concatenate([[0.0], tableau.c])), frame.local
+    stages, local = Rows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 
     def plainly(given: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
         start = local.enter(given.x)

@@ -129,8 +129,6 @@ class CollocationTableau(Coefficients):
         return self.stages + 1
 
 
-# ---- tableaus as data ----------------------------------------------------------------------------------------------
-
 _3, _6, _15 = sqrt(3.0), sqrt(6.0), sqrt(15.0)
 
 #: Radau IIA with two stages. L-stable.

@@ -107,8 +107,6 @@ class ImplicitRKMK(ChartMethod):
         """With three Newton steps."""
         return 1 + 3 * self.tableau.stages
 
-    # ---- one step by itself --------------------------------------------------------------------------------------
-
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         equations = _StageEquations(self, field, t, y, h)
         return equations.moved(self._solution(equations))
@@ -133,8 +131,6 @@ class ImplicitRKMK(ChartMethod):
         guess = self._nothing(equations.zero).Z
         return jax.lax.custom_root(equations.residual, guess, solve, tangent_solve)
 
-    # ---- fixed steps ---------------------------------------------------------------------------------------------
-
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
         return self._nothing(self.coordinates(dynamics).packed(y, dynamics.group)[0])
 
@@ -142,8 +138,6 @@ class ImplicitRKMK(ChartMethod):
         equations = _StageEquations(self, field, t, y, h)
         found = self._to_round_off(equations, carry)
         return Attempt(equations.moved(found.last.Z), found.last, (), found.evaluations, found.solved)
-
-    # ---- steps chosen by tolerances ------------------------------------------------------------------------------
 
     #: The rate at the start of a step is looked at in every step anyway.
     resume_evaluations = 0
@@ -187,8 +181,6 @@ class ImplicitRKMK(ChartMethod):
         errors = (read(factors.damped(raw)),)
         evaluations = found.evaluations + renewed.astype(found.evaluations.dtype)
         return Attempt(equations.moved(found.last.Z), learned, errors, evaluations, found.solved)
-
-    # ---- what all of them share ----------------------------------------------------------------------------------
 
     def _nothing(self, zero: jax.Array) -> _Last:
         """What is known before the first step."""

@@ -76,9 +76,6 @@ def newton(
     return jax.lax.while_loop(lambda n: ~n.done & ~n.failed & (n.iterations < most), iterate, start)
 
 
-# ---- the equations of all stages, by the eigenvalues of the tableau ------------------------------------------------
-
-
 def combined(weights: Any, rows: Sequence[jax.Array]) -> list[jax.Array]:
     """weights @ rows as sums: a product of matrices may call a library."""
     return [functools.reduce(jnp.add, [float(w) * row for w, row in zip(line, rows, strict=True)]) for line in weights]
@@ -135,9 +132,6 @@ class Factors:
         # |mu|^2 / ((mu - x) (conj(mu) - x)) = -|mu|^2 Im(1 / (mu - x)) / Im(mu)
         imaginary = applied(self.pairs[0], (e, jnp.zeros_like(e)))[1]
         return (-(abs(mu_pair) ** 2) / mu_pair.imag) * imaginary
-
-
-# ---- inverses of small matrices, real and complex ------------------------------------------------------------------
 
 
 def inverse(matrix: Parts) -> Parts:
