@@ -17,7 +17,7 @@ import jax
 
 from .page import MISSING, Picture, Table, bar_table, render, renew, table_of
 from .report import Report
-from .rows import Row, save_csv
+from .rows import Origin, Row, Store, save_csv
 
 #: Reports whose bars a document may show.
 _RENEWED = ("report", "speed", "stability", "figures")
@@ -53,7 +53,7 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
         return 2
     if report.one_thread:
         jax.config.update("jax_cpu_enable_async_dispatch", False)
-    report.open(folder)
+    report.store = Store(folder / f"{report.name}.json", Origin.now(report.effort, report.versions))
     _say("machine", report.store.origin.machine)
     for name, why in report.missing.items():
         _say("absent", f"{name}: {why}")

@@ -7,13 +7,12 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 from .checks import Section
 from .page import as_svg, panels, table_of, texts
-from .rows import Origin, Row, Store
+from .rows import Row, Store
 from .timing import Tell
 
 
@@ -29,7 +28,8 @@ class Report(ABC):
         effort: what is run, and how often it is repeated.
         parts: what is measured one after the other.
         missing: who cannot take part on this machine, and why.
-        store: of its rows, once opened.
+        versions: of packages that take part beside the usual ones.
+        store: of its rows, once it runs.
     """
 
     name: str
@@ -39,15 +39,8 @@ class Report(ABC):
     effort: Mapping[str, Any] = MappingProxyType({})
     parts: Sequence[str]
     missing: Mapping[str, str] = MappingProxyType({})
+    versions: Mapping[str, str] = MappingProxyType({})
     store: Store
-
-    def open(self, folder: Path) -> None:
-        """Take up the rows that are there."""
-        self.store = Store(folder / f"{self.name}.json", Origin.now(self.effort, self.versions()))
-
-    def versions(self) -> dict[str, str]:
-        """Of packages that take part beside the usual ones."""
-        return {}
 
     @abstractmethod
     def measure(self, part: str, tell: Tell) -> None:

@@ -220,16 +220,13 @@ def _mechanics() -> float:
     return max(worst_errors([*joint_identities(z), *body_identities(z)], z).values())
 
 
+_STATEMENTS = "joints and bodies in random frames, 10 statements: reciprocity, power, transforms, point clouds"
+
 IDENTITIES = Section(
     "identities",
     [
         _lie("twists [v; w]", LINEAR_FIRST),
         _lie("twists [w; v]", ANGULAR_FIRST),
-        Check(
-            "joints and bodies in random frames, 10 statements: reciprocity, power, transforms, point clouds",
-            "tx.mechanics",
-            _mechanics,
-            at_most(1e-13),
-        ),
+        Check(_STATEMENTS, "tx.mechanics", _mechanics, at_most(1e-13)),
     ],
 )

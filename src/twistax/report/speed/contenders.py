@@ -8,7 +8,6 @@ import importlib.util
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from importlib import metadata
 from typing import Any
 
 import jax
@@ -51,10 +50,6 @@ class Contender:
             if importlib.util.find_spec(module) is None:
                 return f"{package} is not installed"
         return next((f"there is no {tool}" for tool in self.tools if shutil.which(tool) is None), None)
-
-    def versions(self) -> dict[str, str]:
-        """Of what it needs, where it is there."""
-        return {package: metadata.version(package) for package, _ in self.packages}
 
 
 # ---- in JAX ---------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Sequence
+from importlib import metadata
 from typing import Any, NamedTuple
 
 from ..checks import at_most, judged
@@ -88,10 +89,8 @@ class Speed(Report):
         self.effort = dataclasses.asdict(self._effort)
         self.missing = {each.name: why for each in contenders if (why := each.absent()) is not None}
         self._contenders = [each for each in contenders if each.name not in self.missing]
+        self.versions = {name: metadata.version(name) for each in self._contenders for name, _ in each.packages}
         self.parts = [name for name in CASES if name in (arguments.case or self._effort.cases or CASES)]
-
-    def versions(self) -> dict[str, str]:
-        return {name: version for each in self._contenders for name, version in each.versions().items()}
 
     def measure(self, part: str, tell: Tell) -> None:
         quantities = [each for each in QUANTITIES if each.name in (self._effort.quantities or (each.name,))]

@@ -48,12 +48,16 @@ def _round_trips() -> Any:
     return jax.jit(jax.vmap(all_of))
 
 
-def _round_trip(angle: float, derivative: bool) -> float:
-    w = angle * _AXIS
-    back, forward, backward = (np.asarray(value)[0] for value in _round_trips()(jnp.asarray(w[None])))
-    if not derivative:
+def _back(angle: float, derivative: bool, bar: float) -> Check:
+    def measure() -> float:
+        w = angle * _AXIS
+        back, *slopes = (np.asarray(value)[0] for value in _round_trips()(jnp.asarray(w[None])))
+        if derivative:
+            return float(np.max(np.abs(np.stack(slopes) - np.eye(3))))
         return float(np.max(np.abs(back - w)) / angle)
-    return float(max(np.max(np.abs(found - np.eye(3))) for found in (forward, backward)))
+
+    what = f"{'derivative of ' if derivative else ''}log(Exp(w)), |w| = {plain(angle)} rad"
+    return Check(what, "tx.lie.so3", measure, at_most(bar))
 
 
 def _half_turn() -> float:
@@ -83,25 +87,9 @@ ANGLES = Section(
         "Series where closed forms cancel, closed forms elsewhere: near round-off everywhere (per rad beyond 1 rad).",
         *[_accuracy(each) for each in MAPS],
         "Small rotations keep their direction and size to round-off, far below where R equals the identity.",
-        *(
-            Check(
-                f"log(Exp(w)), |w| = {plain(angle)} rad",
-                "tx.lie.so3",
-                functools.partial(_round_trip, angle, False),
-                at_most(1e-15 if angle < 1.5 else 3e-15),
-            )
-            for angle in _ANGLES
-        ),
+        *(_back(angle, False, 1e-15 if angle < 1.5 else 3e-15) for angle in _ANGLES),
         "Every coefficient function carries a derivative of its own: no 0/0 at any angle.",
-        *(
-            Check(
-                f"derivative of log(Exp(w)), |w| = {plain(angle)} rad",
-                "tx.lie.so3",
-                functools.partial(_round_trip, angle, True),
-                at_most(2e-14),
-            )
-            for angle in _ANGLES
-        ),
+        *(_back(angle, True, 2e-14) for angle in _ANGLES),
         "At half a turn w and -w are one rotation; the one with a positive first entry comes back, with finite slopes.",
         Check("log of a half turn", "tx.lie.so3", _half_turn, at_most(1e-15, "rad"), slow=True),
         "At a full turn the left Jacobian has no inverse; just before, the loss is that of its condition.",
@@ -149,6 +137,8 @@ def _single_round_trip() -> float:
     return float(np.max(np.abs(np.asarray(so3.log(so3.exp(jnp.asarray(w)))) - w)) / 1e-30) / _EPS
 
 
+_TOO_FINE = refused(tx.InputError, "ten times the round-off of float32")
+
 PRECISION = Section(
     "single",
     [
@@ -157,12 +147,7 @@ PRECISION = Section(
         "A tolerance of 80 eps is kept.",
         Check("Euler top, 2 s, rtol 1e-5", "DOP853", lambda: _error(rtol=1e-5), at_most(200.0, "eps")),
         "Finer than round-off no step can be; the message tells how to get doubles.",
-        Check(
-            "rtol 1e-6, which is below ten eps",
-            "DOP853",
-            lambda: _error(rtol=1e-6),
-            refused(tx.InputError, "ten times the round-off of float32"),
-        ),
+        Check("rtol 1e-6, which is below ten eps", "DOP853", lambda: _error(rtol=1e-6), _TOO_FINE),
         "The stored quaternion is put back to length one in every step.",
         Check("R'R - I after 10,000 steps", "RK4", _defect, at_most(5.0, "eps")),
         "The squares underflow; the series never sees them.",

@@ -100,7 +100,6 @@ EVENTS = Section(
 
 # ---- jumps ----------------------------------------------------------------------------------------------------------
 
-_CHOSEN = {"rtol": 1e-10, "method": tx.RKMK(tx.tableaus.TSIT5)}
 #: A twist that is held between jumps: times, s, and twists.
 _TIMES = np.array([0.0, 0.3, 0.7, 0.7 + 1e-9, 1.6])
 _TWISTS = np.array(
@@ -109,7 +108,7 @@ _TWISTS = np.array(
         [0, -3, 0, -1, 0, 0.5],
         [1e6, 0, 0, 0, 0, 1e6],
         [0.5, 0.5, 0.5, 0, 0, -2],
-        [0, 0, 1, 1, 1, 1],
+        [0, 0, 1, 1, 1, 1.0],
     ]
 )
 _END = 2.0
@@ -140,6 +139,11 @@ def _switched(u: Any, **options: Any) -> float:
     return abs(float(sol.xs["x"][-1]) - float((2.0 - np.exp(-0.4)) * np.exp(0.4 - 1.0) - 1.0))
 
 
+def _chosen(what: str, u: Any, bar: float, **jumps: Any) -> Check:
+    method = tx.RKMK(tx.tableaus.TSIT5)
+    return Check(what, "Tsit5", lambda: _switched(u, rtol=1e-10, method=method, **jumps), at_most(bar))
+
+
 def _switch(t: Any) -> dict[str, Any]:
     return {"F": jnp.where(t < 0.4, 1.0, -1.0)}
 
@@ -155,26 +159,16 @@ JUMPS = Section(
         "Nothing has to be found out by steps that fail.",
         Check("the same: steps taken back", "DOP853", lambda: _poses()[1], at_most(0.0, "steps")),
         "A step ends at the switch.",
-        Check("a table, rtol 1e-10", "Tsit5", lambda: _switched(_TABLE, **_CHOSEN), at_most(1e-10)),
+        _chosen("a table, rtol 1e-10", _TABLE, 1e-10),
         "A function's jumps are not seen from outside; named, they are ends of steps.",
-        Check(
-            "a function that switches at 0.4 s, named with jumps, rtol 1e-10",
-            "Tsit5",
-            lambda: _switched(_switch, **_CHOSEN, jumps=[0.4]),
-            at_most(1e-10),
-        ),
+        _chosen("a function that switches at 0.4 s, named with jumps, rtol 1e-10", _switch, 1e-10, jumps=[0.4]),
         "The error control finds the jump, at many steps taken back, and to its tolerance only.",
-        Check("the same, not named", "Tsit5", lambda: _switched(_switch, **_CHOSEN), at_most(1e-7)),
+        _chosen("the same, not named", _switch, 1e-7),
         "Where the switch falls between two equal steps, the order is kept.",
         Check("a table, on the edge of a step of 0.1 s", "RK4", lambda: _switched(_TABLE, dt=0.1), at_most(1e-6)),
         "Equal steps do not see a switch inside of them: the order is lost.",
         Check("a table, inside of a step of 1/6 s", "RK4", lambda: _switched(_TABLE, dt=1.0 / 6.0), at_most(0.3)),
         "What is commanded from the end on does not reach back.",
-        Check(
-            "a table with a jump at the start and at the end, rtol 1e-10",
-            "Tsit5",
-            lambda: _switched(_AT_ENDS, **_CHOSEN),
-            at_most(1e-10),
-        ),
+        _chosen("a table with a jump at the start and at the end, rtol 1e-10", _AT_ENDS, 1e-10),
     ],
 )

@@ -17,6 +17,7 @@ from ..rows import plain
 _HOLD, _LAG, _JOINT = stiff_attitude.STIFF_ATTITUDE, actuator_lag.ACTUATOR_LAG, SCENES["stiff-joint"]
 _RADAU, _GAUSS = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5), tx.ImplicitRKMK(tx.tableaus.GAUSS_LEGENDRE6)
 _DOP853 = tx.RKMK(tx.tableaus.DOP853)
+_NAMES = {_RADAU: "Radau IIA 5", _GAUSS: "Gauss-Legendre 6", _DOP853: "DOP853"}
 
 
 def _error(scene: Scene, of: Scene, method: Any = _RADAU, **options: Any) -> float:
@@ -30,38 +31,36 @@ def held(rate: float, method: Any = _RADAU, **steps: Any) -> float:
     return _error(stiff_attitude.scene(rate), _HOLD, method, **steps)
 
 
-def _of_steps(rate: float, dt: float, method: Any, by: str, expected: Expected, slow: bool = False) -> Check:
-    what = f"rate {plain(rate)}/s, steps of {dt:g} s: step x rate {plain(rate * dt)}"
-    place = (f"{by}, steps of {dt:g} s", rate * dt)
-    return Check(what, by, functools.partial(held, rate, method, dt=dt), expected, slow, place)
+def _long(rate: float, dt: float, method: Any, expected: Expected, slow: bool = False) -> Check:
+    what, place = f"steps of {dt:g} s: step x rate {plain(rate * dt)}", f"{_NAMES[method]}, steps of {dt:g} s"
+    return _held(rate, what, method, expected, slow, (place, rate * dt), dt=dt)
 
 
-def _radau(what: str, measure: Any, expected: Expected, slow: bool = True) -> Check:
-    return Check(what, "Radau IIA 5", measure, expected, slow)
+def _held(
+    rate: float, what: str, method: Any, expected: Expected, slow: bool = True, place: Any = None, **steps: Any
+) -> Check:
+    measure = functools.partial(held, rate, method, **steps)
+    return Check(f"rate {plain(rate)}/s, {what}", _NAMES[method], measure, expected, slow, place)
+
+
+def _radau(what: str, measure: Any, expected: Expected) -> Check:
+    return Check(what, "Radau IIA 5", measure, expected, slow=True)
 
 
 STIFF = Section(
     "stiff",
     [
         "An L-stable method steps over what has died out: its steps follow the slow motion, however fast the rest.",
-        *[
-            _radau(f"rate {plain(rate)}/s, rtol 1e-8", functools.partial(held, rate, rtol=1e-8), at_most(1e-8), False)
-            for rate in stiff_attitude.RATES
-        ],
+        *(_held(rate, "rtol 1e-8", _RADAU, at_most(1e-8), False, rtol=1e-8) for rate in stiff_attitude.RATES),
         "The error is that of the slow motion; it does not grow with the rate.",
-        *[
-            _of_steps(rate, dt, _RADAU, "Radau IIA 5", at_most(bar), slow=True)
-            for dt, bar in ((0.05, 1e-7), (1.0, 1e-3))
-            for rate in stiff_attitude.RATES
-        ],
+        *(_long(rate, 0.05, _RADAU, at_most(1e-7), slow=True) for rate in stiff_attitude.RATES),
+        *(_long(rate, 1.0, _RADAU, at_most(1e-3), slow=True) for rate in stiff_attitude.RATES),
         "Inside of its region of stability an explicit method is as accurate as its order makes it.",
-        *[_of_steps(rate, 5e-3, _DOP853, "DOP853", at_most(1e-8)) for rate in (1e2, 1e3)],
+        *(_long(rate, 5e-3, _DOP853, at_most(1e-8)) for rate in (1e2, 1e3)),
         "Outside of its region of stability every step multiplies what should die out, until it overflows.",
-        *[_of_steps(rate, 5e-3, _DOP853, "DOP853", ends(tx.Result.NON_FINITE)) for rate in (1e4, 1e8)],
+        *(_long(rate, 5e-3, _DOP853, ends(tx.Result.NON_FINITE)) for rate in (1e4, 1e8)),
         "An explicit method that chooses its steps stays right, with steps of 1e-8 s, and runs out of them.",
-        Check(
-            "rate 1e8/s, rtol 1e-8", "DOP853", lambda: held(1e8, _DOP853, rtol=1e-8), ends(tx.Result.MAX_STEPS), True
-        ),
+        _held(1e8, "rtol 1e-8", _DOP853, ends(tx.Result.MAX_STEPS), rtol=1e-8),
         "Stiffness may lower the order to that of the stages, 3; on this one it stays at 5.",
         _radau(
             "rate 1e8/s, order seen between steps of 0.1 and 0.05 s",
@@ -69,9 +68,7 @@ STIFF = Section(
             at_least(4.0),
         ),
         "Gauss methods are A-stable but do not damp: what should die out stays as large as it was, and no larger.",
-        Check(
-            "rate 1e8/s, steps of 0.05 s", "Gauss-Legendre 6", lambda: held(1e8, _GAUSS, dt=0.05), at_most(1.0), True
-        ),
+        _held(1e8, "steps of 0.05 s", _GAUSS, at_most(1.0), dt=0.05),
         "A pose with lags of its own: the same L-stable steps.",
         *[
             _radau(
