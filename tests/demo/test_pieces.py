@@ -10,9 +10,8 @@ import pytest
 
 import twistax as tx
 from twistax.demo import derivatives
-from twistax.demo.figure import save_figure
-from twistax.demo.progress import Progress
-from twistax.demo.table import describe_failure, describe_limits, save_table
+from twistax.demo.command import Progress, describe_failure, describe_limits
+from twistax.demo.figure import save_figure, save_table
 from twistax.scenes import powered_descent as scene
 from twistax.scenes.touchdown import Descent, Miss, reaches
 

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 
 import twistax as tx
-from twistax.expr.elimination import eliminate
+from twistax.expr.solve import eliminate
 
 CASES = 40
 

@@ -13,7 +13,7 @@ from lie_oracles import sides
 import twistax as tx
 from twistax import lie
 from twistax.expr import Expr
-from twistax.expr.lie.parts import JoinedParts
+from twistax.expr.lie.base import JoinedParts
 
 L, A = tx.LINEAR_FIRST, tx.ANGULAR_FIRST
 g, h = tx.State("g", group=tx.SE3), tx.State("h", group=tx.SE3)

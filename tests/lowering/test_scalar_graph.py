@@ -11,7 +11,7 @@ import pytest
 from scalar_cases import evaluate
 
 import twistax as tx
-from twistax.expr.elimination import eliminate
+from twistax.expr.solve import eliminate
 from twistax.lowering.backends import array_operations
 from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
 from twistax.lowering.scalar.emitter import as_function

@@ -10,8 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.lowering.native.backend import installed
-from twistax.mechanics import SpatialInertia
-from twistax.mechanics.joints import screws
+from twistax.mechanics import SpatialInertia, joints
 from twistax.report.checks import Absent, Check
 from twistax.report.figures import identities, keeping, scalars, steps
 from twistax.report.figures.page import SECTIONS
@@ -72,7 +71,7 @@ def test_every_statement_on_joints_and_bodies_holds() -> None:
 
 
 def test_wrenches_moved_as_twists_stand_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(screws, "SE3AdjointDual", tx.lie.SE3Adjoint)
+    monkeypatch.setattr(joints, "SE3AdjointDual", tx.lie.SE3Adjoint)
     monkeypatch.setattr(identities, "JOINTS", identities.JOINTS[:1])
     z = identities.random_values(3)
     worst = identities.worst_errors(identities.joint_identities(z), z)

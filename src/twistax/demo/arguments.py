@@ -6,11 +6,9 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from ..scenes.powered_descent import Start
-
-__all__ = ["OneLineParser", "add_options", "parse_start"]
 
 _EXAMPLE = "height=900,offset=400:150,velocity=-60:-20:-100,tilt=60"
 
@@ -49,29 +47,46 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(name, type=read, metavar=metavar, default=default, help=text)
 
 
+class _Item(NamedTuple):
+    """A part of a start: its field, how many numbers it has, its unit, and what is demanded of them."""
+
+    field: str
+    numbers: int
+    unit: float = 1.0
+    demand: str = ""
+    holds: Callable[..., bool] = lambda *numbers: True
+
+
+_DEGREE = math.pi / 180.0
+_ITEMS = {
+    "height": _Item("height", 1, 1.0, "be above zero", lambda height: height > 0.0),
+    "offset": _Item("offset", 2),
+    "velocity": _Item("velocity", 3),
+    "tilt": _Item("tilt", 1, _DEGREE, "be from 0 to 180 degrees", lambda angle: 0.0 <= angle <= 180.0),
+    "axis": _Item("tilt_axis", 3, 1.0, "not be zero", lambda *axis: math.hypot(*axis) >= 1e-6),
+    "righting": _Item("righting", 1, _DEGREE),
+}
+
+
 def parse_start(text: str) -> Start:
     """A start from `height=900,offset=400:150,...`; what is left out keeps its default.
 
     Raises:
         argparse.ArgumentTypeError: a sentence about what is wrong.
     """
-    readers: dict[str, tuple[str, Callable[[str], Any]]] = {
-        "height": ("height", lambda value: _positive(_numbers("height", value, 1)[0])),
-        "offset": ("offset", lambda value: _numbers("offset", value, 2)),
-        "velocity": ("velocity", lambda value: _numbers("velocity", value, 3)),
-        "tilt": ("tilt", lambda value: math.radians(_tilt(_numbers("tilt", value, 1)[0]))),
-        "axis": ("tilt_axis", lambda value: _axis(_numbers("axis", value, 3))),
-        "righting": ("righting", lambda value: math.radians(_numbers("righting", value, 1)[0])),
-    }
     found: dict[str, Any] = {}
-    for item in text.split(","):
-        name, equals, value = (part.strip() for part in item.partition("="))
-        if not equals or name not in readers:
-            raise _wrong(f"{item.strip()!r} is not one of {', '.join(readers)} with a value; write e.g. {_EXAMPLE}")
-        field, read = readers[name]
-        if field in found:
+    for part in text.split(","):
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or name not in _ITEMS:
+            raise _wrong(f"{part.strip()!r} is not one of {', '.join(_ITEMS)} with a value; write e.g. {_EXAMPLE}")
+        item = _ITEMS[name]
+        if item.field in found:
             raise _wrong(f"{name} is given twice")
-        found[field] = read(value)
+        numbers = _numbers(name, value, item.numbers)
+        if not item.holds(*numbers):
+            raise _wrong(f"{name} must {item.demand}, got {value}")
+        scaled = tuple(item.unit * number for number in numbers)
+        found[item.field] = scaled if item.numbers > 1 else scaled[0]
     return Start(**found)
 
 
@@ -88,36 +103,14 @@ def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
     return numbers
 
 
-def _positive(height: float) -> float:
-    if height <= 0.0:
-        raise _wrong(f"height must be above zero, got {height:g}")
-    return height
-
-
-def _tilt(angle: float) -> float:
-    if not 0.0 <= angle <= 180.0:
-        raise _wrong(f"tilt must be from 0 to 180 degrees, got {angle:g}")
-    return angle
-
-
-def _axis(axis: tuple[float, ...]) -> tuple[float, ...]:
-    if math.hypot(*axis) < 1e-6:
-        raise _wrong("axis must not be zero")
-    return axis
-
-
 def _wrong(sentence: str) -> argparse.ArgumentTypeError:
     return argparse.ArgumentTypeError(sentence)
 
 
 def _whole(low: int, high: int) -> Callable[[str], int]:
     def read(text: str) -> int:
-        try:
-            number = int(text)
-        except ValueError:
-            number = low - 1
-        if not low <= number <= high:
+        if not (text.strip().lstrip("+-").isdecimal() and low <= int(text) <= high):
             raise _wrong(f"expects a whole number from {low} to {high}, got {text!r}")
-        return number
+        return int(text)
 
     return read

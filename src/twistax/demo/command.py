@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,9 @@ import numpy as np
 import twistax as tx
 
 from ..scenes import powered_descent as scene
-from ..scenes.touchdown import SAMPLES, Descent, Miss, planned, reaches, replayed
+from ..scenes.touchdown import ALLOWED, SAMPLES, Descent, Miss, Reach, planned, reaches, replayed
 from .derivatives import BAR, DerivativeCheck, check_derivatives
-from .figure import save_figure
-from .progress import Progress
-from .table import describe_failure, describe_limits, describe_misses, save_table
-
-__all__ = ["run"]
+from .figure import save_figure, save_table
 
 #: Points at which the derivatives are checked.
 _POINTS = 6
@@ -41,6 +37,39 @@ class _Report:
             print(f"{'' if number else word:<9} {line}".rstrip(), flush=True)
 
 
+class Progress:
+    """Shows iteration, violation and mass: on a terminal in one line that is overwritten, else every few seconds.
+
+    `update` is a callback of `tx.trajectory.Problem.solve`; the mass is its cost.
+    """
+
+    def __init__(self, out: Any, what: str) -> None:
+        self._out, self._what, self._live = out, what, out.isatty()
+        self._begin = time.perf_counter()
+        self._shown = 0.0 if self._live else self._begin
+
+    def note(self, text: str) -> None:
+        """Show a text until the first iteration, on a terminal only."""
+        if self._live:
+            self._write(text)
+
+    def update(self, iteration: int, cost: float, violation: float) -> None:
+        now = time.perf_counter()
+        if now - self._shown >= (0.1 if self._live else 5.0):
+            self._shown = now
+            seen = f"iteration {iteration:4d}   violation {violation:8.1e}   mass {cost:9,.0f} kg"
+            self._write(f"{seen}   {now - self._begin:5.1f} s")
+
+    def _write(self, text: str) -> None:
+        line = f"{self._what:<9} {text}"
+        print(f"\r\033[K{line}" if self._live else line, end="" if self._live else "\n", file=self._out, flush=True)
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._live:
+            print("\r\033[K", end="", file=self._out, flush=True)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Compile, check, solve, simulate, draw and table.
 
@@ -56,24 +85,32 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"twistax demo: cannot write to --out {arguments.out}: {error.strerror}", file=sys.stderr)
         return 2
     start, vehicle = arguments.initial, scene.Vehicle()
-    report.say("start", _describe_start(start, vehicle))
+    offset, speed = np.linalg.norm(start.offset), np.linalg.norm(start.velocity)
+    report.say(
+        "start",
+        f"{vehicle.mass / 1e3:g} t, {start.height:g} m up, {offset:.0f} m off the pad, at {speed:.0f} m/s "
+        f"({-start.velocity[2]:g} down), tilted by {np.rad2deg(start.tilt):g} deg, "
+        f"turning back at {np.rad2deg(start.righting):g} deg/s",
+    )
 
     dynamics = tx.compile(scene.system(vehicle))
     problem = scene.problem(dynamics, start, vehicle, nodes=arguments.nodes)
     check = _check(dynamics, vehicle)
-    report.say("check", *_describe_check(check), f"compiled and checked in {report.lap():.1f} s")
+    report.say(
+        "check",
+        f"derivatives against finite differences, in the tangent space, at {check.points} points:",
+        f"rates and limits differ by {check.rates:.1e}, the end of an interval by {check.interval:.1e}; "
+        f"allowed {BAR:.0e}: {'they agree' if check.holds else 'THEY DO NOT AGREE'}",
+        f"compiled and checked in {report.lap():.1f} s",
+    )
 
     progress = Progress(sys.stdout, "solve")
     progress.note("compiling ...")
     result = problem.solve(seed=arguments.guess_seed, callback=progress.update, max_iterations=arguments.max_iterations)
     progress.close()
     report.lap()
-    report.say(
-        "solve",
-        f"compiled in {result.compile_seconds:.1f} s, solved in {result.solve_seconds:.1f} s, "
-        f"{result.iterations} iterations",
-        f"{result.status}",
-    )
+    seconds = f"compiled in {result.compile_seconds:.1f} s, solved in {result.solve_seconds:.1f} s"
+    report.say("solve", f"{seconds}, {result.iterations} iterations", f"{result.status}")
 
     rollouts, failures = _rollouts(result)
     nodes = planned(result)
@@ -86,29 +123,27 @@ def run(arguments: argparse.Namespace) -> int:
 
     violated = [*failures, *describe_failure(misses, found, dense.ts[-1], vehicle.flight_time)]
     landed = result.solved and not violated
-    report.say("files", *_save(arguments.out, start, dense, nodes, limits, vehicle, landed), f"in {report.lap():.1f} s")
+    what = f"landed after {dense.ts[-1]:.1f} s" if landed else "no landing found, the best try"
+    title = f"6-DoF powered descent: {start.height:g} m up, tilted {np.rad2deg(start.tilt):g} deg, {what}"
+    table = arguments.out / ("landing.csv" if landed else "best_try.csv")
+    figure = table.with_suffix(".png")
+    save_table(table, dense)
+    drawn = str(figure)
+    try:
+        save_figure(figure, title, dense, nodes, limits, vehicle)
+    except ImportError:
+        drawn = "no figure: it needs matplotlib; get it with pip install 'twistax[plot]'"
+    report.say("files", drawn, str(table), f"in {report.lap():.1f} s")
     report.say("time", f"{time.perf_counter() - report.begin:.1f} s in all, imports aside")
     if landed:
-        report.say("landed", _describe_landing(dense))
+        mass = dense.xs["m"]
+        burnt = f"{mass[0] - mass[-1]:,.0f} kg of propellant burnt"
+        report.say("landed", f"after {dense.ts[-1]:.2f} s with {mass[-1]:,.0f} kg; {burnt}")
         return 0
     print("\nNo landing was found from this start; the best try was saved. What is wrong with it:")
     print(*(f"  - {line}" for line in (result.message, *violated)), sep="\n")
     print("Another guess (--guess-seed 1), more --nodes or --max-iterations, or an easier --initial may help.")
     return 1
-
-
-def _describe_start(start: scene.Start, vehicle: scene.Vehicle) -> str:
-    offset, velocity = np.linalg.norm(start.offset), np.linalg.norm(start.velocity)
-    return (
-        f"{vehicle.mass / 1e3:g} t, {start.height:g} m up, {offset:.0f} m off the pad, at {velocity:.0f} m/s "
-        f"({-start.velocity[2]:g} down), tilted by {np.rad2deg(start.tilt):g} deg, "
-        f"turning back at {np.rad2deg(start.righting):g} deg/s"
-    )
-
-
-def _describe_landing(descent: Descent) -> str:
-    mass = descent.xs["m"]
-    return f"after {descent.ts[-1]:.2f} s with {mass[-1]:,.0f} kg; {mass[0] - mass[-1]:,.0f} kg of propellant burnt"
 
 
 def _check(dynamics: tx.Dynamics, vehicle: scene.Vehicle) -> DerivativeCheck:
@@ -119,15 +154,6 @@ def _check(dynamics: tx.Dynamics, vehicle: scene.Vehicle) -> DerivativeCheck:
     xs["V"] = xs["V"] + rng.normal(size=(_POINTS, 6)) * np.array([5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
     us = {"T": guess["T"] + rng.normal(size=(_POINTS, 3)) * 0.05 * vehicle.max_thrust}
     return check_derivatives(dynamics, xs, us, h=0.5)
-
-
-def _describe_check(check: DerivativeCheck) -> list[str]:
-    verdict = "they agree" if check.holds else "THEY DO NOT AGREE"
-    return [
-        f"derivatives against finite differences, in the tangent space, at {check.points} points:",
-        f"rates and limits differ by {check.rates:.1e}, the end of an interval by {check.interval:.1e}; "
-        f"allowed {BAR:.0e}: {verdict}",
-    ]
 
 
 def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent], list[str]]:
@@ -147,23 +173,49 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent
     return rollouts, failures
 
 
-def _save(
-    folder: Path,
-    start: scene.Start,
-    dense: Descent,
-    nodes: Descent,
-    limits: list[scene.Limit],
-    vehicle: scene.Vehicle,
-    landed: bool,
+# ---- words -------------------------------------------------------------------------------------------------------
+
+
+def describe_misses(misses: Mapping[str, Miss]) -> list[str]:
+    """A line for every rollout, under a heading."""
+    lines = [f"{'simulated, ends off the pad by':<44}{'position':>12}{'velocity':>14}{'upright':>13}"]
+    for name, miss in misses.items():
+        lines.append(f"{name:<44}{miss.position:>10.4f} m{miss.velocity:>10.4f} m/s{miss.angle:>9.4f} deg")
+    return lines
+
+
+def describe_limits(found: Sequence[Reach]) -> list[str]:
+    """A line for every limit, under a heading."""
+    lines = [f"{'between the nodes':<18}{'limit':>15}{'nearest':>14}{'at':>10}{'margin':>15}"]
+    for reach in found:
+        limit = reach.limit
+        bound = f"{limit.relation} {limit.shown} {limit.unit}"
+        # Adding zero turns a rounded -0.0 into 0.0.
+        margin = f"{round(reach.margin, 2) + 0.0:+,.2f} {limit.unit}"
+        lines.append(f"{limit.name:<18}{bound:>15}{reach.value:>14,.2f}{reach.time:>8.2f} s{margin:>15}")
+    return lines
+
+
+def describe_failure(
+    misses: Mapping[str, Miss], found: Sequence[Reach], time: float, times: tuple[float, float]
 ) -> list[str]:
-    """Write table and figure; a line for each."""
-    stem = folder / ("landing" if landed else "best_try")
-    what = f"landed after {dense.ts[-1]:.1f} s" if landed else "no landing found, the best try"
-    title = f"6-DoF powered descent: {start.height:g} m up, tilted {np.rad2deg(start.tilt):g} deg, {what}"
-    table, figure = stem.with_suffix(".csv"), stem.with_suffix(".png")
-    save_table(table, dense)
-    try:
-        save_figure(figure, title, dense, nodes, limits, vehicle)
-    except ImportError:
-        return [f"{table}", "no figure: it needs matplotlib; get it with pip install 'twistax[plot]'"]
-    return [f"{figure}", f"{table}"]
+    """What a try that is no landing violates, in words; nothing where all is well.
+
+    Args:
+        time, times: the flight time and its limits, s.
+    """
+    missed = [
+        f"it ends {miss.position:,.2f} m off the pad, at {miss.velocity:,.2f} m/s, {miss.angle:,.2f} deg from "
+        f"upright (simulated with {name})"
+        for name, miss in misses.items()
+        if not miss.within(ALLOWED)
+    ]
+    exceeded = [
+        f"{reach.limit.name}: {reach.value:,.2f} {reach.limit.unit} at {reach.time:.2f} s, but the limit is "
+        f"{reach.limit.relation} {reach.limit.shown} {reach.limit.unit}"
+        for reach in found
+        if not reach.holds
+    ]
+    in_time = times[0] - 0.01 <= time <= times[1] + 0.01
+    late = f"flight time: {time:.2f} s, but it must be from {times[0]:g} to {times[1]:g} s"
+    return [*missed[:1], *exceeded, *([] if in_time else [late])]

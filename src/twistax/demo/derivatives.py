@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +11,8 @@ import numpy as np
 import twistax as tx
 
 from ..scenes.powered_descent import Array
-
-__all__ = ["BAR", "DerivativeCheck", "check_derivatives"]
+from ..trajectory.discretize import Controls
+from ..trajectory.guess import column_scales
 
 #: The largest difference allowed.
 BAR = 1e-8
@@ -22,8 +21,7 @@ BAR = 1e-8
 _STEP = 2e-3
 
 
-@dataclasses.dataclass(frozen=True)
-class DerivativeCheck:
+class DerivativeCheck(NamedTuple):
     """The largest difference at any point, relative to the largest entry of its row.
 
     Attributes:
@@ -51,16 +49,16 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
         xs, us: points, by name, with a leading axis.
         h: length of the interval, s.
     """
-    n, scale = dynamics.dimension, jnp.asarray(np.concatenate([*_scales(dynamics), [h]]))
+    leaves: dict[str, tx.State | tx.Control] = {state.name: state for state in dynamics.states}
+    leaves |= {control.name: control for control in dynamics.controls}
+    scale = jnp.append(column_scales(leaves, {name: [] for name in leaves}), h)
+    n, flat = dynamics.dimension, Controls(dynamics.controls)
     size = scale.shape[0]
     steps = _STEP * jnp.concatenate([step * jnp.eye(size) for step in (0.0, 1.0, -1.0, 2.0, -2.0)])[size - 1 :]
 
     def moved(x: Any, u: Any, z: jax.Array) -> tuple[Any, Any, jax.Array]:
-        step, start, controls = z * scale, n, {}
-        for control in dynamics.controls:
-            stop = start + int(np.prod(control.shape))
-            controls[control.name] = u[control.name] + step[start:stop].reshape(control.shape)
-            start = stop
+        step = z * scale
+        controls = {name: u[name] + change for name, change in flat.split(step[n:-1]).items()}
         return dynamics.retract(x, step[:n]), controls, h + step[-1]
 
     def pointwise(x: Any, u: Any, z: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -87,15 +85,6 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
     state_scale = np.asarray(scale[:n])
     rows = np.concatenate([state_scale, np.zeros(slopes.shape[1] - n)])
     return DerivativeCheck(len(slopes), _largest(slopes, values, rows), _largest(closed, tangents, state_scale))
-
-
-def _scales(dynamics: tx.Dynamics) -> list[Array]:
-    """The declared scales of all leaves, flat; 1 where none is declared."""
-    found = []
-    for leaf in (*dynamics.states, *dynamics.controls):
-        length = leaf.group.dimension if isinstance(leaf, tx.State) else int(np.prod(leaf.shape))
-        found.append(np.broadcast_to(1.0 if leaf.scale is None else np.ravel(leaf.scale), (length,)))
-    return found
 
 
 def _largest(slopes: Any, values: Any, rows: Array) -> float:

@@ -1,20 +1,22 @@
-"""The picture of a landing: the path with attitude, plume and approach cone, and every limit over time.
+"""What is kept of a landing: a table, and a picture of the path with attitude, plume and cone and of every limit.
 
-Needs matplotlib, the extra `plot`; imported when a figure is drawn.
+The picture needs matplotlib, the extra `plot`; imported when it is drawn.
 """
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+
+import twistax as tx
 
 from ..scenes.powered_descent import Array, Limit, Vehicle
 from ..scenes.touchdown import Descent
-
-__all__ = ["save_figure"]
 
 _INK, _PATH, _BODY, _FLAME, _LIMIT, _CONE = "#1b2a3a", "#1f5f99", "#37506b", "#f28c28", "#c0392b", "#5b9a68"
 
@@ -22,16 +24,41 @@ _INK, _PATH, _BODY, _FLAME, _LIMIT, _CONE = "#1b2a3a", "#1f5f99", "#37506b", "#f
 _ENLARGED = 3.0
 _LENGTH, _RADIUS, _PLUME = 28.0, 2.4, 34.0
 _POSES = 9
+_DEGREES = 180.0 / np.pi
 
 #: output, title, unit, factor of each panel
 _PANELS = (
     ("thrust", "thrust", "kN", 1e-3),
-    ("gimbal", "gimbal angle", "deg", 180.0 / np.pi),
-    ("tilt", "tilt from vertical", "deg", 180.0 / np.pi),
-    ("rate", "angular rate", "deg/s", 180.0 / np.pi),
+    ("gimbal", "gimbal angle", "deg", _DEGREES),
+    ("tilt", "tilt from vertical", "deg", _DEGREES),
+    ("rate", "angular rate", "deg/s", _DEGREES),
     ("mass", "mass", "t", 1e-3),
     ("cone", "distance inside the cone", "m", 1.0),
 )
+
+
+def save_table(path: Path, descent: Descent) -> None:
+    """Write a descent as CSV, one line a sample, with units in the first line."""
+    quaternions = np.asarray(jax.vmap(tx.lie.quaternion)(descent.rotation))
+    outputs = descent.outputs
+    columns: dict[str, Array] = {
+        "time (s)": descent.ts,
+        **dict(zip(("x (m)", "y (m)", "height (m)"), descent.position.T)),
+        **dict(zip((f"velocity {axis} (m/s)" for axis in "xyz"), descent.velocity.T)),
+        **dict(zip((f"quaternion {part}" for part in "wxyz"), quaternions.T)),
+        **dict(zip((f"body rate {axis} (rad/s)" for axis in "xyz"), descent.xs["V"][:, 3:].T)),
+        "mass (kg)": descent.xs["m"],
+        **dict(zip((f"body thrust {axis} (N)" for axis in "xyz"), descent.us["T"].T)),
+        "thrust (kN)": outputs["thrust"] / 1e3,
+        "gimbal (deg)": outputs["gimbal"] * _DEGREES,
+        "tilt (deg)": outputs["tilt"] * _DEGREES,
+        "rate (deg/s)": outputs["rate"] * _DEGREES,
+        "inside the cone (m)": outputs["cone"],
+    }
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values()))
 
 
 def save_figure(
@@ -59,18 +86,9 @@ def save_figure(
         _draw_panel(axes, panel, dense, nodes, limits)
         if number >= len(_PANELS) - 2:
             axes.set_xlabel("time, s", fontsize=10)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="lower center", bbox_to_anchor=(0.74, 0.005), ncols=3, fontsize=9.5, frameon=False
-    )
-    figure.legend(
-        handles=_scene_handles(vehicle),
-        loc="lower center",
-        bbox_to_anchor=(0.25, 0.005),
-        ncols=2,
-        fontsize=9.5,
-        frameon=False,
-    )
+    style: dict[str, Any] = {"loc": "lower center", "fontsize": 9.5, "frameon": False}
+    figure.legend(handles=axes.get_legend_handles_labels()[0], bbox_to_anchor=(0.74, 0.005), ncols=3, **style)
+    figure.legend(handles=_scene_handles(vehicle), bbox_to_anchor=(0.25, 0.005), ncols=2, **style)
     figure.savefig(path, dpi=dpi)
 
 
@@ -78,9 +96,8 @@ def _draw_panel(
     axes: Any, panel: tuple[str, str, str, float], dense: Descent, nodes: Descent, limits: Sequence[Limit]
 ) -> None:
     output, title, unit, factor = panel
-    values, held = dense.outputs[output] * factor, output in ("thrust", "gimbal")
-    marks = nodes.outputs[output] * factor
-    kept = slice(None, -1) if held else slice(None)
+    values, marks = dense.outputs[output] * factor, nodes.outputs[output] * factor
+    kept = slice(None, -1) if output in ("thrust", "gimbal") else slice(None)  # these are held
     axes.plot(dense.ts, values, color=_PATH, lw=1.6, label="rollout of the controls (RKMK4)")
     axes.plot(nodes.ts[kept], marks[kept], "o", color=_INK, ms=3.0, label="nodes of the optimiser")
     bounds = [limit.bound * factor for limit in limits if limit.output == output]
@@ -88,8 +105,7 @@ def _draw_panel(
         axes.axhline(bound, color=_LIMIT, lw=1.3, ls="--", label="limit" if bound == bounds[0] else None)
     low, high = min([*bounds, values.min(), marks.min()]), max([*bounds, values.max(), marks.max()])
     room = 0.1 * max(high - low, 1e-9)
-    axes.set_ylim(low - room, high + room)
-    axes.set_xlim(0.0, dense.ts[-1])
+    axes.set(xlim=(0.0, dense.ts[-1]), ylim=(low - room, high + room))
     axes.locator_params(axis="x", integer=True)
     axes.set_title(f"{title}, {unit}", fontsize=10.5, loc="left", color=_INK)
     axes.tick_params(labelsize=9)
@@ -99,40 +115,42 @@ def _draw_panel(
 
 def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Vehicle) -> None:
     path = dense.position
-    _draw_cone(axes, vehicle, radius=_cone_radius(path))
+    radius = 0.5 * max(float(np.linalg.norm(path[:, :2], axis=1).max()), 0.4 * float(path[:, 2].max()))
+    _draw_cone(axes, vehicle, radius)
     axes.plot(path[:, 0], path[:, 1], 0.0 * path[:, 2], color="0.55", lw=1.0, ls=":")
     axes.plot(*path.T, color=_PATH, lw=1.8)
     axes.plot(*nodes.position.T, "o", color=_INK, ms=2.2)
     for time in np.linspace(0.0, dense.ts[-1], _POSES):
         _draw_stage(axes, dense, int(np.argmin(np.abs(dense.ts - time))), vehicle)
     axes.scatter([0.0], [0.0], [0.0], marker="x", s=40, color=_LIMIT, depthshade=False)
-    _equal_axes(axes, path)
-    axes.set_xlabel("x, m", fontsize=10, labelpad=2)
-    axes.set_ylabel("y, m", fontsize=10, labelpad=2)
-    axes.set_zlabel("height, m", fontsize=10, labelpad=2)
+    # The same length of a metre along every axis, around path, cone and pad.
+    room = 60.0
+    low = np.minimum(path.min(axis=0), [-radius, -radius, 0.0]) - [room, room, 0.0]
+    high = np.maximum(path.max(axis=0), [radius, radius, 0.0]) + [room, room, room]
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=1.1)
     axes.tick_params(labelsize=8, pad=0)
     axes.view_init(elev=14.0, azim=-72.0)
-    for pane in (axes.xaxis, axes.yaxis, axes.zaxis):
-        pane.set_pane_color((0.97, 0.97, 0.98, 1.0))
+    for axis, name, a, b in zip((axes.xaxis, axes.yaxis, axes.zaxis), ("x", "y", "height"), low, high):
+        step = 200.0 if b - a <= 1200.0 else 100.0 * np.ceil((b - a) / 600.0)
+        axis.set_ticks(np.arange(np.ceil(a / step) * step, b, step))
+        axis.set_label_text(f"{name}, m", fontsize=10)
+        axis.labelpad = 2
+        axis.set_pane_color((0.97, 0.97, 0.98, 1.0))
 
 
 def _scene_handles(vehicle: Vehicle) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    opening = np.rad2deg(vehicle.glide_slope)
     return [
         Line2D([], [], color=_PATH, lw=1.8, marker="o", ms=3.0, mfc=_INK, mec=_INK, label="path and nodes"),
         Line2D([], [], color="0.55", lw=1.0, ls=":", label="ground track"),
         Patch(color=_BODY, label=f"stage, drawn {_ENLARGED:g} times as large"),
         Patch(color=_FLAME, label="plume, length by thrust"),
-        Patch(color=_CONE, alpha=0.4, label=f"approach cone, {opening:.0f} deg"),
+        Patch(color=_CONE, alpha=0.4, label=f"approach cone, {np.rad2deg(vehicle.glide_slope):.0f} deg"),
         Line2D([], [], color=_LIMIT, ls="", marker="x", ms=6.0, label="pad"),
     ]
-
-
-def _cone_radius(path: Array) -> float:
-    return 0.5 * max(float(np.linalg.norm(path[:, :2], axis=1).max()), 0.4 * float(path[:, 2].max()))
 
 
 def _draw_cone(axes: Any, vehicle: Vehicle, radius: float) -> None:
@@ -166,17 +184,3 @@ def _draw_solid(axes: Any, origin: Array, axis: Array, along: Array, radii: Arra
     ring = np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
     points = origin + along[:, None, None] * axis + radii[:, None, None] * ring
     axes.plot_surface(*np.moveaxis(points, 2, 0), color=color, linewidth=0)
-
-
-def _equal_axes(axes: Any, path: Array) -> None:
-    """The same length of a metre along every axis, around path, cone and pad."""
-    radius, room = _cone_radius(path), 60.0
-    low = np.minimum(path.min(axis=0), [-radius, -radius, 0.0]) - [room, room, 0.0]
-    high = np.maximum(path.max(axis=0), [radius, radius, 0.0]) + [room, room, room]
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_zlim(low[2], high[2])
-    axes.set_box_aspect(high - low, zoom=1.1)
-    for axis, a, b in zip((axes.xaxis, axes.yaxis, axes.zaxis), low, high):
-        step = 200.0 if b - a <= 1200.0 else 100.0 * np.ceil((b - a) / 600.0)
-        axis.set_ticks(np.arange(np.ceil(a / step) * step, b, step))

@@ -1,4 +1,4 @@
-"""Sums, products, quotients, powers and matrix products."""
+"""Sums, products, quotients, powers, matrix products, and constraints: what operators build."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..groups.arrays import multiply
-from .fields import ExprLike, Operand, Operands
-from .leaves import Constant, State
-from .node import Example, Expr, Numbers, Shape
+from .fields import Operand, Operands
+from .leaves import Constant
+from .node import Chained, Entrywise, Expr, Shape, align, broadcast
 from .printing import wrap_latex
-from .shapes import Entrywise, align, broadcast
+
+_VECTOR, _MATRIX = [1.0, -2.0, 0.5], np.arange(6.0).reshape(2, 3) ** 1.5
 
 
 def is_constant(node: Expr, number: float) -> bool:
@@ -29,27 +30,20 @@ def zeros_of(node: Expr) -> Constant:
     return Constant(np.zeros(node.shape))
 
 
-class Add(Entrywise):
+class Add(Chained, init=False):
     """Sum a + b + ... with NumPy broadcasting.
 
     Attributes:
         terms: two or more expressions of broadcastable shapes, any unit (the same for all).
-    Raises:
-        ShapeError: the shapes do not broadcast.
+    Raises: ShapeError if the shapes do not broadcast.
     """
 
     terms: Operands
-    fewest = 2
+    function = operator.add
     infix = "+"
+    cases = ({"terms": [_VECTOR, _MATRIX, Constant(2.0)]}, (lambda cls, a: cls(a, a), {"a": _VECTOR}))
     precedence = 10
     by_operators = True
-    associative = True
-
-    def __init__(self, *terms: ExprLike) -> None:
-        super().__init__(*terms)
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        return functools.reduce(lambda a, b: operator.add(*align(a, b)), values)
 
     def simplify(self) -> Expr:
         """Fold constants, drop zeros and pairs x - x; never change the shape. Nested sums are flattened before."""
@@ -58,7 +52,7 @@ class Add(Entrywise):
         total = np.asarray(sum((c.value for c in constants), start=np.float64(0.0)))
         if not others:
             return Constant(np.broadcast_to(total, self.shape))
-        kept = _broadcast_of(others)
+        kept = np.broadcast_shapes(*(other.shape for other in others))
         if total.any() or np.broadcast_shapes(kept, total.shape) != kept:
             others.append(Constant(total))
             kept = np.broadcast_shapes(kept, total.shape)
@@ -69,30 +63,21 @@ class Add(Entrywise):
     def to_latex(self, *operands: str) -> str:
         return " + ".join(wrap_latex(t, s, 10) for t, s in zip(self.terms, operands)).replace("+ -", "- ")
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, m = State("a", shape=(3,)), State("m", shape=(2, 3))
-        values = {"a": np.array([1.0, -2.0, 0.5]), "m": np.arange(6.0).reshape(2, 3)}
-        return [Example(Add(a, m, 2.0), values), Example(a + a, values)]
-
 
 class Sub(Entrywise):
     """Difference left - right with NumPy broadcasting.
 
-    Raises:
-        ShapeError: the shapes do not broadcast.
+    Raises: ShapeError if the shapes do not broadcast.
     """
 
     left: Operand
     right: Operand
+    function = operator.sub
     infix = "-"
-    cases = ({"left": [1.0, -2.0, 0.5], "right": 0.25}, {"left": 3.0, "right": [1.0, 1.0, 1.0]})
+    formula = "<0> - <1:11>"
+    cases = ({"left": _VECTOR, "right": 0.25}, {"left": 3.0, "right": [1.0, 1.0, 1.0]})
     precedence = 10
     by_operators = True
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        left, right = align(*values)
-        return left - right
 
     def simplify(self) -> Expr:
         """x - x is 0; x - 0 is x; 0 - x is -x; x - (-y) is x + y."""
@@ -106,32 +91,21 @@ class Sub(Entrywise):
             return Add(self.left, self.right.operand)
         return self
 
-    def to_latex(self, *operands: str) -> str:
-        return f"{operands[0]} - {wrap_latex(self.right, operands[1], 11)}"
 
-
-class Mul(Entrywise):
+class Mul(Chained, init=False):
     """Entrywise product a * b * ... with NumPy broadcasting.
 
     Attributes:
         factors: two or more expressions of broadcastable shapes.
-    Raises:
-        ShapeError: the shapes do not broadcast.
+    Raises: ShapeError if the shapes do not broadcast.
     """
 
     factors: Operands
-    fewest = 2
+    function = operator.mul
     infix = "*"
-    cases = ({"factors": [[1.0, -2.0, 0.5], -0.5, Constant(3.0)]},)
+    cases = ({"factors": [_VECTOR, -0.5, Constant(3.0)]},)
     precedence = 20
     by_operators = True
-    associative = True
-
-    def __init__(self, *factors: ExprLike) -> None:
-        super().__init__(*factors)
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        return functools.reduce(lambda a, b: operator.mul(*align(a, b)), values)
 
     def simplify(self) -> Expr:
         """Fold constants, drop ones, absorb zeros; never change the shape. Nested products are flattened before."""
@@ -142,7 +116,7 @@ class Mul(Entrywise):
             return self
         if not product.any() or not others:
             return Constant(np.broadcast_to(product, self.shape))
-        kept = _broadcast_of(others)
+        kept = np.broadcast_shapes(*(other.shape for other in others))
         if (product != 1.0).any() or np.broadcast_shapes(kept, product.shape) != kept:
             others.insert(0, Constant(product))
         return rebuilt(self, others, self.factors)
@@ -156,20 +130,17 @@ class Mul(Entrywise):
 class Div(Entrywise):
     """Entrywise quotient left / right with NumPy broadcasting.
 
-    Raises:
-        ShapeError: the shapes do not broadcast.
+    Raises: ShapeError if the shapes do not broadcast.
     """
 
     left: Operand
     right: Operand
+    function = operator.truediv
     infix = "/"
-    cases = ({"left": [1.0, -2.0, 0.5], "right": -0.5},)
+    formula = r"\frac{<0>}{<1>}"
+    cases = ({"left": _VECTOR, "right": -0.5},)
     precedence = 20
     by_operators = True
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        left, right = align(*values)
-        return left / right
 
     def simplify(self) -> Expr:
         """x / 1 is x; 0 / x is 0 (equal wherever the quotient is finite)."""
@@ -177,32 +148,23 @@ class Div(Entrywise):
             return self.left
         return zeros_of(self) if is_constant(self.left, 0.0) else self
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\frac{{{operands[0]}}}{{{operands[1]}}}"
-
 
 class Neg(Entrywise):
     """Negative -x, entry by entry."""
 
     operand: Operand
-    cases = ({"operand": [1.0, -2.0, 0.5]},)
+    function = operator.neg
+    formula = "-<0:15>"
+    cases = ({"operand": _VECTOR},)
     precedence = 15
     by_operators = True
 
-    def evaluate(self, *values: Numbers) -> Numbers:
-        return -values[0]
-
     def simplify(self) -> Expr:
         """-(-x) is x."""
-        if isinstance(self.operand, Neg):
-            return self.operand.operand
-        return self
+        return self.operand.operand if isinstance(self.operand, Neg) else self
 
     def to_text(self, *operands: str) -> str:
         return f"(-{operands[0]})"
-
-    def to_latex(self, *operands: str) -> str:
-        return f"-{wrap_latex(self.operand, operands[0], 15)}"
 
 
 class Power(Entrywise):
@@ -210,14 +172,14 @@ class Power(Entrywise):
 
     A constant whole exponent is computed by multiplication, so that its derivative at zero is right.
 
-    Raises:
-        ShapeError: the shapes do not broadcast.
+    Raises: ShapeError if the shapes do not broadcast.
     """
 
     base: Operand
     exponent: Operand
     precedence = 40
     infix = "**"
+    formula = "{<0:50>}^{<1>}"
     cases = (
         {"base": [1.0, -2.0, 0.0], "exponent": Constant(2.0)},
         {"base": [1.0, 2.0, 0.5], "exponent": 1.3},
@@ -227,25 +189,17 @@ class Power(Entrywise):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         base, exponent = align(*values)
-        whole = self._whole_exponent()
-        if whole is not None:
-            return jax.lax.integer_pow(base, whole)
-        return jnp.power(base, exponent)
-
-    def _whole_exponent(self) -> int | None:
         if isinstance(self.exponent, Constant) and self.exponent.value.ndim == 0:
-            value = float(self.exponent.value)
-            return int(value) if value.is_integer() and abs(value) <= 64 else None
-        return None
+            number = float(self.exponent.value)
+            if number.is_integer() and abs(number) <= 64:
+                return jax.lax.integer_pow(base, int(number))
+        return jnp.power(base, exponent)
 
     def simplify(self) -> Expr:
         """x ** 1 is x; x ** 0 is 1."""
         if is_constant(self.exponent, 1.0) and self.base.shape == self.shape:
             return self.base
         return Constant(np.ones(self.shape)) if is_constant(self.exponent, 0.0) else self
-
-    def to_latex(self, *operands: str) -> str:
-        return f"{{{wrap_latex(self.base, operands[0], 50)}}}^{{{operands[1]}}}"
 
 
 #: Up to so many scalar multiplications a matrix product is written as a sum of products, which XLA fuses.
@@ -255,13 +209,18 @@ _SMALL = 512
 class MatMul(Expr):
     """Matrix product left @ right, NumPy's rules for vectors, matrices and stacks.
 
-    Raises:
-        ShapeError: a scalar operand, or inner sizes that differ.
+    Raises: ShapeError for a scalar operand, or inner sizes that differ.
     """
 
     left: Operand
     right: Operand
     infix = "@"
+    formula = r"<0:20> \, <1:21>"
+    cases = (
+        {"left": _MATRIX, "right": _VECTOR},
+        {"left": _VECTOR, "right": [0.3, 1.0, 2.0]},
+        {"left": _MATRIX, "right": Constant(np.ones((3, 2)))},
+    )
     precedence = 20
 
     def infer_shape(self, *shapes: Shape) -> Shape:
@@ -316,26 +275,12 @@ class MatMul(Expr):
         matrices = self.left.ndim == self.right.ndim == 2
         return MatMul(self.left, MatMul(self.right, vector)) if matrices and vector.ndim == 1 else None
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"{wrap_latex(self.left, operands[0], 20)} \, {wrap_latex(self.right, operands[1], 21)}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        rng = np.random.default_rng(0)
-        m, v = State("m", shape=(2, 3)), State("v", shape=(3,))
-        values = {"m": rng.normal(size=(2, 3)), "v": rng.normal(size=3)}
-        return [Example(m @ v, values), Example(v @ v, values), Example(m @ Constant(np.ones((3, 2))), values)]
-
 
 def is_identity(node: Expr) -> bool:
     """Whether a constant is an identity matrix."""
     if not isinstance(node, Constant) or node.value.ndim != 2 or node.value.shape[0] != node.value.shape[1]:
         return False
     return bool((node.value == np.eye(node.value.shape[0])).all())
-
-
-def _broadcast_of(nodes: list[Expr]) -> Shape:
-    return np.broadcast_shapes(*(node.shape for node in nodes))
 
 
 def _cancel(terms: list[Expr]) -> list[Expr]:
@@ -361,3 +306,64 @@ def rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
     if len(operands) == len(before) and all(a.key() == b.key() for a, b in zip(operands, before)):
         return node
     return type(node)(*operands)
+
+
+class Constraint(Entrywise):
+    """A relation between two expressions, entry by entry; what `==`, `<=` and `>=` build.
+
+    As an expression its value is boolean: which entries hold. An optimiser uses `residual()`. It has no truth value
+    before it is evaluated.
+
+    Attributes:
+        lhs, rhs: both sides, of broadcastable shapes.
+    """
+
+    lhs: Operand
+    rhs: Operand
+    precedence = 5
+    abstract = True
+    boolean = True
+
+    def residual(self) -> Expr:
+        """lhs - rhs, of which the optimiser wants <= 0 (inequality) or = 0 (equality)."""
+        return self.lhs - self.rhs
+
+    def simplify(self) -> Expr:
+        """Bring everything to the left: lhs - rhs (<= or =) 0."""
+        if isinstance(self.rhs, Constant) and not self.rhs.value.any() and self.lhs.shape == self.shape:
+            return self if self.rhs.shape == () else type(self)(self.lhs, 0.0)
+        return type(self)(self.residual(), 0.0)
+
+    def to_text(self, *operands: str) -> str:
+        return f"{operands[0]} {self.infix} {operands[1]}"
+
+    def __bool__(self) -> bool:
+        raise TypeError(
+            f"the constraint {self!r} has no truth value.\n"
+            "  fix: chain constraints as a list [a <= x, x <= b]; choose with tx.Where; "
+            "compare structure with a.key() == b.key()"
+        )
+
+
+class Inequality(Constraint):
+    """lhs <= rhs, entry by entry.
+
+    Raises: ShapeError if the sides do not broadcast.
+    """
+
+    function = operator.le
+    infix = "<="
+    formula = r"<0> \le <1>"
+    kinks = ({"lhs": [0.0, 2.0, -1.0], "rhs": Constant(1.0)},)
+
+
+class Equality(Constraint):
+    """lhs == rhs, entry by entry.
+
+    Raises: ShapeError if the sides do not broadcast.
+    """
+
+    function = jnp.equal
+    infix = "=="
+    formula = "<0> = <1>"
+    kinks = ({"lhs": [0.0, 1.0, -1.0], "rhs": Constant(1.0)},)

@@ -1,17 +1,18 @@
-"""Functions applied entry by entry: powers, exponentials, size and sign."""
+"""Functions applied entry by entry. Angles are in rad."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 
 from .arithmetic import Neg
-from .fields import Operand
-from .node import Expr
-from .shapes import Entrywise
+from .fields import Operand, positive
+from .node import Entrywise, Expr, align
+
+_ANY, _POSITIVE = {"operand": [1.0, -2.0, 0.0]}, {"operand": [1.0, 2.5, 0.1]}
+_NOT_ZERO, _ZERO = {"operand": [1.0, -2.0, 0.5]}, {"operand": [0.0]}
 
 
 class Function(Entrywise):
@@ -19,11 +20,13 @@ class Function(Entrywise):
 
     operand: Operand
     abstract = True
-    function: ClassVar[Callable[[jax.Array], Any]]
-    cases = ({"operand": [1.0, -2.0, 0.0]},)
+    cases = (_ANY,)
+    #: Whether f(-x) is f(x).
+    even: ClassVar[bool] = False
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return type(self).function(values[0])
+    def simplify(self) -> Expr:
+        """An even function of -x is that of x."""
+        return type(self)(self.operand.operand) if self.even and isinstance(self.operand, Neg) else self
 
 
 def square_root(x: jax.Array) -> jax.Array:
@@ -41,6 +44,7 @@ class Square(Entrywise):
     """x^2, entry by entry; the unit of x squared."""
 
     x: Operand
+    formula = r"\left(<0>\right)^{2}"
     precedence = 40
     cases = ({"x": [1.0, -2.0, 0.0]},)
 
@@ -51,19 +55,14 @@ class Square(Entrywise):
         """(-x)^2 is x^2."""
         return Square(self.x.operand) if isinstance(self.x, Neg) else self
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\left({operands[0]}\right)^{{2}}"
-
 
 class Sqrt(Function):
     """Square root sqrt(x), entry by entry. At x = 0 the derivative is taken as 0; below 0 the value is NaN."""
 
     function = square_root
-    cases = ({"operand": [1.0, 2.5, 0.1]},)
-    kinks = ({"operand": [0.0]},)
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\sqrt{{{operands[0]}}}"
+    formula = r"\sqrt{<0>}"
+    cases = (_POSITIVE,)
+    kinks = (_ZERO,)
 
 
 class Exp(Function):
@@ -82,7 +81,7 @@ class Log(Function):
 
     function = jnp.log
     latex_name = r"\log"
-    cases = ({"operand": [1.0, 2.5, 0.1]},)
+    cases = (_POSITIVE,)
 
     def simplify(self) -> Expr:
         """log(e^x) is x."""
@@ -93,17 +92,14 @@ class Abs(Function):
     """Absolute value |x|, entry by entry. The derivative at 0 is taken as 0."""
 
     function = absolute
-    cases = ({"operand": [1.0, -2.0, 0.5]},)
-    kinks = ({"operand": [0.0]},)
+    even = True
+    formula = r"\left|<0>\right|"
+    cases = (_NOT_ZERO,)
+    kinks = (_ZERO,)
 
     def simplify(self) -> Expr:
-        """|-x| is |x|; the absolute value, square or root of something is not negative already."""
-        if isinstance(self.operand, Neg):
-            return Abs(self.operand.operand)
-        return self.operand if isinstance(self.operand, (Abs, Square, Sqrt, Exp)) else self
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\left|{operands[0]}\right|"
+        """The absolute value, square or root of something is not negative already."""
+        return self.operand if isinstance(self.operand, (Abs, Square, Sqrt, Exp)) else super().simplify()
 
 
 class Sign(Function):
@@ -111,5 +107,168 @@ class Sign(Function):
 
     function = jnp.sign
     keeps_order = False
-    cases = ({"operand": [1.0, -2.0, 0.5]},)
-    kinks = ({"operand": [0.0]},)
+    cases = (_NOT_ZERO,)
+    kinks = (_ZERO,)
+
+
+class Sin(Function):
+    """Sine of an angle in rad, entry by entry."""
+
+    function = jnp.sin
+    latex_name = r"\sin"
+
+
+class Cos(Function):
+    """Cosine of an angle in rad, entry by entry."""
+
+    function = jnp.cos
+    even = True
+    latex_name = r"\cos"
+
+
+class Tan(Function):
+    """Tangent of an angle in rad, entry by entry."""
+
+    function = jnp.tan
+    latex_name = r"\tan"
+
+
+def _leg(x: jax.Array) -> jax.Array:
+    """sqrt(1 - x^2) with derivative 0 at 1 and -1."""
+    return square_root((1.0 - x) * (1.0 + x))
+
+
+class Asin(Function):
+    """Arcsine in rad, entry by entry, in [-pi/2, pi/2].
+
+    At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
+    """
+
+    latex_name = r"\arcsin"
+    cases = ({"operand": [0.9, -0.3, 0.0]},)
+    kinks = ({"operand": [1.0, -1.0]},)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.arctan2(values[0], _leg(values[0]))
+
+
+class Acos(Function):
+    """Arccosine in rad, entry by entry, in [0, pi].
+
+    At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
+    """
+
+    latex_name = r"\arccos"
+    cases = ({"operand": [0.9, -0.3, 0.0]},)
+    kinks = ({"operand": [1.0, -1.0]},)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.arctan2(_leg(values[0]), values[0])
+
+
+class Atan(Function):
+    """Arctangent in rad, entry by entry, in [-pi/2, pi/2]."""
+
+    function = jnp.arctan
+    latex_name = r"\arctan"
+    cases = ({"operand": [1.0, -20.0, 0.0]},)
+
+
+class Atan2(Entrywise):
+    """Angle of the point (x, y) in rad, entry by entry with broadcasting, in [-pi, pi].
+
+    At the origin the value is 0 and the derivative is taken as 0.
+
+    Attributes:
+        y, x: the coordinates, in one unit.
+    Raises: ShapeError if the shapes do not broadcast.
+    """
+
+    y: Operand
+    x: Operand
+    keeps_order = False
+    cases = ({"y": [1.0, -2.0, 0.0], "x": 0.7}, {"y": [1.0, -2.0, 0.5], "x": -0.7})
+    kinks = ({"y": [0.0, 0.0, 0.0], "x": 0.0},)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        y, x = align(*values)
+        origin = (x == 0.0) & (y == 0.0)
+        return jnp.arctan2(jnp.where(origin, 0.0, y), jnp.where(origin, 1.0, x))
+
+
+class Sinh(Function):
+    """Hyperbolic sine, entry by entry."""
+
+    function = jnp.sinh
+    latex_name = r"\sinh"
+
+
+class Cosh(Function):
+    """Hyperbolic cosine, entry by entry."""
+
+    function = jnp.cosh
+    latex_name = r"\cosh"
+
+
+class Tanh(Function):
+    """Hyperbolic tangent, entry by entry."""
+
+    function = jnp.tanh
+    latex_name = r"\tanh"
+
+
+class PositivePart(Entrywise):
+    """max(x, 0), entry by entry. The derivative at 0 is taken as 1/2."""
+
+    x: Operand
+    formula = r"\left(<0>\right)_+"
+    cases = ({"x": [1.0, -2.0, 0.5]},)
+    kinks = ({"x": [0.0]},)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jnp.maximum(values[0], 0.0)
+
+
+class Huber(Entrywise):
+    """Huber's penalty, entry by entry: x^2 / 2 for |x| <= delta, delta (|x| - delta / 2) beyond.
+
+    Attributes:
+        delta: where it turns from a parabola into a line, positive, in the unit of x.
+    Raises: ModelError if delta is not a positive number.
+    Source: Huber, Robust estimation of a location parameter (1964).
+    """
+
+    x: Operand
+    delta: float = 0.25
+    cases = ({"x": [0.1, -0.2, 2.0, -3.0], "delta": 0.5},)
+    keeps_order = False
+
+    def validate(self) -> None:
+        positive(self, "delta", self.delta)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        near = jnp.clip(values[0], -self.delta, self.delta)
+        return near * (values[0] - 0.5 * near)
+
+
+class SmoothReLU(Entrywise):
+    """sqrt(max(x, 0)^2 + c^2) - c, entry by entry: max(x, 0) with the kink rounded off.
+
+    Computed as p^2 / (sqrt(p^2 + c^2) + c), p = max(x, 0), which loses no digits when x is small.
+
+    Attributes:
+        c: size of the rounding, positive, in the unit of x.
+    Raises: ModelError if c is not a positive number.
+    """
+
+    x: Operand
+    c: float = 1e-8
+    cases = ({"x": [0.3, -0.2, 2.0, 0.05], "c": 0.1},)
+    kinks = ({"x": [0.0, 0.0]},)
+
+    def validate(self) -> None:
+        positive(self, "c", self.c)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        part = jnp.maximum(values[0], 0.0)
+        return part * part / (jnp.sqrt(part * part + self.c * self.c) + self.c)

@@ -8,11 +8,10 @@ class Adjoint(Expr):
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import inspect
 import numbers
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
 
 import numpy as np
 
@@ -50,22 +49,13 @@ else:
         """Marks a field that holds any number of child expressions."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Field:
+class Field(NamedTuple):
     """One declared field of a node class."""
 
     name: str
     operand: bool
     variadic: bool
     default: Any = _MISSING
-
-    def coerce(self, value: Any) -> Any:
-        """Children become expressions, static data stays what it is."""
-        from .node import to_expr
-
-        if self.variadic:
-            return tuple(to_expr(item) for item in value)
-        return to_expr(value) if self.operand else value
 
     def shown(self, value: Any) -> bool:
         """Whether printing mentions this static field: only when it differs from its default."""
@@ -74,36 +64,31 @@ class Field:
         return self.default is _MISSING or freeze(value) != freeze(self.default)
 
 
-def declare_fields(cls: Any, base: Any) -> None:
-    """Collect the fields a class annotates, after those it inherits, and give it a signature."""
+def declare_fields(cls: Any, constructor: Any) -> None:
+    """Collect the fields a class annotates, after those it inherits, and give it a signature.
+
+    `help` and editors show the fields, unless a class has another constructor than that which binds them.
+    """
     fields = {f.name: f for f in cls._fields}
     for name, annotation in inspect.get_annotations(cls).items():
-        if "ClassVar" in str(annotation):
-            continue
-        default = cls.__dict__.get(name, _MISSING)
-        # A class, or its name where the module says `from __future__ import annotations`.
-        kind = annotation.rpartition(".")[2] if isinstance(annotation, str) else getattr(annotation, "__name__", "")
-        fields[name] = Field(name, kind == "Operand", kind == "Operands", default)
+        if "ClassVar" not in str(annotation):
+            # A class, or its name where the module says `from __future__ import annotations`.
+            kind = str(getattr(annotation, "__name__", annotation)).rpartition(".")[2]
+            fields[name] = Field(name, kind == "Operand", kind == "Operands", cls.__dict__.get(name, _MISSING))
     cls._fields = tuple(fields.values())
-    cls._signature = _signature(cls._fields)
-    # What `help` and editors show: the fields, unless a class takes its arguments in another form.
-    taken = cls._signature if cls.__init__ is base.__init__ else inspect.signature(cls.__init__)
+    plain: Any = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    if any(f.variadic for f in cls._fields):
+        plain = inspect.Parameter.KEYWORD_ONLY
+    kinds = [inspect.Parameter.VAR_POSITIONAL if f.variadic else plain for f in cls._fields]
+    cls._signature = inspect.Signature(
+        [inspect.Parameter(f.name, kind, default=f.default) for f, kind in zip(cls._fields, kinds)]
+    )
+    taken = cls._signature if cls.__init__ is constructor else inspect.signature(cls.__init__)
     cls.__signature__ = taken.replace(parameters=[p for p in taken.parameters.values() if p.name != "self"])
 
 
-def _signature(fields: tuple[Field, ...]) -> inspect.Signature:
-    parameters = []
-    variadic = any(f.variadic for f in fields)
-    for field in fields:
-        kind: Any = inspect.Parameter.KEYWORD_ONLY if variadic else inspect.Parameter.POSITIONAL_OR_KEYWORD
-        if field.variadic:
-            kind = inspect.Parameter.VAR_POSITIONAL
-        parameters.append(inspect.Parameter(field.name, kind, default=field.default))
-    return inspect.Signature(parameters)
-
-
-def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> list[tuple[Field, Any]]:
-    """The coerced value of every field, from the constructor's arguments."""
+def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
+    """The value of every field, from the constructor's arguments."""
     try:
         bound = cls._signature.bind(*args, **kwargs)
     except TypeError as error:
@@ -111,9 +96,8 @@ def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> list
     bound.apply_defaults()
     for field in cls._fields:
         if field.variadic and len(bound.arguments[field.name]) < cls.fewest:
-            fewest = "one" if cls.fewest == 1 else "two"
-            raise ValueError(f"{cls.__name__} requires {fewest} or more {field.name}")
-    return [(field, field.coerce(bound.arguments[field.name])) for field in cls._fields]
+            raise ValueError(f"{cls.__name__} requires {('one', 'two')[cls.fewest - 1]} or more {field.name}")
+    return bound.arguments
 
 
 def positive(owner: object, name: str, value: object, unit: str = "") -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import jax
+
     from .leaves import Leaf
     from .node import Expr
 
@@ -93,3 +95,35 @@ def bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
                 node.__dict__[slot] = compute(node)
                 stack.pop()
     return root.__dict__[slot]
+
+
+def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> list[jax.Array]:
+    """The value of every root. Equal subtrees (by structure, not identity) are evaluated once.
+
+    `read` gives the value of a leaf. Nothing is kept between calls: the function is pure.
+    """
+    memo: dict[str, jax.Array] = {}
+    return [_value(root, read, memo) for root in roots]
+
+
+def _value(root: Expr, read: Callable[[Leaf], jax.Array], memo: dict[str, jax.Array]) -> jax.Array:
+    """The value of `root`; what is computed on the way is added to `memo`."""
+
+    def value_of(branch: Expr) -> jax.Array:
+        # A branch sees what is known already. What it computes may exist in the branch only, so it keeps its own memo.
+        return _value(branch, read, dict(memo))
+
+    stack = [root]
+    while stack:
+        node = stack[-1]
+        key = node.key()
+        waiting = [] if key in memo else [c for c in node.eager_children() if c.key() not in memo]
+        if waiting:
+            stack.extend(reversed(waiting))
+            continue
+        stack.pop()
+        if key not in memo and node.is_leaf:
+            memo[key] = read(node)  # type: ignore[arg-type]
+        elif key not in memo:
+            memo[key] = node.evaluate_on_demand([memo[c.key()] for c in node.eager_children()], value_of)
+    return memo[root.key()]

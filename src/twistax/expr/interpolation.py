@@ -11,8 +11,7 @@ import numpy as np
 from ..errors import ModelError, ShapeError
 from .fields import ExprLike, Operand
 from .leaves import Constant
-from .node import Expr, Shape
-from .shapes import broadcast
+from .node import Expr, Shape, broadcast
 
 
 def segment(x: jax.Array, xp: jax.Array) -> jax.Array:

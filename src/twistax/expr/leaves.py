@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
-from ..errors import InputError, ModelError
-from ..groups import SE3, SO3, Euclidean, Group, Order
+from ..errors import InputError, ModelError, ShapeError
+from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
 from .fields import freeze
-from .leaf_values import (
-    ROUND_OFF,
-    boundary_of,
-    bounds_of,
-    constant_of,
-    defect_of,
-    group_of,
-    guess_of,
-    scale_of,
-    shape_of,
-    value_of,
-)
-from .node import Example, Expr, Shape
+from .node import Expr, Shape
 from .printing import matrix_latex, number_latex
 
 
@@ -49,6 +38,9 @@ class Leaf(Expr):
     def _declare(self, name: str, shape: Shape, **fields: Any) -> None:
         if not isinstance(name, str) or not name:
             raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
+        for value in fields.values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
         self.__dict__.update(name=name, _shape=shape, **fields)
         self._seal()
 
@@ -77,10 +69,24 @@ class Constant(Leaf):
     """
 
     value: np.ndarray
+    cases = ((lambda cls: cls([1.0, -2.0]), {}),)
 
     def __init__(self, value: Any) -> None:
-        shape, array = constant_of(value)
-        self._declare("constant", shape, value=array)
+        try:
+            array = np.array(value)
+        except jax.errors.TracerArrayConversionError:
+            raise ModelError(
+                "a traced JAX value cannot become a Constant of an expression.\n"
+                "  fix: declare a tx.Parameter and pass the value through params"
+            ) from None
+        except ValueError as error:
+            raise ModelError(f"cannot make a Constant of {value!r}: {error}") from None
+        if array.dtype.kind not in "biuf":
+            raise ModelError(
+                f"a Constant must be a real number or array, got {type(value).__name__} of dtype {array.dtype}.\n"
+                "  fix: collect expressions with tx.Stack or tx.Concat"
+            )
+        self._declare("constant", array.shape, value=array if array.dtype == bool else array.astype(np.float64))
 
     def static_key(self) -> tuple[Any, ...]:
         return (freeze(self.value),)
@@ -91,7 +97,7 @@ class Constant(Leaf):
 
     def makes_group_element(self, *operands: bool) -> bool:
         group = {SO3.shape: SO3, SE3.shape: SE3}.get(self.shape)
-        return group is not None and not self.boolean and defect_of(self.value, group) < ROUND_OFF
+        return group is not None and not self.boolean and _defect(self.value, group) < _ROUND_OFF
 
     @property
     def folded_from(self) -> Expr | None:
@@ -128,23 +134,17 @@ class Constant(Leaf):
         rows = self.value.reshape(-1, 1) if self.value.ndim == 1 else self.value
         return matrix_latex([[number_latex(v, 4) for v in row] for row in rows])
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Constant([1.0, -2.0]), {})]
-
 
 class Time(Leaf):
     """The time t, a scalar in s."""
+
+    cases = ((lambda cls, t: cls(), {"t": 0.7}),)
 
     def __init__(self) -> None:
         self._declare("t", ())
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.t
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Time(), {"t": 0.7})]
 
 
 class Variable(Leaf):
@@ -184,6 +184,7 @@ class State(Variable):
     group: Group
     initial: np.ndarray | None
     final: np.ndarray | None
+    cases = ((lambda cls, x: x, {"x": np.arange(6.0).reshape(2, 3)}),)
 
     def __init__(
         self,
@@ -199,22 +200,14 @@ class State(Variable):
         guess: Any = None,
         scale: Any = None,
     ) -> None:
-        group = group_of(name, shape, group, order)
+        group = _group(name, shape, group, order)
         if not isinstance(group, Euclidean) and (min is not None or max is not None):
             raise ModelError(
                 f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
                 "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
             )
-        self._declare(
-            name,
-            group.shape,
-            group=group,
-            **bounds_of(name, group.shape, min, max),
-            initial=boundary_of(name, "initial", initial, group),
-            final=boundary_of(name, "final", final, group),
-            guess=guess_of(name, guess, group.shape),
-            scale=scale_of(name, scale, group),
-        )
+        ends = {"initial": _boundary(name, "initial", initial, group), "final": _boundary(name, "final", final, group)}
+        self._declare(name, group.shape, group=group, **ends, **_choice(name, group, min, max, guess, scale))
 
     def replace(self, **changes: Any) -> State:
         # The group of a Euclidean state follows from its shape; shape and order of another from its group.
@@ -235,10 +228,6 @@ class State(Variable):
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.x[self.name]
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(State("x", shape=(2, 3)), {"x": np.arange(6.0).reshape(2, 3)})]
-
 
 class Control(Variable):
     """What an engineer or an optimiser chooses at every time; Euclidean of any shape.
@@ -248,6 +237,8 @@ class Control(Variable):
         shape: shape of the value; () if left out.
         min, max, guess, scale: see `Variable`.
     """
+
+    cases = ((lambda cls, u: cls("u", shape=(3,)), {"u": [0.3, -1.0, 2.0]}),)
 
     def __init__(
         self,
@@ -259,21 +250,11 @@ class Control(Variable):
         guess: Any = None,
         scale: Any = None,
     ) -> None:
-        shape = shape_of(name, shape)
-        self._declare(
-            name,
-            shape,
-            **bounds_of(name, shape, min, max),
-            guess=guess_of(name, guess, shape),
-            scale=scale_of(name, scale, Euclidean(shape)),
-        )
+        group = Euclidean(_shape_of(name, shape))
+        self._declare(name, group.shape, **_choice(name, group, min, max, guess, scale))
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.u[self.name]
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Control("u", shape=(3,)), {"u": np.array([0.3, -1.0, 2.0])})]
 
 
 class Parameter(Leaf):
@@ -288,12 +269,13 @@ class Parameter(Leaf):
     """
 
     value: np.ndarray | None
+    cases = ((lambda cls, p: cls("p", value=[1.0, 2.0]), {"p": [0.5, 4.0]}),)
 
     def __init__(self, name: str, shape: Shape | int | None = None, *, value: Any = None) -> None:
         if shape is None:
             shape = () if value is None else np.shape(value)
-        shape = shape_of(name, shape)
-        self._declare(name, shape, value=value_of(name, "value", value, shape))
+        shape = _shape_of(name, shape)
+        self._declare(name, shape, value=_value(name, "value", value, shape))
 
     def read(self, inputs: Inputs) -> jax.Array:
         if self.name in inputs.params:
@@ -305,6 +287,94 @@ class Parameter(Leaf):
             )
         return jax.numpy.asarray(self.value, inputs.dtype)
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        return [Example(Parameter("p", value=[1.0, 2.0]), {"p": np.array([0.5, 4.0])})]
+
+# ---- what leaves are given, checked ------------------------------------------------------------------------------
+
+
+def _shape_of(name: str, shape: Shape | int) -> Shape:
+    shape = (shape,) if isinstance(shape, (int, np.integer)) else tuple(shape)
+    if not all(isinstance(n, (int, np.integer)) and n >= 1 for n in shape):
+        raise ModelError(f"{name!r}: a shape is a tuple of positive whole numbers, got {shape}")
+    return tuple(int(n) for n in shape)
+
+
+def _group(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
+    """The group of a state, in its order."""
+    if group is None:
+        if order is not None:
+            raise ModelError(f"State {name!r}: order= is for pose states (group=tx.SE3); the Lie nodes carry their own")
+        return Euclidean(_shape_of(name, () if shape is None else shape))
+    if not isinstance(group, Group):
+        raise ModelError(f"State {name!r}: group must be tx.SO3 or tx.SE3, got {group!r}")
+    if shape is not None and _shape_of(name, shape) != group.shape:
+        raise ShapeError(
+            f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
+            hint="leave shape out: the group brings its own",
+        )
+    if order is None:
+        return group
+    if not isinstance(group, SpecialEuclidean):
+        raise ModelError(f"State {name!r}: order= concerns poses (tx.SE3), not {group.name}")
+    return group.with_order(order)
+
+
+def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan) -> np.ndarray | None:
+    """A float64 copy broadcast to the shape; entries that are None or NaN become `free`."""
+    if value is None:
+        return None
+    array = np.asarray(value)
+    if array.dtype == object:
+        array = np.array([np.nan if v is None else v for v in array.ravel()], float).reshape(array.shape)
+    try:
+        array = np.broadcast_to(array.astype(np.float64), shape)
+    except (ValueError, TypeError):
+        raise ShapeError(f"{name!r}: {what} expects shape {shape}, got {np.shape(value)}") from None
+    return np.where(np.isnan(array), free, array)
+
+
+def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
+    """Bounds, guess and scale of a variable."""
+    shape, euclidean = group.shape, isinstance(group, Euclidean)
+    low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
+    if low is not None and high is not None and (low > high).any():
+        raise ModelError(f"{name!r}: min {low} is above max {high}")
+    if guess is not None:
+        guess = np.array(guess, dtype=np.float64)
+        if guess.shape != shape and guess.shape[1:] != shape:
+            raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {guess.shape}")
+    scale = _value(name, "scale", scale, shape if euclidean else (group.dimension,))
+    if scale is not None and not (scale > 0).all():
+        raise ModelError(f"{name!r}: scale must be positive, got {scale}")
+    return {"min": low, "max": high, "guess": guess, "scale": scale}
+
+
+#: How far a given rotation may be from orthonormal before it is refused, and how far a constant that counts as one.
+_ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
+
+
+@functools.cache
+def _compiled_defect(group: Group) -> Callable[..., jax.Array]:
+    # Compiled as one, once: a dozen eager operations would each be compiled alone.
+    return jax.jit(group.defect)
+
+
+def _defect(value: np.ndarray, group: Group) -> float:
+    """How far a value is from its group."""
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        return float(_compiled_defect(group)(jax.numpy.asarray(value)))
+
+
+def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
+    """A start or an end: an element of a group, or numbers of which some may be None."""
+    if value is None or isinstance(group, Euclidean):
+        return _value(name, what, value, group.shape)
+    if np.shape(value) != group.shape:
+        raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
+    array = np.array(value, dtype=np.float64)
+    defect = _defect(array, group)
+    if not defect <= _ROTATION_TOLERANCE:
+        raise ModelError(
+            f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"
+            "  fix: build it with tx.pose(position=..., euler=... or quaternion=...)"
+        )
+    return array

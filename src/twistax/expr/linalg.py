@@ -1,4 +1,4 @@
-"""Linear algebra: transpose, diagonal, sums, norms, products of vectors, inverses and solves."""
+"""Linear algebra: transpose, diagonal, sums, norms, and products of vectors."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from ..groups.arrays import cross, unpack, vector
 from .arithmetic import Div, Neg, is_constant, zeros_of
 from .elementwise import Abs, absolute, square_root
 from .fields import ExprLike, Operand
-from .leaves import State
-from .node import Example, Expr, Numbers, Shape
-from .printing import wrap_latex
-from .shapes import expect, expect_square
+from .node import Expr, Numbers, Shape, expect, expect_square
+
+_A, _B, _MATRIX = [1.0, -2.0, 0.5], [0.3, 1.0, 2.0], [[1.0, -2.0, 0.5], [3.0, 0.25, -1.0]]
 
 
 class Transpose(Expr):
@@ -24,6 +23,7 @@ class Transpose(Expr):
 
     operand: Operand
     by_operators = True
+    formula = r"{<0:60>}^{\top}"
     cases = ({"operand": np.arange(6.0).reshape(2, 3)}, {"operand": np.arange(12.0).reshape(2, 2, 3)})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
@@ -53,19 +53,15 @@ class Transpose(Expr):
     def to_text(self, *operands: str) -> str:
         return f"({operands[0]}).T"
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"{{{wrap_latex(self.operand, operands[0], 60)}}}^{{\top}}"
-
 
 class Diag(Expr):
     """The diagonal matrix of a vector. Shapes: (n,) -> (n, n).
 
-    Raises:
-        ShapeError: the operand is no vector.
+    Raises: ShapeError if the operand is no vector.
     """
 
     operand: Operand
-    cases = ({"operand": [1.0, -2.0, 0.5]},)
+    cases = ({"operand": _A},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.operand, -1), (self, -1), (self, -2)]]
@@ -93,39 +89,32 @@ class Sum(Expr):
     """Sum of all entries. Shapes: any -> ()."""
 
     operand: Operand
-    cases = ({"operand": np.arange(6.0).reshape(2, 3)},)
+    function = jnp.sum
+    formula = r"\sum <0:20>"
+    cases = ({"operand": _MATRIX},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return ()
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.sum(values[0])
 
     def simplify(self) -> Expr:
         """The sum of a scalar is the scalar."""
         return self if self.operand.shape else self.operand
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\sum {wrap_latex(self.operand, operands[0], 20)}"
-
 
 class Trace(Expr):
     """Sum of the diagonal entries. Shapes: (n, n) -> ().
 
-    Raises:
-        ShapeError: the operand is no square matrix.
+    Raises: ShapeError if the operand is no square matrix.
     """
 
     operand: Operand
+    function = jnp.trace
     latex_name = r"\operatorname{tr}"
     cases = ({"operand": np.arange(9.0).reshape(3, 3)},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_square(self, "operand", shapes[0])
         return ()
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return jnp.trace(values[0])
 
     def simplify(self) -> Expr:
         """The trace of a transpose is that of the matrix; of a diagonal matrix, the sum of its entries."""
@@ -137,18 +126,14 @@ class Trace(Expr):
 def vector_norm(x: jax.Array, order: Any) -> jax.Array:
     """The norm of a vector: "inf", "-inf", 1 or another number above 1."""
     sizes = absolute(x)
-    if order == "inf":
-        return jnp.max(sizes)
-    if order == "-inf":
-        return jnp.min(sizes)
+    if isinstance(order, str):
+        return jnp.max(sizes) if order == "inf" else jnp.min(sizes)
     return jnp.sum(sizes) if order == 1 else jnp.sum(sizes**order) ** (1.0 / float(order))
 
 
 def matrix_norm(x: jax.Array, order: Any) -> jax.Array:
     """The norm of a matrix: its largest row sum ("inf"), column sum (1) or singular value (2)."""
-    if order == 2:
-        return jnp.linalg.norm(x, ord=2)
-    return jnp.max(jnp.sum(absolute(x), axis=1 if order == "inf" else 0))
+    return jnp.linalg.norm(x, ord=2) if order == 2 else jnp.max(jnp.sum(absolute(x), axis=int(order == "inf")))
 
 
 class Norm(Expr):
@@ -167,6 +152,15 @@ class Norm(Expr):
 
     operand: Operand
     ord: Any = "fro"
+    cases = (
+        *({"operand": _A, "ord": ord} for ord in ("fro", 1, 3.5, "inf", "-inf")),
+        *({"operand": _MATRIX, "ord": ord} for ord in ("fro", 1, 2, "inf")),
+        {"operand": -0.5, "ord": "fro"},
+    )
+    kinks = (
+        *({"operand": np.zeros(3), "ord": ord} for ord in ("fro", 1, 3.5, "inf")),
+        {"operand": np.zeros((2, 3)), "ord": 2},
+    )
 
     def __init__(self, operand: ExprLike, ord: Any = "fro") -> None:
         super().__init__(operand, {None: "fro", np.inf: "inf", -np.inf: "-inf"}.get(ord, ord))
@@ -201,28 +195,18 @@ class Norm(Expr):
         order = {"fro": "", "inf": r"_{\infty}", "-inf": r"_{-\infty}"}.get(self.ord, f"_{{{self.ord}}}")
         return rf"\left\|{operands[0]}\right\|{order}"
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        v, m, s = State("v", shape=(3,)), State("m", shape=(2, 3)), State("s")
-        values = {"v": np.array([1.0, -2.0, 0.5]), "m": np.array([[1.0, -2.0, 0.5], [3.0, 0.25, -1.0]]), "s": -0.5}
-        zeros = values | {"v": np.zeros(3), "m": np.zeros((2, 3))}
-        cases = [Example(Norm(v, ord), values) for ord in ("fro", 1, 3.5, "inf", "-inf")]
-        cases += [Example(Norm(m, ord), values) for ord in ("fro", 1, 2, "inf")] + [Example(Norm(s), values)]
-        cases += [Example(Norm(v, ord), zeros, smooth=False) for ord in ("fro", 1, 3.5, "inf")]
-        return [*cases, Example(Norm(m, 2), zeros, smooth=False)]
-
 
 class Dot(Expr):
     """Scalar product a . b of two vectors. Shapes: (n,), (n,) -> ().
 
-    Raises:
-        ShapeError: no vectors, or of different length.
+    Raises: ShapeError for no vectors, or of different length.
     """
 
     left: Operand
     right: Operand
     precedence = 20
-    cases = ({"left": [1.0, -2.0, 0.5], "right": [0.3, 1.0, 2.0]},)
+    formula = r"<0:21> \cdot <1:21>"
+    cases = ({"left": _A, "right": _B},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.left, -1), (self.right, -1)]]
@@ -236,10 +220,6 @@ class Dot(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return jnp.sum(values[0] * values[1])
 
-    def to_latex(self, *operands: str) -> str:
-        left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
-        return rf"{left} \cdot {right}"
-
 
 def cross_columns(a: jax.Array, b: jax.Array) -> jax.Array:
     """a x b of a vector (3,) with a vector (3,) or with each column of (3, k)."""
@@ -251,17 +231,15 @@ class Cross(Expr):
 
     With k columns on the right, a x b_i column by column: (3,), (3, k) -> (3, k).
 
-    Raises:
-        ShapeError: an operand of another shape.
+    Raises: ShapeError for an operand of another shape.
     """
 
     left: Operand
     right: Operand
+    function = cross_columns
     precedence = 20
-    cases = (
-        {"left": [1.0, -2.0, 0.5], "right": [0.3, 1.0, 2.0]},
-        {"left": [1.0, -2.0, 0.5], "right": -np.arange(6.0).reshape(3, 2)},
-    )
+    formula = r"<0:21> \times <1:21>"
+    cases = ({"left": _A, "right": _B}, {"left": _A, "right": -np.arange(6.0).reshape(3, 2)})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         left, right = shapes
@@ -273,9 +251,6 @@ class Cross(Expr):
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.right, -1), (self, -1)]]
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return cross_columns(*values)
-
     def simplify(self) -> Expr:
         """a x a and a x 0 are 0; (-a) x b and a x (-b) are -(a x b)."""
         left, right = self.left, self.right
@@ -285,22 +260,18 @@ class Cross(Expr):
             return Neg(Cross(left.operand, right))
         return Neg(Cross(left, right.operand)) if isinstance(right, Neg) else self
 
-    def to_latex(self, *operands: str) -> str:
-        left, right = (wrap_latex(*pair, 21) for pair in zip(self.children(), operands))
-        return rf"{left} \times {right}"
-
 
 class Outer(Expr):
     """The matrix a b^T of all products. Shapes: (m,), (n,) -> (m, n).
 
-    Raises:
-        ShapeError: an operand is no vector.
+    Raises: ShapeError if an operand is no vector.
     """
 
     left: Operand
     right: Operand
     precedence = 20
-    cases = ({"left": [1.0, -2.0, 0.5], "right": [0.3, 1.0]},)
+    formula = r"<0:60> \, {<1:60>}^{\top}"
+    cases = ({"left": _A, "right": [0.3, 1.0]},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.left, -1), (self, -2)], [(self.right, -1), (self, -1)]]
@@ -313,7 +284,3 @@ class Outer(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         return values[0][:, None] * values[1][None, :]
-
-    def to_latex(self, *operands: str) -> str:
-        left, right = (wrap_latex(*pair, 60) for pair in zip(self.children(), operands))
-        return rf"{left} \, {{{right}}}^{{\top}}"

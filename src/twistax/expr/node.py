@@ -4,12 +4,12 @@ A node class is one class in one file. It declares its fields and some of
 
     takes, gives           the shapes of operands and result where they are fixed; else
     infer_shape(*shapes)   the result's shape from the children's shapes, or ShapeError
+    function               of the operands' values, in jax.numpy; else
     evaluate(*values)      the value in jax.numpy
     simplify()             a simpler node; the children are already canonical
-    cases, kinks           values for the conformance suite; else
-    example()              cases with expressions of their own
-    label                  the name used by repr and trees
-    infix, latex_name      the operator in texts, the function's name in formulas; else
+    cases, kinks           values for the conformance suite
+    label, infix           the name or the operator in texts
+    formula, latex_name    the formula, or the function's name in it; else
     to_latex(*operands)    the formula
 
 Everything else (traversal, caching, keys, operators, printing) is written once, here and beside.
@@ -17,17 +17,19 @@ Everything else (traversal, caching, keys, operators, printing) is written once,
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import hashlib
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
 
 from ..errors import ImmutableError, ShapeError
-from .fields import Field, bind_fields, declare_fields, freeze
+from . import printing
+from .fields import ExprLike, Field, bind_fields, declare_fields, freeze
 from .graph import bottom_up, find_path
 from .operators import Operators
 
@@ -38,10 +40,12 @@ Shape = tuple[int, ...]
 #: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
 Numbers = TypeVar("Numbers", jax.Array, Any)
 E = TypeVar("E", bound="Expr")
+#: Values of the fields by name, where arrays and numbers of operands stand for states, and a node that takes any number
+#: of operands has a list of them; or a function of the class and of states that gives the expression, and their values.
+Case: TypeAlias = Mapping[str, Any] | tuple[Callable[..., "Expr"], Mapping[str, Any]]
 
 
-@dataclasses.dataclass(frozen=True)
-class Example:
+class Example(NamedTuple):
     """One conformance case: an expression, values of its leaves, and whether it is smooth there."""
 
     expr: Expr
@@ -63,17 +67,24 @@ class Expr(Operators):
     infix: ClassVar[str] = ""
     #: The function's name in formulas; the label in upright letters unless a node says otherwise.
     latex_name: ClassVar[str] = ""
+    #: The formula, with <i> for operand i and <i:p> for it in parentheses where it binds weaker than p.
+    formula: ClassVar[str] = ""
+    #: What `evaluate` applies to the values of the operands, for a node without an `evaluate` of its own.
+    function: ClassVar[Callable[..., Any]]
     #: Binding strength in printed formulas: 100 binds tightest (names, functions).
     precedence: ClassVar[int] = 100
     #: The shapes that the operands must have and that of the result, for a node without `infer_shape` of its own.
     takes: ClassVar[tuple[Shape, ...]] = ()
     gives: ClassVar[Shape] = ()
+    #: How to mend an operand of another shape.
+    takes_hint: ClassVar[str | None] = None
     #: The fewest operands of a node that takes any number of them.
     fewest: ClassVar[int] = 1
-    #: Cases of the conformance suite where the node is smooth, and where it is not: field name -> value. The arrays and
-    #: numbers of operands stand for states; a node that takes any number of operands has a list of them.
-    cases: ClassVar[Sequence[Mapping[str, Any]]] = ()
-    kinks: ClassVar[Sequence[Mapping[str, Any]]] = ()
+    #: True where they may also come in a single list.
+    listed: ClassVar[bool] = False
+    #: Cases of the conformance suite where the node is smooth, and where it is not.
+    cases: ClassVar[Sequence[Case]] = ()
+    kinks: ClassVar[Sequence[Case]] = ()
     #: True for sums and products: an operand of the same class may be spliced into the operands.
     associative: ClassVar[bool] = False
     #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
@@ -89,19 +100,26 @@ class Expr(Operators):
 
     _fields: ClassVar[tuple[Field, ...]] = ()
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
+    def __init_subclass__(cls, *, init: bool = True, **kwargs: Any) -> None:
+        # `init=False` tells a type checker that the constructor is the inherited one.
         super().__init_subclass__(**kwargs)
         if "label" not in cls.__dict__:
             cls.label = cls.__name__
         if "abstract" not in cls.__dict__:
             cls.abstract = False
-        if "evaluate" in cls.__dict__ and "by_operators" not in cls.__dict__:
-            cls.by_operators = False  # a new `evaluate` has to say so again
-        declare_fields(cls, Expr)
+        if {"evaluate", "function"} & cls.__dict__.keys() and "by_operators" not in cls.__dict__:
+            cls.by_operators = False  # a new formula has to say so again
+        declare_fields(cls, Expr.__init__)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        for field, value in bind_fields(type(self), args, kwargs):
-            setattr(self, field.name, value)
+        if self.listed and len(args) == 1 and isinstance(args[0], (list, tuple)):
+            args = tuple(args[0])
+        values = bind_fields(type(self), args, kwargs)
+        for field in self._fields:
+            value = values[field.name]
+            if field.variadic:
+                value = tuple(map(to_expr, value))
+            setattr(self, field.name, to_expr(value) if field.operand else value)
         self.validate()
         self._seal()
 
@@ -137,13 +155,12 @@ class Expr(Operators):
         if not self.takes:
             raise NotImplementedError(f"{type(self).__name__} says neither takes and gives nor infer_shape")
         for name, got, wanted in zip(self.child_names(), shapes, self.takes, strict=True):
-            if got != wanted:
-                raise ShapeError(f"{type(self).__name__} expects {name} with shape {wanted}, got {got}")
+            expect(self, name, got, wanted, self.takes_hint)
         return self.gives
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
+    def evaluate(self, *values: Numbers) -> Numbers:
         """Value in jax.numpy from the children's values."""
-        raise NotImplementedError(f"{type(self).__name__}.evaluate")
+        return type(self).function(*values)
 
     def eager_children(self) -> list[Expr]:
         """The children whose values `evaluate_on_demand` gets; all, unless a node asks for some only when needed."""
@@ -188,30 +205,32 @@ class Expr(Operators):
 
     @classmethod
     def example(cls) -> list[Example]:
-        """Cases for the conformance suite: those of `cases` and `kinks`, where expressions stay as they are."""
+        """The cases for the conformance suite."""
+        return [cls._example(case, True) for case in cls.cases] + [cls._example(case, False) for case in cls.kinks]
+
+    @classmethod
+    def _example(cls, case: Case, smooth: bool) -> Example:
         from .leaves import State
 
-        def example(given: Mapping[str, Any], smooth: bool) -> Example:
-            values: dict[str, np.ndarray] = {}
+        values: dict[str, np.ndarray] = {}
 
-            def leaf(name: str, value: Any) -> Expr:
-                if isinstance(value, Expr):
-                    return value
-                values[name] = np.asarray(value, float)
-                return State(name, shape=values[name].shape)
+        def leaf(name: str, value: Any) -> Expr:
+            if isinstance(value, Expr):
+                return value
+            values[name] = np.asarray(value, float)
+            return State(name, shape=values[name].shape)
 
-            several: list[Expr] = []
-            named = dict(given)
-            for field in cls._fields:
-                if field.variadic:
-                    several = [leaf(f"{field.name}{i}", value) for i, value in enumerate(named.pop(field.name))]
-                elif field.operand:
-                    named[field.name] = leaf(field.name, named[field.name])
-            return Example(cls(*several, **named), values, smooth)
-
-        if not (cls.cases or cls.kinks):
-            raise NotImplementedError(f"{cls.__name__} has neither cases nor kinks")
-        return [example(given, True) for given in cls.cases] + [example(given, False) for given in cls.kinks]
+        if isinstance(case, tuple):
+            build, given = case
+            return Example(build(cls, **{name: leaf(name, value) for name, value in given.items()}), values, smooth)
+        several: list[Expr] = []
+        named = dict(case)
+        for field in cls._fields:
+            if field.variadic:
+                several = [leaf(f"{field.name}{i}", value) for i, value in enumerate(named.pop(field.name))]
+            elif field.operand:
+                named[field.name] = leaf(field.name, named[field.name])
+        return Example(cls(*several, **named), values, smooth)
 
     def details(self) -> list[str]:
         """The static fields as texts and trees show them: those that differ from their defaults."""
@@ -225,6 +244,13 @@ class Expr(Operators):
 
     def to_latex(self, *operands: str) -> str:
         """LaTeX from the operands' LaTeX."""
+        if self.formula:
+            children = self.children()
+            return re.sub(
+                r"<(\d)(?::(\d+))?>",
+                lambda at: printing.wrap_latex(children[int(at[1])], operands[int(at[1])], int(at[2] or 0)),
+                self.formula,
+            )
         name = self.latex_name or rf"\operatorname{{{self.label}}}".replace("_", r"\_")
         return rf"{name}\left({', '.join(operands)}\right)"
 
@@ -291,8 +317,7 @@ class Expr(Operators):
     def check_shape(self) -> Shape:
         """The shape of the value.
 
-        Raises:
-            ShapeError: a shape in the tree does not fit; names the node, its place, and the way out.
+        Raises: ShapeError if a shape in the tree does not fit; names the node, its place, and the way out.
         """
         return bottom_up(self, "_shape", lambda node: _shape_of(node, self))
 
@@ -326,24 +351,18 @@ class Expr(Operators):
         return id(self)
 
     def __repr__(self) -> str:
-        from .printing import text
-
-        return text(self)
+        return printing.text(self)
 
     def _repr_latex_(self) -> str:
         return f"${self.latex()}$"
 
     def latex(self) -> str:
         """The formula in LaTeX, without dollar signs."""
-        from .printing import latex
-
-        return latex(self)
+        return printing.latex(self)
 
     def tree(self) -> str:
         """The tree, a line a node, shared parts shown once."""
-        from .printing import tree
-
-        return tree(self)
+        return printing.tree(self)
 
 
 def to_expr(value: Any) -> Expr:
@@ -368,12 +387,80 @@ def _shape_of(node: Expr, root: Expr) -> Shape:
 
 def all_nodes() -> list[type[Expr]]:
     """Every node class of this package, sorted by module and name. Bases marked `abstract` are left out."""
-    found: list[type[Expr]] = []
+    found: set[type[Expr]] = set()
     waiting: list[type[Expr]] = [Expr]
-    package = __name__.split(".")[0]
     while waiting:
         cls = waiting.pop()
         waiting.extend(cls.__subclasses__())
-        if not cls.abstract and cls.__module__.split(".")[0] == package:
-            found.append(cls)
-    return sorted(set(found), key=lambda cls: (cls.__module__, cls.__qualname__))
+        if not cls.abstract and cls.__module__.split(".")[0] == __name__.split(".")[0]:
+            found.add(cls)
+    return sorted(found, key=lambda cls: (cls.__module__, cls.__qualname__))
+
+
+# ---- shape rules that nodes share --------------------------------------------------------------------------------
+
+
+def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None = None) -> None:
+    """Raise the plain sentence if an operand has another shape than the one it must have."""
+    if got != wanted:
+        raise ShapeError(f"{type(node).__name__} expects {operand} with shape {wanted}, got {got}", hint=hint)
+
+
+def expect_square(node: Expr, operand: str, got: Shape, *, stacks: bool = False) -> None:
+    """Raise the plain sentence unless the operand is a square matrix, or a stack of them where `stacks` allows it."""
+    if len(got) < 2 or got[-1] != got[-2] or (len(got) > 2 and not stacks):
+        raise ShapeError(f"{type(node).__name__} expects {operand} to be a square matrix, got shape {got}")
+
+
+def broadcast(node: Expr, *shapes: Shape) -> Shape:
+    """NumPy's broadcast shape, or an error that shows all of them."""
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ShapeError(
+            f"{type(node).__name__} shapes not broadcastable: {' and '.join(map(str, shapes))}",
+            hint="index or reshape an operand so that the shapes agree",
+        ) from None
+
+
+def align(*values: Numbers) -> list[Numbers]:
+    """Give all values the rank of the highest by leading axes of length 1; scalars stay scalars.
+
+    JAX's strict rank promotion is content with that.
+    """
+    rank = max(value.ndim for value in values)
+    return [v if v.ndim in (0, rank) else v.reshape((1,) * (rank - v.ndim) + v.shape) for v in values]
+
+
+class Entrywise(Expr, init=False):
+    """Base of what works entry by entry, with NumPy's broadcasting where it has several operands."""
+
+    abstract = True
+    keeps_order = True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes)
+
+    def evaluate(self, *values: Numbers) -> Numbers:
+        return type(self).function(*align(*values))
+
+
+class Variadic(Expr, init=False):
+    """Base of what takes any number of operands, to a type checker."""
+
+    abstract = True
+
+    if TYPE_CHECKING:
+
+        def __init__(self, *operands: ExprLike | Sequence[ExprLike]) -> None: ...
+
+
+class Chained(Entrywise, Variadic, init=False):
+    """Base of what combines two or more operands entry by entry, two at a time in any order."""
+
+    abstract = True
+    fewest = 2
+    associative = True
+
+    def evaluate(self, *values: Numbers) -> Numbers:
+        return functools.reduce(lambda a, b: type(self).function(*align(a, b)), values)

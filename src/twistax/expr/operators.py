@@ -2,30 +2,77 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from .constraint import Equality, Inequality
+    from .arithmetic import Equality, Inequality
     from .node import Expr
 
 
+def _nodes() -> Any:
+    """The package with all nodes: they are built on this module."""
+    return sys.modules[__package__ or ""]
+
+
+def _unary(node: str) -> Callable[[Any], Expr]:
+    return lambda a: getattr(_nodes(), node)(a)
+
+
+def _both_ways(node: str) -> tuple[Callable[[Any, Any], Expr], Callable[[Any, Any], Expr]]:
+    """The operator of a node with two operands, and the one Python asks where the expression stands on the right."""
+    return lambda a, b: getattr(_nodes(), node)(a, b), lambda b, a: getattr(_nodes(), node)(a, b)
+
+
+def _refused(sentence: str) -> Callable[[Any, Any], bool]:
+    def refuse(a: Any, b: Any) -> NoReturn:
+        raise TypeError(sentence)
+
+    return refuse
+
+
 class Operators:
-    """The operators of `Expr`. Nodes are looked up at call time, because they are built on this class."""
+    """The operators of `Expr`."""
+
+    __add__, __radd__ = _both_ways("Add")
+    __sub__, __rsub__ = _both_ways("Sub")
+    __mul__, __rmul__ = _both_ways("Mul")
+    __truediv__, __rtruediv__ = _both_ways("Div")
+    __matmul__, __rmatmul__ = _both_ways("MatMul")
+    __pow__, __rpow__ = _both_ways("Power")
+    __getitem__, _ = _both_ways("Index")
+    __neg__, __abs__ = _unary("Neg"), _unary("Abs")
+    __ne__ = _refused("!= has no meaning for expressions. To compare structure use a.key() != b.key().")
+    __lt__ = _refused("< builds no constraint: an optimiser cannot hold a strict inequality. Use <=.")
+    __gt__ = _refused("> builds no constraint: an optimiser cannot hold a strict inequality. Use >=.")
+    __contains__ = _refused("'in' has no meaning for expressions: == builds a constraint. Compare keys instead.")
+    __hash__ = object.__hash__
 
     # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        from .numpy_protocol import apply_ufunc
-
-        return apply_ufunc(ufunc, method, inputs, kwargs)
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Expr:
+        name = ufunc.__name__
+        function = _meaning(name)
+        if method != "__call__":
+            raise TypeError(
+                f"np.{name}.{method} is not available for expressions.\n"
+                "  fix: use tx.linalg.Sum, tx.linalg.Outer or an explicit sum"
+            )
+        if kwargs:
+            raise TypeError(f"np.{name} takes no keyword arguments with expressions, got {', '.join(kwargs)}")
+        return function(*inputs)
 
     def __array_function__(self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any) -> Any:
-        from .numpy_protocol import apply_function
-
-        return apply_function(func, args, kwargs)
+        module = getattr(func, "__module__", "numpy").removeprefix("numpy").removeprefix(".")
+        name = f"{module}.{func.__name__}" if module else func.__name__
+        function = _meaning(name)
+        try:
+            return function(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"np.{name} with expressions: {error}") from None
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:
         raise TypeError(
@@ -33,78 +80,22 @@ class Operators:
             "  fix: lower it with tx.lower(expr) and call the function, or build with tx.Stack / tx.Concat"
         )
 
-    def __add__(self, other: Any) -> Expr:
-        return _n().Add(self, other)
-
-    def __radd__(self, other: Any) -> Expr:
-        return _n().Add(other, self)
-
-    def __sub__(self, other: Any) -> Expr:
-        return _n().Sub(self, other)
-
-    def __rsub__(self, other: Any) -> Expr:
-        return _n().Sub(other, self)
-
-    def __mul__(self, other: Any) -> Expr:
-        return _n().Mul(self, other)
-
-    def __rmul__(self, other: Any) -> Expr:
-        return _n().Mul(other, self)
-
-    def __truediv__(self, other: Any) -> Expr:
-        return _n().Div(self, other)
-
-    def __rtruediv__(self, other: Any) -> Expr:
-        return _n().Div(other, self)
-
-    def __matmul__(self, other: Any) -> Expr:
-        return _n().MatMul(self, other)
-
-    def __rmatmul__(self, other: Any) -> Expr:
-        return _n().MatMul(other, self)
-
-    def __pow__(self, other: Any) -> Expr:
-        return _n().Power(self, other)
-
-    def __rpow__(self, other: Any) -> Expr:
-        return _n().Power(other, self)
-
-    def __neg__(self) -> Expr:
-        return _n().Neg(self)
-
     def __pos__(self) -> Expr:
         return cast("Expr", self)
-
-    def __abs__(self) -> Expr:
-        return _n().Abs(self)
-
-    def __getitem__(self, index: Any) -> Expr:
-        return _n().Index(self, index)
 
     @property
     def T(self) -> Expr:
         """Transpose."""
-        return _n().Transpose(self)
+        return _nodes().Transpose(self)
 
     def __le__(self, other: Any) -> Inequality:
-        return _n().Inequality(self, other)
+        return _nodes().Inequality(self, other)
 
     def __ge__(self, other: Any) -> Inequality:
-        return _n().Inequality(other, self)
+        return _nodes().Inequality(other, self)
 
     def __eq__(self, other: Any) -> Equality:  # type: ignore[override]
-        return _n().Equality(self, other)
-
-    __hash__ = object.__hash__
-
-    def __ne__(self, other: Any) -> bool:
-        raise TypeError("!= has no meaning for expressions. To compare structure use a.key() != b.key().")
-
-    def __lt__(self, other: Any) -> bool:
-        raise TypeError("< builds no constraint: an optimiser cannot hold a strict inequality. Use <=.")
-
-    def __gt__(self, other: Any) -> bool:
-        raise TypeError("> builds no constraint: an optimiser cannot hold a strict inequality. Use >=.")
+        return _nodes().Equality(self, other)
 
     def __bool__(self) -> bool:
         raise TypeError(
@@ -121,10 +112,101 @@ class Operators:
     def __iter__(self) -> Iterator[Expr]:
         return (self[i] for i in range(len(self)))
 
-    def __contains__(self, item: Any) -> bool:
-        raise TypeError("'in' has no meaning for expressions: == builds a constraint. Compare keys instead.")
+
+def _dot(a: Any, b: Any) -> Expr:
+    a, b = _nodes().to_expr(a), _nodes().to_expr(b)
+    if a.ndim == 0 or b.ndim == 0:
+        return _nodes().Mul(a, b)
+    return _nodes().Dot(a, b) if a.ndim == b.ndim == 1 else _nodes().MatMul(a, b)
 
 
-def _n() -> Any:
-    """The package with all nodes."""
-    return sys.modules[__package__ or ""]
+def _cross(a: Any, b: Any) -> Expr:
+    a, b = _nodes().to_expr(a), _nodes().to_expr(b)
+    if a.ndim > 1 or b.ndim > 1:
+        raise TypeError("np.cross of expressions knows vectors; tx.linalg.Cross takes k columns (3, k) on the right")
+    return _nodes().Cross(a, b)
+
+
+def _joined(arrays: Any, axis: int = 0) -> Expr:
+    exprs = [_nodes().to_expr(array) for array in arrays]
+    if axis in (1, -1) and all(e.ndim == 2 for e in exprs):
+        return _nodes().Hstack(exprs)
+    if axis == 0 or (axis == -1 and all(e.ndim == 1 for e in exprs)):
+        return _nodes().Concat(*exprs)
+    raise TypeError("np.concatenate of expressions knows axis 0, and axis 1 of matrices")
+
+
+def _stacked(arrays: Any, axis: int = 0) -> Expr:
+    if axis != 0:
+        raise TypeError("np.stack of expressions knows axis 0 only; transpose the result")
+    return _nodes().Stack(list(arrays))
+
+
+def _transposed(a: Any, axes: Any = None) -> Expr:
+    expr = _nodes().to_expr(a)
+    if axes not in (None, (1, 0), [1, 0]) or expr.ndim > 2:
+        raise TypeError("np.transpose of an expression knows matrices; tx.linalg.Transpose swaps the last two axes")
+    return expr.T
+
+
+def _clipped(a: Any, a_min: Any = None, a_max: Any = None) -> Expr:
+    expr = _nodes().to_expr(a)
+    if a_min is not None:
+        expr = _nodes().Max(expr, a_min)
+    return expr if a_max is None else _nodes().Min(expr, a_max)
+
+
+#: Functions of NumPy, each with the node that has the same operands.
+_SAME = dict(
+    re.findall(
+        r"(\S+) (\S+)",
+        """
+        add Add       subtract Sub   multiply Mul  divide Div     matmul MatMul  power Power       float_power Power
+        negative Neg  square Square  sqrt Sqrt     exp Exp        log Log        logaddexp LogSumExp
+        absolute Abs  fabs Abs       sign Sign     maximum Max    minimum Min    fmax Max          fmin Min
+        sin Sin       cos Cos        tan Tan       arcsin Asin    arccos Acos    arctan Atan       arctan2 Atan2
+        sinh Sinh     cosh Cosh      tanh Tanh     equal Equality  less_equal Inequality           positive to_expr
+        vdot Dot      inner Dot      outer Outer   trace Trace    diag Diag      sum Sum           all All  any Any
+        where Where   interp Linterp               linalg.inv Inv  linalg.solve Solve
+        """,
+    )
+)
+
+#: Others, with what they build; an argument that a function does not take is an error.
+_MEANINGS: dict[str, Callable[..., Any]] = {
+    "reciprocal": lambda x: 1.0 / x,
+    "hypot": lambda x, y: _nodes().Sqrt(_nodes().Add(_nodes().Square(x), _nodes().Square(y))),
+    "deg2rad": lambda x: x * (np.pi / 180.0),
+    "radians": lambda x: x * (np.pi / 180.0),
+    "rad2deg": lambda x: x * (180.0 / np.pi),
+    "degrees": lambda x: x * (180.0 / np.pi),
+    "greater_equal": lambda a, b: _nodes().Inequality(b, a),
+    "dot": _dot,
+    "cross": _cross,
+    "transpose": _transposed,
+    "linalg.norm": lambda x, ord=None: _nodes().Norm(x, ord),
+    "concatenate": _joined,
+    "stack": _stacked,
+    "hstack": lambda arrays: _nodes().Hstack(list(arrays)),
+    "vstack": lambda arrays: _nodes().Vstack(list(arrays)),
+    "block": lambda arrays: _nodes().Block(arrays),
+    "clip": _clipped,
+    "shape": lambda a: _nodes().to_expr(a).shape,
+    "ndim": lambda a: _nodes().to_expr(a).ndim,
+    "size": lambda a: int(np.prod(_nodes().to_expr(a).shape)),
+}
+_STRICT = {"less": "<=", "greater": ">=", "not_equal": "a.key() != b.key()"}
+
+
+def _meaning(name: str) -> Callable[..., Any]:
+    """What a function of NumPy builds from expressions. Raises TypeError."""
+    if name in _STRICT:
+        raise TypeError(f"np.{name} builds no constraint from expressions.\n  fix: use {_STRICT[name]}")
+    if name in _SAME:
+        return getattr(_nodes(), _SAME[name])
+    if name in _MEANINGS:
+        return _MEANINGS[name]
+    raise TypeError(
+        f"np.{name} is not available for expressions.\n"
+        "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
+    )

@@ -14,12 +14,12 @@ may stand anywhere.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from ..errors import OrderError
 from ..groups import Order
-from .graph import find_path
+from .graph import find_path, postorder
 from .leaves import Constant, Leaf, State
 from .node import Expr
 
@@ -106,8 +106,16 @@ class _Flow:
         self._operators: dict[_Token, tuple[str, Expr]] = {}
 
     def read(self, name: str, root: Expr) -> None:
-        """Everything below a root, children first, bodies of Vmaps too."""
-        for scope, node in self._below(root):
+        """Everything below a root."""
+        self._read(name, root, root, _Scope())
+
+    def _read(self, name: str, root: Expr, below: Expr, scope: _Scope) -> None:
+        """What stands below a node, children first, bodies of Vmaps too; each once in all roots."""
+        for node in postorder(below):
+            if _token(scope, node) in self._free:
+                continue
+            for body in _bodies(node):
+                self._read(name, root, body, _body_scope(scope, node))
             self._free[_token(scope, node)] = self._is_free(scope, node)
             operands, result = node.twist_orders()
             for value, order in [*zip(node.children(), operands, strict=True), (node, result)]:
@@ -140,21 +148,6 @@ class _Flow:
             # Writing a value out takes as long as all the rest.
             if known and place and known.order != place.order:
                 _agree(known, place, f" on the two sides of {name}: {_short(value)}")
-
-    def _below(self, root: Expr) -> Iterator[tuple[_Scope, Expr]]:
-        """Children before parents, each once in all roots."""
-        stack = [(_Scope(), root, False)]
-        entered: set[_Token] = set()
-        while stack:
-            scope, node, done = stack.pop()
-            token = _token(scope, node)
-            if done:
-                yield scope, node
-            elif token not in entered and token not in self._free:
-                entered.add(token)
-                stack.append((scope, node, True))
-                stack.extend((scope, child, False) for child in reversed(node.children()))
-                stack.extend((_body_scope(scope, node), body, False) for body in _bodies(node))
 
     def _is_free(self, scope: _Scope, node: Expr) -> bool:
         """Whether nothing the value is made of has an order."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .graph import postorder
-from .node import Expr
+
+if TYPE_CHECKING:
+    from .node import Expr
 
 #: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed.
 _LONGEST = 400
@@ -43,21 +45,14 @@ def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
     return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
 
 
-def _size(root: Expr) -> dict[int, int]:
-    """How many nodes each subtree prints, shared parts counted every time."""
-    sizes: dict[int, int] = {}
-    for node in postorder(root):
-        sizes[id(node)] = 1 + sum(sizes[id(child)] for child in node.children())
-    return sizes
-
-
 def _render(root: Expr, method: str, ellipsis: str) -> str:
-    sizes = _size(root)
-    limit = _LONGEST
+    sizes: dict[int, int] = {}  # how many nodes each subtree prints, shared parts counted every time
     done: dict[int, str] = {}
     for node in postorder(root):
-        children = [done[id(child)] if sizes[id(child)] <= limit else ellipsis for child in node.children()]
-        done[id(node)] = getattr(node, method)(*children)
+        below = node.children()
+        sizes[id(node)] = 1 + sum(sizes[id(child)] for child in below)
+        texts = [done[id(child)] if sizes[id(child)] <= _LONGEST else ellipsis for child in below]
+        done[id(node)] = getattr(node, method)(*texts)
     return done[id(root)]
 
 
@@ -83,22 +78,13 @@ def tree(root: Expr) -> str:
             lines.append(f"{lead}{name}{type(node).__name__} (line {numbers[id(node)]})")
             continue
         numbers[id(node)] = len(lines) + 1
-        lines.append(f"{lead}{name}{_head(node)} {_shape_text(node)}")
+        head = " ".join([type(node).__name__, *(node.details() if node.children() else [node.to_text()])])
+        try:
+            lines.append(f"{lead}{name}{head} {node.check_shape()}")
+        except ValueError:
+            lines.append(f"{lead}{name}{head} (shape does not fit)")
         below = node.outline()
         for i, (child_name, child) in reversed(list(enumerate(below))):
             last = i == len(below) - 1
             stack.append((child, child_name, indent + ("└─ " if last else "├─ "), indent + ("   " if last else "│  ")))
     return "\n".join(lines)
-
-
-def _head(node: Expr) -> str:
-    if node.children():
-        return " ".join([type(node).__name__, *node.details()])
-    return f"{type(node).__name__} {node.to_text()}"
-
-
-def _shape_text(node: Expr) -> str:
-    try:
-        return str(node.check_shape())
-    except ValueError:
-        return "(shape does not fit)"

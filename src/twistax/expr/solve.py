@@ -1,4 +1,8 @@
-"""Inverses and linear systems."""
+"""Inverses and linear systems; up to three unknowns by elimination, without branches and library calls.
+
+The adjugate is cheaper by a third, and its error grows with the square of the condition number; that of elimination
+grows with the condition number itself. Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), ch. 9.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +13,61 @@ import numpy as np
 from ..errors import ShapeError
 from ..groups.arrays import multiply
 from .arithmetic import Div, MatMul, is_identity
-from .elimination import LARGEST, eliminate
 from .fields import Operand
 from .graph import leaves_of
-from .indexing import Index
-from .leaves import Constant, Parameter, State
+from .leaves import Constant, Parameter
 from .linalg import Diag
-from .node import Example, Expr, Shape
-from .printing import wrap_latex
-from .shapes import expect_square
+from .node import Expr, Shape, expect_square
 
 #: Above this condition number a constant matrix is not inverted beforehand: a solve leaves the smaller residual.
 WORST_CONDITION = 1e8
 
 #: A larger matrix is eliminated anew for every right-hand side.
 LARGEST_INVERTED = 16
+
+#: Larger systems are LAPACK's: unrolled they would not gain.
+LARGEST = 3
+
+
+def eliminate(A: jax.Array, b: jax.Array) -> jax.Array:
+    """The x with A x = b: A (..., n, n), b (..., n, k), n up to `LARGEST`.
+
+    Derivatives are those of the implicit function. A singular matrix gives inf or NaN.
+    """
+    return jax.lax.custom_linear_solve(
+        # A sum of products: accelerators round the factors of a float32 matrix product to fewer bits.
+        lambda x: jnp.sum(A[..., :, :, None] * x[..., None, :, :], axis=-2),
+        b,
+        lambda _, right: _substituted(A, right),
+        lambda _, right: _substituted(jnp.swapaxes(A, -1, -2), right),
+    )
+
+
+def _substituted(A: jax.Array, b: jax.Array) -> jax.Array:
+    n = A.shape[-1]
+    left = [[A[..., i, j] for j in range(n)] for i in range(n)]
+    right = [b[..., i, :] for i in range(n)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            swap = jnp.abs(left[i][k]) > jnp.abs(left[k][k])
+            for j in range(k, n):
+                left[k][j], left[i][j] = _swapped(swap, left[k][j], left[i][j])
+            right[k], right[i] = _swapped(swap[..., None], right[k], right[i])
+        for i in range(k + 1, n):
+            factor = left[i][k] / left[k][k]
+            for j in range(k + 1, n):
+                left[i][j] = left[i][j] - factor * left[k][j]
+            right[i] = right[i] - factor[..., None] * right[k]
+    for i in reversed(range(n)):
+        for j in range(i + 1, n):
+            right[i] = right[i] - left[i][j][..., None] * right[j]
+        right[i] = right[i] / left[i][i][..., None]
+    return jnp.stack(right, axis=-2)
+
+
+def _swapped(swap: jax.Array, a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """(b, a) where swap, else (a, b)."""
+    return jnp.where(swap, b, a), jnp.where(swap, a, b)
 
 
 def inverse(A: jax.Array) -> jax.Array:
@@ -51,16 +95,25 @@ def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
     return x + multiply(inverted, b - multiply(A, x))
 
 
+def _well_conditioned(n: int) -> np.ndarray:
+    return n * np.eye(n) + np.arange(n * n, dtype=float).reshape(n, n) ** 1.5 / n**2
+
+
 class Inv(Expr):
     """Inverse A^-1. Shapes: (..., n, n) -> the same. To solve A x = b use Solve, which is cheaper and more accurate.
 
     A singular matrix gives inf or NaN.
 
-    Raises:
-        ShapeError: the operand is no square matrix.
+    Raises: ShapeError if the operand is no square matrix.
     """
 
     operand: Operand
+    function = inverse
+    formula = "{<0:60>}^{-1}"
+    cases = (
+        *({"operand": _well_conditioned(n)} for n in (1, 2, 3, 4)),
+        {"operand": np.stack([_well_conditioned(3), 2.0 * _well_conditioned(3).T])},
+    )
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_square(self, "operand", shapes[0], stacks=True)
@@ -69,9 +122,6 @@ class Inv(Expr):
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
         return [[(self.operand, -1), (self, -2)], [(self.operand, -2), (self, -1)]]
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return inverse(values[0])
-
     def simplify(self) -> Expr:
         """Some matrices know their inverse: inverses, diagonal matrices, Ad and Ad*."""
         known = self.operand.inverted()
@@ -79,15 +129,6 @@ class Inv(Expr):
 
     def inverted(self) -> Expr | None:
         return self.operand
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"{{{wrap_latex(self.operand, operands[0], 60)}}}^{{-1}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        stack = np.stack([_well_conditioned(3), 2.0 * _well_conditioned(3).T])
-        matrices = [*(_well_conditioned(n) for n in (1, 2, 3, 4)), stack]
-        return [Example(Inv(State("m", shape=m.shape)), {"m": m}) for m in matrices]
 
 
 class Solve(Expr):
@@ -98,13 +139,17 @@ class Solve(Expr):
     Attributes:
         A: the matrix, an inertia for example.
         b: the right-hand side, one or several columns.
-    Raises:
-        ShapeError: A is no square matrix, or b has another number of rows.
+    Raises: ShapeError if A is no square matrix, or b has another number of rows.
     """
 
     A: Operand
     b: Operand
     precedence = 20
+    formula = r"{<0:60>}^{-1} \, <1:21>"
+    cases = (
+        *({"A": _well_conditioned(n), "b": [1.0, -2.0, 0.5, 3.0][:n]} for n in (1, 2, 3, 4)),
+        {"A": _well_conditioned(3), "b": [[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]]},
+    )
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         A, b = shapes
@@ -128,24 +173,10 @@ class Solve(Expr):
         if is_identity(A):
             return b
         if isinstance(A, Diag):
-            return Div(b, A.operand if len(b.shape) == 1 else Index(A.operand, (slice(None), None)))
+            return Div(b, A.operand if len(b.shape) == 1 else A.operand[:, None])
         known = A.inverted()
         if known is not None:
             return MatMul(known, b)
         if isinstance(A, Constant) and np.linalg.cond(A.value) <= WORST_CONDITION:
             return MatMul(Constant(np.linalg.inv(A.value)), b)
         return self
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"{{{wrap_latex(self.A, operands[0], 60)}}}^{{-1}} \, {wrap_latex(self.b, operands[1], 21)}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        b, columns = np.array([1.0, -2.0, 0.5, 3.0]), np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]])
-        values = [{"A": _well_conditioned(n), "b": b[:n]} for n in (1, 2, 3, 4)]
-        values.append({"A": _well_conditioned(3), "b": columns})
-        return [Example(Solve(*(State(name, shape=v.shape) for name, v in case.items())), case) for case in values]
-
-
-def _well_conditioned(n: int) -> np.ndarray:
-    return n * np.eye(n) + np.arange(n * n, dtype=float).reshape(n, n) ** 1.5 / n**2

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from ..groups import quaternion_product, rotation_from_quaternion, so3
 from ..groups.arrays import matrix, unpack
 from .fields import Operand
-from .node import Expr, Shape
-from .shapes import expect
+from .node import Expr
+
+_HINT = "a quaternion is w, x, y, z"
 
 
 class QDCM(Expr):
@@ -18,20 +19,14 @@ class QDCM(Expr):
     q need not have length 1: it is normalised. R(q) v = q v q^-1, so that for the attitude of a body
     R maps body coordinates to world coordinates. A zero quaternion gives NaN.
 
-    Raises:
-        ShapeError: q is not of shape (4,).
+    Raises: ShapeError if q is not of shape (4,).
     """
 
     q: Operand
+    takes, gives, takes_hint = ((4,),), (3, 3), _HINT
+    function = rotation_from_quaternion
     latex_name = "R"
     cases = ({"q": [0.9, -0.2, 0.4, 0.3]},)
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "q", shapes[0], (4,), "a quaternion is w, x, y, z")
-        return (3, 3)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return rotation_from_quaternion(values[0])
 
     def makes_group_element(self, *operands: bool) -> bool:
         return True
@@ -42,20 +37,14 @@ class SSM(Expr):
 
     [w]x = [[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]]
 
-    Raises:
-        ShapeError: w is not of shape (3,).
+    Raises: ShapeError if w is not of shape (3,).
     """
 
     w: Operand
-    takes = ((3,),)
-    gives = (3, 3)
+    takes, gives = ((3,),), (3, 3)
+    function = so3.hat
+    formula = r"\left[<0>\right]_\times"
     cases = ({"w": [1.0, -2.0, 0.5]},)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return so3.hat(values[0])
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"\left[{operands[0]}\right]_\times"
 
 
 class SSMP(Expr):
@@ -65,13 +54,11 @@ class SSMP(Expr):
 
     SSMP(w) = [[0, -wx, -wy, -wz], [wx, 0, wz, -wy], [wy, -wz, 0, wx], [wz, wy, -wx, 0]]
 
-    Raises:
-        ShapeError: w is not of shape (3,).
+    Raises: ShapeError if w is not of shape (3,).
     """
 
     w: Operand
-    takes = ((3,),)
-    gives = (4, 4)
+    takes, gives = ((3,),), (4, 4)
     latex_name = r"\Omega"
     cases = ({"w": [1.0, -2.0, 0.5]},)
 
@@ -84,22 +71,13 @@ class SSMP(Expr):
 class QuaternionProduct(Expr):
     """Hamilton product p q of quaternions (w, x, y, z). Shapes: (4,), (4,) -> (4,). R(p q) = R(p) R(q).
 
-    Raises:
-        ShapeError: an operand is not of shape (4,).
+    Raises: ShapeError if an operand is not of shape (4,).
     """
 
     p: Operand
     q: Operand
+    takes, gives, takes_hint = ((4,), (4,)), (4,), _HINT
+    function = quaternion_product
+    formula = r"<0> \otimes <1>"
     precedence = 20
     cases = ({"p": [0.9, -0.2, 0.4, 0.3], "q": [0.1, 1.0, -0.5, 2.0]},)
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "p", shapes[0], (4,), "a quaternion is w, x, y, z")
-        expect(self, "q", shapes[1], (4,), "a quaternion is w, x, y, z")
-        return (4,)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return quaternion_product(*values)
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"{operands[0]} \otimes {operands[1]}"

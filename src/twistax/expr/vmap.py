@@ -10,15 +10,17 @@ import jax
 import numpy as np
 
 from ..errors import ModelError, ShapeError
-from .constraint import Constraint
+from .arithmetic import Constraint
 from .fields import Operands
-from .graph import leaves_of, substitute
-from .leaves import Leaf, Parameter, State
-from .node import Example, Expr, Shape, to_expr
-from .walk import evaluate_all
+from .graph import evaluate_all, leaves_of, substitute
+from .leaves import Leaf
+from .node import Expr, Shape, to_expr
 
 #: How many Vmaps are being built around the current one: it names their placeholders by their place.
 _depth: contextvars.ContextVar[int] = contextvars.ContextVar("depth", default=0)
+
+
+_POINTS = np.arange(8.0).reshape(4, 2) ** 1.5
 
 
 class Placeholder(Leaf):
@@ -57,6 +59,15 @@ class Vmap(Expr):
     axis: int
     body: Expr
     placeholders: tuple[Expr, ...]
+    cases = (
+        (lambda cls, x, points: cls(lambda p: p * x - 2.0, points), {"x": [0.3, -0.4], "points": _POINTS}),
+        (
+            lambda cls, x, points, radii: cls(lambda p, r: r * (p @ x), [points, radii]),
+            {"x": [0.3, -0.4], "points": _POINTS, "radii": np.arange(1.0, 5.0)},
+        ),
+        (lambda cls, points: cls(lambda c: c @ c, points, axis=1), {"points": _POINTS}),
+        (lambda cls, points: cls(lambda p: cls(lambda q: p @ q, points), points), {"points": _POINTS}),
+    )
 
     def __new__(cls, fn: Callable[..., Any] | None = None, batch: Any = None, axis: int = 0) -> Any:
         node = object.__new__(cls)
@@ -145,21 +156,6 @@ class Vmap(Expr):
         pairs = zip(self.placeholders, operands)
         over = r",\, ".join(rf"{p.to_latex()} \in {batch}" for p, batch in pairs)
         return rf"\left[{self.body.latex()}\right]_{{{over}}}"
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x, points, radii = State("x", shape=(2,)), State("points", shape=(4, 2)), Parameter("radii", shape=(4,))
-        values = {
-            "x": np.array([0.3, -0.4]),
-            "points": np.arange(8.0).reshape(4, 2) ** 1.5,
-            "radii": np.arange(1.0, 5.0),
-        }
-        return [
-            Example(Vmap(lambda p: p * x - 2.0, batch=points), values),
-            Example(Vmap(lambda p, r: r * (p @ x), batch=[points, radii]), values),
-            Example(Vmap(lambda c: c @ c, batch=points, axis=1), values),
-            Example(Vmap(lambda p: Vmap(lambda q: p @ q, batch=points), batch=points), values),
-        ]
 
 
 def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:

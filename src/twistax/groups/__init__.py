@@ -11,8 +11,8 @@ from twistax.groups.special import (
     Order,
     SpecialEuclidean,
     SpecialOrthogonal,
+    tangent_grad,
 )
-from twistax.groups.tangent import tangent_grad
 
 __all__ = [
     "ANGULAR_FIRST",

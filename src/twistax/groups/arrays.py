@@ -1,7 +1,7 @@
-"""What the numeric maps accept, the one place where it becomes arrays, and small vectors as tuples of their components.
+"""What the numeric maps accept, the one place where it becomes arrays, and formulas of small vectors.
 
-Small vectors are unrolled: XLA turns scalar arithmetic into a few instructions, while products of 3x3 arrays inside a
-loop become calls. The public maps unpack their arguments here and pack the result once.
+Small vectors are tuples of their components: XLA turns scalar arithmetic into a few instructions, while products of 3x3
+arrays inside a loop become calls. The public maps unpack their arguments here and pack the result once.
 """
 
 from __future__ import annotations
@@ -15,21 +15,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from twistax.errors import ShapeError
-
-__all__ = [
-    "Components",
-    "Input",
-    "add",
-    "cross",
-    "dot",
-    "floats",
-    "matrix",
-    "multiply",
-    "of_shape",
-    "scale",
-    "unpack",
-    "vector",
-]
 
 Input: TypeAlias = ArrayLike | Sequence[Any]
 
@@ -104,3 +89,75 @@ def add(a: Components, *others: Components) -> Components:
 def scale(s: Array | float, a: Components) -> Components:
     """s a"""
     return tuple(s * x for x in a)
+
+
+# ---- formulas of rotation vectors w and twists [v; w], W = hat(w) ------------------------------------------------
+
+
+def rigid_polynomial(w: Components, a: Array | float, b: Array) -> Array:
+    """I + a W + b W^2 with W = hat(w), from W^2 = w w^T - |w|^2 I: diagonal entries never see |w|^2 itself."""
+    x, y, z = w
+    bx, by, bz = scale(b, w)
+    return matrix(turn_rows(scale(a, w), (bx * x, by * y, bz * z, bx * y, bx * z, by * z)))
+
+
+def turn_rows(a: Components, squares: Components) -> list[list[Array]]:
+    """The rows of I + hat(a) + S - tr(S) I, S symmetric with xx, yy, zz, xy, xz, yz."""
+    (ax, ay, az), (xx, yy, zz, xy, xz, yz) = a, squares
+    return [
+        [1.0 - (yy + zz), xy - az, xz + ay],
+        [xy + az, 1.0 - (xx + zz), yz - ax],
+        [xz - ay, yz + ax, 1.0 - (xx + yy)],
+    ]
+
+
+def swept(w: Components, v: Components, a: Array | float, b: Array) -> Components:
+    """(I + a W + b W^2) v: the position of Exp with J_l, a = (1 - cos t) / t^2 and b = (t - sin t) / t^3."""
+    once = cross(w, v)
+    return add(v, scale(a, once), scale(b, cross(w, once)))
+
+
+def dual_polynomial(w: Components, v: Components, a: Array | float, b: Array, da: Array | float, db: Array) -> Array:
+    """The derivative of I + a(x) W + b(x) W^2, x = |w|^2, in the direction v; da and db are a'(x) and b'(x).
+
+    It is a V + b (W V + V W) + 2 (w . v) (a' W + b' W^2).
+    """
+    double = 2.0 * dot(w, v)
+    k = double * db
+    ax, ay, az = add(scale(a, v), scale(double * da, w))
+    # b (w v^T + v w^T) + k w w^T = w u^T + v z^T with z = b w, u = b v + k w.
+    z = scale(b, w)
+    u = add(scale(b, v), scale(k, w))
+    xx, yy, zz = (w[i] * u[i] + v[i] * z[i] for i in range(3))
+    xy, xz, yz = (w[i] * u[j] + v[i] * z[j] for i, j in ((0, 1), (0, 2), (1, 2)))
+    return matrix(
+        [
+            [-(yy + zz), xy - az, xz + ay],
+            [xy + az, -(xx + zz), yz - ax],
+            [xz - ay, yz + ax, -(xx + yy)],
+        ]
+    )
+
+
+def rotation_rate(w: Components, u: Components, d: Array | float) -> Components:
+    """J_r(w)^-1 u = u + w x u / 2 + d w x (w x u), d = (1 - (t/2) cot(t/2)) / t^2; a d of exactly 0.0 is left out."""
+    if isinstance(d, float) and d == 0.0:
+        return add(u, scale(0.5, cross(w, u)))
+    return add(u, cross(w, add(scale(0.5, u), scale(d, cross(w, u)))))
+
+
+def pose_rate(eta: Components, omega: Components, d: Array | float, rise: Array | float) -> Components:
+    """J_r(eta)^-1 Omega with J_r^-1 = I + W/2 + d W^2 for rotations, `rise` being the derivative of d by |w|^2.
+
+    Terms with a d or a rise of exactly 0.0 are left out.
+    """
+    v, w, y, u = eta[:3], eta[3:], omega[:3], omega[3:]
+    turn, shift = cross(w, u), add(cross(w, y), cross(v, u))
+    turn_arm, shift_arm = [scale(0.5, u)], [scale(0.5, y)]
+    if not (isinstance(d, float) and d == 0.0):
+        turn_arm.append(scale(d, turn))
+        shift_arm.append(scale(d, shift))
+    if not (isinstance(rise, float) and rise == 0.0):
+        shift_arm.append(scale(2.0 * rise * dot(w, v), turn))
+    arm = add(*turn_arm)
+    return (*add(y, cross(w, add(*shift_arm)), cross(v, arm)), *add(u, cross(w, arm)))

@@ -17,8 +17,6 @@ from jaxtyping import Array, Float
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups.arrays import Input, floats, multiply, of_shape
 
-__all__ = ["Euclidean", "Group", "Product"]
-
 
 class Group(ABC):
     """A Lie group of states with right perturbations: g (+) d = g Exp(d), and rates in the body frame, g' = g hat(xi).

@@ -10,8 +10,6 @@ from twistax.errors import InputError, ShapeError
 from twistax.groups import quaternions, se3
 from twistax.groups.arrays import Input, floats, of_shape
 
-__all__ = ["euler", "pose", "quaternion", "quaternion_product", "rotation_from_quaternion"]
-
 
 def _concrete(a: Array) -> np.ndarray | None:
     """The values, or None while JAX traces and there are none."""

@@ -5,10 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from twistax.groups.arrays import Components, add, cross, dot, matrix, multiply, scale, unpack, vector
+from twistax.groups.arrays import Components, add, cross, dot, matrix, multiply, scale, turn_rows, unpack, vector
 from twistax.groups.series import exp_coefficients
-
-__all__ = ["exp", "from_rotation", "hamilton", "product", "rate", "rotate", "rotation_rows", "to_rotation", "unscaled"]
 
 
 def _squares(R: Array) -> list[list[Array]]:
@@ -66,11 +64,7 @@ def rotation_rows(q: Components, double: Array | float = 2.0) -> list[list[Array
     ax, ay, az = double * x, double * y, double * z
     wx, wy, wz, xx, xy, xz = w * ax, w * ay, w * az, x * ax, x * ay, x * az
     yy, yz, zz = y * ay, y * az, z * az
-    return [
-        [1.0 - (yy + zz), xy - wz, xz + wy],
-        [xy + wz, 1.0 - (xx + zz), yz - wx],
-        [xz - wy, yz + wx, 1.0 - (xx + yy)],
-    ]
+    return turn_rows((wx, wy, wz), (xx, yy, zz, xy, xz, yz))
 
 
 def rotate(q: Components, v: Components) -> Components:

@@ -21,67 +21,23 @@ from twistax.groups.arrays import (
     add,
     cross,
     dot,
+    dual_polynomial,
     floats,
     matrix,
     multiply,
     of_shape,
-    scale,
+    pose_rate,
+    rigid_polynomial,
+    swept,
     unpack,
     vector,
 )
 from twistax.groups.series import exp_coefficients, inverse_coefficients, inverse_derivative, jacobian_coefficients
 
-__all__ = [
-    "Ad",
-    "Ad_dual",
-    "act",
-    "ad",
-    "ad_dual",
-    "between",
-    "bracket",
-    "coad",
-    "compose",
-    "exp",
-    "hat",
-    "inverse",
-    "left_jacobian",
-    "left_jacobian_inv",
-    "log",
-    "pulled_back",
-    "right_jacobian",
-    "right_jacobian_inv",
-    "right_jacobian_inv_apply",
-    "swept",
-    "transform",
-    "vee",
-]
-
 
 def _halves(xi: Array) -> tuple[Components, Components]:
     parts = unpack(xi)
     return parts[:3], parts[3:]
-
-
-def _dual_polynomial(w: Components, v: Components, a: Array | float, b: Array, da: Array | float, db: Array) -> Array:
-    """The derivative of I + a(x) W + b(x) W^2, x = |w|^2, in the direction v; da and db are a'(x) and b'(x).
-
-    It is a V + b (W V + V W) + 2 (w . v) (a' W + b' W^2).
-    """
-    double = 2.0 * dot(w, v)
-    k = double * db
-    ax, ay, az = add(scale(a, v), scale(double * da, w))
-    # b (w v^T + v w^T) + k w w^T = w u^T + v z^T with z = b w, u = b v + k w.
-    z = scale(b, w)
-    u = add(scale(b, v), scale(k, w))
-    xx, yy, zz = (w[i] * u[i] + v[i] * z[i] for i in range(3))
-    xy, xz, yz = (w[i] * u[j] + v[i] * z[j] for i, j in ((0, 1), (0, 2), (1, 2)))
-    return matrix(
-        [
-            [-(yy + zz), xy - az, xz + ay],
-            [xy + az, -(xx + zz), yz - ax],
-            [xz - ay, yz + ax, -(xx + yy)],
-        ]
-    )
 
 
 def _blocks(diagonal: Array, upper: Array, lower: Array) -> Array:
@@ -97,12 +53,6 @@ def transform(R: Array, p: Array) -> Array:
     return jnp.concatenate([top, jnp.asarray([[0.0, 0.0, 0.0, 1.0]], dtype=top.dtype)], axis=0)
 
 
-def swept(w: Components, v: Components, a: Array | float, b: Array) -> Components:
-    """(I + a W + b W^2) v: the position of Exp with J_l, a = (1 - cos t) / t^2 and b = (t - sin t) / t^3."""
-    once = cross(w, v)
-    return add(v, scale(a, once), scale(b, cross(w, once)))
-
-
 def exp(xi: Input) -> Float[Array, "4 4"]:
     """Exp(xi) = [Exp(w), J_l(w) v; 0, 1]: the pose reached from the origin by the constant body twist xi in unit time.
 
@@ -111,7 +61,7 @@ def exp(xi: Input) -> Float[Array, "4 4"]:
     (xi,) = of_shape("se3.exp", {"xi": (6,)}, xi)
     v, w = _halves(xi)
     first, second, third = exp_coefficients(dot(w, w))
-    return transform(so3.rigid_polynomial(w, first, second), vector(swept(w, v, second, third)))
+    return transform(rigid_polynomial(w, first, second), vector(swept(w, v, second, third)))
 
 
 def log(T: Input) -> Float[Array, "6"]:
@@ -225,8 +175,8 @@ def left_jacobian(xi: Input) -> Float[Array, "6 6"]:
     (xi,) = of_shape("se3.left_jacobian", {"xi": (6,)}, xi)
     v, w = _halves(xi)
     second, third, second_slope, third_slope = jacobian_coefficients(dot(w, w))
-    Q = _dual_polynomial(w, v, second, third, second_slope, third_slope)
-    return _blocks(so3.rigid_polynomial(w, second, third), Q, jnp.zeros((3, 3), xi.dtype))
+    Q = dual_polynomial(w, v, second, third, second_slope, third_slope)
+    return _blocks(rigid_polynomial(w, second, third), Q, jnp.zeros((3, 3), xi.dtype))
 
 
 def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
@@ -234,8 +184,7 @@ def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
 
     Shapes: (6,) -> (6, 6). Raises ShapeError.
     """
-    (xi,) = of_shape("se3.right_jacobian", {"xi": (6,)}, xi)
-    return left_jacobian(-xi)
+    return left_jacobian(-floats(xi)[0])
 
 
 def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
@@ -246,14 +195,13 @@ def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
     (xi,) = of_shape("se3.left_jacobian_inv", {"xi": (6,)}, xi)
     v, w = _halves(xi)
     d, slope = inverse_coefficients(dot(w, w))
-    E = _dual_polynomial(w, v, -0.5, d, 0.0, slope)
-    return _blocks(so3.rigid_polynomial(w, -0.5, d), E, jnp.zeros((3, 3), xi.dtype))
+    E = dual_polynomial(w, v, -0.5, d, 0.0, slope)
+    return _blocks(rigid_polynomial(w, -0.5, d), E, jnp.zeros((3, 3), xi.dtype))
 
 
 def right_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
     """J_r(xi)^-1 = J_l(-xi)^-1. Shapes: (6,) -> (6, 6). Raises ShapeError."""
-    (xi,) = of_shape("se3.right_jacobian_inv", {"xi": (6,)}, xi)
-    return left_jacobian_inv(-xi)
+    return left_jacobian_inv(-floats(xi)[0])
 
 
 def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:
@@ -265,21 +213,4 @@ def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:
     """
     eta, omega = of_shape("se3.right_jacobian_inv_apply", {"eta": (6,), "omega": (6,)}, eta, omega)
     z = unpack(eta)
-    return vector(pulled_back(z, unpack(omega), *inverse_coefficients(dot(z[3:], z[3:]))))
-
-
-def pulled_back(eta: Components, omega: Components, d: Array | float, rise: Array | float) -> Components:
-    """J_r(eta)^-1 Omega with J_r^-1 = I + W/2 + d W^2 for rotations, `rise` being the derivative of d by |w|^2.
-
-    Terms with a d or a rise of exactly 0.0 are left out.
-    """
-    v, w, y, u = eta[:3], eta[3:], omega[:3], omega[3:]
-    turn, shift = cross(w, u), add(cross(w, y), cross(v, u))
-    turn_arm, shift_arm = [scale(0.5, u)], [scale(0.5, y)]
-    if not (isinstance(d, float) and d == 0.0):
-        turn_arm.append(scale(d, turn))
-        shift_arm.append(scale(d, shift))
-    if not (isinstance(rise, float) and rise == 0.0):
-        shift_arm.append(scale(2.0 * rise * dot(w, v), turn))
-    arm = add(*turn_arm)
-    return (*add(y, cross(w, add(*shift_arm)), cross(v, arm)), *add(u, cross(w, arm)))
+    return vector(pose_rate(z, unpack(omega), *inverse_coefficients(dot(z[3:], z[3:]))))

@@ -21,17 +21,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-__all__ = [
-    "angle_ratio",
-    "exp_coefficients",
-    "inverse_coefficients",
-    "inverse_derivative",
-    "inverse_polynomial",
-    "jacobian_coefficients",
-    "stumpff",
-    "stumpff_polynomial",
-]
-
 
 def _horner(x: Array, coefficients: tuple[float, ...]) -> Array:
     """sum_j coefficients[j] x^j for two or more coefficients."""

@@ -13,59 +13,20 @@ from jaxtyping import Array, Float
 from twistax.errors import ShapeError
 from twistax.groups import quaternions
 from twistax.groups.arrays import (
-    Components,
     Input,
-    add,
     cross,
     dot,
     floats,
     matrix,
     multiply,
     of_shape,
+    rigid_polynomial,
+    rotation_rate,
     scale,
     unpack,
     vector,
 )
 from twistax.groups.series import angle_ratio, exp_coefficients, inverse_derivative
-
-__all__ = [
-    "Ad",
-    "Ad_dual",
-    "act",
-    "ad",
-    "ad_dual",
-    "bracket",
-    "coad",
-    "compose",
-    "exp",
-    "hat",
-    "inverse",
-    "left_jacobian",
-    "left_jacobian_inv",
-    "log",
-    "pulled_back",
-    "rigid_polynomial",
-    "right_jacobian",
-    "right_jacobian_inv",
-    "right_jacobian_inv_apply",
-    "tightened",
-    "vee",
-]
-
-
-def rigid_polynomial(w: Components, a: Array | float, b: Array) -> Array:
-    """I + a W + b W^2 with W = hat(w), from W^2 = w w^T - |w|^2 I: diagonal entries never see |w|^2 itself."""
-    x, y, z = w
-    bx, by, bz = scale(b, w)
-    ax, ay, az = scale(a, w)
-    xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
-    return matrix(
-        [
-            [1.0 - (yy + zz), xy - az, xz + ay],
-            [xy + az, 1.0 - (xx + zz), yz - ax],
-            [xz - ay, yz + ax, 1.0 - (xx + yy)],
-        ]
-    )
 
 
 def exp(w: Input) -> Float[Array, "3 3"]:
@@ -140,22 +101,6 @@ def act(R: Input, points: Input) -> Float[Array, "*points"]:
     return multiply(R, points) if points.ndim == 1 else multiply(points, R.T)
 
 
-def tightened(R: Input) -> Float[Array, "3 3"]:
-    """R (3 I - R^T R) / 2: a drift of size e in R^T R - I becomes one of size e^2.
-
-    One Newton step towards the nearest rotation, cheap enough for every step of a long run. Shapes: (3, 3) -> (3, 3).
-    Raises ShapeError. Source: Higham, Functions of Matrices (2008), ch. 8, the Newton-Schulz iteration.
-    """
-    (R,) = of_shape("so3.tightened", {"R": (3, 3)}, R)
-    entries = unpack(R)
-    rows = [entries[i : i + 3] for i in (0, 3, 6)]
-    x, y, z = (entries[i::3] for i in range(3))
-    xx, yy, zz = (0.5 * (dot(column, column) - 1.0) for column in (x, y, z))
-    xy, xz, yz = 0.5 * dot(x, y), 0.5 * dot(x, z), 0.5 * dot(y, z)
-    half = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-    return matrix([[row[j] - dot(row, half[j]) for j in range(3)] for row in rows])
-
-
 def ad(w: Input) -> Float[Array, "3 3"]:
     """The matrix of u -> [w, u] = w x u, which is hat(w). Shapes: (3,) -> (3, 3). Raises ShapeError."""
     return hat(w)
@@ -201,8 +146,7 @@ def left_jacobian(w: Input) -> Float[Array, "3 3"]:
 
 def right_jacobian(w: Input) -> Float[Array, "3 3"]:
     """J_r(w) = J_l(-w): Exp(w + d) = Exp(w) Exp(J_r d) to first order. Shapes: (3,) -> (3, 3). Raises ShapeError."""
-    (w,) = of_shape("so3.right_jacobian", {"w": (3,)}, w)
-    return left_jacobian(-w)
+    return left_jacobian(-floats(w)[0])
 
 
 def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
@@ -217,8 +161,7 @@ def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
 
 def right_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
     """J_r(w)^-1 = J_l(-w)^-1. Shapes: (3,) in rad -> (3, 3). Raises ShapeError."""
-    (w,) = of_shape("so3.right_jacobian_inv", {"w": (3,)}, w)
-    return left_jacobian_inv(-w)
+    return left_jacobian_inv(-floats(w)[0])
 
 
 def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
@@ -228,11 +171,4 @@ def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
     """
     w, u = of_shape("so3.right_jacobian_inv_apply", {"w": (3,), "u": (3,)}, w, u)
     a = unpack(w)
-    return vector(pulled_back(a, unpack(u), inverse_derivative(0, dot(a, a))))
-
-
-def pulled_back(w: Components, u: Components, d: Array | float) -> Components:
-    """J_r(w)^-1 u = u + w x u / 2 + d w x (w x u), d = (1 - (t/2) cot(t/2)) / t^2; a d of exactly 0.0 is left out."""
-    if isinstance(d, float) and d == 0.0:
-        return add(u, scale(0.5, cross(w, u)))
-    return add(u, cross(w, add(scale(0.5, u), scale(d, cross(w, u)))))
+    return vector(rotation_rate(a, unpack(u), inverse_derivative(0, dot(a, a))))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from twistax.errors import ShapeError
+from twistax.errors import InputError, ShapeError
 from twistax.groups import quaternions, se3, so3
-from twistax.groups.arrays import Input, cross, dot, floats, multiply, of_shape, unpack
+from twistax.groups.arrays import Input, cross, dot, floats, matrix, multiply, of_shape, unpack
 from twistax.groups.group import Group
-
-__all__ = ["ANGULAR_FIRST", "LINEAR_FIRST", "SE3", "SO3", "Order", "SpecialEuclidean", "SpecialOrthogonal"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,6 +63,21 @@ LINEAR_FIRST = Order(linear_leads=True)
 ANGULAR_FIRST = Order(linear_leads=False)
 
 
+def _tightened(R: Array) -> Array:
+    """R (3 I - R^T R) / 2: a drift of size e in R^T R - I becomes one of size e^2.
+
+    One Newton step towards the nearest rotation, cheap enough for every step of a long run.
+    Source: Higham, Functions of Matrices (2008), ch. 8, the Newton-Schulz iteration.
+    """
+    entries = unpack(R)
+    rows = [entries[i : i + 3] for i in (0, 3, 6)]
+    x, y, z = (entries[i::3] for i in range(3))
+    xx, yy, zz = (0.5 * (dot(column, column) - 1.0) for column in (x, y, z))
+    xy, xz, yz = 0.5 * dot(x, y), 0.5 * dot(x, z), 0.5 * dot(y, z)
+    half = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    return matrix([[row[j] - dot(row, half[j]) for j in range(3)] for row in rows])
+
+
 def _nearest(R: Array) -> Array:
     return quaternions.to_rotation(quaternions.unscaled(R))
 
@@ -73,54 +90,58 @@ def _skewness(R: Array) -> Array:
     )
 
 
+class _MatrixGroup(Group):
+    """Base of both: the maps of a module, which work linear first, on tangents in the group's order."""
+
+    _maps: ClassVar[ModuleType]
+
+    def _reordered(self, a: Any) -> Any:
+        """To linear first or back, which is the same."""
+        return a
+
+    def identity(self, dtype: DTypeLike | None = None) -> Float[Array, "m m"]:
+        return jnp.eye(self.shape[0], dtype=dtype)
+
+    def exp(self, xi: Input) -> Float[Array, "m m"]:
+        return self._maps.exp(self._reordered(xi))
+
+    def log(self, g: Input) -> Float[Array, "n"]:
+        return self._reordered(self._maps.log(g))
+
+    def compose(self, g: Input, h: Input) -> Float[Array, "m m"]:
+        return self._maps.compose(g, h)
+
+    def inverse(self, g: Input) -> Float[Array, "m m"]:
+        return self._maps.inverse(g)
+
+    def Ad(self, g: Input) -> Float[Array, "n n"]:
+        return self._reordered(self._maps.Ad(g))
+
+    def ad(self, xi: Input) -> Float[Array, "n n"]:
+        return self._reordered(self._maps.ad(self._reordered(xi)))
+
+    def bracket(self, xi: Input, eta: Input) -> Float[Array, "n"]:
+        return self._reordered(self._maps.bracket(self._reordered(xi), self._reordered(eta)))
+
+    def left_jacobian(self, xi: Input) -> Float[Array, "n n"]:
+        return self._reordered(self._maps.left_jacobian(self._reordered(xi)))
+
+    def left_jacobian_inv(self, xi: Input) -> Float[Array, "n n"]:
+        return self._reordered(self._maps.left_jacobian_inv(self._reordered(xi)))
+
+    def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "n"]:
+        moved = self._maps.right_jacobian_inv_apply(self._reordered(eta), self._reordered(omega))
+        return self._reordered(moved)
+
+
 @dataclass(frozen=True)
-class SpecialOrthogonal(Group):
+class SpecialOrthogonal(_MatrixGroup):
     """SO(3): rotations as (3, 3) matrices, tangents as rotation vectors (3,) in rad. Use the instance SO3."""
 
-    @property
-    def name(self) -> str:
-        return "SO3"
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (3, 3)
-
-    @property
-    def dimension(self) -> int:
-        return 3
-
-    def identity(self, dtype: DTypeLike | None = None) -> Float[Array, "3 3"]:
-        return jnp.eye(3, dtype=dtype)
-
-    def exp(self, xi: Input) -> Float[Array, "3 3"]:
-        return so3.exp(xi)
-
-    def log(self, g: Input) -> Float[Array, "3"]:
-        return so3.log(g)
-
-    def compose(self, g: Input, h: Input) -> Float[Array, "3 3"]:
-        return so3.compose(g, h)
-
-    def inverse(self, g: Input) -> Float[Array, "3 3"]:
-        return so3.inverse(g)
-
-    def Ad(self, g: Input) -> Float[Array, "3 3"]:
-        return so3.Ad(g)
-
-    def ad(self, xi: Input) -> Float[Array, "3 3"]:
-        return so3.ad(xi)
-
-    def bracket(self, xi: Input, eta: Input) -> Float[Array, "3"]:
-        return so3.bracket(xi, eta)
-
-    def left_jacobian(self, xi: Input) -> Float[Array, "3 3"]:
-        return so3.left_jacobian(xi)
-
-    def left_jacobian_inv(self, xi: Input) -> Float[Array, "3 3"]:
-        return so3.left_jacobian_inv(xi)
-
-    def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "3"]:
-        return so3.right_jacobian_inv_apply(eta, omega)
+    name: ClassVar[str] = "SO3"
+    shape: ClassVar[tuple[int, ...]] = (3, 3)
+    dimension: ClassVar[int] = 3
+    _maps: ClassVar[ModuleType] = so3
 
     def normalize(self, g: Input) -> Float[Array, "3 3"]:
         """The rotation nearest to g, up to the square of the drift; orthonormal to round-off."""
@@ -128,7 +149,7 @@ class SpecialOrthogonal(Group):
 
     def tighten(self, g: Input) -> Float[Array, "3 3"]:
         """One Newton step towards the nearest rotation."""
-        return so3.tightened(g)
+        return _tightened(*of_shape("SO3.tighten", {"g": self.shape}, g))
 
     def defect(self, g: Input) -> Float[Array, ""]:
         """The larger of max |g^T g - I| and |det g - 1|."""
@@ -136,13 +157,16 @@ class SpecialOrthogonal(Group):
 
 
 @dataclass(frozen=True)
-class SpecialEuclidean(Group):
+class SpecialEuclidean(_MatrixGroup):
     """SE(3): poses as (4, 4) matrices, tangents as twists (6,) in the given order. Use the instance SE3.
 
     The order concerns tangents, Ad, ad and the Jacobians, never the pose.
     """
 
     order: Order = LINEAR_FIRST
+    shape: ClassVar[tuple[int, ...]] = (4, 4)
+    dimension: ClassVar[int] = 6
+    _maps: ClassVar[ModuleType] = se3
 
     def with_order(self, order: Order) -> SpecialEuclidean:
         """The same group with tangents in another order."""
@@ -152,51 +176,11 @@ class SpecialEuclidean(Group):
     def name(self) -> str:
         return "SE3" if self.order == LINEAR_FIRST else f"SE3[{self.order!r}]"
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (4, 4)
-
-    @property
-    def dimension(self) -> int:
-        return 6
-
-    def identity(self, dtype: DTypeLike | None = None) -> Float[Array, "4 4"]:
-        return jnp.eye(4, dtype=dtype)
-
-    def exp(self, xi: Input) -> Float[Array, "4 4"]:
-        return se3.exp(self.order.to_linear_first(xi))
-
-    def log(self, g: Input) -> Float[Array, "6"]:
-        return self.order.from_linear_first(se3.log(g))
-
-    def compose(self, g: Input, h: Input) -> Float[Array, "4 4"]:
-        return se3.compose(g, h)
-
-    def inverse(self, g: Input) -> Float[Array, "4 4"]:
-        return se3.inverse(g)
+    def _reordered(self, a: Any) -> Any:
+        return self.order.from_linear_first(a)
 
     def difference(self, g: Input, h: Input) -> Float[Array, "6"]:
         return self.log(se3.between(g, h))
-
-    def Ad(self, g: Input) -> Float[Array, "6 6"]:
-        return self.order.from_linear_first(se3.Ad(g))
-
-    def ad(self, xi: Input) -> Float[Array, "6 6"]:
-        return self.order.from_linear_first(se3.ad(self.order.to_linear_first(xi)))
-
-    def bracket(self, xi: Input, eta: Input) -> Float[Array, "6"]:
-        linear_first = self.order.to_linear_first
-        return self.order.from_linear_first(se3.bracket(linear_first(xi), linear_first(eta)))
-
-    def left_jacobian(self, xi: Input) -> Float[Array, "6 6"]:
-        return self.order.from_linear_first(se3.left_jacobian(self.order.to_linear_first(xi)))
-
-    def left_jacobian_inv(self, xi: Input) -> Float[Array, "6 6"]:
-        return self.order.from_linear_first(se3.left_jacobian_inv(self.order.to_linear_first(xi)))
-
-    def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "6"]:
-        linear_first = self.order.to_linear_first
-        return self.order.from_linear_first(se3.right_jacobian_inv_apply(linear_first(eta), linear_first(omega)))
 
     def normalize(self, g: Input) -> Float[Array, "4 4"]:
         """The nearest rotation (up to the square of the drift) with the same position, and an exact last row."""
@@ -206,7 +190,7 @@ class SpecialEuclidean(Group):
     def tighten(self, g: Input) -> Float[Array, "4 4"]:
         """One Newton step of the rotation towards the nearest one; the position stays."""
         (g,) = of_shape("SE3.tighten", {"g": self.shape}, g)
-        return se3.transform(so3.tightened(g[:3, :3]), g[:3, 3])
+        return se3.transform(_tightened(g[:3, :3]), g[:3, 3])
 
     def defect(self, g: Input) -> Float[Array, ""]:
         """The largest of max |R^T R - I|, |det R - 1| and the deviation of the last row from (0, 0, 0, 1)."""
@@ -217,3 +201,35 @@ class SpecialEuclidean(Group):
 
 SO3 = SpecialOrthogonal()
 SE3 = SpecialEuclidean()
+
+
+def tangent_grad(fn: Callable[..., Any], group: Group = SE3, argnums: int = 0) -> Callable[..., jax.Array]:
+    """The gradient of a scalar function of a group element: d/dd fn(g Exp(d)) at d = 0, in reverse mode.
+
+    The ambient gradient of a pose is a 4x4 array with directions that leave the group; this one has the group's
+    dimension: (6,) for SE3, in the order of the group, (3,) for SO3. With a Product, g is a dict and the gradient one
+    flat vector in the order of declaration (`group.split` takes it apart).
+
+    Args:
+        fn: scalar function; argument number `argnums` is the element, the others pass through.
+        group: where the element lives; for the state of a compiled system `dynamics.group`.
+    Returns:
+        A function of fn's arguments. It may be jitted, mapped and differentiated again.
+    Raises:
+        InputError: at call time, fewer arguments than argnums needs.
+        TypeError: from JAX, if fn is not scalar.
+    """
+
+    def gradient(*args: Any, **kwargs: Any) -> jax.Array:
+        if not -len(args) <= argnums < len(args):
+            raise InputError(f"tangent_grad looks at argument {argnums}, but {len(args)} positional ones came")
+        position = argnums % len(args)
+        element = args[position]
+
+        def moved(d: jax.Array) -> Any:
+            return fn(*args[:position], group.retract(element, d), *args[position + 1 :], **kwargs)
+
+        floating = [leaf.dtype for leaf in jax.tree.leaves(jax.tree.map(jnp.asarray, element))]
+        return jax.grad(moved)(jnp.zeros(group.dimension, jnp.result_type(*floating)))
+
+    return gradient

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..errors import ModelError
-from ..groups import Euclidean, Group, Order, Product, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
-from ..groups.arrays import Components, add, dot, matrix, scale, unpack, vector
+from ..groups import Euclidean, Group, Order, Product, SpecialEuclidean, SpecialOrthogonal, quaternions
+from ..groups.arrays import Components, add, dot, matrix, pose_rate, rotation_rate, scale, swept, unpack, vector
 from ..groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import held
@@ -231,7 +231,7 @@ class _Split(_Stored):
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         w = z[-3:]
-        turn = so3.pulled_back(w, omega[-3:], self.maps.inverse(dot(w, w))[0])
+        turn = rotation_rate(w, omega[-3:], self.maps.inverse(dot(w, w))[0])
         return (*_in_world(moved[:4], omega[:-3]), *turn)
 
     def first_slope(self, y: Components, omega: Components) -> Components:
@@ -253,11 +253,11 @@ class _Pose(_Stored):
         x = dot(w, w)
         cosine, sine, third = held((*self.maps.half_turn(x), self.maps.third(x)))
         # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2: the sine of the quaternion serves again.
-        shift = held(se3.swept(w, v, 2.0 * sine * sine, third))
+        shift = held(swept(w, v, 2.0 * sine * sine, third))
         return (*_turned(y[:4], w, cosine, sine), *add(y[4:], quaternions.rotate(y[:4], shift)))
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
-        return se3.pulled_back(z, omega, *self.maps.inverse(dot(z[3:], z[3:])))
+        return pose_rate(z, omega, *self.maps.inverse(dot(z[3:], z[3:])))
 
     def tangent(self, z: Components) -> jax.Array:
         return self.group.order.from_linear_first(vector(z))

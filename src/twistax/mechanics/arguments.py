@@ -6,9 +6,7 @@ import numpy as np
 
 from ..errors import ModelError, ShapeError
 from ..expr import Constant, Expr, to_expr
-from ..expr.fields import ExprLike, positive
-
-__all__ = ["of_shape", "pose", "positive"]
+from ..expr.fields import ExprLike
 
 #: How far a constant may be from a pose. Matrices typed with four digits pass, a scaled one does not.
 _NEARLY = 1e-4

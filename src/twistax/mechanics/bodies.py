@@ -43,9 +43,7 @@ class SpatialInertia:
 
     def __init__(self, *, mass: ExprLike, center_of_mass: ExprLike = (0.0, 0.0, 0.0), inertia: ExprLike) -> None:
         self.mass, self.center_of_mass, self.inertia = _parts_of(mass, center_of_mass, inertia)
-        _check_mass(_known(self.mass))
-        _check_center(_known(self.center_of_mass))
-        _check_inertia(_known(self.inertia))
+        _check(_known(self.mass), _known(self.center_of_mass), _known(self.inertia))
 
     @classmethod
     def about_origin(cls, *, mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> SpatialInertia:
@@ -142,8 +140,7 @@ class SpatialInertia:
     def merge(self, other: SpatialInertia) -> SpatialInertia:
         """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`.
 
-        Raises:
-            ModelError: other is no SpatialInertia.
+        Raises: ModelError if other is no SpatialInertia.
         """
         if not isinstance(other, SpatialInertia):
             raise ModelError(f"merge expects another SpatialInertia, got {other!r}")
@@ -172,8 +169,7 @@ class SpatialInertia:
 def power(F: ExprLike, V: ExprLike) -> Expr:
     """F . V (), W, of a wrench (6,) on a body with twist (6,), both in one frame. The same in every frame.
 
-    Raises:
-        ShapeError: an argument is not of shape (6,).
+    Raises: ShapeError if an argument is not of shape (6,).
     """
     return Dot(of_shape("power", "F", F, (6,)), of_shape("power", "V", V, (6,)))
 
@@ -203,41 +199,32 @@ def _known(expr: Expr) -> np.ndarray | None:
     return expr.value if isinstance(expr, (Constant, Parameter)) else None
 
 
-def _check_mass(mass: np.ndarray | None) -> None:
-    if mass is not None and not (np.isfinite(mass) and mass > 0.0):
-        raise ModelError(f"SpatialInertia expects a positive, finite mass in kg, got {mass}")
+def _need(holds: bool, demand: str) -> None:
+    if not holds:
+        raise ModelError(f"SpatialInertia expects {demand}")
 
 
-def _check_center(center: np.ndarray | None) -> None:
-    if center is not None and not np.isfinite(center).all():
-        raise ModelError(f"SpatialInertia expects a finite center_of_mass in m, got {center.tolist()}")
-
-
-def _check_inertia(tensor: np.ndarray | None) -> None:
+def _check(mass: np.ndarray | None, center: np.ndarray | None, tensor: np.ndarray | None) -> None:
+    """Raise ModelError for what no real body has, as far as it is known."""
+    if mass is not None:
+        _need(bool(np.isfinite(mass) and mass > 0.0), f"a positive, finite mass in kg, got {mass}")
+    if center is not None:
+        _need(bool(np.isfinite(center).all()), f"a finite center_of_mass in m, got {center.tolist()}")
     if tensor is None:
         return
-    if not np.isfinite(tensor).all():
-        raise ModelError(f"SpatialInertia expects a finite inertia in kg m2, got\n{tensor}")
+    _need(bool(np.isfinite(tensor).all()), f"a finite inertia in kg m2, got\n{tensor}")
     slack = _ROUND_OFF * np.max(np.abs(tensor))
-    if np.max(np.abs(tensor - tensor.T)) > slack:
-        raise ModelError(
-            f"SpatialInertia expects a symmetric inertia, got\n{tensor}\n"
-            "  fix: enter both halves; if the source gives products of inertia, the entries off the diagonal are their "
-            "negatives"
-        )
+    _need(
+        np.max(np.abs(tensor - tensor.T)) <= slack,
+        f"a symmetric inertia, got\n{tensor}\n"
+        "  fix: enter both halves; if the source gives products of inertia, the entries off the diagonal are their "
+        "negatives",
+    )
     small, middle, large = moments = np.linalg.eigvalsh(tensor).tolist()
-    if small < -slack:
-        raise ModelError(
-            f"SpatialInertia expects principal moments that are not negative, got {moments} kg m2.\n"
-            "  fix: give the tensor about the centre of mass, or use SpatialInertia.about_origin; check signs and units"
-        )
-    if large > small + middle + slack:
-        raise ModelError(
-            "SpatialInertia expects principal moments none of which is above the sum of the other two (no body has "
-            f"such), got {moments} kg m2.\n"
-            "  fix: give the tensor about the centre of mass, or use SpatialInertia.about_origin; check signs, units;\n"
-            "  of a flat body, round the largest moment down"
-        )
-
-
-__all__ = ["SpatialInertia", "power"]
+    fix = "  fix: give the tensor about the centre of mass, or use SpatialInertia.about_origin; check signs"
+    _need(small >= -slack, f"principal moments that are not negative, got {moments} kg m2.\n{fix} and units")
+    _need(
+        large <= small + middle + slack,
+        "principal moments none of which is above the sum of the other two (no body has such), "
+        f"got {moments} kg m2.\n{fix}, units;\n  of a flat body, round the largest moment down",
+    )

@@ -16,12 +16,10 @@ from ..errors import ModelError
 from ..expr import Constant, Dot, Expr
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, AdjointAction, Compose, Pose
-from ..expr.lie.transforms import parts_of_pose
+from ..expr.lie.elements import parts_of_pose
 from .arguments import of_shape, pose
 from .bodies import SpatialInertia
 from .joints import Joint
-
-__all__ = ["Chain", "Link"]
 
 
 @dataclasses.dataclass(frozen=True)

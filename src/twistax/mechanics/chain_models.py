@@ -73,8 +73,7 @@ def equal_links(count: int) -> Chain:
 
     At q = 0 it is stretched along the base's x axis. Each rod has 1 kg, 0.2 m, and a radius of 0.02 m.
 
-    Raises:
-        ModelError: count is no positive whole number.
+    Raises: ModelError if count is no positive whole number.
     """
     if not isinstance(count, int) or count < 1:
         raise ModelError(f"equal_links expects a positive whole number of links, got {count!r}")

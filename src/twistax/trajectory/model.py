@@ -1,6 +1,8 @@
 """The damped model of the merit around an iterate: linear residuals, so convex and piecewise quadratic.
 
-And the small price on steps of the controls that the merit holds: half of sum |u_(k+1) - u_k|^2, in scaled controls.
+Its normal equations tie two neighbouring nodes and the final time, which all share, together: ordered node by node the
+matrix is block-tridiagonal with a border. The band is factored by LAPACK's banded
+Cholesky, the border goes through a Schur complement.
 """
 
 from __future__ import annotations
@@ -8,14 +10,75 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import scipy.linalg
 from numpy import ndarray as Array
-
-from .banded import Chain
-
-__all__ = ["Model", "Smoothing"]
 
 #: Newton iterations on the model before its best step so far is taken.
 _ITERATIONS = 20
+
+
+class NotPositiveDefinite(Exception):
+    """The damped matrix is not positive definite; the caller raises the damping."""
+
+
+class BorderedBand:
+    """Where the unknowns sit, and how to solve their symmetric positive definite equations.
+
+    An interval sees its unknowns as [left node (block), right node (block), the shared one].
+
+    Args:
+        nodes: number of nodes.
+        block: unknowns of a node.
+        free: which unknowns may move, shape (nodes * block + 1,); the others get a zero step.
+    """
+
+    def __init__(self, nodes: int, block: int, free: Array) -> None:
+        self.nodes, self.block, self.free = nodes, block, free
+        self.length, self.local = nodes * block, 2 * block + 1
+        starts = block * np.arange(nodes - 1)[:, None]
+        self._columns = starts + np.arange(2 * block)
+        row, column = self._lower = np.tril_indices(2 * block)
+        self._band = (row - column) * self.length + starts + column
+        self._seen = np.concatenate([self._columns, np.full((nodes - 1, 1), self.length)], axis=1)
+
+    def gather(self, vector: Array) -> Array:
+        """The unknowns every interval sees, (nodes - 1, local)."""
+        return vector[self._seen]
+
+    def scatter(self, local: Array) -> Array:
+        """Sum of the intervals' contributions to every unknown; adjoint of `gather`."""
+        return np.concatenate([self._summed(local[:, :-1]), local[:, -1:].sum(axis=0)])
+
+    def solve(self, matrices: Array, damping: float, right: Array) -> Array:
+        """The solution of (sum of the intervals' matrices + damping I) x = right over the free unknowns.
+
+        Args:
+            matrices: (nodes - 1, local, local), symmetric.
+        Raises:
+            NotPositiveDefinite: the damping is too small.
+        """
+        seen, length = self.free[self._seen], self.length
+        matrices = matrices * (seen[:, :, None] & seen[:, None, :])
+        diagonal = np.where(self.free, damping, 1.0)
+        right = np.where(self.free, right, 0.0)
+        size = 2 * self.block * length
+        entries = np.bincount(self._band.ravel(), matrices[:, *self._lower].ravel(), minlength=size).reshape(-1, length)
+        entries[0] += diagonal[:-1]
+        border = self._summed(matrices[:, :-1, -1])[:, None]
+        corner = matrices[:, -1:, -1:].sum(axis=0) + diagonal[-1]
+        try:
+            # The lower form: OpenBLAS starts threads for every column of the upper one, which a busy machine punishes.
+            chol = scipy.linalg.cholesky_banded(entries, overwrite_ab=True, lower=True, check_finite=False)
+            solved = scipy.linalg.cho_solve_banded((chol, True), border, check_finite=False)
+            schur = scipy.linalg.cholesky(corner - border.T @ solved, lower=True)
+        except (scipy.linalg.LinAlgError, ValueError) as error:
+            raise NotPositiveDefinite(str(error)) from None
+        inner = scipy.linalg.cho_solve_banded((chol, True), right[:-1], check_finite=False)
+        tail = scipy.linalg.cho_solve((schur, True), right[-1:] - border.T @ inner, check_finite=False)
+        return np.concatenate([inner - solved @ tail, tail])
+
+    def _summed(self, local: Array) -> Array:
+        return np.bincount(self._columns.ravel(), local.ravel(), minlength=self.length)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +88,7 @@ class Model:
     Everything is given interval by interval and scaled.
 
     Attributes:
-        chain: where the unknowns sit.
+        band: where the unknowns sit.
         start: (intervals, rows) r, zero where a row is not asked.
         slopes: (intervals, rows, local) J.
         equality: (rows,) which rows always count.
@@ -34,7 +97,7 @@ class Model:
         penalty: mu.
     """
 
-    chain: Chain
+    band: BorderedBand
     start: Array
     slopes: Array
     equality: Array
@@ -50,20 +113,20 @@ class Model:
         Raises:
             NotPositiveDefinite: the damping is too small for the arithmetic.
         """
-        chain, free = self.chain, self.chain.free
+        band, free = self.band, self.band.free
         step = np.zeros(len(self.pull))
         bent = np.zeros(len(self.pull))
         values = self.start
         counts = self._counts(values)
         for _ in range(_ITERATIONS):
             rows = np.einsum("kr,krl->kl", np.where(counts, values, 0.0), self.slopes)
-            slope = np.where(free, self.pull + bent + self.penalty * chain.scatter(rows) + damping * step, 0.0)
+            slope = np.where(free, self.pull + bent + self.penalty * band.scatter(rows) + damping * step, 0.0)
             seen = self.slopes * counts[:, :, None]
             matrices = self.bends + self.penalty * np.matmul(seen.transpose(0, 2, 1), self.slopes)
-            move = chain.factor(matrices, damping).solve(-slope)
-            local = chain.gather(move)
+            move = band.solve(matrices, damping, -slope)
+            local = band.gather(move)
             moves = np.einsum("krl,kl->kr", self.slopes, local)
-            bent_moves = chain.scatter(np.einsum("kab,kb->ka", self.bends, local))
+            bent_moves = band.scatter(np.einsum("kab,kb->ka", self.bends, local))
             tilt = float((self.pull + bent + damping * step) @ move)
             share = self._search(values, moves, tilt, float((bent_moves + damping * move) @ move))
             step, values, bent = step + share * move, values + share * moves, bent + share * bent_moves
@@ -101,7 +164,7 @@ class Smoothing:
     """A weighted sum of squares of the differences between neighbouring intervals' controls.
 
     Args:
-        chain: where unknowns sit.
+        band: where unknowns sit.
         controls: the slice of the controls within a node's block.
         scales: (m,) sizes of the controls.
         weight: of the whole.
@@ -110,14 +173,14 @@ class Smoothing:
         curvature: (intervals, local, local) second derivative.
     """
 
-    def __init__(self, chain: Chain, controls: slice, scales: Array, weight: float) -> None:
-        self._chain, self._controls, self._scales, self._weight = chain, controls, scales, weight
-        self._next = slice(chain.block + controls.start, chain.block + controls.stop)
-        difference = np.zeros((controls.stop - controls.start, chain.local))
+    def __init__(self, band: BorderedBand, controls: slice, scales: Array, weight: float) -> None:
+        self._band, self._controls, self._scales, self._weight = band, controls, scales, weight
+        self._next = slice(band.block + controls.start, band.block + controls.stop)
+        difference = np.zeros((controls.stop - controls.start, band.local))
         difference[:, controls] = -np.eye(len(difference))
         difference[:, self._next] = np.eye(len(difference))
         # The last interval has no control after it.
-        paired = np.arange(chain.nodes - 1) < chain.nodes - 2
+        paired = np.arange(band.nodes - 1) < band.nodes - 2
         self.curvature = weight * paired[:, None, None] * (difference.T @ difference)
 
     def value(self, us: Array) -> float:
@@ -126,7 +189,7 @@ class Smoothing:
 
     def gradient(self, us: Array) -> Array:
         """(intervals, local) first derivative."""
-        pull = np.zeros((self._chain.nodes - 1, self._chain.local))
+        pull = np.zeros((self._band.nodes - 1, self._band.local))
         steps = self._weight * self._steps(us)
         pull[:-1, self._controls] = -steps
         pull[:-1, self._next] = steps

@@ -13,7 +13,6 @@ Source: Nocedal and Wright, Numerical Optimization (2006), chapters 10.3 (Levenb
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 from collections.abc import Callable
 from typing import NamedTuple
@@ -21,52 +20,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from .banded import Chain, NotPositiveDefinite
-from .model import Model, Smoothing
-from .scaling import Scales
+from .guess import Scales
+from .model import BorderedBand, Model, NotPositiveDefinite, Smoothing
+from .statement import violations
 from .transcription import Evaluation, Iterate, Transcription
-
-__all__ = ["Callback", "Optimizer", "Outcome", "Settings", "Status"]
 
 #: Called with (evaluations so far, objective, violation) after every accepted step.
 Callback = Callable[[int, float, float], None]
 
 
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """Constants of the optimiser; the defaults serve the cases in the tests and the landing.
-
-    Attributes:
-        first_penalty, largest_penalty, penalty_growth: the weight mu of violations and how it is raised.
-        first_violation, violation_share: the multipliers are updated once the violation is below the first, then once
-            it is below this share of what it was; otherwise the weight is raised.
-        inner_iterations: accepted steps between two updates.
-        first_damping, largest_damping: of the steps; beyond the largest the inner iterations end.
-        relax, tighten: factors of the damping after a step that did what the model said, and after one that failed.
-        largest_step: of any unknown in its scale.
-        flat: two steps in a row that gain less end the inner iterations.
-        noise: an expected gain below this share of the merit is round-off: no step is tried for it.
-        settled: a change of the scaled objective between two updates that counts as none.
-        stalled, stalls: this many updates in a row whose violation stays above that share of the one before mean
-            that no trajectory is found.
-    """
-
-    first_penalty: float = 3e2
-    largest_penalty: float = 1e9
-    penalty_growth: float = 5.0
-    first_violation: float = 1e-1
-    violation_share: float = 0.3
-    inner_iterations: int = 40
-    first_damping: float = 1e-1
-    largest_damping: float = 1e12
-    relax: float = 0.2
-    tighten: float = 4.0
-    largest_step: float = 1.5
-    flat: float = 1e-4
-    noise: float = 1e-13
-    settled: float = 1e-4
-    stalled: float = 0.97
-    stalls: int = 4
+# What serves the cases in the tests and the landing.
+#: The weight mu of violations, and how it is raised.
+_FIRST_PENALTY, _LARGEST_PENALTY, _PENALTY_GROWTH = 3e2, 1e9, 5.0
+#: The multipliers are updated once the violation is below the first, then once it is below this share of what it was;
+#: otherwise the weight is raised.
+_FIRST_VIOLATION, _VIOLATION_SHARE = 1e-1, 0.3
+#: Accepted steps between two updates.
+_INNER_ITERATIONS = 40
+#: Of the steps; beyond the largest the inner iterations end.
+_FIRST_DAMPING, _LARGEST_DAMPING = 1e-1, 1e12
+#: Factors of the damping after a step that did what the model said, and after one that failed.
+_RELAX, _TIGHTEN = 0.2, 4.0
+#: Of any unknown in its scale.
+_LARGEST_STEP = 1.5
+#: Two steps in a row that gain less end the inner iterations.
+_FLAT = 1e-4
+#: An expected gain below this share of the merit is round-off: no step is tried for it.
+_NOISE = 1e-13
+#: A change of the scaled objective between two updates that counts as none.
+_SETTLED = 1e-4
+#: This many updates in a row whose violation stays above that share of the one before mean that no trajectory is found.
+_STALLS, _STALLED = 4, 0.97
 
 
 class Status(enum.Enum):
@@ -120,7 +104,7 @@ class Optimizer:
 
     Args:
         evaluate: (iterate, step) -> the evaluation after the step, as NumPy arrays.
-        chain: where the unknowns sit and which are free.
+        band: where the unknowns sit and which are free.
         transcription: what kind its rows are.
         scales: sizes of unknowns, rows and objective.
         shortest_time: the final time never falls below it during the search.
@@ -129,22 +113,20 @@ class Optimizer:
     def __init__(
         self,
         evaluate: Callable[[Iterate, Array], Evaluation],
-        chain: Chain,
+        band: BorderedBand,
         transcription: Transcription,
         scales: Scales,
         shortest_time: float,
     ) -> None:
         t = transcription
-        self._evaluate, self._chain, self._scales, self._shortest_time = evaluate, chain, scales, shortest_time
+        self._evaluate, self._band, self._scales, self._shortest_time = evaluate, band, scales, shortest_time
         self._equality, self._exists, self._decided = t.equality, t.exists, t.decided
-        self._settings = Settings()
         controls = slice(t.n, t.block)
-        self._smoothing = Smoothing(chain, controls, scales.columns[controls], t.objective.smoothing)
-        self._lengths = np.concatenate([np.tile(scales.columns[: chain.block], chain.nodes), scales.columns[-1:]])
+        self._smoothing = Smoothing(band, controls, scales.columns[controls], t.objective.smoothing)
+        self._lengths = np.concatenate([np.tile(scales.columns[: band.block], band.nodes), scales.columns[-1:]])
 
     def run(self, iterate: Iterate, max_iterations: int, tolerance: float, callback: Callback | None = None) -> Outcome:
         """Optimise from an iterate until the violation is below the tolerance and the objective has settled."""
-        s = self._settings
         point = self._point(iterate, np.zeros(len(self._lengths)))
         if point is None:
             raw = self._evaluate(iterate, np.zeros(len(self._lengths)))
@@ -152,41 +134,40 @@ class Optimizer:
         lost = np.where(self._decided, self._violations(point), 0.0)
         if lost.max(initial=0.0) > tolerance:
             return Outcome(point.raw, lost, Status.INFEASIBLE, 1)
-        merit = _Merit(np.zeros_like(point.rows), s.first_penalty)
-        damping, count, allowed, last_cost = s.first_damping, 1, s.first_violation, np.inf
+        merit = _Merit(np.zeros_like(point.rows), _FIRST_PENALTY)
+        damping, count, allowed, last_cost = _FIRST_DAMPING, 1, _FIRST_VIOLATION, np.inf
         before, stalls = np.inf, 0
         while True:
             point, damping, count = self._reduce(point, merit, damping, count, max_iterations, callback)
             violation = self._violation(point)
-            feasible, settled = violation <= tolerance, abs(point.cost - last_cost) <= s.settled
-            stalls = stalls + 1 if violation > max(allowed, s.stalled * before) else 0
-            if (feasible and settled) or count >= max_iterations or stalls >= s.stalls:
-                status = Status.INFEASIBLE if stalls >= s.stalls else Status.MAX_ITERATIONS
+            feasible, settled = violation <= tolerance, abs(point.cost - last_cost) <= _SETTLED
+            stalls = stalls + 1 if violation > max(allowed, _STALLED * before) else 0
+            if (feasible and settled) or count >= max_iterations or stalls >= _STALLS:
+                status = Status.INFEASIBLE if stalls >= _STALLS else Status.MAX_ITERATIONS
                 status = Status.SOLVED if feasible and settled else status
                 return Outcome(point.raw, self._violations(point), status, count)
             last_cost, before = point.cost, violation
-            if violation > allowed and merit.penalty < s.largest_penalty:
-                merit = merit._replace(penalty=min(merit.penalty * s.penalty_growth, s.largest_penalty))
+            if violation > allowed and merit.penalty < _LARGEST_PENALTY:
+                merit = merit._replace(penalty=min(merit.penalty * _PENALTY_GROWTH, _LARGEST_PENALTY))
                 continue
             merit = merit._replace(multipliers=merit.penalty * self._counted(point, merit))
-            allowed = max(s.violation_share * violation, 0.1 * tolerance)
+            allowed = max(_VIOLATION_SHARE * violation, 0.1 * tolerance)
 
     def _reduce(
         self, point: _Point, merit: _Merit, damping: float, count: int, limit: int, callback: Callback | None
     ) -> tuple[_Point, float, int]:
         """Inner iterations: steps until the merit no longer falls."""
-        s = self._settings
         flat = 0
-        for _ in range(s.inner_iterations):
+        for _ in range(_INNER_ITERATIONS):
             found, gain, damping, evaluations = self._step(point, merit, damping, limit - count)
             count += evaluations
             if found is None:
                 # Every damping failed: nothing to gain here. Start the next merit from a moderate one.
-                return point, s.first_damping, count
+                return point, _FIRST_DAMPING, count
             point = found
             if callback is not None:
                 callback(count, float(point.raw.cost), self._violation(point))
-            flat = flat + 1 if gain < s.flat else 0
+            flat = flat + 1 if gain < _FLAT else 0
             if flat == 2 or count >= limit:
                 break
         return point, damping, count
@@ -195,26 +176,26 @@ class Optimizer:
         self, point: _Point, merit: _Merit, damping: float, budget: int
     ) -> tuple[_Point | None, float, float, int]:
         """The next point (None if every damping failed), the gain, the damping to go on with, evaluations."""
-        s, chain = self._settings, self._chain
+        band = self._band
         before = self._value(point, merit)
-        pull = chain.scatter(point.gradient + self._smoothing.gradient(point.raw.iterate.us))
+        pull = band.scatter(point.gradient + self._smoothing.gradient(point.raw.iterate.us))
         model = Model(
-            chain,
+            band,
             np.where(self._exists, point.rows + merit.multipliers / merit.penalty, 0.0),
             point.slopes,
             self._equality,
-            np.where(chain.free, pull, 0.0),
+            np.where(band.free, pull, 0.0),
             point.curvature + self._smoothing.curvature,
             merit.penalty,
         )
         tried = 0
-        while tried < budget and damping <= s.largest_damping:
+        while tried < budget and damping <= _LARGEST_DAMPING:
             try:
-                step, expected = model.minimize(damping, s.largest_step)
+                step, expected = model.minimize(damping, _LARGEST_STEP)
             except NotPositiveDefinite:
                 damping = max(10.0 * damping, 1e-9)
                 continue
-            if expected <= s.noise * (1.0 + abs(before)):
+            if expected <= _NOISE * (1.0 + abs(before)):
                 break
             move = step * self._lengths
             move[-1] = max(move[-1], self._shortest_time - float(point.raw.iterate.final_time))
@@ -222,9 +203,9 @@ class Optimizer:
             tried += 1
             gain = -np.inf if trial is None else before - self._value(trial, merit)
             if gain > 0.0:
-                factor = s.relax if gain > 0.75 * expected else 1.0 if gain > 0.25 * expected else 3.0
+                factor = _RELAX if gain > 0.75 * expected else 1.0 if gain > 0.25 * expected else 3.0
                 return trial, gain, max(factor * damping, 1e-9), tried
-            damping *= s.tighten
+            damping *= _TIGHTEN
         return None, 0.0, damping, tried
 
     # ---- the merit ----------------------------------------------------------------------------------------------
@@ -240,7 +221,7 @@ class Optimizer:
 
     def _violations(self, point: _Point) -> Array:
         """(intervals, rows) scaled violations; zero where a row holds or is not asked."""
-        return np.where(self._equality, np.abs(point.rows), np.maximum(point.rows, 0.0))
+        return violations(point.rows, self._equality)
 
     def _violation(self, point: _Point) -> float:
         return float(self._violations(point).max(initial=0.0))
@@ -248,9 +229,7 @@ class Optimizer:
     def _point(self, iterate: Iterate, move: Array) -> _Point | None:
         """The scaled evaluation after a move; None if it is not finite."""
         raw = self._evaluate(iterate, move)
-        if not all(
-            np.isfinite(values).all() for values in (raw.rows, raw.slopes, raw.cost, raw.gradient, raw.curvature)
-        ):
+        if not all(np.isfinite(values).all() for values in raw[1:]):
             return None
         columns, rows, cost = self._scales.columns, self._scales.rows, self._scales.cost
         return _Point(

@@ -17,18 +17,13 @@ from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import not_compiled
-from .banded import Chain
-from .conditions import check_leaves, end_values, final_rows, fixed_entries, split_final
 from .discretize import check_whole
-from .guess import control_guess, perturbation, state_guess, user_guess
-from .objective import Objective
+from .guess import Scales, column_scales, control_guess, perturbation, state_guess, user_guess
+from .model import BorderedBand
 from .optimizer import Callback, Optimizer
 from .result import TrajectoryResult, best_result
-from .rows import describe_path
-from .scaling import Scales, column_scales
+from .statement import Objective, check_leaves, describe_path, end_values, final_rows, fixed_entries, split_final
 from .transcription import Evaluation, Iterate, Transcription
-
-__all__ = ["Problem"]
 
 #: The evaluation runs a few hundred times: a third less time to compile is worth more than the last optimisations.
 _COMPILER: dict[str, bool | str] = {"xla_backend_optimization_level": "1"}
@@ -95,17 +90,14 @@ class Problem:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)
         self.dynamics, self.nodes = dynamics, int(nodes)
         self.objective: Objective = objective
-        self.time_limits = _time_limits(final_time)
-        self._time_guess = _time_guess(final_time_guess, self.time_limits)
+        self.time_limits, self._time_guess = _times(final_time, final_time_guess)
         values, constraints = split_final(final)
         self.initial = end_values(dynamics.states, "initial", initial)
         self.final = end_values(dynamics.states, "final", values)
         self.final_rows = final_rows(dynamics, constraints)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
-        self._lengths = {s.name: self.nodes for s in dynamics.states} | {
-            c.name: self.nodes - 1 for c in dynamics.controls
-        }
+        self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self._guess = user_guess(guess, self._leaves, self._lengths)
         self.method, self.substeps = method or RKMK(RK4), int(substeps)
         self.transcription = Transcription(
@@ -172,15 +164,13 @@ class Problem:
 
     def _start(self, given: Mapping[str, Array]) -> Iterate:
         """The guess as an iterate."""
-        dynamics = self.dynamics
+        count = self.nodes - 1
         xs: dict[str, Any] = {
             s.name: state_guess(s, given.get(s.name), self.initial[s.name], self.final[s.name], self.nodes)
-            for s in dynamics.states
+            for s in self.dynamics.states
         }
-        us = [
-            control_guess(c, given.get(c.name), self.nodes - 1).reshape(self.nodes - 1, -1) for c in dynamics.controls
-        ]
-        flat = np.concatenate(us, axis=1) if us else np.zeros((self.nodes - 1, 0))
+        us = [control_guess(c, given.get(c.name), count).reshape(count, -1) for c in self.dynamics.controls]
+        flat = np.concatenate([np.zeros((count, 0)), *us], axis=1)
         return jax.tree.map(jnp.asarray, Iterate(xs, flat, np.asarray(self._time_guess)))
 
     def _evaluator(self, like: Iterate) -> Callable[[Iterate, Array], Evaluation]:
@@ -203,14 +193,13 @@ class Problem:
         block = column_scales(self._leaves, landmarks)
         time_scale = 0.5 * (high - low) if high > low else high
         lengths = np.concatenate([np.tile(block, self.nodes), [time_scale]])
-        self._step_lengths = lengths
-        self._free = self._free_unknowns()
+        self._step_lengths, self._free = lengths, self._free_unknowns()
         columns = np.concatenate([block, block, [time_scale]])
         steps = (np.zeros(len(lengths)), self._random_step(np.random.default_rng(0)))
         samples = [evaluate(plain, step) for step in steps]
         finite = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))]
         scales = Scales.measured(columns, t.n, finite or samples[:1])
-        return Optimizer(evaluate, Chain(self.nodes, t.block, 1, self._free), t, scales, _SHORTEST * low)
+        return Optimizer(evaluate, BorderedBand(self.nodes, t.block, self._free), t, scales, _SHORTEST * low)
 
     def _landmarks(self, plain: Iterate) -> dict[str, list[Array]]:
         """The known values of every leaf: its box, its ends, its guess."""
@@ -227,8 +216,7 @@ class Problem:
         free = np.ones((self.nodes, t.block), bool)
         free[-1, t.n :] = False
         for node, ends in ((0, self.initial), (-1, self.final)):
-            fixed = [fixed_entries(state, ends[state.name]) for state in self.dynamics.states]
-            free[node, : t.n] = ~np.concatenate(fixed)
+            free[node, : t.n] = ~np.concatenate([fixed_entries(s, ends[s.name]) for s in self.dynamics.states])
         low, high = self.time_limits
         return np.append(free.ravel(), low < high)
 
@@ -260,20 +248,15 @@ class Problem:
             return {name: np.asarray(value) for name, value in inputs.params.items()}
 
 
-def _time_limits(final_time: Any) -> tuple[float, float]:
+def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
+    """The limits of the final time and where it starts."""
     limits = np.asarray(final_time, float) if np.ndim(final_time) <= 1 else np.zeros(0)
     if limits.shape not in ((), (2,)):
         raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
-    low, high = (float(limits),) * 2 if limits.shape == () else map(float, limits)
+    low, high = np.broadcast_to(limits, 2).tolist()
     if not (0.0 < low <= high < np.inf):
         raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
-    return low, high
-
-
-def _time_guess(value: Any, limits: tuple[float, float]) -> float:
-    low, high = limits
-    if value is None:
-        return 0.5 * (low + high)
-    if not low <= value <= high:
-        raise TrajectoryError(f"final_time_guess {value!r} is outside the limits of the final time, {limits}")
-    return float(value)
+    guess = 0.5 * (low + high) if guess is None else guess
+    if not low <= guess <= high:
+        raise TrajectoryError(f"final_time_guess {guess!r} is outside the limits of the final time, {(low, high)}")
+    return (low, high), float(guess)

@@ -24,13 +24,8 @@ from ..expr import Expr, Inputs, evaluate_all
 from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .conditions import FinalRows
-from .discretize import Rollout, rollout
-from .flat import Controls
-from .objective import Objective
-from .rows import PathRows, where
-
-__all__ = ["Evaluation", "Iterate", "Transcription"]
+from .discretize import Controls, rollout
+from .statement import FinalRows, Objective, PathRows, where
 
 
 class Iterate(NamedTuple):
@@ -98,7 +93,7 @@ class Transcription:
         self.n, self.m = dynamics.dimension, self.controls.dimension
         self.block = self.n + self.m
         self.local = 2 * self.block + 1
-        self._final = final.residuals
+        self._final = final
         asked = path.asked(nodes - 1, substeps).reshape(nodes - 1, -1)
         #: which of the (substeps + 1) * P path rows are asked in any interval
         self._kept = np.flatnonzero(asked.any(axis=0))
@@ -117,17 +112,11 @@ class Transcription:
         ]
         finals, times = len(final.names), len(time_names)
         self.equality = np.concatenate(
-            [
-                np.ones(self.n, bool),
-                path.equality[rows_of_path],
-                np.arange(finals) >= finals - final.equalities,
-                np.zeros(times, bool),
-            ]
+            [np.ones(self.n, bool), path.equality[rows_of_path], final.equality, np.zeros(times, bool)]
         )
         self.exists = np.concatenate(
             [np.ones((nodes - 1, self.n), bool), asked[:, self._kept], np.tile(last[:, None], finals + times)], axis=1
         )
-
         decided = path.decided(nodes - 1, substeps, fixed).reshape(nodes - 1, -1)[:, self._kept]
         self.decided = np.zeros_like(self.exists)
         self.decided[:, self.n : self.n + len(self._kept)] = decided
@@ -193,7 +182,8 @@ class Transcription:
             ],
             axis=1,
         )
-        points = self._points_of(path, right)
+        # The last point is the next node itself.
+        points = {name: values.at[-1].set(right[name]) for name, values in path.xs.items()}
         maps = self._maps(number, path.sensitivity, by_time)
         ts = (number + jnp.linspace(0.0, 1.0, self.substeps + 1, dtype=u.dtype)) * h
         rows, by_point = jax.vmap(self._path_slopes, in_axes=(0, 0, None, None))(ts, points, u, params)
@@ -206,10 +196,6 @@ class Transcription:
             gradient,
             curvature,
         )
-
-    def _points_of(self, path: Rollout, right: Arrays) -> Arrays:
-        """The states at the ends of the substeps; the last is the next node itself."""
-        return {name: values.at[-1].set(right[name]) for name, values in path.xs.items()}
 
     def _maps(self, number: jax.Array, sensitivity: jax.Array, by_time: jax.Array) -> jax.Array:
         """(substeps + 1, n + m + 1, local): how [d, u, t] at each point follow from what an interval sees."""
@@ -276,12 +262,10 @@ class Transcription:
         columns = np.array([*range(b, b + n), self.local - 1])
 
         def rows(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-            inputs = Inputs(z[-1], self.dynamics.group.retract(x, z[:n]), {}, params, t.dtype)
-            conditions = evaluate_all(self._final, lambda leaf: leaf.read(inputs))
+            value = self._final.values(z[-1], self.dynamics.group.retract(x, z[:n]), params)
             low, high = self.time_limits
-            limits = [] if low == high else [low - z[-1], z[-1] - high]
-            parts = [*(value.reshape(-1) for value in conditions), *(limit[None] for limit in limits)]
-            value = jnp.concatenate(parts) if parts else jnp.zeros(0, t.dtype)
+            if low < high:
+                value = jnp.concatenate([value, jnp.stack([low - z[-1], z[-1] - high])])
             return value, value
 
         here = jnp.concatenate([jnp.zeros(n, t.dtype), t[None]])
@@ -322,7 +306,7 @@ def _weights(substeps: int) -> Array:
     weights = np.ones(substeps + 1)
     if substeps % 2:
         weights[1:-1] = 2.0
-        return weights / weights.sum()
-    weights[1:-1:2] = 4.0
-    weights[2:-1:2] = 2.0
+    else:
+        weights[1:-1:2] = 4.0
+        weights[2:-1:2] = 2.0
     return weights / weights.sum()

@@ -1,20 +1,26 @@
 """Nodes of Lie groups and their algebras."""
 
-from .actions import AdjointAction, CoadjointAction
-from .adjoint import Adjoint, AdjointDual, SE3Adjoint, SE3AdjointDual, SO3Adjoint
-from .maps import (
+from .adjoint import Adjoint, AdjointAction, AdjointDual, CoadjointAction, SE3Adjoint, SE3AdjointDual, SO3Adjoint
+from .base import AngularPart, JoinedParts, LinearPart, Reorder, angular, linear, twist, wrench  # noqa: F401  see below
+from .elements import (
+    Act,
     AxisRotation,
+    Compose,
+    Hat,
+    Inverse,
     LeftJacobian,
     LeftJacobianInverse,
+    Pose,
     RightJacobian,
     RightJacobianInverse,
     SE3Exp,
     SE3Log,
     SO3Exp,
     SO3Log,
+    Vee,
+    rotation,
+    translation,
 )
-from .parts import AngularPart, JoinedParts, LinearPart, Reorder, angular, linear, twist, wrench  # noqa: F401  see below
-from .transforms import Act, Compose, Hat, Inverse, Pose, Vee, rotation, translation
 
 #: The parts of a six-vector are nodes that `angular`, `linear`, `twist` and `wrench` make.
 __all__ = [

@@ -1,27 +1,43 @@
-"""Adjoint and coadjoint operators: how twists and wrenches act, and how they change frame.
+"""Adjoint and coadjoint operators: how twists and wrenches act, and how they change frame, as a matrix or without one.
 
 Conventions: twist xi = [v; w], wrench F = [f; tau], momentum mu = [p; L], all in the body frame; T_ab maps coordinates
 of frame b to frame a, p_a = T_ab p_b. With order=ANGULAR_FIRST the same operators read and give [w; v].
 
 Source: R. Murray, Z. Li, S. Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 2;
-R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [w; v].
+R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [w; v], and appendix A for the products.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
 
 import jax
 
 from ...groups import LINEAR_FIRST, Order, se3, so3
-from ..arithmetic import Add, is_constant, zeros_of
+from ...groups.arrays import multiply
+from ..arithmetic import Add, MatMul, is_constant, is_identity, zeros_of
 from ..fields import Operand
-from ..linalg import Cross
-from ..node import Expr
-from .actions import AdjointAction, CoadjointAction
-from .base import OTHER_TWIST, POSE, ROTATION, TWIST, TwistNode, both_orders
-from .parts import JoinedParts, halves, has_zero_half
-from .transforms import Inverse
+from ..linalg import Cross, cross_columns
+from ..node import Expr, Shape, expect
+from ..printing import wrap_latex
+from .base import (
+    COLUMNS,
+    OTHER_TWIST,
+    POSE,
+    ROTATION,
+    TWIST,
+    ColumnsNode,
+    JoinedParts,
+    TwistNode,
+    both_orders,
+    expect_columns,
+    halves,
+    has_zero_half,
+)
+from .elements import Act, Inverse, parts_of_pose
+
+Value = TypeVar("Value", jax.Array, Expr)
 
 
 class Adjoint(TwistNode):
@@ -32,20 +48,17 @@ class Adjoint(TwistNode):
     Attributes:
         twist1, twist2: twists (6,), m/s and rad/s.
         order: order of both and of the result.
-    Raises:
-        ShapeError: an operand is not of shape (6,).
+    Raises: ShapeError if an operand is not of shape (6,).
     """
 
     twist1: Operand
     twist2: Operand
     order: Order = LINEAR_FIRST
     label = "ad"
-    takes = ((6,), (6,))
-    gives = (6,)
+    takes, gives = ((6,), (6,)), (6,)
+    function = se3.bracket
+    formula = r"\mathrm{ad}_{<0>}\left(<1>\right)"
     cases = both_orders(twist1=TWIST, twist2=OTHER_TWIST)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.in_linear_first(se3.bracket, *values)
 
     def simplify(self) -> Expr:
         """[xi, xi] is 0, and so is the bracket with 0; with a half of zeros only the other products are left."""
@@ -57,9 +70,6 @@ class Adjoint(TwistNode):
         (v1, w1), (v2, w2) = halves(one, self.order), halves(other, self.order)
         return JoinedParts(Add(Cross(w1, v2), Cross(v1, w2)), Cross(w1, w2), order=self.order)
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{ad}}_{{{operands[0]}}}\left({operands[1]}\right)"
-
 
 class AdjointDual(TwistNode):
     """The coadjoint action on momentum or wrench, ad*_xi(mu) = -ad_xi^T mu = [w x p; v x p + w x L].
@@ -70,20 +80,17 @@ class AdjointDual(TwistNode):
         twist: (6,), m/s and rad/s.
         momentum: (6,), N s and N m s (or a wrench, N and N m).
         order: order of both and of the result.
-    Raises:
-        ShapeError: an operand is not of shape (6,).
+    Raises: ShapeError if an operand is not of shape (6,).
     """
 
     twist: Operand
     momentum: Operand
     order: Order = LINEAR_FIRST
     label = "ad_dual"
-    takes = ((6,), (6,))
-    gives = (6,)
+    takes, gives = ((6,), (6,)), (6,)
+    function = se3.coad
+    formula = r"\mathrm{ad}^*_{<0>}\left(<1>\right)"
     cases = both_orders(twist=TWIST, momentum=OTHER_TWIST)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.in_linear_first(se3.coad, *values)
 
     def simplify(self) -> Expr:
         """A body at rest, or without momentum, has no such term; a half of zeros leaves only the other products."""
@@ -94,29 +101,16 @@ class AdjointDual(TwistNode):
         (v, w), (p, L) = halves(self.twist, self.order), halves(self.momentum, self.order)
         return JoinedParts(Cross(w, p), Add(Cross(v, p), Cross(w, L)), order=self.order)
 
-    def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{ad}}^*_{{{operands[0]}}}\left({operands[1]}\right)"
-
 
 class _FrameMatrix(TwistNode):
-    """What Ad_T and Ad*_T share: each is the other's inverse transpose."""
+    """Base of Ad_T and Ad*_T: each is the other's inverse transpose."""
 
     transform: Operand
     order: Order = LINEAR_FIRST
     abstract = True
     structured = True
-    takes = ((4, 4),)
-    gives = (6, 6)
+    takes, gives = ((4, 4),), (6, 6)
     cases = both_orders(transform=POSE)
-    symbol: ClassVar[str] = ""
-
-    @staticmethod
-    def matrix(T: jax.Array) -> jax.Array:
-        """The matrix for linear-first six-vectors."""
-        raise NotImplementedError
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.in_linear_first(self.matrix, values[0])
 
     def _of_inverse(self, node: type[Expr]) -> Expr | None:
         known = self.transform.is_group_element
@@ -125,9 +119,6 @@ class _FrameMatrix(TwistNode):
     def inverted(self) -> Expr | None:
         """The same of the inverse pose."""
         return self._of_inverse(type(self))
-
-    def to_latex(self, *operands: str) -> str:
-        return rf"{self.symbol}_{{{operands[0]}}}"
 
 
 class SE3Adjoint(_FrameMatrix):
@@ -139,16 +130,12 @@ class SE3Adjoint(_FrameMatrix):
     Attributes:
         transform: T_ab (4, 4).
         order: order of the twists.
-    Raises:
-        ShapeError: transform is not of shape (4, 4).
+    Raises: ShapeError if transform is not of shape (4, 4).
     """
 
     label = "Ad"
-    symbol = r"\mathrm{Ad}"
-
-    @staticmethod
-    def matrix(T: jax.Array) -> jax.Array:
-        return se3.Ad(T)
+    function = se3.Ad
+    formula = r"\mathrm{Ad}_{<0>}"
 
     def applied_to(self, vector: Expr) -> Expr | None:
         return AdjointAction(self.transform, vector, order=self.order)
@@ -167,16 +154,12 @@ class SE3AdjointDual(_FrameMatrix):
     Attributes:
         transform: T_ab (4, 4).
         order: order of the wrenches.
-    Raises:
-        ShapeError: transform is not of shape (4, 4).
+    Raises: ShapeError if transform is not of shape (4, 4).
     """
 
     label = "Ad_dual"
-    symbol = r"\mathrm{Ad}^*"
-
-    @staticmethod
-    def matrix(T: jax.Array) -> jax.Array:
-        return se3.Ad_dual(T)
+    function = se3.Ad_dual
+    formula = r"\mathrm{Ad}^*_{<0>}"
 
     def applied_to(self, vector: Expr) -> Expr | None:
         return CoadjointAction(self.transform, vector, order=self.order)
@@ -191,22 +174,153 @@ class SO3Adjoint(Expr):
 
     Attributes:
         rotation: R_ab (3, 3).
-    Raises:
-        ShapeError: rotation is not of shape (3, 3).
+    Raises: ShapeError if rotation is not of shape (3, 3).
     """
 
     rotation: Operand
     label = "Ad"
-    takes = ((3, 3),)
-    gives = (3, 3)
+    takes, gives = ((3, 3),), (3, 3)
+    function = so3.Ad
+    formula = r"\mathrm{Ad}_{<0>}"
     cases = ({"rotation": ROTATION},)
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return so3.Ad(values[0])
 
     def simplify(self) -> Expr:
         """Ad_R is R."""
         return self.rotation
 
+
+class _Action(ColumnsNode):
+    """Base of both actions. One half of the six-vector is only turned, to the other the moment of it is added."""
+
+    transform: Operand
+    order = LINEAR_FIRST
+    inverse = False
+    abstract = True
+    precedence = 20
+    #: The operator in formulas.
+    symbol: ClassVar[str] = ""
+
+    @staticmethod
+    def roles(linear: Any, angular: Any) -> tuple[Any, Any]:
+        """(half that gets the moment, half that is only turned); the same exchange leads back."""
+        return linear, angular
+
+    def validate(self) -> None:
+        super().validate()
+        if not isinstance(self.inverse, bool):
+            raise TypeError(f"{type(self).__name__} expects inverse=True or inverse=False, got {self.inverse!r}")
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        transform, vector = self.child_names()
+        expect(self, transform, shapes[0], (4, 4))
+        expect_columns(self, vector, shapes[1], 6)
+        return shapes[1]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        T, vector = values
+        R, p = T[:3, :3], T[:3, 3]
+        turn = R.T if self.inverse else R
+        changed = self._changed(
+            *self.roles(*self.order.split(vector)), lambda x: multiply(turn, x), lambda x: cross_columns(p, x)
+        )
+        return self.order.join(*self.roles(*changed))
+
+    def _changed(
+        self, moved: Value, turned: Value, turn: Callable[[Value], Value], moment: Callable[[Value], Value]
+    ) -> tuple[Value, Value]:
+        """Both halves in the other frame: R m + p x R t and R t; the inverse is R' (m - p x t) and R' t."""
+        if self.inverse:
+            return turn(moved - moment(turned)), turn(turned)
+        turned = turn(turned)
+        return turn(moved) + moment(turned), turned
+
+    def simplify(self) -> Expr:
+        """What does nothing vanishes; an inverse is not formed; known parts are left out of the formula."""
+        T, vector = self.children()
+        if is_identity(T) or is_constant(vector, 0.0):
+            return vector
+        if isinstance(T, Inverse) and T.element.is_group_element:
+            return self.replace(transform=T.element, inverse=not self.inverse)
+        if isinstance(vector, type(self)) and self._undoes(vector):
+            return vector.children()[1]
+        R, p = parts_of_pose(T)
+        if is_identity(R) or is_constant(p, 0.0) or has_zero_half(vector, self.order):
+            return self._unrolled(R, p)
+        return self
+
+    def _undoes(self, other: _Action) -> bool:
+        opposite = self.order == other.order and self.inverse != other.inverse
+        return opposite and self.transform.is_group_element and self.transform.key() == other.transform.key()
+
+    def _unrolled(self, R: Expr, p: Expr) -> Expr:
+        turn = Inverse(R) if self.inverse else R
+        linear, angular = halves(self.children()[1], self.order)
+        changed = self._changed(
+            *self.roles(linear, angular),
+            lambda x: Act(turn, x) if x.ndim == 1 else MatMul(turn, x),
+            lambda x: Cross(p, x),
+        )
+        return JoinedParts(*self.roles(*changed), order=self.order)
+
+    def applied_to(self, vector: Expr) -> Expr | None:
+        """(Ad_T H) q is Ad_T (H q)."""
+        transform, columns = self.children()
+        return self.with_children([transform, MatMul(columns, vector)]) if vector.ndim == 1 else None
+
     def to_latex(self, *operands: str) -> str:
-        return rf"\mathrm{{Ad}}_{{{operands[0]}}}"
+        transform = Inverse(self.transform).to_latex(operands[0]) if self.inverse else operands[0]
+        return rf"{self.symbol}_{{{transform}}} \, {wrap_latex(self.children()[1], operands[1], 20)}"
+
+
+def _cases(vector: str) -> list[dict[str, Any]]:
+    one, columns = {"transform": POSE, vector: TWIST}, {"transform": POSE, vector: COLUMNS}
+    back = {"inverse": True}
+    return [*both_orders(**one), *both_orders(**(one | back)), columns, columns | back]
+
+
+class AdjointAction(_Action):
+    """Ad_T xi without the matrix: [R v + p x R w; R w]. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
+
+    `canonicalize` makes it of `SE3Adjoint(T) @ xi`. Written with inverse=True it is Ad_(T^-1) xi =
+    [R'(v - p x w); R' w], which needs no T^-1.
+
+    Attributes:
+        transform: T_ab (4, 4), a pose.
+        twist: in frame b (with inverse=True in frame a), (6,), or k of them as columns.
+        order: order of the twist and the result.
+        inverse: whether T^-1 acts.
+    Raises: ShapeError for an operand of another shape.
+    """
+
+    twist: Operand
+    order: Order = LINEAR_FIRST
+    inverse: bool = False
+    label = "Ad"
+    cases = _cases("twist")
+    symbol = r"\mathrm{Ad}"
+
+
+class CoadjointAction(_Action):
+    """Ad*_T F without the matrix: [R f; R tau + p x R f]. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
+
+    `canonicalize` makes it of `SE3AdjointDual(T) @ F`. Written with inverse=True it is Ad*_(T^-1) F =
+    [R' f; R'(tau - p x f)], which needs no T^-1.
+
+    Attributes:
+        transform: T_ab (4, 4), a pose.
+        wrench: in frame b (with inverse=True in frame a), (6,), or k of them as columns.
+        order: order of the wrench and the result.
+        inverse: whether T^-1 acts.
+    Raises: ShapeError for an operand of another shape.
+    """
+
+    wrench: Operand
+    order: Order = LINEAR_FIRST
+    inverse: bool = False
+    label = "Ad_dual"
+    cases = _cases("wrench")
+    symbol = r"\mathrm{Ad}^*"
+
+    @staticmethod
+    def roles(linear: Any, angular: Any) -> tuple[Any, Any]:
+        return angular, linear

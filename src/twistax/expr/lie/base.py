@@ -1,20 +1,33 @@
-"""What the Lie nodes share: the order of their twists, the shapes of both groups, and the values of their cases."""
+"""What the Lie nodes share: the order of their twists, the shapes of both groups; linear and angular parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import ModuleType
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
 
 from ...errors import ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
-from ..node import Expr, Shape
-from ..shapes import expect
+from ..arithmetic import is_constant
+from ..canonical import fold
+from ..fields import ExprLike, Operand
+from ..node import Expr, Shape, expect
 
 _SIX = ((6,), (6, 6))
+
+# Values of the conformance suite.
+TWIST = np.array([0.3, -1.2, 0.8, 0.5, -0.4, 0.9])
+OTHER_TWIST = np.array([-0.7, 0.2, 1.1, 0.6, 1.3, -0.8])
+COLUMNS = np.stack([TWIST, OTHER_TWIST], axis=1)
+ROTATION = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
+POSE = np.block([[ROTATION, np.array([[0.7], [-0.3], [1.4]])], [np.eye(4)[3:]]])
+
+
+def both_orders(**values: Any) -> list[dict[str, Any]]:
+    """The same case with [v; w] and with [w; v]."""
+    return [values | {"order": order} for order in (LINEAR_FIRST, ANGULAR_FIRST)]
 
 
 class TwistNode(Expr):
@@ -34,9 +47,9 @@ class TwistNode(Expr):
         shapes = [child.shape for child in self.children()]
         return [self.order if s in _SIX else None for s in shapes], self.order if self.shape in _SIX else None
 
-    def in_linear_first(self, function: Callable[..., jax.Array], *values: jax.Array) -> jax.Array:
-        """A function of linear-first values, in this node's order; what is not six-dimensional passes as it is."""
-        return self._swapped(function(*(self._swapped(value) for value in values)))
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        """The function works linear first; what is not six-dimensional passes as it is."""
+        return self._swapped(type(self).function(*map(self._swapped, values)))
 
     def _swapped(self, value: jax.Array) -> jax.Array:
         return self.order.from_linear_first(value) if value.shape in _SIX else value
@@ -65,27 +78,160 @@ def expect_columns(node: Expr, operand: str, got: Shape, rows: int) -> None:
         expect(node, operand, got, (rows,), f"one vector ({rows},) or k columns ({rows}, k)")
 
 
-#: The numeric maps that belong to a tangent vector, and to a group element or a matrix of the algebra, by shape.
-OF_TANGENT: dict[Shape, ModuleType] = {(3,): so3, (6,): se3}
-OF_MATRIX: dict[Shape, ModuleType] = {(3, 3): so3, (4, 4): se3}
+_GROUPS = {(3,): so3, (6,): se3, (3, 3): so3, (4, 4): se3}
 
 
-def expect_one_of(node: Expr, operand: str, got: Shape, known: Mapping[Shape, ModuleType]) -> None:
+def of_group(name: str) -> Callable[..., jax.Array]:
+    """The map of that name of the group to which the first value belongs by its shape."""
+    return lambda *values: getattr(_GROUPS[values[0].shape], name)(*values)
+
+
+TANGENTS, ELEMENTS = ((3,), (6,)), ((3, 3), (4, 4))
+
+
+def expect_one_of(node: Expr, operand: str, got: Shape, known: tuple[Shape, Shape]) -> None:
     """Raise the plain sentence if an operand has neither group's shape."""
     if got not in known:
-        first, second = known
-        raise ShapeError(f"{type(node).__name__} expects {operand} with shape {first} or {second}, got {got}")
+        raise ShapeError(f"{type(node).__name__} expects {operand} with shape {known[0]} or {known[1]}, got {got}")
 
 
-# ---- cases for the conformance suite -----------------------------------------------------------------------------
-
-TWIST = np.array([0.3, -1.2, 0.8, 0.5, -0.4, 0.9])
-OTHER_TWIST = np.array([-0.7, 0.2, 1.1, 0.6, 1.3, -0.8])
-COLUMNS = np.stack([TWIST, OTHER_TWIST], axis=1)
-ROTATION = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
-POSE = np.block([[ROTATION, np.array([[0.7], [-0.3], [1.4]])], [np.eye(4)[3:]]])
+# ---- parts of six-vectors ----------------------------------------------------------------------------------------
 
 
-def both_orders(**values: Any) -> list[dict[str, Any]]:
-    """The same case with [v; w] and with [w; v]."""
-    return [values | {"order": order} for order in (LINEAR_FIRST, ANGULAR_FIRST)]
+class _Part(ColumnsNode):
+    """Base of both parts."""
+
+    vector: Operand
+    order: Order = LINEAR_FIRST
+    abstract = True
+    cases = (*both_orders(vector=TWIST), {"vector": COLUMNS})
+    #: Which operand of JoinedParts it is.
+    place: ClassVar[int] = 0
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_columns(self, "vector", shapes[0], 6)
+        return (3, *shapes[0][1:])
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return self.order.split(values[0])[self.place]
+
+    def simplify(self) -> Expr:
+        """A part of joined parts is the part."""
+        joined = self.vector
+        known = isinstance(joined, JoinedParts) and joined.order == self.order
+        return joined.children()[self.place] if known else self
+
+
+class LinearPart(_Part):
+    """v of [v; w], or f of [f; tau]. Shapes: (6,) -> (3,); (6, k) -> (3, k).
+
+    Attributes:
+        vector: a twist, wrench or momentum (6,), or k of them as columns.
+        order: its order.
+    Raises: ShapeError if vector has no six rows.
+    """
+
+    label = "linear"
+
+
+class AngularPart(_Part):
+    """w of [v; w], or tau of [f; tau]. Shapes: (6,) -> (3,); (6, k) -> (3, k).
+
+    Attributes, Raises: as of `LinearPart`, ShapeError if vector has no six rows.
+    """
+
+    label = "angular"
+    place = 1
+
+
+class JoinedParts(ColumnsNode):
+    """The six-vector of a linear and an angular part. Shapes: (3,), (3,) -> (6,); (3, k), (3, k) -> (6, k).
+
+    Made by `twist` and `wrench`.
+
+    Attributes:
+        linear, angular: (3,) each, or k columns each.
+        order: order of the result.
+    Raises: ShapeError if a part has no three rows, or the parts differ in shape.
+    """
+
+    linear: Operand
+    angular: Operand
+    order: Order = LINEAR_FIRST
+    label = "join"
+    cases = (*both_orders(linear=TWIST[:3], angular=TWIST[3:]), {"linear": COLUMNS[:3], "angular": COLUMNS[3:]})
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        linear, angular = shapes
+        expect_columns(self, "linear", linear, 3)
+        expect(self, "angular", angular, linear)
+        return (6, *linear[1:])
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return self.order.join(*values)
+
+    def to_latex(self, *operands: str) -> str:
+        parts = operands if self.order == LINEAR_FIRST else operands[::-1]
+        return rf"\begin{{bmatrix}} {parts[0]} \\ {parts[1]} \end{{bmatrix}}"
+
+
+def halves(vector: Expr, order: Order) -> tuple[Expr, Expr]:
+    """The linear and the angular part of a canonical six-vector or of columns, as far as they are known."""
+    linear, angular = (fold(part(vector, order=order).simplify()) for part in (LinearPart, AngularPart))
+    return linear, angular
+
+
+def has_zero_half(vector: Expr, order: Order) -> bool:
+    """Whether one part is known to be zero."""
+    return any(is_constant(half, 0.0) for half in halves(vector, order))
+
+
+class Reorder(TwistNode):
+    """The same twist, wrench or 6x6 operator in the other order. Shapes: (6,) -> (6,) or (6, 6) -> (6, 6).
+
+    Attributes:
+        value: in the other order.
+        order: order of the result.
+    Raises: ShapeError if value is neither (6,) nor (6, 6).
+    """
+
+    value: Operand
+    order: Order = LINEAR_FIRST
+    label = "reorder"
+    cases = (*both_orders(value=TWIST), {"value": np.outer(TWIST, OTHER_TWIST)})
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        if shapes[0] != (6, 6):
+            expect(self, "value", shapes[0], (6,), "a vector (6,) or an operator (6, 6)")
+        return shapes[0]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        # Swapping the halves is its own inverse, whichever way it goes.
+        return ANGULAR_FIRST.from_linear_first(values[0])
+
+    def simplify(self) -> Expr:
+        """Twice is nothing."""
+        return self.value.value if isinstance(self.value, Reorder) else self
+
+    def twist_orders(self) -> tuple[list[Order | None], Order | None]:
+        return [Order(linear_leads=not self.order.linear_leads)], self.order
+
+
+def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
+    """The linear part (3,) of a twist, wrench or momentum (6,); of k columns (6, k), (3, k)."""
+    return LinearPart(vector, order=order)
+
+
+def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
+    """The angular part (3,) of a twist, wrench or momentum (6,); of k columns (6, k), (3, k)."""
+    return AngularPart(vector, order=order)
+
+
+def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
+    """The twist (6,) of a velocity (3,) in m/s and a rate (3,) in rad/s, both in the body frame."""
+    return JoinedParts(linear, angular, order=order)
+
+
+def wrench(*, force: ExprLike, torque: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
+    """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame."""
+    return JoinedParts(force, torque, order=order)

@@ -9,10 +9,9 @@ import numpy as np
 from jax import Array
 
 from ...errors import ModelError
-from ...expr import Example, Expr, Sqrt, State, to_expr
-from ...expr.fields import ExprLike, Operand
-from ...expr.shapes import Entrywise
-from ..arguments import positive
+from ...expr import Expr, Sqrt, to_expr
+from ...expr.fields import ExprLike, Operand, positive
+from ...expr.node import Entrywise
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 
@@ -130,33 +129,29 @@ US1976 = LayeredAtmosphere(
 )
 
 
+#: An air of kilometres and bars: the finite differences of the suite need values and steps of like size.
+_SMALL = LayeredAtmosphere(
+    bases=(0.0, 1.0, 2.0),
+    lapses=(-0.5, 0.0, 0.3),
+    temperature_at_base=3.0,
+    pressure_at_base=1.0,
+    gravity=9.8,
+    radius=60.0,
+    molar_mass=0.3,
+    gas_constant=1.0,
+    heat_ratio=1.4,
+)
+
+
 class _OfAltitude(Entrywise):
-    """What temperature and pressure share."""
+    """Base of temperature and pressure."""
 
     altitude: Operand
     air: LayeredAtmosphere = US1976
     keeps_order = False
     abstract = True
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        # An air of kilometres and bars: the finite differences of the suite need values and steps of like size.
-        air = LayeredAtmosphere(
-            bases=(0.0, 1.0, 2.0),
-            lapses=(-0.5, 0.0, 0.3),
-            temperature_at_base=3.0,
-            pressure_at_base=1.0,
-            gravity=9.8,
-            radius=60.0,
-            molar_mass=0.3,
-            gas_constant=1.0,
-            heat_ratio=1.4,
-        )
-        z = State("z", shape=(4,))
-        return [
-            Example(cls(z, air), {"z": np.array([-0.4, 0.5, 1.5, 3.0])}),
-            Example(cls(z), {"z": np.array([0.0, 11e3, 90e3, -1e3])}, smooth=False),
-        ]
+    cases = ({"altitude": [-0.4, 0.5, 1.5, 3.0], "air": _SMALL},)
+    kinks = ({"altitude": [0.0, 11e3, 90e3, -1e3], "air": US1976},)
 
 
 class Temperature(_OfAltitude):

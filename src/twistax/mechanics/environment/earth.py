@@ -21,12 +21,10 @@ import numpy as np
 from jax import Array
 
 from ...errors import ModelError
-from ...expr import Atan2, Block, Concat, Cos, Cross, Example, Expr, Norm, Sin, Sqrt, State
-from ...expr.fields import ExprLike, Operand
+from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
+from ...expr.fields import ExprLike, Operand, positive
 from ...expr.lie import AxisRotation
-from ...expr.node import Shape
-from ...expr.shapes import expect
-from ..arguments import of_shape, positive
+from ..arguments import of_shape
 
 __all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "north_east_down"]
 
@@ -47,8 +45,7 @@ class Ellipsoid:
         radius: the equatorial radius a, m.
         flattening: f = (a - b) / a, with b the distance of the poles from the centre.
         rate: rate of rotation about z, rad/s.
-    Raises:
-        ModelError: the radius is not positive, the flattening not in [0, 1), or the rate not finite.
+    Raises: ModelError if the radius is not positive, the flattening not in [0, 1), or the rate not finite.
     """
 
     radius: float
@@ -134,33 +131,23 @@ class Meridian(Expr):
         rho: distance from the axis, m, not negative.
         z: height above the equatorial plane, m.
         ellipsoid: the reference.
-    Raises:
-        ShapeError: rho or z is no scalar.
+    Raises: ShapeError if rho or z is no scalar.
     Source: Bowring, Transformation from spatial to geographical coordinates, Survey Review 23 (1976).
     """
 
     rho: Operand
     z: Operand
     ellipsoid: Ellipsoid = WGS84
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect(self, "rho", shapes[0], ())
-        expect(self, "z", shapes[1], ())
-        return (2,)
+    takes, gives = ((), ()), (2,)
+    # A planet of size one: the finite differences of the suite need values and steps of like size.
+    cases = (
+        {"rho": 0.8, "z": 0.9, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},
+        {"rho": 1.1, "z": -0.01, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},
+    )
+    kinks = ({"rho": 0.0, "z": 6.4e6, "ellipsoid": WGS84},)
 
     def evaluate(self, *values: Array) -> Array:
         return jnp.stack(latitude_and_altitude(self.ellipsoid, *values))
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        # A planet of size one: the finite differences of the suite need values and steps of like size.
-        planet = Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)
-        rho, z = State("rho"), State("z")
-        return [
-            Example(cls(rho, z, planet), {"rho": 0.8, "z": 0.9}),
-            Example(cls(rho, z, planet), {"rho": 1.1, "z": -0.01}),
-            Example(cls(rho, z), {"rho": 0.0, "z": 6.4e6}, smooth=False),
-        ]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

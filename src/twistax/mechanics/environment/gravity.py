@@ -8,8 +8,8 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Constant, Dot, Expr, Sqrt
-from ...expr.fields import ExprLike
-from ..arguments import of_shape, positive
+from ...expr.fields import ExprLike, positive
+from ..arguments import of_shape
 
 __all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass"]
 
@@ -20,8 +20,7 @@ class PointMass:
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.
-    Raises:
-        ModelError: gm is not positive.
+    Raises: ModelError if gm is not positive.
     """
 
     gm: float
@@ -47,8 +46,7 @@ class J2:
         gm: gravitational constant times mass, m3/s2.
         radius: the equatorial radius R that belongs to j2, m.
         j2: the second zonal harmonic, not normalised.
-    Raises:
-        ModelError: gm or radius is not positive, or j2 is not finite.
+    Raises: ModelError if gm or radius is not positive, or j2 is not finite.
     Source: Vallado, Fundamentals of Astrodynamics and Applications, chapter on special perturbations;
     Montenbruck and Gill, Satellite Orbits, section on the geopotential.
     """

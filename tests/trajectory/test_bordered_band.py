@@ -3,20 +3,19 @@
 import numpy as np
 import pytest
 
-from twistax.trajectory.banded import Chain, NotPositiveDefinite
-from twistax.trajectory.model import Model
+from twistax.trajectory.model import BorderedBand, Model, NotPositiveDefinite
 
 NODES, BLOCK = 6, 3
 SIZE = NODES * BLOCK + 1
 
 
-def chain(seed: int = 0) -> Chain:
+def chain(seed: int = 0) -> BorderedBand:
     free = np.random.default_rng(seed).random(SIZE) > 0.15
     free[-1] = True
-    return Chain(NODES, BLOCK, 1, free)
+    return BorderedBand(NODES, BLOCK, free)
 
 
-def embedded(c: Chain, rows: np.ndarray) -> np.ndarray:
+def embedded(c: BorderedBand, rows: np.ndarray) -> np.ndarray:
     """Dense rows (intervals * rows, SIZE) from what the intervals see."""
     dense = np.zeros((*rows.shape[:2], SIZE))
     for k in range(NODES - 1):
@@ -25,7 +24,7 @@ def embedded(c: Chain, rows: np.ndarray) -> np.ndarray:
     return dense.reshape(-1, SIZE)
 
 
-def test_factor_solves_the_dense_equations() -> None:
+def test_it_solves_the_dense_equations() -> None:
     c, rng = chain(), np.random.default_rng(1)
     slopes = rng.normal(size=(NODES - 1, 5, c.local))
     right = rng.normal(size=SIZE)
@@ -33,7 +32,7 @@ def test_factor_solves_the_dense_equations() -> None:
     matrix = dense.T @ dense + 0.1 * np.eye(SIZE)
     expected = np.zeros(SIZE)
     expected[c.free] = np.linalg.solve(matrix[np.ix_(c.free, c.free)], right[c.free])
-    found = c.factor(slopes.transpose(0, 2, 1) @ slopes, 0.1).solve(right)
+    found = c.solve(slopes.transpose(0, 2, 1) @ slopes, 0.1, right)
     np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
@@ -46,7 +45,7 @@ def test_gather_and_scatter_are_adjoint() -> None:
 def test_an_indefinite_matrix_is_reported() -> None:
     c = chain()
     with pytest.raises(NotPositiveDefinite):
-        c.factor(np.tile(-np.eye(c.local), (NODES - 1, 1, 1)), 0.5)
+        c.solve(np.tile(-np.eye(c.local), (NODES - 1, 1, 1)), 0.5, np.zeros(SIZE))
 
 
 @pytest.mark.parametrize("seed", range(5))

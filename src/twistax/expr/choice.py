@@ -1,9 +1,9 @@
-"""Choosing: predicates joined by and / or, entries chosen by a condition, branches of which one is evaluated."""
+"""Choosing: greatest and least, predicates joined by and / or, entries by a condition, branches of which one is run."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any as Anything
 from typing import ClassVar
 
@@ -13,11 +13,85 @@ import numpy as np
 
 from ..errors import ShapeError
 from .arithmetic import rebuilt, zeros_of
-from .array import gathered
 from .fields import ExprLike, Operand, Operands
-from .leaves import Constant, State
-from .node import Example, Expr, Shape, to_expr
-from .shapes import Entrywise, align, broadcast
+from .leaves import Constant
+from .node import Chained, Entrywise, Expr, Shape, Variadic, align, broadcast, to_expr
+
+_VALUES = {"a": [1.0, -2.0, 0.5], "s": 0.25}
+_CASES = r"\begin{cases} <1> & <0> \\ <2> & \text{otherwise} \end{cases}"
+
+
+class Extremum(Chained, init=False):
+    """Base of Max, Min and their smooth relative."""
+
+    operands: Operands
+    abstract = True
+    cases = (
+        {"operands": [[1.0, -2.0, 0.5], 0.25]},
+        {"operands": [[1.0, -3.0, 0.5], [0.5, -3.5, 1.0], -1.0]},
+    )
+    kinks = ({"operands": [[1.0, 1.0, 1.0], Constant(1.0)]},)
+    #: How two constants combine.
+    combine: ClassVar[Anything]
+    #: Whether x with x is x.
+    idempotent: ClassVar[bool] = True
+
+    def simplify(self) -> Expr:
+        """Constants fold into one, equal operands count once. Nested ones are flattened before."""
+        constants = [o.value for o in self.operands if isinstance(o, Constant)]
+        others = [o for o in self.operands if not isinstance(o, Constant)]
+        if self.idempotent:
+            others = list({o.key(): o for o in others}.values())
+        if constants:
+            others.append(Constant(functools.reduce(type(self).combine, constants)))
+        return rebuilt(self, others, self.operands)
+
+
+class Max(Extremum, init=False):
+    """Greatest of two or more operands, entry by entry with broadcasting, in one unit.
+
+    Where several are greatest the derivative is shared: two operands take one half each.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+        ValueError: fewer than two operands.
+    """
+
+    function = jnp.maximum
+    combine = np.maximum
+    latex_name = r"\max"
+
+
+class Min(Extremum, init=False):
+    """Least of two or more operands, entry by entry with broadcasting, in one unit.
+
+    Where several are least the derivative is shared: two operands take one half each.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+        ValueError: fewer than two operands.
+    """
+
+    function = jnp.minimum
+    combine = np.minimum
+    latex_name = r"\min"
+
+
+class LogSumExp(Extremum, init=False):
+    """log(e^a + e^b + ...), entry by entry with broadcasting: a smooth maximum, above it by at most log(number).
+
+    It does not overflow for large operands.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+        ValueError: fewer than two operands.
+    """
+
+    combine = np.logaddexp
+    idempotent = False
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jax.nn.logsumexp(jnp.stack(jnp.broadcast_arrays(*align(*values))), axis=0)
 
 
 def _predicate(node: str, value: Anything) -> Expr:
@@ -31,23 +105,26 @@ def _predicate(node: str, value: Anything) -> Expr:
     )
 
 
-class Reduction(Expr):
+class Reduction(Variadic, init=False):
     """Base of All and Any: one truth value from the entries of one or more predicates."""
 
     predicates: Operands
     abstract = True
     associative = True
+    listed = True
+    boolean = True
+    kinks = (
+        (lambda cls, x, s: cls([x >= 0.0, s <= 1.0]), {"x": [0.5, 0.2, 0.9], "s": 2.0}),
+        (lambda cls, x: cls(x >= 1.0), {"x": [0.5, 0.2, 1.9]}),
+    )
     #: How the entries of one predicate and then the predicates combine; the value that leaves the result as it is.
     reduce: ClassVar[Anything]
     combine: ClassVar[Anything]
     neutral: ClassVar[bool]
 
-    def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
-        super().__init__(*(_predicate(type(self).__name__, p) for p in gathered(predicates)))
-
-    @property
-    def boolean(self) -> bool:
-        return True
+    def validate(self) -> None:
+        for predicate in self.predicates:
+            _predicate(type(self).__name__, predicate)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return ()
@@ -68,7 +145,7 @@ class Reduction(Expr):
         return self if len(kept) == 1 and kept[0].shape else rebuilt(self, kept, self.predicates)
 
 
-class All(Reduction):
+class All(Reduction, init=False):
     """True if every entry of every predicate holds; shape (). Takes constraints one by one or in a list.
 
     Attributes:
@@ -82,38 +159,16 @@ class All(Reduction):
     combine = jnp.logical_and
     neutral = True
 
-    def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
-        super().__init__(*predicates)
 
-    @classmethod
-    def example(cls) -> list[Example]:
-        x, s = State("x", shape=(3,)), State("s")
-        values = {"x": np.array([0.5, 0.2, 0.9]), "s": 2.0}
-        return [Example(All([x >= 0.0, s <= 1.0]), values, smooth=False), Example(All(x >= 0.0), values, smooth=False)]
-
-
-class Any(Reduction):
+class Any(Reduction, init=False):
     """True if some entry of some predicate holds; shape (). Takes constraints one by one or in a list.
 
-    Attributes:
-        predicates: constraints (true where they hold: lhs <= rhs, lhs == rhs), All or Any.
-    Raises:
-        TypeError: something that is neither true nor false.
-        ValueError: no predicate.
+    Attributes, Raises: as of `All`.
     """
 
     reduce = jnp.any
     combine = jnp.logical_or
     neutral = False
-
-    def __init__(self, *predicates: Expr | bool | Sequence[Expr | bool]) -> None:
-        super().__init__(*predicates)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        x, s = State("x", shape=(3,)), State("s")
-        values = {"x": np.array([-0.5, 0.2, 0.9]), "s": 2.0}
-        return [Example(Any([x >= 0.0, s <= 1.0]), values, smooth=False), Example(Any(x >= 1.0), values, smooth=False)]
 
 
 class Where(Entrywise):
@@ -133,6 +188,12 @@ class Where(Entrywise):
     condition: Operand
     x: Operand
     y: Operand
+    function = jnp.where
+    formula = _CASES
+    cases = (
+        (lambda cls, a, s: cls(a <= s, a**2, s), _VALUES),
+        (lambda cls, a, s: cls(s <= 0.0, a, -a), _VALUES),
+    )
 
     def __init__(self, condition: Anything, x: ExprLike, y: ExprLike) -> None:
         super().__init__(_predicate("Where", condition), x, y)
@@ -140,10 +201,6 @@ class Where(Entrywise):
     @property
     def boolean(self) -> bool:
         return self.x.boolean and self.y.boolean
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        condition, x, y = align(*values)
-        return jnp.where(condition, x, y)
 
     def simplify(self) -> Expr:
         """A constant condition decides; equal sides need no condition."""
@@ -155,15 +212,6 @@ class Where(Entrywise):
         if isinstance(condition, Constant) and not condition.value.any() and self.y.shape == self.shape:
             return self.y
         return self
-
-    def to_latex(self, *operands: str) -> str:
-        return _cases(*operands)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, s = State("a", shape=(3,)), State("s")
-        values = {"a": np.array([1.0, -2.0, 0.5]), "s": 0.25}
-        return [Example(Where(a <= s, a**2, s), values), Example(Where(s <= 0.0, a, -a), values)]
 
 
 class Cond(Expr):
@@ -185,6 +233,11 @@ class Cond(Expr):
     true_branch: Operand
     false_branch: Operand
     keeps_order = True
+    formula = _CASES
+    cases = (
+        (lambda cls, a, s: cls(s <= 1.0, a**2, s), _VALUES),
+        (lambda cls, a, s: cls([s <= 1.0, s >= 0.5], a, -a), _VALUES),
+    )
 
     def __init__(self, predicate: Anything, true_branch: ExprLike, false_branch: ExprLike) -> None:
         predicate = All(predicate) if isinstance(predicate, (list, tuple)) else _predicate("Cond", predicate)
@@ -211,7 +264,7 @@ class Cond(Expr):
 
     def evaluate_on_demand(self, values: list[jax.Array], value_of: Callable[[Expr], jax.Array]) -> jax.Array:
         def branch(expr: Expr) -> Callable[[], jax.Array]:
-            return lambda: _broadcast_to(value_of(expr), self.shape)
+            return lambda: jnp.broadcast_to(value_of(expr), self.shape)
 
         return jax.lax.cond(values[0], branch(self.true_branch), branch(self.false_branch))
 
@@ -223,20 +276,3 @@ class Cond(Expr):
             chosen = self.true_branch if self.predicate.value.all() else self.false_branch
             return chosen if chosen.shape == self.shape else chosen + zeros_of(self)
         return self
-
-    def to_latex(self, *operands: str) -> str:
-        return _cases(*operands)
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        a, s = State("a", shape=(3,)), State("s")
-        values = {"a": np.array([1.0, -2.0, 0.5]), "s": 0.25}
-        return [Example(Cond(s <= 1.0, a**2, s), values), Example(Cond([s <= 1.0, s >= 0.5], a, -a), values)]
-
-
-def _broadcast_to(value: jax.Array, shape: Shape) -> jax.Array:
-    return value if value.shape == shape else jnp.broadcast_to(value, shape)
-
-
-def _cases(condition: str, x: str, y: str) -> str:
-    return rf"\begin{{cases}} {x} & {condition} \\ {y} & \text{{otherwise}} \end{{cases}}"

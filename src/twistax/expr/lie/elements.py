@@ -1,0 +1,464 @@
+"""Rotations and poses: exponential and logarithm with their Jacobians, products, inverses, action on points.
+
+Where a node serves SO(3) and SE(3), the shape of the operand says which.
+
+Source: R. Murray, Z. Li, S. Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 2;
+J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018), appendices;
+G. Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012), chapter 10, for the Jacobians.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import ModelError, ShapeError
+from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
+from ..arithmetic import Mul, Neg, is_constant, is_identity, zeros_of
+from ..array import Index
+from ..canonical import fold
+from ..fields import ExprLike, Operand
+from ..leaves import Constant
+from ..linalg import Cross
+from ..node import Expr, Shape, expect
+from ..printing import number_latex
+from .base import (
+    ELEMENTS,
+    OTHER_TWIST,
+    POSE,
+    ROTATION,
+    TANGENTS,
+    TWIST,
+    TwistNode,
+    both_orders,
+    expect_one_of,
+    of_group,
+)
+
+
+class SO3Exp(Expr):
+    """Exp: rotation vector (3,) in rad -> rotation (3, 3), R = I + sin t / t W + (1 - cos t) / t^2 W^2, t = |w|.
+
+    Attributes:
+        omega: the rotation vector.
+    Raises: ShapeError if omega is not of shape (3,).
+    """
+
+    omega: Operand
+    takes, gives = ((3,),), (3, 3)
+    function = so3.exp
+    latex_name = r"\operatorname{Exp}"
+    cases = ({"omega": TWIST[3:]}, {"omega": np.zeros(3)})
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return True
+
+    def simplify(self) -> Expr:
+        """Exp(Log(R)) is R for a rotation."""
+        log = self.omega
+        return log.rotation if isinstance(log, SO3Log) and log.rotation.is_group_element else self
+
+
+class SO3Log(Expr):
+    """Log: rotation (3, 3) -> rotation vector (3,) in rad, of length at most pi.
+
+    At exactly a half turn the axis whose first non-zero component is positive is taken; gradients are finite there.
+
+    Attributes:
+        rotation: R (3, 3).
+    Raises: ShapeError if rotation is not of shape (3, 3).
+    """
+
+    rotation: Operand
+    takes, gives = ((3, 3),), (3,)
+    function = so3.log
+    latex_name = r"\operatorname{Log}"
+    # Off the group the map is an extension nobody differentiates: the case goes through Exp.
+    cases = ((lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),)
+
+
+class SE3Exp(TwistNode):
+    """Exp: twist (6,) -> pose (4, 4), [Exp(w) V(w) v; 0 1] with V the left Jacobian of SO(3).
+
+    Attributes:
+        twist: (6,), m and rad.
+        order: its order.
+    Raises: ShapeError if twist is not of shape (6,).
+    """
+
+    twist: Operand
+    order: Order = LINEAR_FIRST
+    takes, gives = ((6,),), (4, 4)
+    function = se3.exp
+    latex_name = r"\operatorname{Exp}"
+    cases = (*both_orders(twist=TWIST), {"twist": np.zeros(6)})
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return True
+
+    def simplify(self) -> Expr:
+        """Exp(Log(T)) is T for a pose, if both have one order."""
+        log = self.twist
+        undone = isinstance(log, SE3Log) and log.order == self.order and log.transform.is_group_element
+        return log.children()[0] if undone else self
+
+
+class SE3Log(TwistNode):
+    """Log: pose (4, 4) -> twist (6,), rotation angle at most pi; [V(w)^-1 p; w] with w = Log(R).
+
+    At exactly a half turn the axis whose first non-zero component is positive is taken; gradients are finite there.
+    Log(Exp(xi)) is xi only within a half turn, so no rewrite removes it.
+
+    Attributes:
+        transform: T (4, 4).
+        order: order of the result.
+    Raises: ShapeError if transform is not of shape (4, 4).
+    """
+
+    transform: Operand
+    order: Order = LINEAR_FIRST
+    takes, gives = ((4, 4),), (6,)
+    function = se3.log
+    latex_name = r"\operatorname{Log}"
+    cases = (
+        (lambda cls, a: cls(SE3Exp(a)), {"a": TWIST}),
+        (lambda cls, a: cls(SE3Exp(a, ANGULAR_FIRST), ANGULAR_FIRST), {"a": TWIST}),
+    )
+
+
+class _Jacobian(TwistNode):
+    """Base of the four Jacobians."""
+
+    tangent: Operand
+    order: Order = LINEAR_FIRST
+    abstract = True
+    cases = (*both_orders(tangent=TWIST), {"tangent": TWIST[3:]}, {"tangent": np.zeros(6)})
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_one_of(self, "tangent", shapes[0], TANGENTS)
+        return shapes[0] * 2
+
+
+class LeftJacobian(_Jacobian):
+    """J_l with Exp(xi + d) = Exp(J_l(xi) d) Exp(xi) to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
+
+    Attributes:
+        tangent: xi, rad and m.
+        order: order of a twist.
+    Raises: ShapeError for tangent of another shape.
+    """
+
+    function = of_group("left_jacobian")
+
+
+class RightJacobian(_Jacobian):
+    """J_r with Exp(xi + d) = Exp(xi) Exp(J_r(xi) d) to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
+
+    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
+    """
+
+    function = of_group("right_jacobian")
+
+
+class LeftJacobianInverse(_Jacobian):
+    """The inverse of J_l, for angles below a full turn. Shapes: (n,) -> (n, n), n = 3 or 6.
+
+    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
+    """
+
+    function = of_group("left_jacobian_inv")
+
+
+class RightJacobianInverse(_Jacobian):
+    """The inverse of J_r, for angles below a full turn. Shapes: (n,) -> (n, n), n = 3 or 6.
+
+    With g = g_n Exp(eta) and a body twist Omega: eta' = J_r(eta)^-1 Omega.
+
+    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
+    """
+
+    function = of_group("right_jacobian_inv")
+
+
+class Compose(Expr):
+    """The product of two rotations or two poses, T_ac = T_ab T_bc. Shapes: (n, n), (n, n) -> (n, n), n = 3 or 4.
+
+    Attributes:
+        left, right: both rotations (3, 3) or both poses (4, 4).
+    Raises: ShapeError for an operand of another shape, or a rotation meets a pose.
+    """
+
+    left: Operand
+    right: Operand
+    label = "compose"
+    function = of_group("compose")
+    formula = r"<0:20> \circ <1:20>"
+    precedence = 20
+    cases = ({"left": POSE, "right": POSE @ POSE}, {"left": ROTATION, "right": ROTATION})
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_one_of(self, "left", shapes[0], ELEMENTS)
+        expect(self, "right", shapes[1], shapes[0])
+        return shapes[0]
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return all(operands)
+
+    def simplify(self) -> Expr:
+        """The identity vanishes, and so does a group element beside its inverse, also inside of a chain."""
+        left, right = self.left, self.right
+        if is_identity(left):
+            return right
+        if is_identity(right):
+            return left
+        if undoes(left, right):
+            return Constant(np.eye(self.shape[0]))
+        if isinstance(right, Compose) and undoes(left, right.left):
+            return right.right
+        if isinstance(left, Compose) and undoes(left.right, right):
+            return left.left
+        return self
+
+
+class Inverse(Expr):
+    """The inverse of a rotation or a pose, R' or [R' -R'p; 0 1]. Shapes: (n, n) -> (n, n), n = 3 or 4.
+
+    Attributes:
+        element: a rotation (3, 3) or a pose (4, 4); for other matrices use `tx.linalg.Inv`.
+    Raises: ShapeError for element of another shape.
+    """
+
+    element: Operand
+    label = "inverse"
+    function = of_group("inverse")
+    formula = "{<0:60>}^{-1}"
+    cases = ({"element": POSE}, {"element": ROTATION})
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_one_of(self, "element", shapes[0], ELEMENTS)
+        return shapes[0]
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return operands[0]
+
+    def simplify(self) -> Expr:
+        """The inverse of the inverse of a group element is the element; that of a translation, its negative."""
+        inner = self.element
+        if isinstance(inner, Inverse) and inner.element.is_group_element:
+            return inner.element
+        if isinstance(inner, Pose) and is_identity(inner.rotation):
+            return Pose(inner.rotation, Neg(inner.position))
+        if isinstance(inner, Pose) and is_constant(inner.position, 0.0):
+            return Pose(Inverse(inner.rotation), inner.position)
+        return self
+
+
+def undoes(one: Expr, other: Expr) -> bool:
+    """Whether two group elements are inverse to each other by construction."""
+    pairs = ((one, other), (other, one))
+    inverse = any(isinstance(a, Inverse) and a.element.key() == b.key() for a, b in pairs)
+    return inverse and one.is_group_element
+
+
+class Act(Expr):
+    """A rotation or a pose applied to points: R p, or R p + t. Shapes: (3, 3) or (4, 4), and (3,) or (k, 3) points.
+
+    Attributes:
+        element: R_ab or T_ab.
+        point: coordinates in frame b, m; the result is in frame a.
+    Raises: ShapeError for an operand of another shape.
+    """
+
+    element: Operand
+    point: Operand
+    label = "act"
+    function = of_group("act")
+    formula = r"<0:20> \cdot <1:21>"
+    precedence = 20
+    cases = ({"element": POSE, "point": TWIST[:3]}, {"element": ROTATION, "point": TWIST[:3]})
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_one_of(self, "element", shapes[0], ELEMENTS)
+        if len(shapes[1]) != 2 or shapes[1][1] != 3:
+            expect(self, "point", shapes[1], (3,), "one point (3,) or k points (k, 3)")
+        return shapes[1]
+
+    def simplify(self) -> Expr:
+        """The identity vanishes; T^-1 undoes T; R 0 is 0; R times a unit vector is a column of R."""
+        element, point = self.element, self.point
+        if is_identity(element):
+            return point
+        if isinstance(point, Act) and undoes(element, point.element):
+            return point.point
+        if element.shape == (3, 3) and isinstance(point, Constant):
+            if is_constant(point, 0.0):
+                return zeros_of(self)
+            if point.shape == (3,) and np.count_nonzero(point.value) == 1:
+                axis = int(np.flatnonzero(point.value)[0])
+                return Mul(Constant(point.value[axis]), Index(element, np.s_[:, axis]))
+        return self
+
+
+class Pose(Expr):
+    """The pose [R p; 0 1] of a rotation and a position. Shapes: (3, 3), (3,) -> (4, 4).
+
+    Attributes:
+        rotation: R (3, 3).
+        position: p (3,), m.
+    Raises: ShapeError for an operand of another shape.
+    """
+
+    rotation: Operand
+    position: Operand
+    label = "pose"
+    takes, gives = ((3, 3), (3,)), (4, 4)
+    function = se3.transform
+    cases = (
+        {"rotation": ROTATION, "position": TWIST[:3]},
+        {"rotation": Constant(np.eye(3)), "position": TWIST[:3]},
+        {"rotation": ROTATION, "position": Constant(np.zeros(3))},
+    )
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return operands[0]
+
+
+def translation(position: ExprLike) -> Expr:
+    """The pose [I p; 0 1] of a frame at p (3,), in m, with the axes of the other; an expression, numbers or an array.
+
+    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product.
+    """
+    return Pose(np.eye(3), position)
+
+
+def rotation(rotation: ExprLike) -> Expr:
+    """The pose [R 0; 0 1] of a frame turned by R (3, 3) about the origin of the other; an expression or an array.
+
+    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else.
+    """
+    return Pose(rotation, np.zeros(3))
+
+
+def parts_of_pose(T: Expr) -> tuple[Expr, Expr]:
+    """The rotation and the position of a canonical pose, as far as they are known."""
+    if isinstance(T, Pose):
+        return T.rotation, T.position
+    return fold(Index(T, np.s_[:3, :3])), fold(Index(T, np.s_[:3, 3]))
+
+
+class Hat(TwistNode):
+    """hat: (3,) -> so(3), hat(w) u = w x u; (6,) -> se(3), hat([v; w]) = [[w]x v; 0 0].
+
+    Attributes:
+        vector: (3,) or (6,).
+        order: order of a twist (6,).
+    Raises: ShapeError for vector of another shape.
+    """
+
+    vector: Operand
+    order: Order = LINEAR_FIRST
+    label = "hat"
+    function = of_group("hat")
+    formula = r"{<0>}^\wedge"
+    cases = ({"vector": TWIST[3:]}, *both_orders(vector=TWIST))
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_one_of(self, "vector", shapes[0], TANGENTS)
+        return (3, 3) if shapes[0] == (3,) else (4, 4)
+
+    def applied_to(self, vector: Expr) -> Expr | None:
+        return Cross(self.vector, vector) if self.vector.shape == (3,) else None
+
+
+class Vee(TwistNode):
+    """vee, the inverse of hat: so(3) (3, 3) -> (3,), se(3) (4, 4) -> (6,).
+
+    Attributes:
+        matrix: an element of the algebra; of another matrix the skew part of its first three rows and columns is read.
+        order: order of the resulting twist (6,).
+    Raises: ShapeError for matrix of another shape.
+    """
+
+    matrix: Operand
+    order: Order = LINEAR_FIRST
+    label = "vee"
+    function = of_group("vee")
+    formula = r"\left(<0>\right)^\vee"
+    cases = (
+        *both_orders(matrix=np.outer(TWIST[:4], OTHER_TWIST[:4])),
+        {"matrix": np.outer(TWIST[:3], OTHER_TWIST[3:])},
+        (lambda cls, w: cls(Hat(w)), {"w": TWIST[3:]}),
+    )
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        expect_one_of(self, "matrix", shapes[0], ELEMENTS)
+        return (3,) if shapes[0] == (3, 3) else (6,)
+
+    def simplify(self) -> Expr:
+        """Vee(Hat(x)) is x, if both have one order."""
+        hat = self.matrix
+        return hat.vector if isinstance(hat, Hat) and (hat.order == self.order or self.shape == (3,)) else self
+
+
+class AxisRotation(Expr):
+    """R = a a^T + sin q [a]x + cos q (I - a a^T): the turn by q about a fixed unit axis a. Shapes: () -> (3, 3).
+
+    The same as SO3Exp(q a) for one sine and one cosine (Rodrigues).
+
+    Attributes:
+        angle: q in rad.
+        axis: three numbers, not all zero; it is normalised.
+    Raises:
+        ShapeError: angle is no scalar, or axis has not three entries.
+        ModelError: axis is zero, not finite or no numbers.
+    """
+
+    angle: Operand
+    axis: Any
+    takes, gives, takes_hint = ((),), (3, 3), "take the entry of a vector: angle[0]"
+    cases = ({"angle": 0.7, "axis": (1.0, -2.0, 2.0)}, {"angle": 0.0, "axis": (0.0, 0.0, 1.0)})
+
+    def validate(self) -> None:
+        self.axis = tuple(unit_vector("AxisRotation", "axis", self.axis).tolist())
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        (q,) = values
+        x, y, z = self.axis
+        along = np.outer(self.axis, self.axis)
+        turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        constant, sine, cosine = (jnp.asarray(part, q.dtype) for part in (along, turn, np.eye(3) - along))
+        return constant + jnp.sin(q) * sine + jnp.cos(q) * cosine
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return True
+
+    def to_latex(self, *operands: str) -> str:
+        axis = ", ".join(number_latex(entry, 4) for entry in self.axis)
+        return rf"\operatorname{{Rot}}_{{({axis})}}\left({operands[0]}\right)"
+
+
+def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
+    """A direction (3,) as a unit vector.
+
+    Raises:
+        ShapeError: it has not three entries.
+        ModelError: it is zero, not finite or no numbers.
+    """
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"{owner} expects {name} to be three numbers, got {value!r}") from None
+    if vector.shape != (3,):
+        raise ShapeError(f"{owner} expects {name} with shape (3,), got {vector.shape}")
+    largest = np.max(np.abs(vector))
+    if not np.isfinite(largest) or largest == 0.0:
+        raise ModelError(
+            f"{owner} expects {name} to be a direction, got {vector.tolist()}.\n"
+            "  fix: give three finite numbers, not all zero; the length does not matter"
+        )
+    # Scaled first: the squares of very large or very small entries leave the range. Adding 0 turns -0 into 0.
+    vector = vector / largest
+    return vector / np.linalg.norm(vector) + 0.0

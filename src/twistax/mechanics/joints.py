@@ -1,0 +1,318 @@
+"""Joints as screws: what a joint lets move, what drives it, and what its bearing carries.
+
+With k freedoms: motion subspace H (6, k), working wrenches h* (6, k), constraint wrenches H-bar* (6, 6 - k), and
+
+    h*^T H = I        H^T H-bar* = 0        [h* H-bar*] is a basis of all wrenches.
+
+A change of frame by T_ab maps motions by Ad_T and wrenches by Ad*_T = Ad_T^-T, so all three hold in every frame. That
+h* and H-bar* are orthogonal does not: a dot product of two wrenches changes with the frame.
+
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..errors import ModelError, ShapeError
+from ..expr import Constant, Expr, State
+from ..expr.fields import ExprLike
+from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual
+from ..expr.lie.elements import unit_vector
+from ..groups import SE3, SO3, Group
+from .arguments import of_shape, pose
+
+__all__ = ["Fixed", "Free", "Joint", "Prismatic", "Revolute", "Screws", "Spherical"]
+
+#: How far h*^T H may be from the identity.
+_ROUND_OFF = 1e-12
+
+
+class _Subspaces:
+    """Wrenches split by the subspaces of a joint, in one frame."""
+
+    motion_subspace: Expr
+    actuation_basis: Expr
+    constraint_basis: Expr
+
+    def actuation(self, F: ExprLike) -> Expr:
+        """H^T F (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
+
+        Raises: ShapeError if F is not of shape (6,).
+        """
+        return self.motion_subspace.T @ of_shape("actuation of a joint", "the wrench F", F, (6,))
+
+    def wrench(self, tau: ExprLike) -> Expr:
+        """h* tau (6,): the wrench on the child of an actuator with the generalised force tau (k,).
+
+        Raises: ShapeError if tau is not of shape (k,).
+        """
+        freedoms = self.motion_subspace.shape[1]
+        return self.actuation_basis @ of_shape("wrench of a joint", "the generalised force tau", tau, (freedoms,))
+
+    def reaction(self, F: ExprLike) -> Expr:
+        """F - h* (H^T F) (6,): the part of a wrench F (6,) that the bearing carries; in the span of H-bar*.
+
+        Raises: ShapeError if F is not of shape (6,).
+        """
+        whole = of_shape("reaction of a joint", "the wrench F", F, (6,))
+        return whole - self.actuation_basis @ (self.motion_subspace.T @ whole)
+
+
+@dataclasses.dataclass(frozen=True)
+class Screws(_Subspaces):
+    """The subspaces of a joint in one frame, and the wrenches split by them. Six-vectors are [v; w] and [f; tau].
+
+    Attributes:
+        motion_subspace: H (6, k); the twist of the child relative to the parent is H @ velocity.
+        actuation_basis: h* (6, k), the wrench of a unit actuator on the child; h*^T H = I.
+        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; H^T H-bar* = 0.
+    """
+
+    motion_subspace: Expr
+    actuation_basis: Expr
+    constraint_basis: Expr
+
+    def in_frame(self, T: ExprLike) -> Screws:
+        """The same joint seen in frame a: Ad_T H, Ad*_T h*, Ad*_T H-bar* with T = T_ab (4, 4), b the frame of these.
+
+        Raises:
+            ShapeError: T is not of shape (4, 4).
+            ModelError: T is made of numbers and no pose.
+        """
+        T_ab = pose("a change of frame of a joint", "the pose T", T)
+        moved = SE3AdjointDual(T_ab)
+        return Screws(
+            SE3Adjoint(T_ab) @ self.motion_subspace, moved @ self.actuation_basis, moved @ self.constraint_basis
+        )
+
+
+def complement(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (n, n - k) of what is orthogonal to the independent columns (n, k).
+
+    The k coordinate axes closest to the columns are left out; the others, in order, are made orthogonal to the columns
+    and to each other. So the complement of coordinate axes is the other coordinate axes.
+    """
+    n, k = columns.shape
+    basis = list(np.linalg.qr(columns)[0].T)
+    left, near = sum((np.outer(b, b) for b in basis), start=np.zeros((n, n))), []
+    for _ in range(k):
+        # Rounded, so that a tie falls to the first axis on every machine.
+        i = int(np.argmax(np.round(np.diag(left), 9)))
+        near.append(i)
+        left = left - np.outer(left[:, i], left[i]) / left[i, i]
+    for i in range(n):
+        if i not in near:
+            vector = np.eye(n)[i]
+            for b in basis * 2:  # twice: the second pass removes the round-off of the first
+                vector = vector - b * (b @ vector)
+            basis.append(vector / np.linalg.norm(vector))
+    # Adding 0 turns -0 into 0.
+    return np.stack(basis[k:], axis=1) + 0.0 if k < n else np.zeros((n, 0))
+
+
+class Joint(_Subspaces, ABC):
+    """A joint between a parent and a child, with k freedoms and a motion subspace H that is constant in the child.
+
+    Subclass it to add one: call `super().__init__` with H, and write `placement`. Six-vectors are [v; w] and [f; tau].
+
+    Args:
+        name: begins the names of the states, `<name>_position` and `<name>_velocity`.
+        motion: H (6, k), or (6,) for one freedom, in the child's joint frame.
+        actuation_basis: h* (6, k) with h*^T H = I; H (H^T H)^-1 unless given. Give it where H mixes m and rad.
+
+    Attributes:
+        name: as given.
+        dofs: k, from 0 to 6.
+        position: the State of shape (k,), or on `group` where a subclass names one; None for k = 0.
+        velocity: the State of shape (k,); m/s along slides, rad/s about axes. None for k = 0.
+        motion_subspace, actuation_basis, constraint_basis: H, h* and H-bar* in the child's joint frame; see `Screws`.
+
+    Raises:
+        ModelError: no name; H or h* no numbers; H not finite or with dependent columns; h*^T H is not I; a group of
+            another dimension.
+        ShapeError: H or h* of another shape.
+    """
+
+    #: The group of the position; None for k coordinates whose rate is the velocity.
+    group: ClassVar[Group | None] = None
+
+    def __init__(self, name: str, motion: Any, actuation_basis: Any = None) -> None:
+        if not isinstance(name, str) or not name:
+            raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
+        self.name = name
+        H = self._motion(motion)
+        self.dofs = H.shape[1]
+        if self.group is not None and self.group.dimension != self.dofs:
+            raise ModelError(
+                f"{self!r} expects a group of dimension {self.dofs}, one for each column of motion, "
+                f"got {self.group.name} of dimension {self.group.dimension}"
+            )
+        h = H @ np.linalg.inv(H.T @ H) if actuation_basis is None else self._actuation(actuation_basis, H)
+        self.motion_subspace, self.actuation_basis = Constant(H), Constant(h)
+        self.constraint_basis = Constant(complement(H))
+        self.position: State | None = None
+        self.velocity: State | None = None
+        if self.dofs:
+            shape = (self.dofs,) if self.group is None else None
+            self.position = State(f"{name}_position", shape, group=self.group)
+            self.velocity = State(f"{name}_velocity", (self.dofs,))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
+    def _columns(self, name: str, value: Any) -> np.ndarray:
+        try:
+            columns = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ModelError(f"{self!r} expects {name} to be an array of numbers, got {value!r}") from None
+        return columns[:, None] if columns.ndim == 1 else columns
+
+    def _motion(self, motion: Any) -> np.ndarray:
+        H = self._columns("motion", motion)
+        if H.ndim != 2 or H.shape[0] != 6 or H.shape[1] > 6:
+            raise ShapeError(f"{self!r} expects motion with shape (6, k), k from 0 to 6, got {np.shape(motion)}")
+        if not np.isfinite(H).all() or (H.size and np.linalg.matrix_rank(H) < H.shape[1]):
+            raise ModelError(
+                f"{self!r} expects motion with finite, independent columns, got\n{H}\n"
+                "  fix: one column for each freedom, none of them a combination of others"
+            )
+        return H
+
+    def _actuation(self, basis: Any, H: np.ndarray) -> np.ndarray:
+        h = self._columns("actuation_basis", basis)
+        if h.shape != H.shape:
+            raise ShapeError(f"{self!r} expects actuation_basis with the shape of motion, {H.shape}, got {h.shape}")
+        product = h.T @ H
+        if not np.allclose(product, np.eye(self.dofs), rtol=0.0, atol=_ROUND_OFF):
+            raise ModelError(
+                f"{self!r}: actuation_basis must give unit power on the motions, actuation_basis.T @ motion = I, got\n"
+                f"{product}\n  fix: leave actuation_basis out, or divide it by this product"
+            )
+        return h
+
+    @abstractmethod
+    def placement(self, position: Expr) -> Expr:
+        """T_pc (4, 4) of the position, of shape (0,) where there is none; its rate must be T_pc (H velocity)^."""
+
+    @functools.cached_property
+    def transform(self) -> Expr:
+        """T_pc (4, 4): maps coordinates of the child's joint frame to the parent's.
+
+        Raises: ShapeError if `placement` of a subclass gives another shape.
+        """
+        position = Constant(np.zeros(0)) if self.position is None else self.position
+        return of_shape(repr(self), "its placement", self.placement(position), (4, 4))
+
+    @property
+    def screws(self) -> Screws:
+        """The three subspaces in the child's joint frame."""
+        return Screws(self.motion_subspace, self.actuation_basis, self.constraint_basis)
+
+    @property
+    def rates(self) -> dict[State | str, ExprLike]:
+        """The kinematics {position: velocity}, for the rates of a System; empty where nothing moves."""
+        return {} if self.position is None or self.velocity is None else {self.position: self.velocity}
+
+    @property
+    def twist(self) -> Expr:
+        """H @ velocity (6,): the twist of the child relative to the parent, in the child's joint frame."""
+        return Constant(np.zeros(6)) if self.velocity is None else self.motion_subspace @ self.velocity
+
+    def screws_in(self, T: ExprLike) -> Screws:
+        """The subspaces in another frame; T (4, 4) maps child joint coordinates to that frame. Raises ShapeError."""
+        return self.screws.in_frame(T)
+
+
+class Fixed(Joint):
+    """No motion: H has shape (6, 0), T_pc = I, and the bearing carries every wrench. There are no states.
+
+    Args:
+        name: of the joint.
+    Raises: ModelError for no name.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, motion=np.zeros((6, 0)))
+
+    def placement(self, position: Expr) -> Expr:
+        return Constant(np.eye(4))
+
+
+class Revolute(Joint):
+    """One turn about a fixed axis a through the joint's origin: H = [0; a], T_pc = [Rot(a, q) 0; 0 1], q in rad.
+
+    Args:
+        name: of the joint.
+        axis: a (3,), the same in both joint frames; any non-zero length, normalised.
+    Raises:
+        ShapeError: axis is not of shape (3,).
+        ModelError: no name; an axis that is zero or not finite.
+    """
+
+    def __init__(self, name: str, axis: Any) -> None:
+        self.axis = unit_vector(f"Revolute {name!r}", "axis", axis)
+        super().__init__(name, motion=np.concatenate([np.zeros(3), self.axis]))
+
+    def placement(self, position: Expr) -> Expr:
+        return Pose(AxisRotation(position[0], self.axis), np.zeros(3))
+
+
+class Prismatic(Joint):
+    """One translation along a fixed axis a: H = [a; 0], T_pc = [I q a; 0 1], q in m.
+
+    Args:
+        name, axis: as for `Revolute`.
+    Raises:
+        ShapeError, ModelError: as for `Revolute`.
+    """
+
+    def __init__(self, name: str, axis: Any) -> None:
+        self.axis = unit_vector(f"Prismatic {name!r}", "axis", axis)
+        super().__init__(name, motion=np.concatenate([self.axis, np.zeros(3)]))
+
+    def placement(self, position: Expr) -> Expr:
+        return Pose(np.eye(3), self.axis * position[0])
+
+
+class Spherical(Joint):
+    """All turns about the joint's origin: H = [0; I], T_pc = [R 0; 0 1].
+
+    The position is R (3, 3) on SO(3), the velocity the body rate w (3,) in rad/s, R' = R [w]x.
+
+    Args:
+        name: of the joint.
+    Raises: ModelError for no name.
+    """
+
+    group = SO3
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, motion=np.eye(6)[:, 3:])
+
+    def placement(self, position: Expr) -> Expr:
+        return Pose(position, np.zeros(3))
+
+
+class Free(Joint):
+    """All motions: H = I, T_pc is the position itself, on SE(3); the velocity is the body twist [v; w] (6,).
+
+    There are no constraint wrenches: H-bar* has shape (6, 0).
+
+    Args:
+        name: of the joint.
+    Raises: ModelError for no name.
+    """
+
+    group = SE3
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, motion=np.eye(6))
+
+    def placement(self, position: Expr) -> Expr:
+        return position

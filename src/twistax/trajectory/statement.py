@@ -1,0 +1,346 @@
+"""What a problem asks for: its objective, the rows of its residuals along the path, and its two ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Mapping, Sequence
+from math import prod
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..errors import ModelError, ShapeError, TrajectoryError
+from ..expr import (
+    Constraint,
+    Control,
+    Equality,
+    Expr,
+    Inputs,
+    Leaf,
+    Parameter,
+    State,
+    Time,
+    evaluate_all,
+    leaves_of,
+    to_expr,
+)
+from ..groups import Euclidean
+from ..lowering import Dynamics
+from ..system import free_name, name_of
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Objective:
+    """J = phi(T, x(T)) + integral of l(t, x, u) dt, to be minimised or maximised.
+
+    Args:
+        final: phi, a scalar expression of states, parameters and `tx.Time()` (which is the final time there).
+        running: l, a scalar expression of states, controls, parameters and time.
+        smoothing: weight of sum |u_(k+1) - u_k|^2, each control measured in its scale, against the objective measured
+            by its steepest slope at the guess. A small value (the default) picks one of many nearly equal controls
+            and removes chatter; it costs that fraction of optimality.
+
+    Raises:
+        ModelError: neither final nor running, or a negative smoothing.
+        ShapeError: an expression that is not a scalar.
+    """
+
+    final: Expr | None
+    running: Expr | None
+    smoothing: float
+
+    #: +1 to minimise, -1 to maximise.
+    sign: ClassVar[float] = 1.0
+
+    def __init__(self, final: Any = None, *, running: Any = None, smoothing: float = 1e-3) -> None:
+        kind = type(self).__name__
+        if final is None and running is None:
+            raise ModelError(f"{kind} needs an expression of the final state, or running=..., or both")
+        if not smoothing >= 0.0:
+            raise ModelError(f"{kind}: smoothing must be zero or positive, got {smoothing}")
+        for name, value in (("final", final), ("running", running)):
+            expr = None if value is None else to_expr(value)
+            if expr is not None and expr.shape != ():
+                raise ShapeError(
+                    f"{kind} expects a scalar {name} expression, got shape {expr.shape}",
+                    at=repr(expr),
+                    hint="index it, or take tx.linalg.Sum or tx.linalg.Norm of it",
+                )
+            object.__setattr__(self, name, expr)
+        object.__setattr__(self, "smoothing", float(smoothing))
+
+
+class Minimize(Objective):
+    """Minimise phi(T, x(T)) + integral of l(t, x, u) dt. See `Objective` for the arguments."""
+
+
+class Maximize(Objective):
+    """Maximise phi(T, x(T)) + integral of l(t, x, u) dt. See `Objective` for the arguments."""
+
+    sign = -1.0
+
+
+# ---- the path ----------------------------------------------------------------------------------------------------
+
+
+class Reads(enum.Enum):
+    """What a constraint depends on, and so at which points of an interval with held controls it has to be asked."""
+
+    CONTROL = "controls alone: once an interval"
+    STATE = "states and time: at every point, shared ends once"
+    BOTH = "states and controls: at every point, shared ends from both sides"
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """One finite side of a leaf's box: sign * (value[entry] - limit) <= 0."""
+
+    leaf: str
+    entry: int
+    sign: float
+    limit: float
+    name: str
+    reads: Reads
+
+
+@dataclasses.dataclass(frozen=True)
+class PathRows:
+    """The rows of the path function: the system's inequalities, its equalities, then the boxes of the leaves.
+
+    Attributes:
+        names, equality, reads: of every row.
+        states: the states every row reads.
+        bounds: the boxes, as the last rows.
+    """
+
+    names: tuple[str, ...]
+    equality: Array
+    reads: tuple[Reads, ...]
+    states: tuple[frozenset[str], ...]
+    bounds: tuple[Bound, ...]
+
+    def asked(self, intervals: int, substeps: int) -> Array:
+        """Where the rows are asked: bool (intervals, substeps + 1, rows). The last point of an interval is its end."""
+        mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
+        for row, reads in enumerate(self.reads):
+            if reads is Reads.CONTROL:
+                mask[:, 1:, row] = False
+            elif reads is Reads.STATE:
+                mask[:-1, -1, row] = False
+        return mask
+
+    def decided(self, intervals: int, substeps: int, fixed: frozenset[str]) -> Array:
+        """Rows that no unknown can change, because the start fixes all they read: a mask like that of `asked`.
+
+        Args:
+            fixed: the states whose start is given in full.
+        """
+        mask = np.zeros((intervals, substeps + 1, len(self.names)), bool)
+        for row, (reads, states) in enumerate(zip(self.reads, self.states)):
+            mask[0, 0, row] = reads is Reads.STATE and states <= fixed
+        return mask
+
+
+def describe_path(dynamics: Dynamics) -> PathRows:
+    """The rows of a compiled system, in the order `dynamics.constraints` has them, and its leaves' boxes."""
+    residuals = {name: constraint.residual() for name, constraint in dynamics.system.constraints.items()}
+    reads: list[Reads] = []
+    states: list[frozenset[str]] = []
+    for equality in (False, True):
+        for name, constraint in dynamics.system.constraints.items():
+            if isinstance(constraint, Equality) == equality:
+                entries, leaves = prod(residuals[name].shape), list(leaves_of(residuals[name].canonicalize()))
+                reads += [_reads(leaves)] * entries
+                states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
+    named = dynamics._functions.constraint_names
+    below, equal = len(named["inequality"]), len(named["equality"])
+    bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
+    return PathRows(
+        names=(*named["inequality"], *named["equality"], *(b.name for b in bounds)),
+        equality=np.repeat([False, True, False], [below, equal, len(bounds)]),
+        reads=(*reads, *(b.reads for b in bounds)),
+        states=(*states, *(frozenset([b.leaf]) for b in bounds)),
+        bounds=bounds,
+    )
+
+
+def _reads(leaves: Sequence[Leaf]) -> Reads:
+    kinds = [type(leaf) for leaf in leaves]
+    if Control not in kinds:
+        return Reads.STATE
+    return Reads.BOTH if State in kinds or Time in kinds else Reads.CONTROL
+
+
+def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
+    """Every finite side of the leaves' boxes."""
+    found = []
+    for leaf in leaves:
+        reads = Reads.CONTROL if isinstance(leaf, Control) else Reads.STATE
+        for sign, symbol, limits in ((1.0, "<=", leaf.max), (-1.0, ">=", leaf.min)):
+            if limits is None:
+                continue
+            for entry, limit in enumerate(limits.ravel()):
+                if np.isfinite(limit):
+                    place = f"{leaf.name}[{entry}]" if leaf.shape else leaf.name
+                    found.append(Bound(leaf.name, entry, sign, float(limit), f"{place} {symbol} {limit:g}", reads))
+    return found
+
+
+def names_of(constraints: Mapping[str, Constraint]) -> list[str]:
+    """A name for every entry of named constraints."""
+    return [
+        f"{name}[{i}]" if constraint.shape else name
+        for name, constraint in constraints.items()
+        for i in range(prod(constraint.shape))
+    ]
+
+
+def where(substeps: int, interval: int, point: int) -> str:
+    """Words for a point of an interval."""
+    if point in (0, substeps):
+        return f"at node {interval + (point == substeps)}"
+    return f"between nodes {interval} and {interval + 1}"
+
+
+def violations(rows: Array, equality: Array) -> Array:
+    """How far rows are from holding, zero where they do."""
+    return np.where(equality, np.abs(rows), np.maximum(rows, 0.0))
+
+
+def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
+    """The largest size of each name; names may repeat."""
+    found: dict[str, float] = {}
+    for name, size in zip(names, sizes):
+        found[name] = max(found.get(name, 0.0), float(size))
+    return found
+
+
+# ---- the ends ----------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class FinalRows:
+    """Conditions on the final node: inequalities (<= 0) first, then equalities.
+
+    Attributes:
+        names: one for every entry.
+        residuals: canonical expressions.
+        equality: which entries are equalities.
+    """
+
+    names: list[str]
+    residuals: list[Expr]
+    equality: Array
+
+    def values(self, t: jax.Array, x: Any, params: Any) -> jax.Array:
+        """The residuals of the final node."""
+        inputs = Inputs(t, x, {}, params, t.dtype)
+        values = evaluate_all(self.residuals, lambda leaf: leaf.read(inputs))
+        return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
+
+
+def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
+    """Values and named constraints from what `final=` may be: a mapping, a constraint, or a list of both.
+
+    Raises:
+        ModelError: something else.
+    """
+    values: dict[Any, Any] = {}
+    constraints: dict[str, Constraint] = {}
+    items: Sequence[Any] = list(final) if isinstance(final, (list, tuple)) else [] if final is None else [final]
+    for item in items:
+        if isinstance(item, Mapping):
+            values |= item
+        elif isinstance(item, Constraint):
+            constraints[free_name(repr(item), constraints)] = item
+        else:
+            raise ModelError(
+                f"final holds a {type(item).__name__}; it may hold values by name and constraints, "
+                "e.g. final=[{'V': 0.0}, g[2, 3] == 0]"
+            )
+    return values, constraints
+
+
+def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | None) -> dict[str, Array | None]:
+    """The initial or final value of every state, NaN where an entry is free, None where all are.
+
+    Raises:
+        ModelError: an unknown name, or a value that is not in the group.
+        ShapeError: a wrong shape.
+        TrajectoryError: a value outside the box of its state.
+    """
+    leaves = {state.name: state for state in states}
+    values: dict[str, Array | None] = {name: getattr(state, what) for name, state in leaves.items()}
+    if given is not None and not isinstance(given, Mapping):
+        raise ModelError(f"{what} must be a mapping from state names to values, got {type(given).__name__}")
+    for key, value in (given or {}).items():
+        name = name_of(key)
+        if name not in leaves:
+            raise ModelError(f"{what} names {name!r}; the states are: {', '.join(leaves)}")
+        values[name] = getattr(leaves[name].replace(**{what: value}), what)
+    for name, array in values.items():
+        if array is not None:
+            _check_box(leaves[name], what, array)
+    return values
+
+
+def _check_box(leaf: State, what: str, value: Array) -> None:
+    for limit, symbol, beyond in ((leaf.max, ">", np.greater), (leaf.min, "<", np.less)):
+        if limit is not None and beyond(value, limit).any():
+            entry = int(np.flatnonzero(beyond(value, limit))[0])
+            place = f"{leaf.name}[{entry}]" if leaf.shape else leaf.name
+            raise TrajectoryError(
+                f"the {what} value of {place} is {value.ravel()[entry]:g}, which violates its bound: "
+                f"{value.ravel()[entry]:g} {symbol} {limit.ravel()[entry]:g}"
+            )
+
+
+def fixed_entries(state: State, value: Array | None) -> Array:
+    """(dimension,) which entries of a state's tangent are fixed by an end value."""
+    if value is None:
+        return np.zeros(state.group.dimension, bool)
+    if not isinstance(state.group, Euclidean):
+        return np.ones(state.group.dimension, bool)
+    return ~np.isnan(value.ravel())
+
+
+def final_rows(dynamics: Dynamics, constraints: Mapping[str, Constraint]) -> FinalRows:
+    """The residuals of the constraints on the final node.
+
+    Raises:
+        ModelError: a leaf the system does not have, or a control (it has no value at the final node).
+        ShapeError: sides that do not fit.
+    """
+    ordered = {n: c for n, c in constraints.items() if not isinstance(c, Equality)}
+    equalities = {n: c for n, c in constraints.items() if isinstance(c, Equality)}
+    for name, constraint in constraints.items():
+        check_leaves(dynamics, f"final: {name}", constraint, controls=False)
+        constraint.check_shape()
+    residuals = [c.residual().canonicalize() for c in (*ordered.values(), *equalities.values())]
+    names, count = names_of(ordered | equalities), len(names_of(ordered))
+    return FinalRows(names, residuals, np.arange(len(names)) >= count)
+
+
+def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:
+    """Raise ModelError if an expression reads something the compiled system cannot give it."""
+    known: dict[str, Leaf] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
+    baked = {leaf.name for leaf in dynamics.system.parameters} - set(known)
+    for leaf in leaves_of(expr):
+        if isinstance(leaf, Control) and not controls:
+            raise ModelError(
+                f"{place} reads the control {leaf.name!r}, which has no value at the final node.\n"
+                "  fix: make it a constraint of the system, or a running cost"
+            )
+        if isinstance(leaf, (State, Control)) and (leaf.name not in known or known[leaf.name].key() != leaf.key()):
+            raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
+        if isinstance(leaf, Parameter) and leaf.name in baked:
+            raise ModelError(
+                f"{place} reads the parameter {leaf.name!r}, which was baked into the dynamics.\n"
+                "  fix: use its value, or do not bake it"
+            )
+        if isinstance(leaf, Parameter) and leaf.name not in known and leaf.value is None:
+            raise ModelError(f"{place} reads the parameter {leaf.name!r}, which has no value")
