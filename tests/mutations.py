@@ -599,7 +599,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- trajectory and scenes ---------------------------------------------------------------------------------------
     *_at(
-        "trajectory/linearize.py",
+        "trajectory/discretize.py",
         (
             "transport the other way",
             "jacobian[:, :n] - dynamics.group.ad(rate)",
@@ -627,11 +627,11 @@ MUTATIONS: list[Mutation] = [
         ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_transcription.py"),
     ),
     *_at(
-        "trajectory/rows.py",
+        "trajectory/statement.py",
         (
             "the last end is not asked",
-            "mask[-1, -1, row] = True",
-            "mask[-1, -1, row] = False",
+            "mask[:-1, -1, row] = False",
+            "mask[:, -1, row] = False",
             "trajectory/test_transcription.py trajectory/test_known_answers.py",
         ),
     ),

@@ -1,18 +1,7 @@
 """The node: an immutable expression with children, a shape, a value and a structural key.
 
-A node class is one class in one file. It declares its fields and some of
-
-    takes, gives           the shapes of operands and result where they are fixed; else
-    infer_shape(*shapes)   the result's shape from the children's shapes, or ShapeError
-    function               of the operands' values, in jax.numpy; else
-    evaluate(*values)      the value in jax.numpy
-    simplify()             a simpler node; the children are already canonical
-    cases, kinks           values for the conformance suite
-    label, infix           the name or the operator in texts
-    formula, latex_name    the formula, or the function's name in it; else
-    to_latex(*operands)    the formula
-
-Everything else (traversal, caching, keys, operators, printing) is written once, here and beside.
+A node class is one class in one file. It declares its fields and some of the attributes and hooks of `Expr`. Traversal,
+caching, keys, operators and printing are written once, here and beside.
 """
 
 from __future__ import annotations
@@ -351,14 +340,14 @@ class Expr(Operators):
         return id(self)
 
     def __repr__(self) -> str:
-        return printing.text(self)
+        return printing.render(self, "to_text", "...")
 
     def _repr_latex_(self) -> str:
         return f"${self.latex()}$"
 
     def latex(self) -> str:
         """The formula in LaTeX, without dollar signs."""
-        return printing.latex(self)
+        return printing.render(self, "to_latex", r"\cdots")
 
     def tree(self) -> str:
         """The tree, a line a node, shared parts shown once."""

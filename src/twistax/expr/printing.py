@@ -45,7 +45,8 @@ def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
     return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
 
 
-def _render(root: Expr, method: str, ellipsis: str) -> str:
+def render(root: Expr, method: str, ellipsis: str) -> str:
+    """What a method of the nodes, `to_text` or `to_latex`, makes of a graph."""
     sizes: dict[int, int] = {}  # how many nodes each subtree prints, shared parts counted every time
     done: dict[int, str] = {}
     for node in postorder(root):
@@ -54,16 +55,6 @@ def _render(root: Expr, method: str, ellipsis: str) -> str:
         texts = [done[id(child)] if sizes[id(child)] <= _LONGEST else ellipsis for child in below]
         done[id(node)] = getattr(node, method)(*texts)
     return done[id(root)]
-
-
-def text(root: Expr) -> str:
-    """One line."""
-    return _render(root, "to_text", "...")
-
-
-def latex(root: Expr) -> str:
-    """The formula, without dollar signs."""
-    return _render(root, "to_latex", r"\cdots")
 
 
 def tree(root: Expr) -> str:

@@ -116,7 +116,11 @@ class Vmap(Expr):
         batches, captured = children[: len(self.batches)], children[len(self.batches) :]
         exchange = {old.key(): new for old, new in zip(self.captured, captured, strict=True) if old.key() != new.key()}
         body = substitute(self.body, exchange) if exchange else self.body
-        return self if body is self.body and _same(batches, self.batches) else self._copy(tuple(batches), body)
+        return (
+            self
+            if body is self.body and all(a is b for a, b in zip(batches, self.batches))
+            else self._copy(tuple(batches), body)
+        )
 
     def _copy(self, batches: tuple[Expr, ...], body: Expr) -> Vmap:
         copy = object.__new__(Vmap)
@@ -170,7 +174,3 @@ def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
                 f"got {shapes[0][axis]} and {shape[axis]} (batch {i})"
             )
     return [shape[:axis] + shape[axis + 1 :] for shape in shapes]
-
-
-def _same(new: list[Expr], old: tuple[Expr, ...]) -> bool:
-    return all(a is b for a, b in zip(new, old, strict=True))

@@ -7,6 +7,8 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..errors import ModelError
@@ -199,7 +201,7 @@ def _known(expr: Expr) -> np.ndarray | None:
     return expr.value if isinstance(expr, (Constant, Parameter)) else None
 
 
-def _need(holds: bool, demand: str) -> None:
+def _need(holds: Any, demand: str) -> None:
     if not holds:
         raise ModelError(f"SpatialInertia expects {demand}")
 
@@ -207,12 +209,12 @@ def _need(holds: bool, demand: str) -> None:
 def _check(mass: np.ndarray | None, center: np.ndarray | None, tensor: np.ndarray | None) -> None:
     """Raise ModelError for what no real body has, as far as it is known."""
     if mass is not None:
-        _need(bool(np.isfinite(mass) and mass > 0.0), f"a positive, finite mass in kg, got {mass}")
+        _need(np.isfinite(mass) and mass > 0.0, f"a positive, finite mass in kg, got {mass}")
     if center is not None:
-        _need(bool(np.isfinite(center).all()), f"a finite center_of_mass in m, got {center.tolist()}")
+        _need(np.isfinite(center).all(), f"a finite center_of_mass in m, got {center.tolist()}")
     if tensor is None:
         return
-    _need(bool(np.isfinite(tensor).all()), f"a finite inertia in kg m2, got\n{tensor}")
+    _need(np.isfinite(tensor).all(), f"a finite inertia in kg m2, got\n{tensor}")
     slack = _ROUND_OFF * np.max(np.abs(tensor))
     _need(
         np.max(np.abs(tensor - tensor.T)) <= slack,

@@ -23,12 +23,7 @@ if TYPE_CHECKING:
 def user_guess(
     guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Control], lengths: Mapping[str, int]
 ) -> dict[str, Array]:
-    """Checked guesses by name: one value, or one for each node (states) or interval (controls).
-
-    Raises:
-        ModelError: an unknown name.
-        ShapeError: a wrong shape.
-    """
+    """Checked guesses by name: one value, or one for each node (states) or interval (controls)."""
     found = {}
     for key, value in (guess or {}).items():
         name = name_of(key)

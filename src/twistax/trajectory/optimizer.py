@@ -80,6 +80,14 @@ class Outcome(NamedTuple):
     status: Status
     iterations: int
 
+    @property
+    def cost(self) -> float:
+        return float(self.evaluation.cost)
+
+    @property
+    def violation(self) -> float:
+        return float(self.violations.max(initial=0.0))
+
 
 class _Point(NamedTuple):
     """An evaluation with everything divided by its scale."""

@@ -79,30 +79,26 @@ def best_result(
 ) -> TrajectoryResult:
     """The best of several tries: a solved one of least cost, else the one that violates least."""
     sign = problem.objective.sign
-    statuses = [outcome.status for outcome in outcomes]
-    costs = [float(outcome.evaluation.cost) for outcome in outcomes]
-    violations = [float(outcome.violations.max(initial=0.0)) for outcome in outcomes]
 
-    def rank(number: int) -> tuple[bool, bool, float]:
-        solved = statuses[number] is Status.SOLVED
-        return not solved, statuses[number] is Status.NON_FINITE, costs[number] if solved else violations[number]
+    def rank(outcome: Outcome) -> tuple[bool, bool, float]:
+        solved = outcome.status is Status.SOLVED
+        return not solved, outcome.status is Status.NON_FINITE, outcome.cost if solved else outcome.violation
 
-    best = min(range(len(outcomes)), key=rank)
-    outcome, iterate = outcomes[best], outcomes[best].evaluation.iterate
-    final_time = float(iterate.final_time)
+    best = min(outcomes, key=rank)
+    iterate, final_time = best.evaluation.iterate, float(best.evaluation.iterate.final_time)
     return TrajectoryResult(
         problem=problem,
         xs={name: np.asarray(values) for name, values in iterate.xs.items()},
         us=problem.transcription.controls.split(np.asarray(iterate.us)),
         ts=np.linspace(0.0, final_time, problem.nodes),
         final_time=final_time,
-        cost=sign * costs[best],
-        violation=violations[best],
-        violations=_violations(problem, outcome),
-        status=statuses[best],
-        message=_message(problem, statuses[best], outcome, tolerance),
-        iterations=outcome.iterations,
-        tries=tuple((s, sign * c, v, o.iterations) for s, c, v, o in zip(statuses, costs, violations, outcomes)),
+        cost=sign * best.cost,
+        violation=best.violation,
+        violations=_violations(problem, best),
+        status=best.status,
+        message=_message(problem, best, tolerance),
+        iterations=best.iterations,
+        tries=tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in outcomes),
         compile_seconds=compile_seconds,
         solve_seconds=solve_seconds,
     )
@@ -115,7 +111,7 @@ def _violations(problem: Problem, outcome: Outcome) -> dict[str, float]:
     return largest_by_name(t.names, sizes.max(axis=0))
 
 
-def _message(problem: Problem, status: Status, outcome: Outcome, tolerance: float) -> str:
+def _message(problem: Problem, outcome: Outcome, tolerance: float) -> str:
     """The status, and where it is no success the worst constraint and the worst break of the dynamics."""
     t, rows = problem.transcription, np.asarray(outcome.evaluation.rows)
     worst = []
@@ -125,7 +121,7 @@ def _message(problem: Problem, status: Status, outcome: Outcome, tolerance: floa
             interval, row = divmod(int(scaled.argmax()), scaled.shape[1])
             row += first
             worst.append(f"{t.names[row]!r} {t.place(interval, row)} is off by {abs(rows[interval, row]):.3g}")
-    return f"{status}. Worst: {'; '.join(worst)}." if worst else f"{status}."
+    return f"{outcome.status}. Worst: {'; '.join(worst)}." if worst else f"{outcome.status}."
 
 
 # ---- replay ------------------------------------------------------------------------------------------------------

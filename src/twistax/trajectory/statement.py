@@ -103,8 +103,12 @@ class Bound:
     entry: int
     sign: float
     limit: float
-    name: str
+    place: str
     reads: Reads
+
+    @property
+    def name(self) -> str:
+        return f"{self.place} {'<=' if self.sign > 0.0 else '>='} {self.limit:g}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,11 +138,7 @@ class PathRows:
         return mask
 
     def decided(self, intervals: int, substeps: int, fixed: frozenset[str]) -> Array:
-        """Rows that no unknown can change, because the start fixes all they read: a mask like that of `asked`.
-
-        Args:
-            fixed: the states whose start is given in full.
-        """
+        """Rows that no unknown can change, because the start fixes all the states they read: a mask as of `asked`."""
         mask = np.zeros((intervals, substeps + 1, len(self.names)), bool)
         for row, (reads, states) in enumerate(zip(self.reads, self.states)):
             mask[0, 0, row] = reads is Reads.STATE and states <= fixed
@@ -180,13 +180,11 @@ def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
     found = []
     for leaf in leaves:
         reads = Reads.CONTROL if isinstance(leaf, Control) else Reads.STATE
-        for sign, symbol, limits in ((1.0, "<=", leaf.max), (-1.0, ">=", leaf.min)):
-            if limits is None:
-                continue
-            for entry, limit in enumerate(limits.ravel()):
+        for sign, limits in ((1.0, leaf.max), (-1.0, leaf.min)):
+            for entry, limit in enumerate([] if limits is None else limits.ravel()):
                 if np.isfinite(limit):
                     place = f"{leaf.name}[{entry}]" if leaf.shape else leaf.name
-                    found.append(Bound(leaf.name, entry, sign, float(limit), f"{place} {symbol} {limit:g}", reads))
+                    found.append(Bound(leaf.name, entry, sign, float(limit), place, reads))
     return found
 
 
@@ -244,11 +242,7 @@ class FinalRows:
 
 
 def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
-    """Values and named constraints from what `final=` may be: a mapping, a constraint, or a list of both.
-
-    Raises:
-        ModelError: something else.
-    """
+    """Values and named constraints from what `final=` may be: a mapping, a constraint, or a list of both."""
     values: dict[Any, Any] = {}
     constraints: dict[str, Constraint] = {}
     items: Sequence[Any] = list(final) if isinstance(final, (list, tuple)) else [] if final is None else [final]
@@ -266,13 +260,7 @@ def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
 
 
 def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | None) -> dict[str, Array | None]:
-    """The initial or final value of every state, NaN where an entry is free, None where all are.
-
-    Raises:
-        ModelError: an unknown name, or a value that is not in the group.
-        ShapeError: a wrong shape.
-        TrajectoryError: a value outside the box of its state.
-    """
+    """The initial or final value of every state, NaN where an entry is free, None where all are."""
     leaves = {state.name: state for state in states}
     values: dict[str, Array | None] = {name: getattr(state, what) for name, state in leaves.items()}
     if given is not None and not isinstance(given, Mapping):
@@ -282,21 +270,16 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
         if name not in leaves:
             raise ModelError(f"{what} names {name!r}; the states are: {', '.join(leaves)}")
         values[name] = getattr(leaves[name].replace(**{what: value}), what)
-    for name, array in values.items():
-        if array is not None:
-            _check_box(leaves[name], what, array)
-    return values
-
-
-def _check_box(leaf: State, what: str, value: Array) -> None:
-    for limit, symbol, beyond in ((leaf.max, ">", np.greater), (leaf.min, "<", np.less)):
-        if limit is not None and beyond(value, limit).any():
-            entry = int(np.flatnonzero(beyond(value, limit))[0])
-            place = f"{leaf.name}[{entry}]" if leaf.shape else leaf.name
+    for bound in bounds_of(states):
+        array = values[bound.leaf]
+        found = np.nan if array is None else array.ravel()[bound.entry]
+        if bound.sign * (found - bound.limit) > 0.0:
+            symbol = ">" if bound.sign > 0.0 else "<"
             raise TrajectoryError(
-                f"the {what} value of {place} is {value.ravel()[entry]:g}, which violates its bound: "
-                f"{value.ravel()[entry]:g} {symbol} {limit.ravel()[entry]:g}"
+                f"the {what} value of {bound.place} is {found:g}, which violates its bound: "
+                f"{found:g} {symbol} {bound.limit:g}"
             )
+    return values
 
 
 def fixed_entries(state: State, value: Array | None) -> Array:
@@ -309,12 +292,7 @@ def fixed_entries(state: State, value: Array | None) -> Array:
 
 
 def final_rows(dynamics: Dynamics, constraints: Mapping[str, Constraint]) -> FinalRows:
-    """The residuals of the constraints on the final node.
-
-    Raises:
-        ModelError: a leaf the system does not have, or a control (it has no value at the final node).
-        ShapeError: sides that do not fit.
-    """
+    """The residuals of the constraints on the final node."""
     ordered = {n: c for n, c in constraints.items() if not isinstance(c, Equality)}
     equalities = {n: c for n, c in constraints.items() if isinstance(c, Equality)}
     for name, constraint in constraints.items():
