@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise, starmap
 from math import prod
 from types import MappingProxyType
 from typing import Any
@@ -222,11 +223,8 @@ class Product(Group):
     @cached_property
     def slices(self) -> Mapping[str, slice]:
         """name -> the slice of a tangent vector that belongs to it."""
-        slices, start = {}, 0
-        for name, group in self._factors:
-            slices[name] = slice(start, start + group.dimension)
-            start += group.dimension
-        return MappingProxyType(slices)
+        ends = list(accumulate((group.dimension for _, group in self._factors), initial=0))
+        return MappingProxyType(dict(zip(self.factors, starmap(slice, pairwise(ends)))))
 
     @property
     def name(self) -> str:

@@ -78,11 +78,8 @@ def pose(
     Raises ShapeError for a wrong shape, InputError for two attitudes, a zero quaternion or a matrix that is not a
     rotation.
     """
-    given = {
-        name: value
-        for name, value in (("rotation", rotation), ("quaternion", quaternion), ("euler", euler))
-        if value is not None
-    }
+    attitudes = {"rotation": rotation, "quaternion": quaternion, "euler": euler}
+    given = {name: value for name, value in attitudes.items() if value is not None}
     if len(given) > 1:
         raise InputError(f"pose expects at most one attitude, got {' and '.join(given)}\n  fix: keep one of them")
     place = (0.0, 0.0, 0.0) if position is None else position
