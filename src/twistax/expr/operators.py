@@ -44,7 +44,7 @@ class Operators:
     __truediv__, __rtruediv__ = _both_ways("Div")
     __matmul__, __rmatmul__ = _both_ways("MatMul")
     __pow__, __rpow__ = _both_ways("Power")
-    __getitem__, _ = _both_ways("Index")
+    __getitem__ = _both_ways("Index")[0]
     __neg__, __abs__ = _unary("Neg"), _unary("Abs")
     __ne__ = _refused("!= has no meaning for expressions. To compare structure use a.key() != b.key().")
     __lt__ = _refused("< builds no constraint: an optimiser cannot hold a strict inequality. Use <=.")
