@@ -87,12 +87,6 @@ def resample(group: Group, samples: Array, count: int) -> Array:
     return np.array(between(jnp.asarray(samples[left]), jnp.asarray(samples[left + 1]), jnp.asarray(share)))
 
 
-def perturbation(rng: np.random.Generator, lengths: Array, free: Array, states: Array) -> Array:
-    """A random step of all free unknowns: 0.4 of its scale (one standard deviation) for states, 0.15 for others."""
-    spread = np.where(states, 0.4, 0.15)
-    return np.where(free, rng.normal(size=lengths.shape) * spread * lengths, 0.0)
-
-
 def _known(values: Array | None, otherwise: Any) -> Any:
     return otherwise if values is None else np.where(np.isnan(values), otherwise, values)
 

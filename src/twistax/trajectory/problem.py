@@ -18,7 +18,7 @@ from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import not_compiled
 from .discretize import check_whole
-from .guess import Scales, column_scales, control_guess, perturbation, state_guess, user_guess
+from .guess import Scales, column_scales, control_guess, state_guess, user_guess
 from .model import BorderedBand
 from .optimizer import Callback, Optimizer
 from .result import TrajectoryResult, best_result
@@ -223,7 +223,8 @@ class Problem:
     def _random_step(self, rng: np.random.Generator) -> Array:
         t = self.transcription
         states = np.append(np.tile(np.arange(t.block) < t.n, self.nodes), False)
-        step = perturbation(rng, self._step_lengths, self._free, states)
+        spread = np.where(states, 0.4, 0.15)
+        step = np.where(self._free, rng.normal(size=spread.shape) * spread * self._step_lengths, 0.0)
         low, high = self.time_limits
         step[-1] = np.clip(self._time_guess + rng.normal() * (high - low) / 6.0, low, high) - self._time_guess
         return step

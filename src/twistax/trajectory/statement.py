@@ -197,13 +197,6 @@ def names_of(constraints: Mapping[str, Constraint]) -> list[str]:
     ]
 
 
-def where(substeps: int, interval: int, point: int) -> str:
-    """Words for a point of an interval."""
-    if point in (0, substeps):
-        return f"at node {interval + (point == substeps)}"
-    return f"between nodes {interval} and {interval + 1}"
-
-
 def violations(rows: Array, equality: Array) -> Array:
     """How far rows are from holding, zero where they do."""
     return np.where(equality, np.abs(rows), np.maximum(rows, 0.0))

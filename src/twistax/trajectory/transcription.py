@@ -25,7 +25,7 @@ from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .discretize import Controls, rollout
-from .statement import FinalRows, Objective, PathRows, where
+from .statement import FinalRows, Objective, PathRows
 
 
 class Iterate(NamedTuple):
@@ -123,12 +123,12 @@ class Transcription:
 
     def place(self, interval: int, row: int) -> str:
         """Words for where a row of an interval is asked."""
-        if row < self.n:
-            return f"between nodes {interval} and {interval + 1}"
-        row -= self.n
-        if row < len(self._points):
-            return where(self.substeps, interval, int(self._points[row]))
-        return f"at node {self.nodes - 1}"
+        after = row - self.n
+        if after >= len(self._points):
+            return f"at node {self.nodes - 1}"
+        if after >= 0 and self._points[after] in (0, self.substeps):
+            return f"at node {interval + (self._points[after] == self.substeps)}"
+        return f"between nodes {interval} and {interval + 1}"
 
     # ---- traced -----------------------------------------------------------------------------------------------
 
