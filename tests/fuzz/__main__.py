@@ -1,0 +1,66 @@
+"""Random expressions on every path to a number, against NumPy.
+
+    python tests/fuzz --seconds 60 --seed 0
+
+A case that is wrong is shrunk and printed as a script. The exit status is 1 if there was one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import sys
+import time
+import warnings
+from random import Random
+
+import jax
+from grow import Grower
+from paths import check
+from shrink import smallest
+from term import Case
+
+#: Programs that JAX keeps are dropped after so many cases.
+KEPT = 100
+
+
+def drawn(seed: int, number: int) -> Case:
+    """One case of a run, the same whatever came before it."""
+    source = Random(f"{seed}:{number}")
+    return Grower(source, special=0.2 if number % 2 else 0.0).case(depth=1 + number % 4)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long to look")
+    parser.add_argument("--seed", type=int, default=0, help="another one draws other cases")
+    parser.add_argument("--case", type=int, help="this case of the seed alone")
+    parser.add_argument("--most", type=int, default=20, help="stop after so many wrong cases")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    warnings.simplefilter("ignore")
+    end, number, found = time.monotonic() + arguments.seconds, arguments.case or 0, 0
+    first, shown = number, 0.0
+    while time.monotonic() < end and found < arguments.most:
+        case = drawn(arguments.seed, number)
+        if wrong := check(case):
+            found += 1
+            small, said = smallest(case, check, wrong)
+            print(f"\n# case {number} of seed {arguments.seed}: {said}\n{small.as_code()}", flush=True)
+        number += 1
+        if number % KEPT == 0:
+            jax.clear_caches()
+            gc.collect()
+        if sys.stderr.isatty() and time.monotonic() > shown + 1.0:
+            shown = time.monotonic()
+            print(
+                f"\r{number - first} cases, {found} wrong, {max(0.0, end - shown):.0f} s left ", end="", file=sys.stderr
+            )
+        if arguments.case is not None:
+            break
+    print(f"{number - first} cases of seed {arguments.seed}, {found} wrong")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,408 @@
+"""All that a term may do: for each operation its code, the same by NumPy, and which operands it wants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from term import Shape
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An operation that gives a wanted shape: code with a field for each operand, NumPy's function, their shapes."""
+
+    code: str
+    numpy: Callable[..., Any]
+    args: tuple[Shape, ...]
+    setup: str = ""
+
+
+Maker = Callable[[Random, Shape], Plan | None]
+MAKERS: list[Maker] = []
+
+
+def maker(function: Maker) -> Maker:
+    MAKERS.append(function)
+    return function
+
+
+def smaller(source: Random, shape: Shape) -> Shape:
+    """A shape that broadcasts to this one."""
+    return source.choice([shape, shape, shape, (), shape[1:], tuple(1 if source.random() < 0.3 else n for n in shape)])
+
+
+def positive(a: Any) -> Any:
+    return np.tanh(a) @ np.swapaxes(np.tanh(a), -1, -2) + 2.0 * np.eye(np.shape(a)[0])
+
+
+POSITIVE = "(tx.Tanh({0}) @ tx.Tanh({0}).T + 2.0 * np.eye(%d))"
+
+UNARY: dict[str, Callable[[Any], Any]] = {
+    "tx.Sin({0})": np.sin,
+    "tx.Cos({0})": np.cos,
+    "tx.Tan(tx.Tanh({0}))": lambda a: np.tan(np.tanh(a)),
+    "tx.Asin(0.9 * tx.Sin({0}))": lambda a: np.arcsin(0.9 * np.sin(a)),
+    "tx.Acos(0.9 * tx.Sin({0}))": lambda a: np.arccos(0.9 * np.sin(a)),
+    "tx.Atan({0})": np.arctan,
+    "tx.Sinh(tx.Atan({0}))": lambda a: np.sinh(np.arctan(a)),
+    "tx.Cosh(tx.Atan({0}))": lambda a: np.cosh(np.arctan(a)),
+    "tx.Tanh({0})": np.tanh,
+    "tx.Exp(tx.Tanh({0}))": lambda a: np.exp(np.tanh(a)),
+    "tx.Exp(-{0})": lambda a: np.exp(-a),
+    "tx.Log(1.0 + tx.Abs({0}))": lambda a: np.log(1.0 + np.abs(a)),
+    "tx.Exp(tx.Log(1.0 + tx.Abs({0})))": lambda a: 1.0 + np.abs(a),
+    "tx.Sqrt(tx.Abs({0}))": lambda a: np.sqrt(np.abs(a)),
+    "tx.Square({0})": np.square,
+    "tx.Abs({0})": np.abs,
+    "tx.Abs(-{0})": np.abs,
+    "tx.Sign({0})": np.sign,
+    "tx.PositivePart({0})": lambda a: np.maximum(a, 0.0),
+    "tx.Huber({0})": lambda a: np.where(np.abs(a) <= 0.25, a * a / 2, 0.25 * (np.abs(a) - 0.125)),
+    "tx.Huber({0}, delta=2.0)": lambda a: np.where(np.abs(a) <= 2.0, a * a / 2, 2.0 * (np.abs(a) - 1.0)),
+    "tx.SmoothReLU({0}, c=0.5)": lambda a: np.hypot(np.maximum(a, 0.0), 0.5) - 0.5,
+    "(-{0})": np.negative,
+    "(-(-{0}))": lambda a: a,
+    "({0} - {0})": lambda a: a - a,
+    "({0} + (-{0}) + {0})": lambda a: a,
+    "({0} ** 2)": lambda a: a**2,
+    "({0} ** 3)": lambda a: a**3,
+    "({0} ** 0)": lambda a: a**0,
+    "({0} * 0.0)": lambda a: a * 0.0,
+    "(0.0 - {0})": lambda a: 0.0 - a,
+    "({0} / 4.0)": lambda a: a / 4.0,
+    "(2.0 / (3.0 + tx.Cos({0})))": lambda a: 2.0 / (3.0 + np.cos(a)),
+    "np.sin({0})": np.sin,
+    "np.maximum({0}, 0.5)": lambda a: np.maximum(a, 0.5),
+    "np.clip({0}, -1.0, 1.5)": lambda a: np.clip(a, -1.0, 1.5),
+    "abs({0})": np.abs,
+}
+
+BINARY: dict[str, Callable[[Any, Any], Any]] = {
+    "({0} + {1})": np.add,
+    "({0} - {1})": np.subtract,
+    "({0} * {1})": np.multiply,
+    "({0} / (2.0 + tx.Cos({1})))": lambda a, b: a / (2.0 + np.cos(b)),
+    "({0} / {1})": np.divide,
+    "tx.Max({0}, {1})": np.maximum,
+    "tx.Min({0}, {1})": np.minimum,
+    "tx.Max({0}, {1}, {0})": np.maximum,
+    "tx.Max(tx.Max({0}, {1}), 0.25)": lambda a, b: np.maximum(np.maximum(a, b), 0.25),
+    "tx.Atan2({0}, {1})": np.arctan2,
+    "tx.LogSumExp({0}, {1})": np.logaddexp,
+    "((1.5 + tx.Sin({0})) ** tx.Tanh({1}))": lambda a, b: (1.5 + np.sin(a)) ** np.tanh(b),
+    "tx.Add({0}, {1}, {0})": lambda a, b: a + b + a,
+    "tx.Mul({1}, {0}, 2.0)": lambda a, b: b * a * 2.0,
+    "np.hypot({0}, {1})": np.hypot,
+    "np.fmax({0}, {1})": np.fmax,
+    "np.fmin({0}, {1})": np.fmin,
+    "({0} * {1} / {1})": lambda a, b: a * b / b,
+    "(np.float64(0.5) * {0} + {1})": lambda a, b: 0.5 * a + b,
+}
+
+CONDITIONS: dict[str, Callable[..., Any]] = {
+    "{0} <= {1}": np.less_equal,
+    "{0} >= {1}": np.greater_equal,
+    "{0} == {1}": np.equal,
+    "2.0 * {0} <= {1} + {0}": lambda a, b: 2.0 * a <= b + a,
+    "tx.All({0} <= {1}, {1} <= 1.0)": lambda a, b: np.all(a <= b) and np.all(b <= 1.0),
+    "tx.Any({0} >= {1}, {1} == 0.5)": lambda a, b: np.any(a >= b) or np.any(b == 0.5),
+}
+
+
+@maker
+def unary(source: Random, shape: Shape) -> Plan:
+    code, numpy = source.choice(list(UNARY.items()))
+    return Plan(code, numpy, (shape,))
+
+
+@maker
+def binary(source: Random, shape: Shape) -> Plan:
+    code, numpy = source.choice(list(BINARY.items()))
+    other = smaller(source, shape)
+    return (
+        Plan(code, numpy, (shape, other))
+        if source.random() < 0.5
+        else Plan(
+            code.replace("{0}", "{x}").replace("{1}", "{0}").replace("{x}", "{1}"),
+            lambda a, b: numpy(b, a),
+            (shape, other),
+        )
+    )
+
+
+@maker
+def choice(source: Random, shape: Shape) -> Plan:
+    """`Where` takes conditions entry by entry, `Cond` one for all."""
+    code, numpy = source.choice(list(CONDITIONS.items()))
+    whole = source.random() < 0.5
+    condition = () if whole else smaller(source, shape)
+    node = "tx.Cond" if whole else "tx.Where"
+    text = f"{node}({code}, {{2}}, {{3}})"
+    return Plan(
+        text,
+        lambda a, b, yes, no: np.where(numpy(a, b), yes, no),
+        (condition, condition, shape, smaller(source, shape) if not whole else shape),
+    )
+
+
+def _reduced(source: Random) -> Shape:
+    return source.choice([(2,), (3,), (4,), (6,), (2, 2), (2, 3), (3, 3), (4, 4), (2, 2, 3)])
+
+
+@maker
+def reduction(source: Random, shape: Shape) -> Plan | None:
+    if shape:
+        return None
+    whole = _reduced(source)
+    found = [("tx.linalg.Sum({0})", np.sum, whole)]
+    vector = source.choice([(2,), (3,), (6,)])
+    found += [
+        ("tx.linalg.Norm({0})", lambda a: np.linalg.norm(a), vector),
+        ("tx.linalg.Norm({0}, 1)", lambda a: np.linalg.norm(a, 1), vector),
+        ('tx.linalg.Norm({0}, "inf")', lambda a: np.linalg.norm(a, np.inf), vector),
+        ("tx.linalg.Norm({0})", lambda a: np.linalg.norm(a), (3, 3)),
+        ('tx.linalg.Norm({0}, "inf")', lambda a: np.linalg.norm(a, np.inf), (2, 3)),
+        ("tx.linalg.Trace({0})", np.trace, source.choice([(2, 2), (3, 3)])),
+        ("np.sum({0})", np.sum, whole),
+        ("tx.Linterp({0}, [-1, 0.5, 3], [2.0, -1, 0.5])", lambda a: np.interp(a, [-1, 0.5, 3], [2, -1, 0.5]), ()),
+    ]  # fmt: skip
+    code, numpy, arg = source.choice(found)
+    return Plan(code, numpy, (arg,))
+
+
+@maker
+def product(source: Random, shape: Shape) -> Plan | None:
+    n = source.choice([2, 3, 4])
+    if shape == ():
+        code = source.choice(["{0} @ {1}", "tx.linalg.Dot({0}, {1})", "np.dot({0}, {1})"])
+        return Plan(f"({code})", np.dot, ((n,), (n,)))
+    if len(shape) == 1:
+        sides = [("({0} @ {1})", (*shape, n), (n,)), ("({0} @ {1})", (n,), (n, *shape))]
+        code, a, b = source.choice(sides)
+        return Plan(source.choice([code, "np.dot({0}, {1})"]), np.matmul, (a, b))
+    if len(shape) == 2:
+        found = [
+            Plan("({0} @ {1})", np.matmul, ((shape[0], n), (n, shape[1]))),
+            Plan("np.dot({0}, {1})", np.dot, ((shape[0], n), (n, shape[1]))),
+            Plan("tx.linalg.Outer({0}, {1})", np.outer, ((shape[0],), (shape[1],))),
+            Plan("{0}.T", np.transpose, ((shape[1], shape[0]),)),
+            Plan("np.transpose({0})", np.transpose, ((shape[1], shape[0]),)),
+        ]
+        if shape == (3, 3):
+            found.append(Plan("tx.spatial.SSM({0})", lambda a: np.cross(np.eye(3), a), ((3,),)))
+        if shape[0] == shape[1]:
+            found.append(Plan("tx.linalg.Diag({0})", np.diag, ((shape[0],),)))
+        return source.choice(found)
+    return Plan("({0} @ {1})", np.matmul, ((*shape[:-1], n), (*shape[:-2], n, shape[-1])))
+
+
+@maker
+def solve(source: Random, shape: Shape) -> Plan | None:
+    """Of positive definite matrices, and of any."""
+    if not shape or len(shape) > 2:
+        return None
+    n = shape[0]
+    spd, rough = POSITIVE % n, f"({{0}} + 0.25 * np.eye({n}))"
+    found = [
+        Plan(f"tx.linalg.Solve({spd}, {{1}})", lambda a, b: np.linalg.solve(positive(a), b), ((n, n), shape)),
+        Plan(
+            f"tx.linalg.Solve({rough}, {{1}})",
+            lambda a, b: np.linalg.solve(a + 0.25 * np.eye(n), b),
+            ((n, n), shape),
+        ),
+    ]
+    if shape == (n, n):
+        found.append(Plan(f"tx.linalg.Inv({spd})", lambda a: np.linalg.inv(positive(a)), ((n, n),)))
+        found.append(Plan(f"tx.linalg.Inv({rough})", lambda a: np.linalg.inv(a + 0.25 * np.eye(n)), ((n, n),)))
+    return source.choice(found)
+
+
+@maker
+def joined(source: Random, shape: Shape) -> Plan | None:
+    if not shape:
+        return None
+    if len(shape) == 1:
+        n = shape[0]
+        if n == 1:
+            return Plan("tx.Concat({0})", np.atleast_1d, ((),))
+        k = source.randint(1, n - 1)
+        found = [
+            Plan("tx.Concat({0}, {1})", lambda a, b: np.concatenate([a, b]), ((k,), (n - k,))),
+            Plan("np.concatenate([{0}, {1}])", lambda a, b: np.concatenate([a, b]), ((k,), (n - k,))),
+            Plan("tx.Hstack({0}, {1})", lambda a, b: np.hstack([a, b]), ((k,), (n - k,))),
+            Plan(f"tx.Concat({{0}}, {{1}})[{k}:]", lambda a, b: np.concatenate([a, b])[k:], ((k,), (n,))),
+        ]
+        if n <= 6:
+            fields = ", ".join(f"{{{i}}}" for i in range(n))
+            found.append(Plan(f"tx.Stack({fields})", lambda *a: np.stack(a), ((),) * n))
+            found.append(Plan(f"tx.Concat({fields})", lambda *a: np.stack(a), ((),) * n))
+        return source.choice(found)
+    fields = ", ".join(f"{{{i}}}" for i in range(shape[0]))
+    found = [
+        Plan(f"tx.Stack({fields})", lambda *a: np.stack(a), (shape[1:],) * shape[0]),
+        Plan(f"np.stack([{fields}])", lambda *a: np.stack(a), (shape[1:],) * shape[0]),
+    ]
+    if len(shape) == 2 and shape[1] > 1:
+        k = source.randint(1, shape[1] - 1)
+        halves = ((shape[0], k), (shape[0], shape[1] - k))
+        found.append(Plan("tx.Hstack({0}, {1})", lambda a, b: np.hstack([a, b]), halves))
+        found.append(Plan("tx.Block([[{0}, {1}]])", lambda a, b: np.block([[a, b]]), halves))
+        found.append(Plan("np.block([[{0}, {1}]])", lambda a, b: np.block([[a, b]]), halves))
+    if len(shape) == 2 and shape[0] > 1:
+        k = source.randint(1, shape[0] - 1)
+        found.append(
+            Plan("tx.Vstack({0}, {1})", lambda a, b: np.vstack([a, b]), ((k, shape[1]), (shape[0] - k, shape[1])))
+        )
+    return source.choice(found)
+
+
+def _index(source: Random, n: int) -> tuple[str, str]:
+    """Code of an index of one axis, and whether it is basic ("b") or a list ("a")."""
+    k = source.randint(-n, n - 1)
+    lo, hi = sorted((source.randint(0, n - 1), source.randint(0, n - 1)))
+    several = [source.randint(-n, n - 1) for _ in range(source.randint(1, 3))]
+    mask = [source.random() < 0.6 for _ in range(n)]
+    mask[source.randrange(n)] = True
+    return source.choice(
+        [
+            (str(k), "b"), (":", "b"), (f"{lo}:{hi + 1}", "b"), ("::-1", "b"), (f"{lo}::2", "b"), ("-1:", "b"),
+            (str(several), "a"), (f"np.array({several})", "a"), (str(mask), "a"), (f"np.array({mask})", "a"),
+        ]
+    )  # fmt: skip
+
+
+@maker
+def index(source: Random, shape: Shape) -> Plan | None:
+    """Of all kinds, mixed. The operand's shape is drawn, and indices until one gives the wanted shape."""
+    for _ in range(30):
+        whole = source.choice([(3,), (4,), (2, 3), (3, 3), (3, 4), (2, 2, 3), (3, 2, 4), (2, 1, 3)])
+        count = source.randint(1, len(whole))
+        parts = [_index(source, n)[0] for n in whole[:count]]
+        if source.random() < 0.15:
+            parts.insert(source.randint(0, count), "None")
+        if source.random() < 0.15:
+            parts.append("...")
+        text = ", ".join(parts)
+        try:
+            found = eval(f"a[{text}]", {"a": np.zeros(whole), "np": np})
+        except IndexError:
+            continue
+        if found.shape == shape:
+            code = compile(f"a[{text}]", "index", "eval")
+            return Plan(f"{{0}}[{text}]", lambda a, code=code: eval(code, {"a": a, "np": np}), (whole,))
+    return None
+
+
+@maker
+def index_of_a_join(source: Random, shape: Shape) -> Plan | None:
+    """What rewrites look into."""
+    for _ in range(10):
+        rows = source.choice([(2, 2), (3,), (2, 3)])
+        parts = ", ".join(_index(source, n)[0] for n in (2, *rows)[: source.randint(1, 1 + len(rows))])
+        try:
+            found = eval(f"a[{parts}]", {"a": np.zeros((2, *rows)), "np": np})
+        except IndexError:
+            continue
+        if found.shape == shape:
+            code = compile(f"a[{parts}]", "index", "eval")
+            return Plan(
+                f"tx.Stack({{0}}, {{1}})[{parts}]",
+                lambda a, b, code=code: eval(code, {"a": np.stack([a, b]), "np": np}),
+                (rows, rows),
+            )
+    return None
+
+
+@maker
+def batch(source: Random, shape: Shape) -> Plan | None:
+    if not shape:
+        return None
+    n = source.choice([2, 3])
+    found = [
+        Plan("tx.Vmap(lambda row: row * row + {1}, batch={0})", lambda a, b: a * a + b, (shape, ())),
+        Plan("tx.Vmap(lambda row: tx.linalg.Sum(row), batch={0})", lambda a: a.sum(axis=-1), ((*shape, n),)),
+    ]
+    return source.choice(found[: 2 if len(shape) == 1 else 1])
+
+
+def _hat(xi: Any) -> Any:
+    v, w = xi[:3], xi[3:]
+    return np.block([[np.cross(np.eye(3), w), v[:, None]], [np.zeros((1, 4))]])
+
+
+def _adjoint(xi: Any) -> Any:
+    v, w = np.cross(np.eye(3), xi[:3]), np.cross(np.eye(3), xi[3:])
+    return np.block([[w, v], [np.zeros((3, 3)), w]])
+
+
+def _exp(xi: Any) -> Any:
+    return scipy.linalg.expm(np.asarray(_hat(xi), float))
+
+
+def _big_adjoint(xi: Any) -> Any:
+    return scipy.linalg.expm(np.asarray(_adjoint(xi), float))
+
+
+@maker
+def lie(source: Random, shape: Shape) -> Plan | None:
+    """Against exponentials of matrices, on twists of at most one radian."""
+    small = "tx.Tanh({0})"
+    tanh = np.tanh
+    found: dict[Shape, list[Plan]] = {
+        (6,): [
+            Plan("tx.lie.Adjoint({0}, {1})", lambda a, b: _adjoint(a) @ b, ((6,), (6,))),
+            Plan("tx.lie.AdjointDual({0}, {1})", lambda a, b: -_adjoint(a).T @ b, ((6,), (6,))),
+            Plan(
+                f"(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})) @ {{1}})",
+                lambda a, b: _big_adjoint(tanh(a)) @ b,
+                ((6,), (6,)),
+            ),
+            Plan(
+                f"(tx.lie.SE3AdjointDual(tx.lie.SE3Exp({small})) @ {{1}})",
+                lambda a, b: np.linalg.inv(_big_adjoint(tanh(a))).T @ b,
+                ((6,), (6,)),
+            ),
+            Plan(f"tx.lie.SE3Log(tx.lie.SE3Exp({small}))", lambda a: tanh(a), ((6,),)),
+            Plan(
+                f"tx.linalg.Solve(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})), {{1}})",
+                lambda a, b: np.linalg.solve(_big_adjoint(tanh(a)), b),
+                ((6,), (6,)),
+            ),
+            Plan("tx.lie.twist(linear={0}, angular={1})", lambda a, b: np.concatenate([a, b]), ((3,), (3,))),
+        ],
+        (3,): [
+            Plan("tx.linalg.Cross({0}, {1})", np.cross, ((3,), (3,))),
+            Plan("np.cross({0}, {1})", np.cross, ((3,), (3,))),
+            Plan(
+                f"tx.lie.Act(tx.lie.SE3Exp({small}), {{1}})",
+                lambda a, b: _exp(tanh(a))[:3, :3] @ b + _exp(tanh(a))[:3, 3],
+                ((6,), (3,)),
+            ),
+            Plan(f"tx.lie.SO3Log(tx.lie.SO3Exp({small}))", tanh, ((3,),)),
+            Plan("tx.lie.linear({0})", lambda a: a[:3], ((6,),)),
+            Plan("tx.lie.angular({0})", lambda a: a[3:], ((6,),)),
+        ],
+        (3, 3): [
+            Plan(
+                f"tx.lie.SO3Exp({small})",
+                lambda a: scipy.linalg.expm(np.asarray(np.cross(np.eye(3), tanh(a)), float)),
+                ((3,),),
+            ),
+        ],
+        (4, 4): [
+            Plan(f"tx.lie.SE3Exp({small})", lambda a: _exp(tanh(a)), ((6,),)),
+            Plan(
+                f"tx.lie.Inverse(tx.lie.SE3Exp({small}))",
+                lambda a: np.linalg.inv(_exp(tanh(a))),
+                ((6,),),
+            ),
+            Plan("tx.lie.Hat({0})", _hat, ((6,),)),
+        ],
+        (6, 6): [Plan(f"tx.lie.SE3Adjoint(tx.lie.SE3Exp({small}))", lambda a: _big_adjoint(tanh(a)), ((6,),))],
+    }
+    return source.choice(found[shape]) if shape in found else None

@@ -1,0 +1,135 @@
+"""Terms: small trees of text that become an expression, a number by NumPy, and code that a person can run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import twistax as tx
+
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One operation over other terms.
+
+    Attributes:
+        code: the expression as Python code, with a field {0}, {1}, ... for each operand.
+        numpy: the same by NumPy, on the values of the operands.
+        args: the operands. A term that stands in two places is one subexpression there.
+        shape: of the value.
+        leaf: the name, where this is a state, a control or a parameter.
+        setup: statements that the code needs before it, such as a class of the user's.
+    """
+
+    code: str
+    numpy: Callable[..., Any]
+    args: tuple[Term, ...]
+    shape: Shape
+    leaf: str = ""
+    setup: str = ""
+
+    def walk(self) -> Iterator[Term]:
+        """Operands before what is made of them, each one once."""
+        seen: set[int] = set()
+        stack = [(self, False)]
+        while stack:
+            term, entered = stack.pop()
+            if entered:
+                yield term
+            elif id(term) not in seen:
+                seen.add(id(term))
+                stack.append((term, True))
+                stack.extend((arg, False) for arg in reversed(term.args))
+
+    def size(self) -> int:
+        return sum(1 for _ in self.walk())
+
+    def lines(self) -> list[str]:
+        """The code: a line for each operation, the last one is the whole."""
+        names: dict[int, str] = {}
+        lines: list[str] = []
+        for term in self.walk():
+            text = term.code.format(*(names[id(arg)] for arg in term.args))
+            if term.setup and term.setup not in lines:
+                lines.append(term.setup)
+            names[id(term)] = term.leaf or f"e{len(names)}"
+            lines.append(f"{names[id(term)]} = {text}")
+        return [*lines, f"e = {names[id(self)]}"]
+
+    def expression(self) -> tx.Expr:
+        """What a user's code builds."""
+        scope: dict[str, Any] = dict(SCOPE)
+        exec("\n".join(self.lines()), scope)
+        return tx.Constant(scope["e"]) if not isinstance(scope["e"], tx.Expr) else scope["e"]
+
+    def value(
+        self, leaves: Mapping[str, Any], noise: Callable[[Any], Any] = lambda value: value
+    ) -> tuple[Any, list[Any]]:
+        """By NumPy: the value, and all that was met on the way. `noise` is put on each result."""
+        values: dict[int, Any] = {}
+        for term in self.walk():
+            if term.leaf:
+                values[id(term)] = np.asarray(leaves[term.leaf])
+            else:
+                values[id(term)] = noise(term.numpy(*(values[id(arg)] for arg in term.args)))
+        return values[id(self)], list(values.values())
+
+    def replaced(self, old: Term, new: Term) -> Term:
+        """This term with another one in place of one of its parts, everywhere."""
+        made: dict[int, Term] = {}
+        for term in self.walk():
+            args = tuple(made[id(arg)] for arg in term.args)
+            same = all(a is b for a, b in zip(args, term.args, strict=True))
+            made[id(term)] = (
+                new
+                if term is old
+                else term
+                if same
+                else Term(term.code, term.numpy, args, term.shape, term.leaf, term.setup)
+            )
+        return made[id(self)]
+
+
+@dataclass
+class Case:
+    """A term, the leaves' values, and how the system is to be compiled.
+
+    Attributes:
+        term: what is computed.
+        leaves: value of each leaf.
+        baked: parameters given as constants to `tx.compile`.
+        batched: whether it is one of a batch.
+        single: whether the leaves are given in single precision.
+        differentiated: whether derivatives are compared too.
+    """
+
+    term: Term
+    leaves: dict[str, np.ndarray]
+    baked: tuple[str, ...] = ()
+    batched: bool = False
+    single: bool = False
+    differentiated: bool = False
+
+    def used(self) -> dict[str, np.ndarray]:
+        names = {term.leaf for term in self.term.walk() if term.leaf}
+        return {name: value for name, value in self.leaves.items() if name in names}
+
+    def as_code(self) -> str:
+        """A script that builds the expression and prints its value."""
+        values = ", ".join(f"{name!r}: np.{np.asarray(value)!r}" for name, value in self.used().items())
+        values = values.replace("nan", "np.nan").replace("inf", "np.inf")
+        lines = ["import jax", "import jax.numpy as jnp", "import numpy as np", "import twistax as tx"]
+        lines += ['jax.config.update("jax_enable_x64", True)', *self.term.lines(), f"values = {{{values}}}"]
+        how = [f"baked: {', '.join(self.baked)}"] * bool(self.baked)
+        how += [name for name in ("batched", "single", "differentiated") if getattr(self, name)]
+        return "\n".join([*lines, f"# {'; '.join(how)}" if how else "# as it is"])
+
+
+SCOPE = {"tx": tx, "np": np, "jnp": jnp, "jax": jax}
