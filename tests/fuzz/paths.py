@@ -117,7 +117,12 @@ def wrong_derivatives(case: Case) -> str:
             return jnp.sum(jnp.asarray(weights, value.dtype) * value)
 
         gradient = jax.jit(jax.grad(total, (0, 1, 2)))
-        found = flat(gradient(*arguments))
+        try:
+            found = flat(gradient(*arguments))
+        except (ValueError, NotImplementedError):
+            if expected is None:  # JAX itself has no such derivative
+                return ""
+            raise
         if expected is None or spread is None:
             samples = [
                 flat(gradient(*jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal()), arguments)))
@@ -156,17 +161,20 @@ def check(case: Case) -> str:
     expected, tolerance = found
     path = "build"
     try:
+        # Constants alone have the precision that JAX gives them.
+        leaves_left = any(given(case, case.term.expression().canonicalize()))
         for path, value in values(case):
             value = np.asarray(value)
             if value.shape != expected.shape:
                 return f"{path}: shape {value.shape} for {expected.shape}"
-            if value.dtype != (np.float32 if case.single and case.used() else np.float64):
+            if value.dtype != (np.float32 if case.single else np.float64) and leaves_left:
                 return f"{path}: {value.dtype} for {'float32' if case.single else 'float64'}"
             with np.errstate(all="ignore"):
                 off = np.where(value == expected, 0.0, np.abs(value - expected))
             if not np.all(off <= tolerance):
                 return f"{path}: {value.tolist()} for {expected.tolist()}, off by {np.max(off):.2g}"
-        if case.differentiated and not case.single and np.all(np.isfinite(expected)):
+        rounded = any("float32" in term.setup or "reduce_precision" in term.setup for term in case.term.walk())
+        if case.differentiated and not case.single and not rounded and np.all(np.isfinite(expected)):
             path = "values"
             return wrong_derivatives(case)
     except Exception as error:
