@@ -44,7 +44,6 @@ __all__ = [
     "scan_parts",
     "shaped_array",
     "small_calls_exist",
-    "small_calls_in_branches",
     "source_of",
     "wrapped_terms",
     "xla_metadata",
@@ -184,11 +183,6 @@ def _is_jaxpr(value: Any) -> bool:
 def small_calls_exist() -> bool:
     """Whether this JAX can attach to a function the attributes that make XLA compile it as one small function."""
     return _set_xla_metadata is not None
-
-
-def small_calls_in_branches() -> bool:
-    """Whether XLA compiles a small function inside of a branch; that of JAX 0.12 may end the process there."""
-    return jax.__version_info__ < (0, 11)
 
 
 def xla_metadata(**attributes: str) -> contextlib.AbstractContextManager[Any]:

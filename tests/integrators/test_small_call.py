@@ -1,6 +1,9 @@
 """Small calls change the speed, never the result; and this notices when the undocumented attribute stops working."""
 
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +44,7 @@ def test_the_result_is_the_same() -> None:
 def test_the_attribute_reaches_the_compiled_program() -> None:
     """The canary: if this fails after an upgrade, look at `small_call` before trusting any measured time."""
     text = compiled(lambda x, y: small_call(looped, x, y)["x"], jnp.ones(3), jnp.ones(4))
-    (call,) = [line for line in text.splitlines() if " call(" in line and 'jit(jaxpr_as_fun)"' in line]
+    (call,) = [line for line in text.splitlines() if " call(" in line and 'jit(small_function)"' in line]
     assert MARK in call
     assert 'xla_cpu_small_call="true"' in call
 
@@ -142,3 +145,10 @@ def test_forward_derivatives_from_a_constant_start_compile() -> None:
     step = 1e-6
     numeric = (end(one + step * other) - end(one - step * other)) / (2.0 * step)
     np.testing.assert_allclose(change, numeric, atol=1e-8)
+
+
+def test_what_is_never_read_ends_no_process() -> None:
+    """XLA aborts on a small function with an argument that nothing reads, which may be a value it closes over."""
+    script = Path(__file__).with_name("unread_values.py")
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-2000:]

@@ -16,7 +16,7 @@ from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.primitive import Derived, Repeated, call_program
 from .scalar.program import ScalarProgram, emitted_form, scalarize
 from .scalar.table import entry_of
-from .small_call import known_inside
+from .small_call import is_key, known_inside
 
 __all__ = ["ANY_SIZE", "JAX", "XLA", "Backend", "Emission", "Shapes", "Step", "array_operations", "pure"]
 
@@ -168,7 +168,7 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
     closes over take minutes to read.
     """
     closed = jax.make_jaxpr(function)(*shapes)
-    keys = any(map(_is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
+    keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
         return None
     return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
@@ -198,11 +198,6 @@ def array_operations(jaxpr: Any) -> Counter[str]:
 def _variables(jaxpr: Jaxpr) -> list[Any]:
     """All that comes in, and all that is computed, also inside of calls and loops."""
     return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
-
-
-def _is_key(variable: Any) -> bool:
-    """Whether it holds random keys, or anything else that is no array of numbers."""
-    return hasattr(variable.aval, "dtype") and jax.dtypes.issubdtype(variable.aval.dtype, jax.dtypes.extended)
 
 
 def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:

@@ -21,7 +21,7 @@ from jax.flatten_util import ravel_pytree
 from ..jax_inside import all_equations, opened, small_calls_exist, xla_metadata
 from .scalar.table import entry_of
 
-__all__ = ["apart", "fits", "held", "inside_small_call", "known_inside", "small_call"]
+__all__ = ["apart", "fits", "held", "inside_small_call", "is_key", "known_inside", "small_call"]
 
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
@@ -67,9 +67,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     def flat(*leaves: jax.Array) -> list[jax.Array]:
         results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         shapes.append(shape)
-        # XLA aborts on an argument that is never read: one more result reads them all.
-        read = functools.reduce(jnp.add, [leaf.reshape(-1)[0].astype(jnp.float32) for leaf in leaves if leaf.size])
-        return [*results, read]
+        return results
 
     if not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
@@ -81,8 +79,8 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     if not trusted and not known_inside(jaxpr.jaxpr):
         return function(*arguments)
     run, held = opened(jaxpr)
-    # Constants must not be moved inside either: an argument that is one then counts as never read.
-    results = _outlined(run)(*jax.lax.optimization_barrier([*held, *leaves]))
+    # Constants must not be moved inside: an argument that is one then counts as never read.
+    results = _outlined(_reading(run))(*jax.lax.optimization_barrier([*held, *leaves]))
     return jax.tree.unflatten(shapes[0], results[:-1])
 
 
@@ -94,6 +92,16 @@ def apart(function: Callable[..., Result]) -> Callable[..., Result]:
             return jax.jit(function, inline=False)(*arguments)
 
     return call
+
+
+def _reading(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
+    """The same with one more result, which reads every argument: XLA ends the process where one is never read."""
+
+    def small_function(*values: jax.Array) -> list[jax.Array]:
+        read = [jnp.real(value).reshape(-1)[0].astype(jnp.float32) for value in values if value.size]
+        return [*run(*values), functools.reduce(jnp.add, read, jnp.zeros((), jnp.float32))]
+
+    return small_function
 
 
 def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
@@ -116,6 +124,13 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 def known_inside(jaxpr: Any) -> bool:
     """Whether every operation, also inside of loops and branches, is one that compiles inside a function.
 
-    Anything that calls a library (solvers, FFI, callbacks) is not.
+    Anything that calls a library (solvers, FFI, callbacks) is not. Random keys are no numbers.
     """
+    if any(map(is_key, [*jaxpr.constvars, *jaxpr.invars])):
+        return False
     return all((entry := entry_of(eqn)) is not None and entry.inside(eqn) for eqn in all_equations(jaxpr))
+
+
+def is_key(variable: Any) -> bool:
+    """Whether a variable of a jaxpr holds random keys, or anything else that is no array of numbers."""
+    return hasattr(variable.aval, "dtype") and jax.dtypes.issubdtype(variable.aval.dtype, jax.dtypes.extended)

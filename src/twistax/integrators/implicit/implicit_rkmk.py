@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
-from ...jax_inside import opened, small_calls_in_branches
+from ...jax_inside import opened
 from ...lowering import XLA, Dynamics
 from ...lowering.small_call import small_call
 from ..charts import Blocks, Chart, Exponential, chart_of
@@ -115,12 +115,7 @@ class ImplicitRKMK(ChartMethod):
         """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
-            # Steps that are differentiated run in branches.
-            nothing = self._nothing(equations.zero)
-            if small_calls_in_branches():
-                found = small_call(lambda last: self._to_round_off(equations, last), nothing)
-            else:
-                found = self._to_round_off(equations, nothing)
+            found = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
             return jnp.where(found.solved, found.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
