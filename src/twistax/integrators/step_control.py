@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -104,13 +104,7 @@ def _log(square: jax.Array) -> jax.Array:
 
 
 def first_step(
-    stepper: Stepper,
-    tolerances: Tolerances,
-    t: jax.Array,
-    y: Blocks,
-    rate: Blocks,
-    fallback: jax.Array,
-    room: jax.Array,
+    stepper: Stepper, tolerances: Tolerances, t: jax.Array, y: Blocks, rate: Blocks, fallback: Any, room: Any
 ) -> jax.Array:
     """A step whose error should be near the tolerance, judged by the rate and how it changes over a short Euler step.
 

@@ -17,6 +17,8 @@ _STALLED = 1e3
 #: A real array (a,), or a complex one as real and imaginary part (a, b): complex numbers do not compile everywhere.
 Parts: TypeAlias = tuple[jax.Array, ...]
 
+Map: TypeAlias = Callable[[jax.Array], jax.Array]
+
 #: Larger matrices are left to a library.
 _LARGEST = 24
 
@@ -35,13 +37,7 @@ class Newton(NamedTuple):
 
 
 def newton(
-    update: Callable[[jax.Array], jax.Array],
-    size: Callable[[jax.Array], jax.Array],
-    guess: jax.Array,
-    contraction: jax.Array,
-    most: int,
-    again: bool,
-    rounding: jax.Array | float,
+    update: Map, size: Map, guess: jax.Array, contraction: jax.Array, most: int, again: bool, rounding: Any
 ) -> Newton:
     """Z <- Z - update(Z) from a guess, until what is left to come is below 1. Pure and traceable.
 

@@ -18,8 +18,8 @@ from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ..charts import Blocks, StoredState
 from ..method import Method, VectorField
+from .body import Flows, FreeMotion
 from .compositions import Composition
-from .motion import Flows, FreeMotion
 
 #: What was found to fit: parts by system.
 _CHECKED: weakref.WeakKeyDictionary[Dynamics, set[tuple[FreeMotion, ...]]] = weakref.WeakKeyDictionary()
