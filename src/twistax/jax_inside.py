@@ -121,6 +121,30 @@ def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
     return ClosedJaxpr(one, [])
 
 
+def is_key(variable: Any) -> bool:
+    """Whether a variable of a jaxpr holds random keys."""
+    return bool(jax.dtypes.issubdtype(variable.aval.dtype, jax.dtypes.prng_key))
+
+
+def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same function with the numbers of random keys in place of keys."""
+    arguments, results = program.jaxpr.invars, program.jaxpr.outvars
+    if not any(is_key(v) for v in (*arguments, *results)):
+        return program
+
+    def function(*values: Any) -> list[Any]:
+        wrapped = [
+            jax.random.wrap_key_data(value, impl=v.aval.dtype._impl) if is_key(v) else value
+            for v, value in zip(arguments, values, strict=True)
+        ]
+        found = zip(results, jaxpr_as_fun(program)(*wrapped), strict=True)
+        return [jax.random.key_data(value) if is_key(v) else value for v, value in found]
+
+    structs = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in arguments]
+    data = [jax.eval_shape(jax.random.key_data, s) if is_key(v) else s for v, s in zip(arguments, structs, strict=True)]
+    return jax.make_jaxpr(function)(*data)
+
+
 def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:
     """A jaxpr as a function of the traced values that it closes over, then of its arguments; and those values.
 

@@ -213,3 +213,17 @@ def test_functions_that_differ_in_a_callback_alone_are_two() -> None:
 
     program = scalarize(lambda x: [raised(2.0)(x), raised(5.0)(x)], jax.ShapeDtypeStruct((), float))
     assert [float(v) for v in evaluate(program, np.float64(1.0))] == [3.0, 6.0]
+
+
+def test_random_keys_are_the_arrays_of_their_numbers() -> None:
+    keys = jax.random.split(jax.random.key(5))
+
+    def noisy(x: jax.Array) -> jax.Array:
+        own = jax.random.fold_in(jax.random.split(jax.random.key(3))[1], 7)
+        return x * jax.random.normal(own, (3,)) + jax.random.uniform(keys[1], (3,))
+
+    x = jnp.array([0.5, -1.0, 2.0])
+    program = Derived(scalarize(lambda x: [noisy(x)], jax.ShapeDtypeStruct((3,), x.dtype)))
+    for transform in (lambda f: f, jax.jacfwd, jax.jacrev):
+        found = transform(lambda x: call_program(program, x)[0])(x)
+        np.testing.assert_allclose(found, transform(noisy)(x), rtol=1e-15)

@@ -12,7 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...jax_inside import ClosedJaxpr, Jaxpr, Literal, Unread, alone, inner_jaxprs, jaxpr_as_fun, source_of
+from ...jax_inside import (
+    ClosedJaxpr,
+    Jaxpr,
+    Literal,
+    Unread,
+    alone,
+    inner_jaxprs,
+    is_key,
+    jaxpr_as_fun,
+    on_key_data,
+    source_of,
+)
 from .entry import Nodes, flat, nodes
 from .graph import LIMITS, Call, Graph, Limits
 from .table import OPERATIONS, entry_of, say_unread
@@ -67,14 +78,15 @@ class Reader:
         self._reading: list[Jaxpr] = []
 
     def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]:
-        """The results of a jaxpr on arrays of nodes."""
+        """The results of a jaxpr on arrays of nodes. Random keys are the arrays of their numbers."""
         jaxpr, g = program.jaxpr, self.graph
         known: dict[Any, Nodes] = {}
 
         def value(variable: Any) -> Nodes:
             return self._literal(variable) if isinstance(variable, Literal) else known[variable]
 
-        known.update(zip(jaxpr.constvars, (g.array(c) for c in program.consts), strict=True))
+        consts = zip(jaxpr.constvars, program.consts, strict=True)
+        known.update((v, g.array(jax.random.key_data(c) if is_key(v) else c)) for v, c in consts)
         known.update(zip(jaxpr.invars, inputs, strict=True))
         self._reading.append(jaxpr)
         for eqn in jaxpr.eqns:
@@ -94,13 +106,15 @@ class Reader:
             own: what it does, where it is a call only for its own derivative.
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
-        equation = alone(self._reading[-1], eqn, list(distinct))
+        equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
         key = object() if own is None else _OwnDerivative(eqn.primitive.name, own, equation)
         return list(self.graph.call(equation, key, distinct.values(), own is not None).results)
 
     def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
         entry, found = entry_of(eqn), None
+        if any(map(is_key, (*eqn.invars, *eqn.outvars))) and eqn.primitive.name != "jit":
+            return self.call(eqn, arrays)
         if entry is not None and (entry.any_type or not self._foreign(eqn)):
             try:
                 found = entry.scalars(self, eqn, *arrays)
