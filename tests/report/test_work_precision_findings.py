@@ -149,7 +149,7 @@ def test_stiff_scenes_have_their_own_methods_and_their_own_advice() -> None:
     assert all("dop853" in suited(CONTENDERS, scene) and "rk4" not in suited(CONTENDERS, scene) for scene in LONG)
     assert "rk4" in suited(CONTENDERS, "euler-top")
     assert "radau5" not in suited(CONTENDERS, "euler-top")
-    # What is fast on one kind does not count on the other, and no method has to fly both.
+    # What is fast on one kind does not count on the other, and no method has to run both.
     rows = [
         *runs("euler-top", "dop853", 1.0, 8),
         *runs("euler-top", "tsit5", 1.2, 8),
