@@ -49,8 +49,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     )
     from .integrators.implicit import ImplicitRKMK
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
-    from .lowering import JAX, XLA, Dynamics, Native, compile, lower
-    from .lowering.export.loaded import load
+    from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.2.0.dev0"
@@ -126,8 +125,7 @@ _LATER = {
     ),
     ".integrators.implicit": ("ImplicitRKMK",),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
-    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "lower"),
-    ".lowering.export.loaded": ("load",),
+    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".trajectory": ("Maximize", "Minimize"),
 }
 

@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from twistax.expr import Example, Expr
+from twistax.expr.fields import Operand
+from twistax.expr.node import Shape
 from twistax.lowering.backends import Backend
 from twistax.lowering.functions import Kept
 from twistax.mechanics import Chain, chain_models, forward_dynamics
@@ -161,6 +164,37 @@ def test_none_is_kept_too() -> None:
     for _ in range(2):
         assert kept.get("a", lambda: made.append("a")) is None
     assert made == ["a"]
+
+
+class Squared(Expr):
+    """A A of one's own, in the precision that JAX is told to take."""
+
+    A: Operand
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return shapes[0]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return values[0] @ values[0]
+
+    @classmethod
+    def example(cls) -> list[Example]:
+        return []
+
+
+@pytest.mark.parametrize("backend", [tx.JAX(), tx.XLA()])
+def test_products_of_one_precision_are_not_served_under_another(backend: Backend) -> None:
+    A = tx.State("A", shape=(40, 40))
+    dynamics = tx.compile(tx.System(rates={A: Squared(A)}, outputs={"y": Squared(A)}), backend=backend)
+
+    def traced() -> str:
+        functions = (lambda v: dynamics(0.0, {"A": v}), lambda v: dynamics.outputs(0.0, {"A": v}))
+        return "".join(str(jax.make_jaxpr(function)(np.eye(40))) for function in functions)
+
+    assert "HIGHEST" not in traced()
+    with jax.default_matmul_precision("highest"):
+        assert traced().count("HIGHEST") >= 2
+    assert "HIGHEST" not in traced()
 
 
 @pytest.mark.skipif(importlib.util.find_spec("llvmlite") is None, reason="native kernels need llvmlite")

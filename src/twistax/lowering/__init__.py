@@ -1,7 +1,7 @@
 """From trees to functions: one expression (`lower`) or a whole system (`compile`)."""
 
 from .backends import JAX, XLA, Backend
-from .dynamics import Dynamics, compile
+from .dynamics import Dynamics, compile, load
 from .explain import Explanation
 from .lower import lower
 from .native.backend import Native
@@ -14,5 +14,6 @@ __all__ = [
     "Explanation",
     "Native",
     "compile",
+    "load",
     "lower",
 ]

@@ -21,7 +21,7 @@ from .functions import Arrays, Functions
 from .inputs import Values
 from .native.backend import Auto
 
-__all__ = ["Arrays", "Dynamics", "compile", "not_compiled"]
+__all__ = ["Arrays", "Dynamics", "compile", "load", "not_compiled"]
 
 
 class Dynamics:
@@ -238,6 +238,26 @@ def compile(
     if not isinstance(chosen, Backend):
         raise ModelError(f'backend expects "auto", tx.XLA(), tx.Native() or tx.JAX(), got {backend!r}')
     return Dynamics(Functions(system, outputs, dict(bake or {}), chosen))
+
+
+def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:
+    """A compiled system from a file that `Dynamics.save` wrote.
+
+    Its expressions have the keys they had, and its functions give the same numbers on the same machine, to the last
+    bit. Nothing in a file is run. Nodes, groups and backends of your own are found by the names of their module and
+    class: import what defines them first.
+
+    Args:
+        backend: another one than it was compiled with.
+    Raises:
+        InputError: no such file, no file of this kind, a damaged one, or one of another format; it names the path and
+            the versions.
+        ModelError: a class that is not known here, or that has changed since.
+    """
+    from .export.saved import read
+
+    system, options = read(path)
+    return compile(system, **(options if backend is None else {**options, "backend": backend}))
 
 
 def not_compiled(owner: str, dynamics: object) -> ModelError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -57,20 +57,15 @@ class Explanation:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data; patterns as nested lists of truth values."""
-        found = dataclasses.asdict(self)
-        found["patterns"] = {kind: pattern.tolist() for kind, pattern in self.patterns.items()}
-        return found
+        patterns = {kind: pattern.tolist() for kind, pattern in self.patterns.items()}
+        return {**dataclasses.asdict(self), "patterns": patterns}
 
     def picture(self) -> str:
         """The pattern of the Jacobian by states and controls in characters: a row is a rate, # may differ from zero."""
         if not self.patterns:
             return _LEFT_OUT
-        shown = [self.patterns[kind] for kind in ("x", "u") if self.patterns[kind].size]
-        rows = [
-            "|" + "|".join("".join("#" if entry else "." for entry in block[i]) for block in shown) + "|"
-            for i in range(len(shown[0]) if shown else 0)
-        ]
-        return "\n".join(rows)
+        shown = [np.where(self.patterns[kind], "#", ".") for kind in ("x", "u") if self.patterns[kind].size]
+        return "\n".join("|" + "|".join("".join(row) for row in rows) + "|" for rows in zip(*shown, strict=True))
 
     def plot(self, axes: Any) -> None:
         """The pattern by states, then controls, on Matplotlib axes.
@@ -142,15 +137,14 @@ def explain(functions: Functions) -> Explanation:
         jacobian, _ = functions.rate_jacobian(inputs, ("x", "u", "params"))
         rates, patterns = jacobian.rates, jacobian.pattern
     except TooLarge:
-        rates, patterns = scalarize(functools.partial(functions.flat_rates, places), *map(_like, arrays)), {}
+        rates, patterns = scalarize(functools.partial(functions.flat_rates, places), *arrays), {}
     kinds = {"states": functions.states, "controls": functions.controls, "parameters": functions.parameters}
     written = list(functions.system.rates.values())
     simplified = [expr for (expr,) in functions.families["rates"].values()]
-    entries = [
-        entry for state in functions.states for entry in _entries(state.name, _rate_shape(functions, state.name))
-    ]
+    entries = [entry for name, (rate,) in functions.families["rates"].items() for entry in _entries(name, rate.shape)]
     numbers = [rates.graph.numbers[i] for i in rates.flat]
     before, after = (_jaxpr(roots, inputs.dtype) for roots in (written, simplified))
+    distinct = len({node.key() for node in postorder(*simplified)})
     start = time.perf_counter()
     given = (inputs.t, inputs.x, inputs.u, inputs.params)
     jax.jit(functools.partial(functions.evaluate, "rates", in_loop=False)).lower(*given).compile()
@@ -161,7 +155,7 @@ def explain(functions: Functions) -> Explanation:
         leaves={kind: [leaf.name for leaf in own] for kind, own in kinds.items()},
         unused=_unused(functions),
         baked=list(functions.baked),
-        nodes=(_written_nodes(written), _distinct_nodes(simplified)),
+        nodes=(_written_nodes(written), distinct),
         equations=(count_equations(before), count_equations(after)),
         operations=(dict(sorted(array_operations(before).items())), rates.counts()),
         constants={name: n for name, n in zip(entries, numbers, strict=True) if n is not None},
@@ -187,7 +181,7 @@ def explain_one(functions: Functions, of: str) -> Dependence:
     def function(*values: jax.Array) -> list[jax.Array]:
         return [functions.as_written(families[name], *functions.by_kind(places, values))[name]]
 
-    program = scalarize(function, *map(_like, arrays))
+    program = scalarize(function, *arrays)
     if rest:
         (nodes,) = program.outputs
         entries, wanted = _entries(name, nodes.shape), of.replace(" ", "").replace(",", ", ")
@@ -213,20 +207,12 @@ def _inputs(functions: Functions) -> Inputs:
     """Zeros for all leaves that anything reads."""
     read = set().union(*functions.reads.values())
 
-    def zeros(leaves: Iterable[Any], read: set[str]) -> dict[str, Any]:
-        return {leaf.name: np.zeros(leaf.shape) for leaf in leaves if leaf.name in read}
-
-    x = zeros(functions.states, {state.name for state in functions.states})
-    return functions.prepare(0.0, x, zeros(functions.controls, read), zeros(functions.parameters, read), reads=())
-
-
-def _like(array: jax.Array) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(array.shape, array.dtype)
-
-
-def _rate_shape(functions: Functions, name: str) -> tuple[int, ...]:
-    (expr,) = functions.families["rates"][name]
-    return expr.shape
+    x = {leaf.name: np.zeros(leaf.shape) for leaf in functions.states}
+    u, params = (
+        {leaf.name: np.zeros(leaf.shape) for leaf in own if leaf.name in read}
+        for own in (functions.controls, functions.parameters)
+    )
+    return functions.prepare(0.0, x, u, params, reads=())
 
 
 def _unused(functions: Functions) -> list[str]:
@@ -251,11 +237,6 @@ def _written_nodes(roots: Sequence[Expr]) -> int:
     for node in postorder(*roots):
         sizes[id(node)] = 1 + sum(sizes[id(child)] for child in node.children())
     return sum(sizes[id(root)] for root in roots)
-
-
-def _distinct_nodes(roots: Sequence[Expr]) -> int:
-    """Nodes that differ in structure."""
-    return len({node.key() for node in postorder(*roots)})
 
 
 def _jaxpr(roots: Sequence[Expr], dtype: Any) -> Any:

@@ -39,10 +39,15 @@ Arrays = dict[str, jax.Array]
 #: What the arguments of a flat function are: ("t", "t"), then "x", "u" or "params" with a name.
 Places = tuple[tuple[str, str], ...]
 Made = TypeVar("Made")
+#: What the numbers of a trace depend on beyond its arguments.
+_SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
 class Kept:
-    """What was made by key; beyond `most` entries that which was used longest ago is dropped."""
+    """What was made by key, and by the settings of JAX that its numbers depend on.
+
+    Beyond `most` entries that which was used longest ago is dropped.
+    """
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -51,6 +56,7 @@ class Kept:
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
         """What was made for the key, or is now."""
+        key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         found = self._found.get(key, self)
         made: Any = make() if found is self else found
         with self._lock:
@@ -83,10 +89,11 @@ class Functions:
         self.states, self.controls, self.group = system.states, system.controls, system.group
         self.parameters = tuple(p for p in system.parameters if p.name not in bake)
         residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
-        self._constraints: dict[str, dict[str, Expr]] = {"inequality": {}, "equality": {}}
-        for name, constraint in system.constraints.items():
-            kind = "equality" if isinstance(constraint, Equality) else "inequality"
-            self._constraints[kind][name] = residuals[name]
+        equalities = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
+        self._constraints: dict[str, dict[str, Expr]] = {
+            kind: {name: own for name, own in residuals.items() if (name in equalities) == (kind == "equality")}
+            for kind in ("inequality", "equality")
+        }
         chosen = _narrow(system.outputs, outputs)
         self.families: dict[str, dict[str, list[Expr]]] = {
             "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
@@ -201,7 +208,9 @@ class Functions:
         result = {}
         for name, exprs in roots.items():
             parts = [next(values) for _ in exprs]
-            result[name] = parts[0] if family != "constraints" else _joined(parts, dtype)
+            if family == "constraints":
+                parts = [jnp.concatenate([jnp.zeros(0, dtype), *(part.reshape(-1) for part in parts)])]
+            result[name] = parts[0]
         return result
 
     # ---- derivatives -------------------------------------------------------------------------------------------------
@@ -227,24 +236,19 @@ class Functions:
         places, arrays = self.flat(inputs)
 
         def make() -> RateJacobian:
-            closed = jax.make_jaxpr(functools.partial(self.flat_rates, places))(
-                *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays)
+            return RateJacobian(
+                jax.make_jaxpr(functools.partial(self.flat_rates, places))(*arrays), places, self.group, wrt
             )
-            return RateJacobian(closed, places, self.group, wrt)
 
         return self._made.get((wrt, places, inputs.dtype), make), arrays
 
     def flat(self, inputs: Inputs) -> tuple[Places, list[jax.Array]]:
         """The arguments in the order of declaration: what each is, ("t", "t") or its kind and name; and the arrays."""
-        given = {
-            "x": (self.states, inputs.x),
-            "u": (self.controls, inputs.u),
-            "params": (self.parameters, inputs.params),
-        }
+        leaves, given = (self.states, self.controls, self.parameters), (inputs.x, inputs.u, inputs.params)
         named = {
             (kind, leaf.name): values[leaf.name]
-            for kind, (leaves, values) in given.items()
-            for leaf in leaves
+            for kind, own, values in zip(("x", "u", "params"), leaves, given, strict=True)
+            for leaf in own
             if leaf.name in values
         }
         return (("t", "t"), *named), [inputs.t, *named.values()]
@@ -303,7 +307,3 @@ def _names(*roots: list[Expr]) -> set[str]:
     """The names of the states, controls and parameters that the roots read."""
     leaves = leaves_of(*(expr for own in roots for expr in own))
     return {leaf.name for leaf in leaves if isinstance(leaf, (State, Control, Parameter))}
-
-
-def _joined(parts: list[jax.Array], dtype: Any) -> jax.Array:
-    return jnp.concatenate([p.reshape(-1) for p in parts]) if parts else jnp.zeros(0, dtype)

@@ -37,21 +37,13 @@ class RateJacobian:
         seeds: dict[int, dict[int, int]] = {}
         offset = 0
         for kind in wrt:
-            arguments = [k for k, (own, _) in enumerate(places) if own == kind]
-            if kind == "x":
-                values = {places[k][1]: program.inputs[k] for k in arguments}
-                moved = _moved(program, values, group)
-                width = group.dimension
-                for name, nodes in values.items():
-                    rows = moved[name].reshape(nodes.size, width).tolist()
-                    for entry, columns in zip(nodes.reshape(-1).tolist(), rows, strict=True):
-                        seeds[entry] = {offset + j: value for j, value in enumerate(columns) if value != g.zero}
-            else:
-                width = sum(program.inputs[k].size for k in arguments)
-                flat = [i for k in arguments for i in program.inputs[k].reshape(-1).tolist()]
-                seeds.update({node: {offset + j: g.one} for j, node in enumerate(flat)})
-            widths[kind] = width
-            offset += width
+            own = {name: program.inputs[k] for k, (of, name) in enumerate(places) if of == kind}
+            entries = [i for nodes in own.values() for i in nodes.reshape(-1).tolist()]
+            moved = _moved(program, own, group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
+            for entry, row in zip(entries, moved.tolist(), strict=True):
+                seeds[entry] = {offset + j: value for j, value in enumerate(row) if value != g.zero}
+            widths[kind] = moved.shape[1]
+            offset += moved.shape[1]
         found = columns_of(program, seeds)
         dense = np.full((len(program.flat), offset), g.zero)
         for (row, column), node in found.items():
@@ -63,15 +55,14 @@ class RateJacobian:
         self.pattern = {kind: block != g.zero for kind, block in zip(widths, blocks, strict=True)}
 
 
-def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> dict[str, Nodes]:
+def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> Nodes:
     """d (x (+) d) / dd at d = 0, entries of x by tangents, as nodes."""
     g = program.graph
 
     def function(*arrays: jax.Array) -> list[jax.Array]:
         x = dict(zip(values, arrays, strict=True))
-        zero = jnp.zeros(group.dimension, g.dtype)
-        found = jax.jacfwd(lambda d: group.retract(x, d))(zero)
-        return [found[name] for name in values]
+        found = jax.jacfwd(lambda d: group.retract(x, d))(jnp.zeros(group.dimension, g.dtype))
+        return [found[name].reshape(-1, group.dimension) for name in values]
 
     shapes = [jax.ShapeDtypeStruct(nodes.shape, g.dtype) for nodes in values.values()]
-    return dict(zip(values, Reader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())), strict=True))
+    return np.concatenate(Reader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())))

@@ -58,7 +58,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     Args:
         trusted: take the caller's word that it works. XLA ends the process where it does not.
     """
-    if _INSIDE.get():
+    if _INSIDE.get() or not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
     leaves, structure = jax.tree.flatten(arguments)
     leaves = [jnp.asarray(leaf) for leaf in leaves]
@@ -69,8 +69,6 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         shapes.append(shape)
         return results
 
-    if not small_calls_exist() or jax.default_backend() != "cpu":
-        return function(*arguments)
     outside = _INSIDE.set(True)
     try:
         jaxpr = jax.make_jaxpr(flat)(*leaves)

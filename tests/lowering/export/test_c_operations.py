@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from export_systems import Library, needs_compiler
 
-from twistax.lowering.export.c99 import body
+from twistax.lowering.export.c_code import body
 from twistax.lowering.export.functions import ExportedFunction, Port
 from twistax.lowering.scalar.graph import Graph
 from twistax.lowering.scalar.in_c import c_type

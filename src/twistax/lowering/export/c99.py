@@ -1,27 +1,38 @@
-"""C99 code of a compiled system: header, source, and a test main."""
+"""C99 files of a compiled system: header and source by `c_code.py`, and a test main with reference values."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import InputError, ModelError
+from ...groups import Euclidean
 from ..functions import Functions
-from ..scalar.entry import Operation
-from ..scalar.in_c import CType, c_type, expression
+from ..scalar.in_c import CType, c_type
 from . import CFiles, version
-from .c_header import MARK, declaration, defaults, header
-from .c_names import checked_name, identifiers
-from .c_test import Point, drawn_points, test_main
-from .functions import ExportedFunction, Exporter, Port
+from .c_code import MARK, Code, identifiers
+from .functions import ExportedFunction, Exporter
 
-__all__ = ["body", "write_c"]
+__all__ = ["write_c"]
+
+#: One array for each argument.
+Point = list[NDArray[Any]]
 
 #: Of references at which the test main gives up, relative to the largest one of a function.
 _TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
+
+#: Headers of C99, which a header of that name would hide.
+_STANDARD = (
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
+    "stdint stdio stdlib string tgmath time wchar wctype"
+)
 
 
 def write_c(
@@ -36,25 +47,29 @@ def write_c(
     tolerance: float | None,
 ) -> CFiles:
     """What `Dynamics.to_c` does; it says what the arguments are."""
-    name, real = checked_name(name), _real(dtype)
+    _check_name(name)
+    real = _real(dtype)
     exporter = Exporter(dynamics, real.dtype, checked)
     functions = _functions(exporter, jacobian)
     names = identifiers([*exporter.arguments, *dict.fromkeys(port for f in functions for port in f.results)])
-    given = drawn_points(exporter) if points is None else [_point(exporter, each) for each in points]
+    given = _drawn_points(exporter) if points is None else [_point(exporter, each) for each in points]
     if not given:
         raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
     allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
     if not 0.0 <= allowed < np.inf:
         raise InputError(f"tolerance expects a number that is not negative, got {allowed}")
-    folder = Path(directory)
+    folder, code = Path(directory), Code(name, exporter, functions, names, real)
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
-    texts = {
-        files.header: header(name, exporter, functions, names, real),
-        files.source: _source(name, exporter, functions, names, real),
-        files.test: test_main(name, exporter, functions, names, real, given, allowed),
-    }
+    texts = {files.header: code.header(), files.source: code.source(), files.test: _test_main(code, given, allowed)}
     _write(folder, texts)
     return files
+
+
+def _check_name(name: str) -> None:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
+    if name.lower() in _STANDARD.split():
+        raise InputError(f"name expects another one than {name!r}: {name.lower()}.h is a header of C itself")
 
 
 def _real(dtype: Any) -> CType:
@@ -68,8 +83,7 @@ def _real(dtype: Any) -> CType:
 
 
 def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunction]:
-    wanted = [family for family, own in exporter.dynamics.families.items() if any(own.values())]
-    found = [exporter.family(family) for family in wanted]
+    found = [exporter.family(family) for family, own in exporter.dynamics.families.items() if any(own.values())]
     if jacobian:
         if isinstance(jacobian, str):
             raise InputError(f"jacobian expects a sequence like ('x', 'u'), got {jacobian!r}")
@@ -78,73 +92,6 @@ def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunc
     if not found:
         raise ModelError("there is nothing to write: no result has an entry")
     return found
-
-
-def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
-    """(t, x, u, params) as arrays in the order of the arguments; parameters may be left out."""
-    if not isinstance(point, Sequence) or not 2 <= len(point) <= 4:
-        raise InputError(f"points expects (t, x, u, params) each, the last two may be left out, got {point!r}")
-    given: list[Any] = [*point, *([{}] * (4 - len(point)))]
-    t, x, u, params = given
-    inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))
-    values = {"x": inputs.x, "u": inputs.u, "p": inputs.params}
-    raw = {"x": x, "u": u or {}, "p": params or {}}
-    found = [np.asarray(t, np.float64)]
-    for port in exporter.arguments[1:]:
-        value = raw[port.kind].get(port.name, values[port.kind].get(port.name))
-        found.append(np.zeros(port.shape) if value is None else np.asarray(value, np.float64).reshape(port.shape))
-    return found
-
-
-def _source(
-    name: str, exporter: Exporter, functions: Sequence[ExportedFunction], names: dict[Port, str], real: CType
-) -> str:
-    bodies = []
-    for function in functions:
-        head = declaration(name, function, exporter.arguments, names, real)
-        bodies.append(f"{head}\n{{\n{body(function, exporter.arguments, names)}}}\n")
-    constants = []
-    for port, values in defaults(exporter):
-        entries = ", ".join(real.literal(real.dtype.type(v)) for v in values)
-        constants.append(f"const {real.name} {name}_default_{names[port]}[{port.size}] = {{{entries}}};\n")
-    parts = [
-        f'{MARK} {version()}. The call convention stands in {name}.h. */\n#include "{name}.h"\n\n'
-        "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
-        "".join(constants),
-        *bodies,
-    ]
-    return "\n".join(part for part in parts if part)
-
-
-def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]) -> str:
-    """The lines of a function.
-
-    Raises:
-        ModelError: a type that C has not, or has no such operation of.
-    """
-    program, g = function.program, function.program.graph
-    lines: list[str] = []
-    used: set[int] = set()
-
-    def entry(argument: int, place: int) -> str:
-        used.add(argument)
-        port = arguments[argument]
-        return names[port] if port.kind == "t" else f"{names[port]}[{place}]"
-
-    def computed(operation: Operation, node: int, *values: str) -> str:
-        own, argument = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
-        lines.append(f"const {own.name} v{len(lines)} = {expression(operation, argument, own, values)};")
-        return f"v{len(lines) - 1}"
-
-    values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
-    unused = [f"(void){names[port]};" for k, port in enumerate(arguments) if k not in used]
-    results = []
-    real = c_type(g.dtype)
-    for port, nodes in zip(function.results, program.outputs, strict=True):
-        for k, i in enumerate(nodes.reshape(-1).tolist()):
-            cast = "" if g.dtypes[i] == g.dtype else f"({real.name})"
-            results.append(f"{names[port]}[{k}] = {cast}{values[i]};")
-    return "".join(f"    {line}\n" for line in (*unused, *lines, *results))
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:
@@ -160,3 +107,133 @@ def _write(folder: Path, texts: dict[Path, str]) -> None:
             path.write_text(text, encoding="ascii")
     except OSError as error:
         raise InputError(f"cannot write C code to {str(folder)!r}: {error}") from None
+
+
+# ---- the test main ---------------------------------------------------------------------------------------------------
+
+
+def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
+    """(t, x, u, params) as arrays in the order of the arguments; parameters may be left out."""
+    if not isinstance(point, Sequence) or not 2 <= len(point) <= 4:
+        raise InputError(f"points expects (t, x, u, params) each, the last two may be left out, got {point!r}")
+    t, x, u, params = [*point, None, None][:4]
+    inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))
+    # As they were given where they were: prepared ones may be of single precision.
+    values = {"x": {**inputs.x, **x}, "u": {**inputs.u, **(u or {})}, "p": {**inputs.params, **(params or {})}}
+    return [
+        np.asarray(t, np.float64),
+        *(
+            np.asarray(values[port.kind].get(port.name, np.zeros(port.shape)), np.float64).reshape(port.shape)
+            for port in exporter.arguments[1:]
+        ),
+    ]
+
+
+def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
+    """Arguments drawn at random: Exp of a normal tangent, normal entries, of parameters their own values."""
+    rng = np.random.default_rng(0)
+    groups = {state.name: state.group for state in exporter.dynamics.states}
+    own = {p.name: p.value for p in exporter.dynamics.parameters}
+    points = []
+    with jax.enable_x64(True):
+        for _ in range(count):
+            point: Point = []
+            for port in exporter.arguments:
+                drawn = rng.normal(size=port.shape)
+                group = groups.get(port.name) if port.kind == "x" else None
+                if port.kind == "p" and own[port.name] is not None:
+                    drawn = np.asarray(own[port.name], np.float64)
+                elif group is not None and not isinstance(group, Euclidean):
+                    drawn = np.asarray(group.exp(jnp.asarray(0.5 * rng.normal(size=group.dimension))))
+                point.append(drawn)
+            points.append(point)
+    return points
+
+
+def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
+    """The text of a program that ends with 0 where all functions agree with their references."""
+    real, names = code.real, code.names
+    points = [[_cast(v, real) for v in point] for point in points]
+    data: list[str] = []
+    steps: list[str] = []
+    given = []
+    for k, point in enumerate(points):
+        arrays = {f"point_{k}_{names[port]}": v for port, v in zip(code.exporter.arguments[1:], point[1:], strict=True)}
+        data += [_array(name, values, real) for name, values in arrays.items()]
+        given.append([real.literal(point[0][()]), *arrays])
+    for function in code.functions:
+        # Brought to the code's numbers first: what is beyond their range is infinite there, and no measure.
+        references = [[_cast(r, real) for r in result] for result in _references(function, points)]
+        finite = np.concatenate([np.abs(r[np.isfinite(r)]) for result in references for r in result])
+        allowed = real.literal(_cast(tolerance * float(finite.max(initial=0.0)), real)[()])
+        found = [f"found[{j}]" for j in range(len(function.results))]
+        for k, arguments in enumerate(given):
+            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *found])});")
+            for own, port, result in zip(found, function.results, references[k], strict=True):
+                array = f"expected_{k}_{function.name}_{names[port]}"
+                data.append(_array(array, result, real))
+                label = f"{function.name} {names[port]}, point {k + 1}"
+                steps.append(f'failed += compare("{label}", {own}, {array}, {port.size}, {allowed});')
+    widest = max(len(function.results) for function in code.functions)
+    longest = max(port.size for function in code.functions for port in function.results)
+    listed, zero = "\n    ".join(steps), real.literal(0.0)
+    return f"""{MARK} {version()}: compares with values by JAX in double precision, on arrays.
+ * Allowed is {tolerance:.0e} times the largest reference of the function. Ends with 0 where all agree.
+ */
+#include <math.h>
+#include <stdio.h>
+
+#include "{code.name}.h"
+
+{"".join(data)}
+static {real.name} found[{widest}][{longest}];
+
+static int compare(const char *name, const {real.name} *own, const {real.name} *other, int n, {real.name} allowed)
+{{
+    {real.name} worst = {zero};
+    int bad = 0, k;
+    for (k = 0; k < n; k++) {{
+        if (isnan(other[k])) {{
+            bad += !isnan(own[k]);
+        }} else if (isinf(other[k])) {{
+            bad += !isinf(own[k]) || (own[k] > {zero}) != (other[k] > {zero});
+        }} else {{
+            const {real.name} apart = fabs{real.suffix}(own[k] - other[k]);
+            bad += !(apart <= allowed);
+            worst = apart > worst ? apart : worst;
+        }}
+    }}
+    printf("%-40s apart %.1e, allowed %.1e%s\\n", name, (double)worst, (double)allowed, bad ? "  WRONG" : "");
+    return bad;
+}}
+
+int main(void)
+{{
+    int failed = 0;
+    {listed}
+    printf(failed ? "%d entries are WRONG\\n" : "all agree\\n", failed);
+    return failed ? 1 : 0;
+}}
+"""
+
+
+def _references(function: ExportedFunction, points: Sequence[Point]) -> list[list[NDArray[Any]]]:
+    """The results at every point, in double precision."""
+    with jax.enable_x64(True):
+        stacked = [jnp.stack([jnp.asarray(v, np.float64) for v in values]) for values in zip(*points, strict=True)]
+        # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
+        run = jax.jit(jax.vmap(function.arrays), compiler_options={"xla_backend_optimization_level": 0})
+        found = [np.asarray(r) for r in run(*stacked)]
+    return [[np.asarray(result[k]) for result in found] for k in range(len(points))]
+
+
+def _cast(values: Any, real: CType) -> NDArray[Any]:
+    """As numbers of the code."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values).astype(real.dtype)
+
+
+def _array(name: str, values: NDArray[Any], real: CType) -> str:
+    entries = [real.literal(v) for v in values.reshape(-1)]
+    lines = [", ".join(entries[k : k + 6]) for k in range(0, len(entries), 6)]
+    return f"static const {real.name} {name}[{len(entries)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,7 +18,10 @@ __all__ = ["to_casadi"]
 
 def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, checked: bool) -> Any:
     """What `Dynamics.to_casadi` does; it says what the arguments are."""
-    casadi = _casadi()
+    try:
+        import casadi
+    except ImportError as error:
+        raise ModelError(f"to_casadi needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'") from None
     exporter = Exporter(dynamics, np.float64, checked)
     if not casadi.Function.check_name(name):
         raise InputError(f"name expects what CasADi allows, letters, digits and single underscores, got {name!r}")
@@ -31,23 +35,21 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
     for function in map(exporter.family, families):
         results += _results(casadi, function, exporter.arguments, symbols)
         result_names += [_name(port) for port in function.results]
-    _check_distinct([*names, *result_names])
+    everything = [*names, *result_names]
+    twice = sorted({name for name in everything if everything.count(name) > 1})
+    if twice:
+        raise ModelError(
+            f"a CasADi function names each of its arguments and results differently; {twice[0]!r} stands for two.\n"
+            "  fix: rename one, or ask for fewer families"
+        )
     # CasADi takes zero for what is not given: a mass of zero would go unnoticed, NaN does not.
     own = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
     defaults = [own.get(port.name, np.nan) if port.kind == "p" else np.nan for port in exporter.arguments]
     # A function that CasADi derives has zeros again, unless it is told; the results, which `jacobian` takes too, are
     # not read.
     derived = {"default_in": [*defaults, *(0.0 for _ in results)]}
-    options = {"default_in": defaults, "jacobian_options": derived}
+    options: Any = {"default_in": defaults, "jacobian_options": derived}
     return casadi.Function(name, symbols, results, names, result_names, options)
-
-
-def _casadi() -> Any:
-    try:
-        import casadi
-    except ImportError as error:
-        raise ModelError(f"to_casadi needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'") from None
-    return casadi
 
 
 def _name(port: Port) -> str:
@@ -55,23 +57,9 @@ def _name(port: Port) -> str:
     return "t" if port.kind == "t" else f"rate_{port.name}" if port.kind == "rate" else port.name
 
 
-def _check_distinct(names: list[str]) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ModelError(
-            f"a CasADi function names each of its arguments and results differently; {twice[0]!r} stands for two.\n"
-            "  fix: rename one, or ask for fewer families"
-        )
-
-
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
     """The rows and columns of CasADi's matrix: vectors are columns, arrays of more axes a column row by row."""
-    if len(shape) == 2:
-        return (shape[0], shape[1])
-    size = 1
-    for n in shape:
-        size *= n
-    return (size, 1)
+    return (shape[0], shape[1]) if len(shape) == 2 else (math.prod(shape), 1)
 
 
 def _place(shape: tuple[int, ...], place: int) -> tuple[int, int]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...errors import ModelError
-from ...expr import Inputs, Leaf
+from ...expr import Inputs
 from ..functions import Functions
 from ..scalar.graph import Limits
 from ..scalar.program import ScalarProgram, emitted_form, scalarize
@@ -38,10 +39,7 @@ class Port:
 
     @property
     def size(self) -> int:
-        size = 1
-        for n in self.shape:
-            size *= n
-        return size
+        return math.prod(self.shape)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,17 +71,10 @@ class Exporter:
     """
 
     def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:
-        self.dynamics = dynamics
-        self.dtype, self.checked = np.dtype(dtype), checked
-        self.leaves: dict[str, tuple[Leaf, ...]] = {
-            "x": dynamics.states,
-            "u": dynamics.controls,
-            "p": dynamics.parameters,
-        }
-        self.arguments = (
-            Port("t", "", ()),
-            *(Port(kind, leaf.name, leaf.shape) for kind, leaves in self.leaves.items() for leaf in leaves),
-        )
+        self.dynamics, self.dtype, self.checked = dynamics, np.dtype(dtype), checked
+        leaves = {"x": dynamics.states, "u": dynamics.controls, "p": dynamics.parameters}
+        ports = [Port(kind, leaf.name, leaf.shape) for kind, own in leaves.items() for leaf in own]
+        self.arguments = (Port("t", "", ()), *ports)
 
     def family(self, name: str) -> ExportedFunction:
         """Rates, outputs or constraints.
@@ -91,23 +82,16 @@ class Exporter:
         Raises:
             ModelError: a part has no form in scalars, or the program is too large.
         """
-        kind = {"rates": "rate", "outputs": "output", "constraints": "constraint"}[name]
 
         def arrays(*values: jax.Array) -> list[jax.Array]:
-            return list(self._by_name(name, *values).values())
-
-        names: list[str] = []
-
-        def traced(*values: jax.Array) -> list[jax.Array]:
-            found = self._by_name(name, *values)
-            names.extend(found)  # here, because JAX would hand them back sorted
+            given = self._inputs(values)
+            found = self.dynamics.as_written(name, given.t, dict(given.x), dict(given.u), dict(given.params))
             return list(found.values())
 
-        with self.precision():
-            closed = jax.make_jaxpr(traced)(*self._shapes())
-            program = self._alone(name, scalarize(closed, checked=self.checked))
-        ports = [Port(kind, own, nodes.shape) for own, nodes in zip(names, program.outputs, strict=True)]
-        return _without_empty(ExportedFunction(name, tuple(ports), program, arrays))
+        with self._precision():
+            closed = jax.make_jaxpr(arrays)(*(jax.ShapeDtypeStruct(p.shape, self.dtype) for p in self.arguments))
+            program = scalarize(closed, checked=self.checked)
+            return self._exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
 
     def jacobian(self, wrt: Sequence[str]) -> ExportedFunction:
         """The derivatives of the rates in the tangent space, a matrix (n, m) for each of "x", "u", "params" in wrt.
@@ -116,38 +100,24 @@ class Exporter:
             ModelError: a part has no form in scalars, or the program is too large.
             InputError: another entry in wrt.
         """
-        with self.precision():
-            found, _ = self.dynamics.rate_jacobian(
-                self._inputs(jnp.zeros(p.shape, self.dtype) for p in self.arguments), tuple(wrt)
-            )
-            program = self._alone("jacobian", found.program)
-        ports = [Port("jacobian", kind, block.shape) for kind, block in found.blocks.items()]
+        with self._precision():
+            inputs = self._inputs(jnp.zeros(p.shape, self.dtype) for p in self.arguments)
+            found, _ = self.dynamics.rate_jacobian(inputs, tuple(wrt))
 
-        def arrays(*values: jax.Array) -> list[jax.Array]:
-            return _reference_jacobian(self, wrt, values)
+            def arrays(*values: jax.Array) -> list[jax.Array]:
+                return self._differentiated(wrt, self._inputs(values))
 
-        return _without_empty(ExportedFunction("jacobian", tuple(ports), program, arrays))
+            return self._exported("jacobian", "jacobian", list(found.blocks), found.program, arrays)
 
-    def precision(self) -> Any:
-        """A context in which JAX works in this precision."""
-        return jax.enable_x64(self.dtype == np.float64)
-
-    def _shapes(self) -> list[jax.ShapeDtypeStruct]:
-        return [jax.ShapeDtypeStruct(port.shape, self.dtype) for port in self.arguments]
-
-    def _inputs(self, values: Any) -> Inputs:
-        t, *rest = values
-        given: dict[str, dict[str, jax.Array]] = {"x": {}, "u": {}, "p": {}}
-        for port, value in zip(self.arguments[1:], rest, strict=True):
-            given[port.kind][port.name] = value
-        return Inputs(t, given["x"], given["u"], given["p"], t.dtype)
-
-    def _by_name(self, family: str, *values: jax.Array) -> dict[str, jax.Array]:
-        given = self._inputs(values)
-        return self.dynamics.as_written(family, given.t, dict(given.x), dict(given.u), dict(given.params))
-
-    def _alone(self, name: str, program: ScalarProgram) -> ScalarProgram:
-        """The program with every call unrolled."""
+    def _exported(
+        self,
+        name: str,
+        kind: str,
+        results: Sequence[str],
+        program: ScalarProgram,
+        arrays: Callable[..., list[jax.Array]],
+    ) -> ExportedFunction:
+        """A function with every call unrolled, without results that have no entry."""
         form = emitted_form(program, limits=_LIMITS)
         if form.calls:
             unread = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})
@@ -157,40 +127,43 @@ class Exporter:
                 f"out; solves are unrolled up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to "
                 f"{_LIMITS.table} places"
             )
-        return form
+        kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
+        ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)
+        restricted = form.restricted([form.outputs[k] for k in kept])
 
+        def present(*values: jax.Array) -> list[jax.Array]:
+            found = arrays(*values)
+            return [found[k] for k in kept]
 
-def _without_empty(function: ExportedFunction) -> ExportedFunction:
-    """The function without results that have no entry."""
-    kept = [k for k, port in enumerate(function.results) if port.size]
-    program = function.program.restricted([function.program.outputs[k] for k in kept])
+        return ExportedFunction(name, ports, restricted, present)
 
-    def arrays(*values: jax.Array) -> list[jax.Array]:
-        found = function.arrays(*values)
-        return [found[k] for k in kept]
+    def _precision(self) -> Any:
+        """A context in which JAX works in this precision."""
+        return jax.enable_x64(self.dtype == np.float64)
 
-    return ExportedFunction(function.name, tuple(function.results[k] for k in kept), program, arrays)
+    def _inputs(self, values: Iterable[Any]) -> Inputs:
+        t, *rest = values
+        given: dict[str, dict[str, jax.Array]] = {"x": {}, "u": {}, "p": {}}
+        for port, value in zip(self.arguments[1:], rest, strict=True):
+            given[port.kind][port.name] = value
+        return Inputs(t, given["x"], given["u"], given["p"], t.dtype)
 
+    def _differentiated(self, wrt: Sequence[str], given: Inputs) -> list[jax.Array]:
+        """The same derivatives by JAX, on arrays."""
+        group, states = self.dynamics.group, self.dynamics.states
 
-def _reference_jacobian(exporter: Exporter, wrt: Sequence[str], values: Sequence[jax.Array]) -> list[jax.Array]:
-    """The same derivatives by JAX, on arrays."""
-    dynamics, given = exporter.dynamics, exporter._inputs(values)
+        def rates(d: jax.Array, u: dict[str, jax.Array], params: dict[str, jax.Array]) -> jax.Array:
+            found = self.dynamics.as_written("rates", given.t, group.retract(dict(given.x), d), u, params)
+            return jnp.concatenate([found[state.name].reshape(-1) for state in states])
 
-    def rates(x: dict[str, jax.Array], u: dict[str, jax.Array], params: dict[str, jax.Array]) -> jax.Array:
-        found = dynamics.as_written("rates", given.t, x, u, params)
-        return jnp.concatenate([found[state.name].reshape(-1) for state in dynamics.states])
-
-    def moved(values: dict[str, jax.Array], d: jax.Array) -> dict[str, jax.Array]:
-        result, start = {}, 0
-        for name, value in values.items():
-            result[name] = value + d[start : start + value.size].reshape(value.shape)
-            start += value.size
-        return result
-
-    x, u, p = dict(given.x), dict(given.u), dict(given.params)
-    along: dict[str, tuple[int, Callable[[jax.Array], jax.Array]]] = {
-        "x": (dynamics.group.dimension, lambda d: rates(dynamics.group.retract(x, d), u, p)),
-        "u": (sum(v.size for v in u.values()), lambda d: rates(x, moved(u, d), p)),
-        "params": (sum(v.size for v in p.values()), lambda d: rates(x, u, moved(p, d))),
-    }
-    return [jax.jacfwd(function)(jnp.zeros(n, given.dtype)) for n, function in (along[kind] for kind in wrt)]
+        zero = jnp.zeros(group.dimension, given.t.dtype)
+        arguments: dict[str, Any] = {"x": zero, "u": dict(given.u), "params": dict(given.params)}
+        found = []
+        for kind in wrt:
+            blocks = [jnp.zeros((zero.size, 0), zero.dtype)]
+            if jax.tree.leaves(arguments[kind]):
+                by = jax.jacfwd(rates, list(arguments).index(kind))(*arguments.values())
+                columns = [by] if kind == "x" else [by[name] for name in arguments[kind]]
+                blocks += [column.reshape(group.dimension, -1) for column in columns]
+            found.append(jnp.concatenate(blocks, axis=1))
+        return found

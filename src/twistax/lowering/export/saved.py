@@ -1,38 +1,53 @@
-"""Compiled systems into files; `loaded.py` reads them.
+"""Compiled systems in files.
 
-A file is a zip archive: `system.json` holds the expressions as a list of nodes, the declarations and how the system was
-compiled, `arrays/0.npy`, ... the arrays. What is saved is the tree, not the code made of it: it is small, says what the
-system means, holds nothing that runs when it is read, and code is made anew for the machine that loads it.
+A file is a zip archive: `system.json` holds the expressions as a list of nodes, arguments first, the declarations and
+how the system was compiled; `arrays/0.npy`, ... the arrays. What is saved is the tree, not the code made of it: it is
+small, says what the system means, holds nothing that runs when it is read, and code is made anew for the machine that
+loads it.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 import io
 import json
+import math
 import os
+import re
+import sys
 import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
-from ...expr import Expr
+from ...errors import InputError, ModelError, TwistaxError
+from ...expr import Constant, Expr, Leaf
+from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Group
 from ...system import System
+from ..backends import Backend
 from ..functions import Functions
 from . import version
-from .plain import PlainWriter
-from .tree import write_nodes
 
-__all__ = ["FORMAT", "JSON", "keys", "save"]
+__all__ = ["read", "read_nodes", "save", "write_nodes"]
 
 #: Raised whenever a file of the old form would be read wrongly.
-FORMAT = 2
-
+_FORMAT = 2
 #: The member of the archive that says everything but the arrays.
-JSON = "system.json"
+_JSON = "system.json"
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # equal systems give equal files
+_PACKAGE = __name__.partition(".")[0]
+#: Values of which there is one object.
+_KNOWN: tuple[Any, ...] = (LINEAR_FIRST, ANGULAR_FIRST, SO3, SE3)
+_FAMILIES, _LEAVES = ("rates", "outputs", "constraints"), ("states", "controls", "parameters")
+_SHAPE, _ORIGIN = "_shape", "_folded_from"
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
 
 
 def save(dynamics: Functions, path: str | Path) -> None:
@@ -43,12 +58,15 @@ def save(dynamics: Functions, path: str | Path) -> None:
         InputError: the file cannot be written.
     """
     arrays: list[NDArray[Any]] = []
-    content = _content(dynamics, arrays)
+    members = {_JSON: json.dumps(_content(dynamics, arrays), allow_nan=False).encode()}
+    for k, array in enumerate(arrays):
+        data = io.BytesIO()
+        np.save(data, array, allow_pickle=False)
+        members[f"arrays/{k}.npy"] = data.getvalue()
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        _add(archive, JSON, json.dumps(content, allow_nan=False).encode())
-        for k, array in enumerate(arrays):
-            _add(archive, f"arrays/{k}.npy", _npy(array))
+        for name, member in members.items():
+            archive.writestr(zipfile.ZipInfo(name, _FIXED_TIME), member, zipfile.ZIP_DEFLATED)
     target = Path(path)
     beside = target.parent / f"{target.name}.{os.getpid()}.part"
     try:
@@ -60,46 +78,272 @@ def save(dynamics: Functions, path: str | Path) -> None:
         raise InputError(f"cannot save to {str(target)!r}: {error}") from None
 
 
+def read(path: str | Path) -> tuple[System, dict[str, Any]]:
+    """The system of a file, and the options of `tx.compile`. Raises what `tx.load` raises."""
+    place = repr(str(path))
+    try:
+        with zipfile.ZipFile(path) as archive:
+            content = json.loads(archive.read(_JSON))
+            if content["format"] != _FORMAT:
+                raise InputError(
+                    f"{place} was saved by twistax {content['twistax']} in format {content['format']}; this is twistax "
+                    f"{version()}, which reads format {_FORMAT}.\n  fix: load it with twistax {content['twistax']}, or "
+                    "save the system again with this one"
+                )
+            arrays = [
+                np.lib.format.read_array(io.BytesIO(archive.read(f"arrays/{k}.npy")), allow_pickle=False)
+                for k in range(content["arrays"])
+            ]
+        for array in arrays:
+            array.setflags(write=False)  # as the leaves hold them
+        system, options = _system(content, arrays)
+        if _keys(system) != content["keys"]:
+            raise ModelError(
+                f"the expressions of {place} read back as others: a class of theirs has changed since twistax "
+                f"{content['twistax']} saved them.\n  fix: load the file with that version"
+            )
+    except FileNotFoundError:
+        raise InputError(f"there is no file {place}") from None
+    except OSError as error:
+        raise InputError(f"cannot load {place}: {error}") from None
+    except TwistaxError:
+        raise
+    except MemoryError:
+        raise InputError(f"{place} is damaged, or too large for the memory there is") from None
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError) as error:
+        raise InputError(f"{place} is not a whole file of a saved system: {error}") from None
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, NotImplementedError, RuntimeError) as error:
+        raise InputError(f"{place} is no saved system, or damaged: {type(error).__name__}: {error}") from None
+    return system, options
+
+
 def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     system = dynamics.system
-    named: dict[str, dict[str, Expr]] = {
-        "rates": system.rates,
-        "outputs": system.outputs,
-        "constraints": dict(system.constraints),
-    }
-    leaves = {"states": system.states, "controls": system.controls, "parameters": system.parameters}
-    roots = [leaf for group in leaves.values() for leaf in group]
-    nodes, places = write_nodes([*roots, *(e for group in named.values() for e in group.values())], arrays)
-    writer = PlainWriter(arrays, lambda node: places[id(node)])
+    leaves: dict[str, Sequence[Leaf]] = {kind: getattr(system, kind) for kind in _LEAVES}
+    named: dict[str, dict[str, Expr]] = {kind: getattr(system, kind) for kind in _FAMILIES}
+    roots = [*(leaf for own in leaves.values() for leaf in own), *(e for own in named.values() for e in own.values())]
+    nodes, places = write_nodes(roots, arrays)
     compiled = {
         "outputs": list(dynamics.families["outputs"]),
-        "bake": [[name, writer.write(value, f"bake[{name!r}]")] for name, value in dynamics.baked.items()],
-        "backend": writer.write(dynamics.backend, "the backend"),
+        "bake": [[n, _written(v, f"bake[{n!r}]", arrays, places)] for n, v in dynamics.baked.items()],
+        "backend": _written(dynamics.backend, "the backend", arrays, places),
     }
     return {
-        "format": FORMAT,
+        "format": _FORMAT,
         "twistax": version(),
         "nodes": nodes,
         **{kind: [places[id(leaf)] for leaf in own] for kind, own in leaves.items()},
         **{kind: [[name, places[id(e)]] for name, e in own.items()] for kind, own in named.items()},
         "compiled": compiled,
-        "keys": keys(system),
+        "keys": _keys(system),
         "arrays": len(arrays),
     }
 
 
-def keys(system: System) -> list[str]:
+def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System, dict[str, Any]]:
+    nodes: list[Any] = read_nodes(content["nodes"], arrays)
+    states = {nodes[place].name: nodes[place] for place in content["states"]}
+    rates, outputs, constraints = ({n: nodes[place] for n, place in content[kind]} for kind in _FAMILIES)
+    system = System(
+        rates={states[name]: rate for name, rate in rates.items()},
+        outputs=outputs,
+        constraints=constraints,
+        controls=[nodes[place] for place in content["controls"]],
+        parameters=[nodes[place] for place in content["parameters"]],
+    )
+    compiled = content["compiled"]
+    bake = {name: _value(value, arrays, nodes) for name, value in compiled["bake"]}
+    backend = _value(compiled["backend"], arrays, nodes)
+    return system, {"outputs": compiled["outputs"], "bake": bake, "backend": backend}
+
+
+def _keys(system: System) -> list[str]:
     """The structure of all that is computed, in order."""
     return [e.key() for own in (system.rates, system.outputs, system.constraints) for e in own.values()]
 
 
-def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
-    info = zipfile.ZipInfo(name, _FIXED_TIME)
-    info.compress_type = zipfile.ZIP_DEFLATED
-    archive.writestr(info, data)
+# ---- nodes -----------------------------------------------------------------------------------------------------------
 
 
-def _npy(array: NDArray[Any]) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()
+def write_nodes(roots: Iterable[Expr], arrays: list[NDArray[Any]]) -> tuple[list[Any], dict[int, int]]:
+    """The nodes below the roots as JSON, shared ones once, and the place of each by its id.
+
+    Raises:
+        ModelError: a field that has no plain form.
+    """
+    places: dict[int, int] = {}
+    written: list[Any] = []
+    stack = list(roots)[::-1]
+    while stack:  # without recursion, for trees of any depth
+        node = stack[-1]
+        fields = {} if id(node) in places else _fields(node)
+        waiting = [part for part in _expressions(list(fields.values())) if id(part) not in places]
+        if waiting:
+            stack += waiting[::-1]
+            continue
+        stack.pop()
+        if id(node) not in places:
+            name = type(node).__name__
+            plain = {key: _written(value, f"{name}.{key}", arrays, places) for key, value in fields.items()}
+            places[id(node)] = len(written)
+            written.append([_reference(type(node)), plain])
+    return written, places
+
+
+def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]:
+    """The nodes again.
+
+    Raises:
+        ModelError: a class that is not known here, or has other fields than it had.
+    """
+    nodes: list[Expr] = []
+    for named, fields in written:
+        cls = _class_of(named)
+        if cls is None or not issubclass(cls, Expr):
+            raise _unknown_class(named)
+        node = object.__new__(cls)
+        values = {name: _value(value, arrays, nodes) for name, value in fields.items()}
+        declared = {field.name for field in cls._fields}
+        if declared != {name for name in values if name not in (_SHAPE, _ORIGIN)}:
+            raise ModelError(
+                f"{cls.__name__} has the fields {sorted(declared)}, in the file {sorted(values)}.\n"
+                "  fix: load it with the version that saved it"
+            )
+        node.__dict__.update(values)
+        node.validate()
+        node._seal()
+        nodes.append(node)
+    return nodes
+
+
+def _fields(node: Expr) -> dict[str, Any]:
+    """What makes a node, by name."""
+    fields = {field.name: getattr(node, field.name) for field in node._fields}
+    if isinstance(node, Leaf):
+        fields[_SHAPE] = node.shape
+    if isinstance(node, Constant) and node.folded_from is not None:
+        fields[_ORIGIN] = node.folded_from
+    return fields
+
+
+def _expressions(value: Any) -> Iterator[Expr]:
+    if isinstance(value, Expr):
+        yield value
+    elif isinstance(value, (tuple, list)):
+        for entry in value:
+            yield from _expressions(entry)
+
+
+# ---- values without code in them: what a file may hold ---------------------------------------------------------------
+
+
+def _written(value: Any, where: str, arrays: list[NDArray[Any]], places: dict[int, int]) -> Any:
+    """A value as JSON: numbers, text, arrays, slices, tuples, lists, expressions, frozen dataclasses of this package.
+
+    Raises:
+        ModelError: there is no plain form; names where it stands.
+    """
+
+    def several(values: Iterable[Any]) -> list[Any]:
+        return [_written(v, where, arrays, places) for v in values]
+
+    if value is None or isinstance(value, (bool, str)) or type(value) is int:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else {"float": repr(float(value))}
+    if value is Ellipsis:
+        return {"ellipsis": None}
+    if isinstance(value, Expr):
+        return {"node": places[id(value)]}
+    if isinstance(value, slice):
+        return {"slice": several((value.start, value.stop, value.step))}
+    if isinstance(value, (tuple, list)):
+        return {type(value).__name__: several(value)}
+    if isinstance(value, np.generic) and value.dtype.kind in "biu":
+        return {"number": [value.dtype.str, int(value)]}
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type) and _constructible(type(value)):
+        names = [field.name for field in dataclasses.fields(value)]
+        fields = dict(zip(names, several(getattr(value, name) for name in names), strict=True))
+        return {"value": [_reference(type(value)), fields]}
+    raise ModelError(
+        f"{where} is {value!r}, which cannot be saved: files hold numbers, text, arrays and values of twistax, no "
+        "code.\n  fix: a group or a value of your own must be a frozen dataclass of such"
+    )
+
+
+def _value(written: Any, arrays: Sequence[NDArray[Any]], nodes: Sequence[Expr]) -> Any:
+    """What `_written` wrote.
+
+    Raises:
+        ModelError: a class that is not known here.
+    """
+    if not isinstance(written, dict):
+        return written
+    ((kind, content),) = written.items()
+    match kind:
+        case "float":
+            return float(content)
+        case "ellipsis":
+            return Ellipsis
+        case "node":
+            return nodes[content]
+        case "array":
+            return arrays[content]
+        case "number":
+            return np.dtype(content[0]).type(content[1])
+        case "slice" | "tuple" | "list":
+            parts = [_value(v, arrays, nodes) for v in content]
+            return slice(*parts) if kind == "slice" else tuple(parts) if kind == "tuple" else parts
+        case "value":
+            named, fields = content
+            cls = _class_of(named)
+            if cls is None or not _constructible(cls):
+                raise _unknown_class(named)
+            found = cls(**{name: _value(value, arrays, nodes) for name, value in fields.items()})
+            return next((known for known in _KNOWN if known == found), found)
+    raise KeyError(kind)
+
+
+def _reference(cls: type) -> str:
+    """How a file names a class."""
+    return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def _class_of(named: str) -> type | None:
+    """The class of that name: of this package, or defined by whoever runs. No other module is ever imported."""
+    module, _, name = named.partition(":")
+    if module not in sys.modules and re.fullmatch(rf"{_PACKAGE}(\.[A-Za-z]\w*)+", module):
+        try:
+            importlib.import_module(module)
+        except ImportError:
+            return None
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if isinstance(found, type) and _reference(found) == named:
+        return found
+    # A node class that is no attribute of its module was defined in a function.
+    waiting: list[type[Expr]] = [Expr]
+    while waiting:
+        cls = waiting.pop()
+        if _reference(cls) == named:
+            return cls
+        waiting += cls.__subclasses__()
+    return None
+
+
+def _constructible(cls: type) -> bool:
+    """Whether a file may make values of a class: frozen dataclasses of this package, and groups and backends."""
+    frozen = dataclasses.is_dataclass(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    return frozen and (cls.__module__.partition(".")[0] == _PACKAGE or issubclass(cls, (Group, Backend)))
+
+
+def _unknown_class(named: str) -> ModelError:
+    module, _, name = named.partition(":")
+    return ModelError(
+        f"the file has a {name} of the module {module!r}, which is not known here.\n"
+        f"  fix: import what defines it before tx.load, in a version that has it"
+    )

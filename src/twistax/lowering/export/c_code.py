@@ -1,0 +1,208 @@
+"""C99 code of a compiled system: names, header and source."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+
+from ...errors import ModelError
+from ...groups import Euclidean
+from ..scalar.entry import Operation
+from ..scalar.in_c import CType, c_type, expression
+from . import version
+from .functions import ExportedFunction, Exporter, Port
+
+__all__ = ["MARK", "Code", "body", "identifiers"]
+
+#: How every file begins, by which files that may be replaced are known.
+MARK = "/* Written by twistax"
+
+#: Of the names of arrays, by kind; they keep names apart from C's words and from libm's.
+_PREFIXES = {
+    "x": "x_",
+    "u": "u_",
+    "p": "p_",
+    "rate": "rate_",
+    "output": "output_",
+    "constraint": "constraint_",
+    "jacobian": "by_",
+}
+_MEANINGS = {
+    "t": "time",
+    "x": "state {}",
+    "u": "control {}",
+    "p": "parameter {}",
+    "rate": "rate of {}",
+    "output": "output {}",
+    "inequality": "what must be <= 0",
+    "equality": "what must be = 0",
+    "by x": "by right perturbations of the states, x (+) d = x Exp(d)",
+    "by u": "by entries of the controls",
+    "by params": "by entries of the parameters",
+}
+
+
+def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
+    """What each array is called: a prefix of its kind, and its name, in which what C does not allow is an underscore.
+
+    Letters beyond ASCII become their numbers: u03c9.
+
+    Raises:
+        ModelError: two arrays get one name.
+    """
+    found: dict[str, Port] = {}
+    for port in ports:
+        plain = re.sub(r"[^\x00-\x7f]", lambda letter: f"u{ord(letter[0]):04x}", port.name)
+        name = port.kind if port.kind == "t" else _PREFIXES[port.kind] + re.sub(r"\W", "_", plain, flags=re.ASCII)
+        if name in found:
+            raise ModelError(
+                f"{found[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
+            )
+        found[name] = port
+    return {port: name for name, port in found.items()}
+
+
+@dataclasses.dataclass(frozen=True)
+class Code:
+    """What is written.
+
+    Attributes:
+        name: of the files, and what the names of all functions begin with.
+        exporter, functions: of the system.
+        names: of all arrays.
+        real: the type of its numbers.
+    """
+
+    name: str
+    exporter: Exporter
+    functions: Sequence[ExportedFunction]
+    names: Mapping[Port, str]
+    real: CType
+
+    def header(self) -> str:
+        """The call convention, and what is declared."""
+        guard = f"{self.name}_H"  # as written: in C, names that differ in case differ
+        constants = "".join(f"extern {head};\n" for head in self._defaults())
+        if constants:
+            constants = f"/* The parameters' own values, to pass where no others are wanted. */\n{constants}\n"
+        prototypes = "\n".join(f"{self._head(function)};\n" for function in self.functions)
+        return f"""{MARK} {version()}. Do not edit: write it anew with to_c.
+ *
+ * x' = f(t, x, u, p) with numbers of type {self.real.name}: C99, no allocation, no state, nothing but libm.
+ *
+ * Call convention
+ *   Every array is a pointer to its entries, read row by row; a scalar is an array of one entry, the time a value.
+ *   Arguments come first and are only read; results follow and are written whole, zeros too. A result must not
+ *   overlap an argument or another result. All functions take the same arguments; what one does not read is ignored.
+ *   Units are those of the arguments: nothing is converted.
+ *   Compile without -ffast-math where infinities or NaN may occur.
+ *
+ * Arguments, in this order
+{self._listed(self.exporter.arguments)}{"".join(map(self._results, self.functions))} */
+#ifndef {guard}
+#define {guard}
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+{constants}{prototypes}
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
+
+    def source(self) -> str:
+        """What the functions do."""
+        bodies = [
+            f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names)}}}\n"
+            for function in self.functions
+        ]
+        parts = [
+            f'{MARK} {version()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
+            "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
+            "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
+            *bodies,
+        ]
+        return "\n".join(part for part in parts if part)
+
+    def _head(self, function: ExportedFunction) -> str:
+        """The head of a function, without what follows it."""
+        real, names = self.real.name, self.names
+        listed = [f"{real} t", *(f"const {real} *{names[port]}" for port in self.exporter.arguments[1:])]
+        listed += [f"{real} *{names[port]}" for port in function.results]
+        return f"void {self.name}_{function.name}(\n    " + ",\n    ".join(listed) + ")"
+
+    def _defaults(self) -> dict[str, str]:
+        """The parameters that have values of their own: head -> these, row by row."""
+        own = {p.name: p.value for p in self.exporter.dynamics.parameters if p.value is not None}
+        return {
+            f"const {self.real.name} {self.name}_default_{self.names[port]}[{port.size}]": ", ".join(
+                self.real.literal(self.real.dtype.type(v)) for v in own[port.name].reshape(-1)
+            )
+            for port in self.exporter.arguments
+            if port.kind == "p" and port.name in own and port.size
+        }
+
+    def _listed(self, ports: Sequence[Port]) -> str:
+        rows = [(self.names[p], " x ".join(map(str, p.shape)) or "1", self._meaning(p)) for p in ports]
+        width, room = (max(len(row[k]) for row in rows) for k in (0, 1))
+        return "".join(f" *   {a:<{width}}  {b:<{room}}  {c}".rstrip() + "\n" for a, b, c in rows)
+
+    def _meaning(self, port: Port) -> str:
+        kind = {"constraint": port.name, "jacobian": f"by {port.name}"}.get(port.kind, port.kind)
+        text = _MEANINGS[kind].format(_comment(port.name))
+        groups = {state.name: state.group for state in self.exporter.dynamics.states}
+        if kind not in ("x", "rate") or isinstance(groups[port.name], Euclidean):
+            return text
+        return text + (f", an element of {_comment(groups[port.name].name)}" if kind == "x" else ", a body velocity")
+
+    def _results(self, function: ExportedFunction) -> str:
+        text = f" *\n * Results of {function.name}, in this order\n{self._listed(function.results)}"
+        if function.name == "jacobian":
+            rows = ", ".join(_comment(state.name) for state in self.exporter.dynamics.states)
+            places = sum(port.size for port in function.results)
+            written = sum(int((nodes != function.program.graph.zero).sum()) for nodes in function.program.outputs)
+            text += (
+                f" *   Rows: the rates of {rows}, one after the other, entries row by row; columns likewise, in the\n"
+                f" *   order of the arguments. {written} of {places} entries may differ from zero.\n"
+            )
+        return text
+
+
+def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]) -> str:
+    """The lines of a function.
+
+    Raises:
+        ModelError: a type that C has not, or has no such operation of.
+    """
+    program, g = function.program, function.program.graph
+    lines: list[str] = []
+    used: set[int] = set()
+
+    def entry(argument: int, place: int) -> str:
+        used.add(argument)
+        port = arguments[argument]
+        return names[port] if port.kind == "t" else f"{names[port]}[{place}]"
+
+    def computed(operation: Operation, node: int, *values: str) -> str:
+        own, argument = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
+        lines.append(f"const {own.name} v{len(lines)} = {expression(operation, argument, own, values)};")
+        return f"v{len(lines) - 1}"
+
+    values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
+    unused = [f"(void){names[port]};" for k, port in enumerate(arguments) if k not in used]
+    results = []
+    for port, nodes in zip(function.results, program.outputs, strict=True):
+        for k, i in enumerate(nodes.reshape(-1).tolist()):
+            cast = "" if g.dtypes[i] == g.dtype else f"({c_type(g.dtype).name})"
+            results.append(f"{names[port]}[{k}] = {cast}{values[i]};")
+    return "".join(f"    {line}\n" for line in (*unused, *lines, *results))
+
+
+def _comment(text: str) -> str:
+    """Text that may stand in a comment, whatever a user named things."""
+    return re.sub(r"[^ -~]|[*/\\?]", "_", text)
