@@ -52,7 +52,7 @@ def test_round_numbers(value: float, text: str) -> None:
 
 
 def test_measured_numbers_have_two_or_three_digits() -> None:
-    assert [number(v) for v in (1501.0, 0.2345, 1.234e-6, 0.0)] == ["1,501", "0.234", "1.2e-6", "0"]
+    assert [number(v) for v in (1501.0, 27240.6, 0.2345, 1.234e-6, 0.0)] == ["1,501", "27,241", "0.234", "1.2e-6", "0"]
     assert [duration(v) for v in (2.0, 1.5e-3, 4.2e-5, math.nan)] == ["2 s", "1.5 ms", "42 us", "-"]
 
 

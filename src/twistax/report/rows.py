@@ -97,9 +97,9 @@ def _finite(value: float) -> float | None:
 
 
 def number(value: float) -> str:
-    """Two or three digits, whole numbers as they are, and 1e-6 rather than 1e-06."""
-    if value == int(value) and 1.0 <= abs(value) < 1e7:
-        return f"{int(value):,}"
+    """Two or three digits, whole numbers and thousands to the unit, and 1e-6 rather than 1e-06."""
+    if ((value == int(value) and abs(value) >= 1.0) or abs(value) >= 1e3) and abs(value) < 1e7:
+        return f"{value:,.0f}"
     return _short(f"{value:.2g}" if abs(value) < 1e-3 else f"{value:.3g}")
 
 
