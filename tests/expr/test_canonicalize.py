@@ -120,9 +120,9 @@ REWRITES: list[tuple[str, tx.Expr, tx.Expr]] = [
     ("All with a denied part", tx.All(k(3.0) <= 2.0, s <= 1.0), k(False)),
     ("Any with a part that holds", tx.Any(k(1.0) <= 2.0, s <= 1.0), k(True)),
     # constraints
-    ("a constraint", x <= y, (x - y) <= 0.0),
+    ("a constraint", x + 0.0 <= y, x <= y),
     ("a canonical constraint", x <= 0.0, x <= 0.0),
-    ("an equation", x == 1.0, (x - 1.0) == 0.0),
+    ("an equation", x + 0.0 == 1.0, x == 1.0),
 ]  # fmt: skip
 
 

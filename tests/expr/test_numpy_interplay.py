@@ -23,7 +23,7 @@ UFUNCS: list[Callable[..., Any]] = [
     np.fabs, np.sign, np.negative, np.positive, np.reciprocal, np.deg2rad, np.rad2deg, np.radians, np.degrees,
 ]  # fmt: skip
 PAIRS: list[Callable[..., Any]] = [
-    np.add, np.subtract, np.multiply, np.divide, np.true_divide, np.maximum, np.minimum, np.fmax, np.fmin, np.hypot,
+    np.add, np.subtract, np.multiply, np.divide, np.true_divide, np.maximum, np.minimum,
     np.arctan2, np.logaddexp, np.less_equal, np.greater_equal, np.equal, np.matmul,
 ]  # fmt: skip
 

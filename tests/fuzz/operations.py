@@ -97,9 +97,6 @@ BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "((1.5 + tx.Sin({0})) ** tx.Tanh({1}))": lambda a, b: (1.5 + np.sin(a)) ** np.tanh(b),
     "tx.Add({0}, {1}, {0})": lambda a, b: a + b + a,
     "tx.Mul({1}, {0}, 2.0)": lambda a, b: b * a * 2.0,
-    "np.hypot({0}, {1})": np.hypot,
-    "np.fmax({0}, {1})": np.fmax,
-    "np.fmin({0}, {1})": np.fmin,
     "({0} * {1} / {1})": lambda a, b: a * b / b,
     "(np.float64(0.5) * {0} + {1})": lambda a, b: 0.5 * a + b,
 }

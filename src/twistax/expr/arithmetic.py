@@ -212,6 +212,7 @@ class MatMul(Expr):
     Raises: ShapeError for a scalar operand, or inner sizes that differ.
     """
 
+    of_numbers = True
     left: Operand
     right: Operand
     infix = "@"
@@ -327,12 +328,6 @@ class Constraint(Entrywise):
     def residual(self) -> Expr:
         """lhs - rhs, of which the optimiser wants <= 0 (inequality) or = 0 (equality)."""
         return self.lhs - self.rhs
-
-    def simplify(self) -> Expr:
-        """Bring everything to the left: lhs - rhs (<= or =) 0."""
-        if isinstance(self.rhs, Constant) and not self.rhs.value.any() and self.lhs.shape == self.shape:
-            return self if self.rhs.shape == () else type(self)(self.lhs, 0.0)
-        return type(self)(self.residual(), 0.0)
 
     def to_text(self, *operands: str) -> str:
         return f"{operands[0]} {self.infix} {operands[1]}"

@@ -320,7 +320,9 @@ class Index(Expr):
         if self.shape == base.shape and (_positions(base.shape, index) == _positions(base.shape, ...)).all():
             return base
         first, rest = (index[0], index[1:]) if isinstance(index, tuple) and index else (index, ())
-        if isinstance(base, Stack) and isinstance(first, int):
+        # Beside a list a whole number is a list too, for NumPy, which may move axes.
+        lists = isinstance(index, tuple) and any(isinstance(part, np.ndarray) for part in index)
+        if isinstance(base, Stack) and isinstance(first, int) and not lists:
             row = base.rows[first]
             return Index(row, rest) if rest else row
         if isinstance(base, Concat) and not rest:

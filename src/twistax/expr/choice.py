@@ -185,6 +185,7 @@ class Where(Entrywise):
         ShapeError: the shapes do not broadcast.
     """
 
+    of_numbers = False
     condition: Operand
     x: Operand
     y: Operand

@@ -254,7 +254,8 @@ class Huber(Entrywise):
 class SmoothReLU(Entrywise):
     """sqrt(max(x, 0)^2 + c^2) - c, entry by entry: max(x, 0) with the kink rounded off.
 
-    Computed as p^2 / (sqrt(p^2 + c^2) + c), p = max(x, 0), which loses no digits when x is small.
+    Computed as p^2 / (sqrt(p^2 + c^2) + c), p = max(x, 0), which loses no digits when x is small. Squares are
+    of numbers of size one, so that they do not overflow.
 
     Attributes:
         c: size of the rounding, positive, in the unit of x.
@@ -271,4 +272,6 @@ class SmoothReLU(Entrywise):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         part = jnp.maximum(values[0], 0.0)
-        return part * part / (jnp.sqrt(part * part + self.c * self.c) + self.c)
+        size = jnp.maximum(part, self.c)
+        root = size * jnp.sqrt((part / size) ** 2 + (self.c / size) ** 2)
+        return part * (part / (root + self.c))

@@ -8,18 +8,22 @@ class Adjoint(Expr):
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import inspect
+import itertools
 import numbers
+import pickle
+import types
+import weakref
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
 
+import jax
 import numpy as np
 
 from ..errors import ModelError
 
 if TYPE_CHECKING:
-    import jax
-
     from .node import Expr
 
     ExprLike: TypeAlias = Expr | float | int | np.ndarray | jax.Array | list[Any] | tuple[Any, ...]
@@ -109,15 +113,55 @@ def positive(owner: object, name: str, value: object, unit: str = "") -> None:
 
 
 def freeze(value: Any) -> Any:
-    """Static data as something that compares and prints by content, for structural keys."""
-    if isinstance(value, np.ndarray):
-        return (value.dtype.str, value.shape, hashlib.blake2b(value.tobytes(), digest_size=16).hexdigest())
+    """Static data as something that compares and prints by content, for structural keys.
+
+    Objects without a key of their own count by what pickle writes of them. Functions, and what pickle refuses, are each
+    different from all others.
+    """
+    if isinstance(value, (np.ndarray, np.generic, jax.Array)):
+        array = np.asarray(value)
+        if array.dtype == object:
+            return ("objects", array.shape, freeze(array.tolist()))
+        return (str(array.dtype), array.shape, _digest(array.tobytes()))
     if isinstance(value, float):
         return value.hex()
     if isinstance(value, (tuple, list)):
         return tuple(freeze(item) for item in value)
+    if isinstance(value, dict):
+        return ("dict", *((freeze(name), freeze(item)) for name, item in value.items()))
     if isinstance(value, slice):
         return ("slice", value.start, value.stop, value.step)
-    if hasattr(value, "key") and callable(value.key):
+    if callable(getattr(value, "key", None)):
         return value.key()
-    return repr(value)
+    if value is None or value is Ellipsis or type(value) in (bool, int, str, bytes, complex):
+        return repr(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = ((f.name, freeze(getattr(value, f.name))) for f in dataclasses.fields(value))
+        return (f"{type(value).__module__}.{type(value).__qualname__}", *fields)
+    if not isinstance(value, types.FunctionType):  # its name may come to mean another one
+        try:
+            return ("pickle", _digest(pickle.dumps(value)))
+        except Exception:  # of whatever kind its class raises
+            pass
+    return ("object", _number_of(value))
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
+_NUMBERS = itertools.count()
+#: The numbers of objects that only their identity tells apart, by address; and those that must stay for that.
+_IDENTITIES: dict[int, int] = {}
+_KEPT: list[Any] = []
+
+
+def _number_of(value: Any) -> int:
+    """A number that no other object gets, not even one that comes to lie at the same address."""
+    if id(value) not in _IDENTITIES:
+        _IDENTITIES[id(value)] = next(_NUMBERS)
+        try:
+            weakref.finalize(value, _IDENTITIES.pop, id(value), None)
+        except TypeError:
+            _KEPT.append(value)
+    return _IDENTITIES[id(value)]

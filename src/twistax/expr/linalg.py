@@ -88,6 +88,7 @@ class Diag(Expr):
 class Sum(Expr):
     """Sum of all entries. Shapes: any -> ()."""
 
+    of_numbers = True
     operand: Operand
     function = jnp.sum
     formula = r"\sum <0:20>"
@@ -107,6 +108,7 @@ class Trace(Expr):
     Raises: ShapeError if the operand is no square matrix.
     """
 
+    of_numbers = True
     operand: Operand
     function = jnp.trace
     latex_name = r"\operatorname{tr}"
@@ -150,6 +152,7 @@ class Norm(Expr):
         ShapeError: the order is not defined for the operand's rank.
     """
 
+    of_numbers = True
     operand: Operand
     ord: Any = "fro"
     cases = (
@@ -202,6 +205,7 @@ class Dot(Expr):
     Raises: ShapeError for no vectors, or of different length.
     """
 
+    of_numbers = True
     left: Operand
     right: Operand
     precedence = 20
@@ -234,6 +238,7 @@ class Cross(Expr):
     Raises: ShapeError for an operand of another shape.
     """
 
+    of_numbers = True
     left: Operand
     right: Operand
     function = cross_columns
@@ -267,6 +272,7 @@ class Outer(Expr):
     Raises: ShapeError if an operand is no vector.
     """
 
+    of_numbers = True
     left: Operand
     right: Operand
     precedence = 20

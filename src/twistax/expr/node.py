@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar,
 import jax
 import numpy as np
 
-from ..errors import ImmutableError, ShapeError
+from ..errors import ImmutableError, ModelError, ShapeError
 from . import printing
 from .fields import ExprLike, Field, bind_fields, declare_fields, freeze
 from .graph import bottom_up, find_path
@@ -78,6 +78,8 @@ class Expr(Operators):
     associative: ClassVar[bool] = False
     #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
     keeps_order: ClassVar[bool] = False
+    #: True where truth values of entries make no sense as operands.
+    of_numbers: ClassVar[bool] = False
     #: True where `evaluate` needs nothing but operators, indices and methods that NumPy's arrays have too.
     by_operators: ClassVar[bool] = False
     #: True for matrices whose `applied_to` is cheaper than a product with their numbers, even where these are known.
@@ -109,8 +111,18 @@ class Expr(Operators):
             if field.variadic:
                 value = tuple(map(to_expr, value))
             setattr(self, field.name, to_expr(value) if field.operand else value)
+        if self.of_numbers:
+            self._refuse_conditions()
         self.validate()
         self._seal()
+
+    def _refuse_conditions(self) -> None:
+        for child in self.children():
+            if child.boolean and not child.is_leaf:
+                raise ModelError(
+                    f"{type(self).__name__} expects numbers, got the condition {child!r}.\n"
+                    "  fix: say which numbers it stands for: tx.Where(condition, 1.0, 0.0)"
+                )
 
     def validate(self) -> None:
         """Check static fields at construction; shapes are `infer_shape`'s business."""
@@ -426,6 +438,7 @@ class Entrywise(Expr, init=False):
 
     abstract = True
     keeps_order = True
+    of_numbers = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)

@@ -115,6 +115,8 @@ class Operators:
 
 def _dot(a: Any, b: Any) -> Expr:
     a, b = _nodes().to_expr(a), _nodes().to_expr(b)
+    if a.ndim > 2 or b.ndim > 2:
+        raise TypeError("np.dot of expressions knows vectors and matrices; a @ b multiplies stacks of matrices")
     if a.ndim == 0 or b.ndim == 0:
         return _nodes().Mul(a, b)
     return _nodes().Dot(a, b) if a.ndim == b.ndim == 1 else _nodes().MatMul(a, b)
@@ -149,6 +151,17 @@ def _transposed(a: Any, axes: Any = None) -> Expr:
     return expr.T
 
 
+def _blocks(arrays: Any) -> Expr:
+    """Blocks as NumPy has them: a flat list of numbers and vectors is a vector."""
+    entries = [e for row in arrays for e in (row if isinstance(row, (list, tuple)) else [row])]
+    ranks = [_nodes().to_expr(entry).ndim for entry in entries]
+    if max(ranks, default=0) > 2:
+        raise TypeError("np.block of expressions knows vectors and matrices; tx.Block joins the first two axes")
+    if max(ranks, default=0) < 2 and not any(isinstance(row, (list, tuple)) for row in arrays):
+        return _nodes().Hstack(list(arrays))
+    return _nodes().Block(arrays)
+
+
 def _clipped(a: Any, a_min: Any = None, a_max: Any = None) -> Expr:
     expr = _nodes().to_expr(a)
     if a_min is not None:
@@ -163,7 +176,7 @@ _SAME = dict(
         """
         add Add       subtract Sub   multiply Mul  divide Div     matmul MatMul  power Power       float_power Power
         negative Neg  square Square  sqrt Sqrt     exp Exp        log Log        logaddexp LogSumExp
-        absolute Abs  fabs Abs       sign Sign     maximum Max    minimum Min    fmax Max          fmin Min
+        absolute Abs  fabs Abs       sign Sign     maximum Max    minimum Min
         sin Sin       cos Cos        tan Tan       arcsin Asin    arccos Acos    arctan Atan       arctan2 Atan2
         sinh Sinh     cosh Cosh      tanh Tanh     equal Equality  less_equal Inequality           positive to_expr
         vdot Dot      inner Dot      outer Outer   trace Trace    diag Diag      sum Sum           all All  any Any
@@ -175,7 +188,6 @@ _SAME = dict(
 #: Others, with what they build; an argument that a function does not take is an error.
 _MEANINGS: dict[str, Callable[..., Any]] = {
     "reciprocal": lambda x: 1.0 / x,
-    "hypot": lambda x, y: _nodes().Sqrt(_nodes().Add(_nodes().Square(x), _nodes().Square(y))),
     "deg2rad": lambda x: x * (np.pi / 180.0),
     "radians": lambda x: x * (np.pi / 180.0),
     "rad2deg": lambda x: x * (180.0 / np.pi),
@@ -189,19 +201,27 @@ _MEANINGS: dict[str, Callable[..., Any]] = {
     "stack": _stacked,
     "hstack": lambda arrays: _nodes().Hstack(list(arrays)),
     "vstack": lambda arrays: _nodes().Vstack(list(arrays)),
-    "block": lambda arrays: _nodes().Block(arrays),
+    "block": _blocks,
     "clip": _clipped,
     "shape": lambda a: _nodes().to_expr(a).shape,
     "ndim": lambda a: _nodes().to_expr(a).ndim,
     "size": lambda a: int(np.prod(_nodes().to_expr(a).shape)),
 }
 _STRICT = {"less": "<=", "greater": ">=", "not_equal": "a.key() != b.key()"}
+#: Functions that no node means, with what is near.
+_NEAR = {
+    "fmax": "tx.Max, which passes NaN on where np.fmax drops it",
+    "fmin": "tx.Min, which passes NaN on where np.fmin drops it",
+    "hypot": "tx.Sqrt(x**2 + y**2), which overflows where the squares do",
+}
 
 
 def _meaning(name: str) -> Callable[..., Any]:
     """What a function of NumPy builds from expressions. Raises TypeError."""
     if name in _STRICT:
         raise TypeError(f"np.{name} builds no constraint from expressions.\n  fix: use {_STRICT[name]}")
+    if name in _NEAR:
+        raise TypeError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
     if name in _SAME:
         return getattr(_nodes(), _SAME[name])
     if name in _MEANINGS:

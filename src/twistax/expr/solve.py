@@ -107,6 +107,7 @@ class Inv(Expr):
     Raises: ShapeError if the operand is no square matrix.
     """
 
+    of_numbers = True
     operand: Operand
     function = inverse
     formula = "{<0:60>}^{-1}"
@@ -142,6 +143,7 @@ class Solve(Expr):
     Raises: ShapeError if A is no square matrix, or b has another number of rows.
     """
 
+    of_numbers = True
     A: Operand
     b: Operand
     precedence = 20
