@@ -156,7 +156,7 @@ MISTAKES: dict[str, tuple[Build, type[Exception], list[str]]] = {
     "a rate that is no expression": (
         lambda: tx.System(rates={V: F, s: np.array(["a"])}),
         tx.ModelError,
-        ["rates['s']: ", "real number or array"],
+        ["rates['s']: ", "is not an array of numbers"],
     ),
     "a rate that is true or false": (
         lambda: tx.System(rates={s: s <= 1.0}),

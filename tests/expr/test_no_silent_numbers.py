@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -136,3 +137,86 @@ def test_blocks_are_those_of_numpy() -> None:
 
 def names(e: tx.Expr) -> list[str]:
     return [node.name for node in tx.expr.postorder(e) if isinstance(node, tx.State)]
+
+
+BAD = {
+    "text": "3.0",
+    "a list with text": [1.0, "2"],
+    "complex": 1.0 + 2.0j,
+    "an object": object(),
+    "rows of two lengths": [[1.0], [1.0, 2.0]],
+    "a date": np.array("2020-01-01", "datetime64[D]"),
+    "None inside": [1.0, None],
+}
+
+
+@pytest.mark.parametrize("value", BAD.values(), ids=BAD)
+def test_what_is_no_real_number_is_refused_everywhere(value: Any, unchecked: None) -> None:
+    shape = np.shape(np.asarray(value, object)) if not isinstance(value, list) else (2,)
+    p = tx.Parameter("p", shape=shape)
+    system = tx.System(rates={s: 0.0 * s}, outputs={"p": p})
+    said = "numbers"
+    for build in (lambda: tx.Constant(value), lambda: tx.Parameter("p", value=value), lambda: s + value):
+        with pytest.raises((tx.ModelError, tx.ShapeError), match=said):
+            build()
+    with pytest.raises((tx.ModelError, tx.ShapeError), match=said):
+        tx.compile(system, bake={"p": value})
+    with pytest.raises(tx.InputError, match=said):
+        tx.compile(system).outputs(0.0, {"s": 0.0}, None, {"p": value})
+    if not (isinstance(value, list) and value[-1] is None):  # which is an entry left open
+        with pytest.raises((tx.ModelError, tx.ShapeError), match=said):
+            tx.State("x", shape=shape, min=value)
+
+
+def test_a_vector_is_no_matrix() -> None:
+    J, x = tx.Parameter("J", shape=(3, 3)), {"v": np.ones(3)}
+    system = tx.System({v: J @ v})
+    with pytest.raises(tx.ShapeError, match=r"'J': value expects shape \(3, 3\), got \(3,\)"):
+        tx.compile(system, bake={"J": [1.0, 2.0, 3.0]})
+    with pytest.raises(tx.ShapeError, match=r"\(3, 3\), got \(3,\)"):
+        tx.Parameter("J", shape=(3, 3), value=[1.0, 2.0, 3.0])
+    with pytest.raises(tx.InputError, match=r"\(3, 3\), got \(3,\)"):
+        tx.compile(system)(0.0, x, None, {"J": [1.0, 2.0, 3.0]})
+
+
+@pytest.mark.parametrize("value", [398600441800000, np.int64(398600441800000), 10**20, np.uint64(2**63)], ids=repr)
+def test_long_integers_without_x64(value: Any) -> None:
+    with jax.enable_x64(False):
+        p = tx.Parameter("p")
+        dynamics = tx.compile(tx.System({s: p * s}))
+        np.testing.assert_allclose(dynamics(0.0, {"s": 1.0}, None, {"p": value})["s"], float(value), rtol=1e-7)
+        with pytest.raises(tx.InputError, match=r"params\['p'\] has 1e\+200, which float32 cannot hold"):
+            dynamics(0.0, {"s": 1.0}, None, {"p": 1e200})
+
+
+def test_numbers_of_all_kinds_come_in() -> None:
+    kinds = [
+        2,
+        2.0,
+        True,
+        np.float16(2),
+        np.int8(2),
+        np.array(2),
+        jnp.array(2),
+        jnp.float32(2),
+        jnp.bfloat16(2),
+        np.True_,
+    ]
+    dynamics = tx.compile(tx.System({s: tx.Parameter("p") * s}))
+    for value in kinds:
+        expected = float(value)
+        assert float(dynamics(0.0, {"s": 3.0}, None, {"p": value})["s"]) == 3.0 * expected
+        assert float(tx.Parameter("p", value=value).value) == expected
+        assert float(tx.lower(tx.Constant(value) * s)(0.0, {"s": 3.0})) == 3.0 * expected
+    assert float(dynamics(0.0, {"s": np.inf}, None, {"p": 1.0})["s"]) == np.inf
+
+
+def test_masked_entries_are_refused() -> None:
+    value = np.ma.array([1.0, 2.0], mask=[False, True])
+    p = tx.Parameter("p", shape=(2,))
+    system = tx.System(rates={s: 0.0 * s}, outputs={"p": p})
+    with pytest.raises(tx.ModelError, match="masked entries"):
+        tx.Parameter("p", value=value)
+    with pytest.raises(tx.InputError, match="masked entries"):
+        tx.compile(system).outputs(0.0, {"s": 0.0}, None, {"p": value})
+    assert tx.Parameter("p", value=np.ma.array([1.0, 2.0])).shape == (2,)

@@ -15,6 +15,7 @@ from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
 from .fields import freeze
 from .node import Expr, Shape
 from .printing import matrix_latex, number_latex
+from .reals import reals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,21 +73,8 @@ class Constant(Leaf):
     cases = ((lambda cls: cls([1.0, -2.0]), {}),)
 
     def __init__(self, value: Any) -> None:
-        try:
-            array = np.array(value)
-        except jax.errors.TracerArrayConversionError:
-            raise ModelError(
-                "a traced JAX value cannot become a Constant of an expression.\n"
-                "  fix: declare a tx.Parameter and pass the value through params"
-            ) from None
-        except ValueError as error:
-            raise ModelError(f"cannot make a Constant of {value!r}: {error}") from None
-        if array.dtype.kind not in "biuf":
-            raise ModelError(
-                f"a Constant must be a real number or array, got {type(value).__name__} of dtype {array.dtype}.\n"
-                "  fix: collect expressions with tx.Stack or tx.Concat"
-            )
-        self._declare("constant", array.shape, value=array if array.dtype == bool else array.astype(np.float64))
+        array = reals("a Constant", value, ModelError).copy()
+        self._declare("constant", array.shape, value=array)
 
     def static_key(self) -> tuple[Any, ...]:
         return (freeze(self.value),)
@@ -266,16 +254,21 @@ class Parameter(Leaf):
         name: unique among the parameters of a system.
         shape: shape of the value; taken from `value` if left out.
         value: used when a call gives none.
+    Raises:
+        ModelError: a value that is not made of real numbers.
+        ShapeError: a value of another shape.
     """
 
     value: np.ndarray | None
     cases = ((lambda cls, p: cls("p", value=[1.0, 2.0]), {"p": [0.5, 4.0]}),)
 
     def __init__(self, name: str, shape: Shape | int | None = None, *, value: Any = None) -> None:
-        if shape is None:
-            shape = () if value is None else np.shape(value)
-        shape = _shape_of(name, shape)
-        self._declare(name, shape, value=_value(name, "value", value, shape))
+        if value is not None:
+            value = reals(f"{name!r}: value", value, ModelError).astype(np.float64)
+        shape = _shape_of(name, shape if shape is not None else np.shape(value) if value is not None else ())
+        if value is not None and value.shape != shape:
+            raise ShapeError(f"{name!r}: value expects shape {shape}, got {value.shape}")
+        self._declare(name, shape, value=value)
 
     def read(self, inputs: Inputs) -> jax.Array:
         if self.name in inputs.params:
@@ -322,13 +315,11 @@ def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan)
     """A float64 copy broadcast to the shape; entries that are None or NaN become `free`."""
     if value is None:
         return None
-    array = np.asarray(value)
-    if array.dtype == object:
-        array = np.array([np.nan if v is None else v for v in array.ravel()], float).reshape(array.shape)
+    array = reals(f"{name!r}: {what}", value, ModelError, free=True).astype(np.float64)
     try:
-        array = np.broadcast_to(array.astype(np.float64), shape)
-    except (ValueError, TypeError):
-        raise ShapeError(f"{name!r}: {what} expects shape {shape}, got {np.shape(value)}") from None
+        array = np.broadcast_to(array, shape)
+    except ValueError:
+        raise ShapeError(f"{name!r}: {what} expects shape {shape}, got {array.shape}") from None
     return np.where(np.isnan(array), free, array)
 
 
@@ -339,7 +330,7 @@ def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any
     if low is not None and high is not None and (low > high).any():
         raise ModelError(f"{name!r}: min {low} is above max {high}")
     if guess is not None:
-        guess = np.array(guess, dtype=np.float64)
+        guess = reals(f"{name!r}: guess", guess, ModelError).astype(np.float64)
         if guess.shape != shape and guess.shape[1:] != shape:
             raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {guess.shape}")
     scale = _value(name, "scale", scale, shape if euclidean else (group.dimension,))
@@ -370,7 +361,7 @@ def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | No
         return _value(name, what, value, group.shape)
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
-    array = np.array(value, dtype=np.float64)
+    array = reals(f"{name!r}: {what}", value, ModelError).astype(np.float64)
     defect = _defect(array, group)
     if not defect <= _ROTATION_TOLERANCE:
         raise ModelError(

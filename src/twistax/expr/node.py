@@ -11,7 +11,7 @@ import hashlib
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
 import jax
 import numpy as np
@@ -111,18 +111,28 @@ class Expr(Operators):
             if field.variadic:
                 value = tuple(map(to_expr, value))
             setattr(self, field.name, to_expr(value) if field.operand else value)
-        if self.of_numbers:
-            self._refuse_conditions()
+        if self.of_numbers and any(child.boolean for child in self.children()):
+            self._take_numbers()
         self.validate()
         self._seal()
 
-    def _refuse_conditions(self) -> None:
-        for child in self.children():
+    def _take_numbers(self) -> None:
+        """Constant truth values are 0 and 1; a condition is refused."""
+
+        def number(child: Expr) -> Expr:
             if child.boolean and not child.is_leaf:
                 raise ModelError(
                     f"{type(self).__name__} expects numbers, got the condition {child!r}.\n"
                     "  fix: say which numbers it stands for: tx.Where(condition, 1.0, 0.0)"
                 )
+            return to_expr(np.asarray(cast("Any", child).value, float)) if child.boolean else child
+
+        for field in self._fields:
+            value = getattr(self, field.name)
+            if field.variadic:
+                setattr(self, field.name, tuple(map(number, value)))
+            elif field.operand:
+                setattr(self, field.name, number(value))
 
     def validate(self) -> None:
         """Check static fields at construction; shapes are `infer_shape`'s business."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..expr import Control, Inputs, Leaf, Parameter, State
+from ..expr.reals import reals
 from ..jax_inside import is_traced
 
 Values = Mapping[str, Any]
@@ -47,13 +48,14 @@ def read_values(kind: str, leaves: Iterable[Leaf], values: Values | None, dtype:
         raise InputError(f"unknown key {unknown[0]!r} in {kind}; expected: {listed}")
     found = {}
     for name, value in values.items():
-        array = _array(f"{kind}[{name!r}]", value)
+        place = f"{kind}[{name!r}]"
+        array = _array(place, value)
         if array.shape != known[name].shape:
             raise InputError(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
                 "  fix: one point at a time; map over batches with jax.vmap"
             )
-        found[name] = array.astype(dtype)
+        found[name] = _cast(place, array, dtype)
     return found
 
 
@@ -62,15 +64,27 @@ def is_finite(value: Any) -> bool:
     return is_traced(value) or bool(np.isfinite(np.asarray(value)).all())
 
 
-def _array(place: str, value: Any) -> jax.Array:
+def _array(place: str, value: Any) -> jax.Array | np.ndarray:
     """The value as an array of real numbers."""
-    try:
-        array = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{place} is not an array of numbers: {error}") from None
-    if jnp.issubdtype(array.dtype, jnp.complexfloating):
-        raise InputError(f"{place} expects real numbers, got {array.dtype}")
-    return array
+    if not isinstance(value, jax.Array):
+        return reals(place, value, InputError)
+    if jnp.issubdtype(value.dtype, jnp.complexfloating):
+        raise InputError(f"{place} expects real numbers, got {value.dtype}")
+    return value
+
+
+def _cast(place: str, array: jax.Array | np.ndarray, dtype: Any) -> jax.Array:
+    """The array in the precision of the call."""
+    if isinstance(array, np.ndarray):
+        with np.errstate(over="ignore"):
+            cast = array.astype(dtype)
+        if np.any(np.isinf(cast) & np.isfinite(array)):
+            raise InputError(
+                f"{place} has {np.abs(array).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
+                '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
+            )
+        array = cast
+    return jnp.asarray(array, dtype)
 
 
 def prepare(
@@ -98,7 +112,7 @@ def prepare(
     time = _array("t", t)
     if time.shape != ():
         raise InputError(f"t expects a scalar, got shape {time.shape}")
-    inputs = Inputs(time.astype(dtype), states, controls, values, dtype)
+    inputs = Inputs(_cast("t", time, dtype), states, controls, values, dtype)
     # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
     for leaf in kinds[Parameter]:
         if leaf.name in required:
