@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -78,6 +79,21 @@ def test_static_fields_of_any_type() -> None:
     assert keys == [repr(freeze(value)) for value in values]
 
 
+def test_what_is_called_counts_by_identity() -> None:
+    def scaled(by: float) -> Callable[..., float]:
+        def function(a: float, v: float) -> float:
+            return by * a * v
+
+        return function
+
+    one, two = scaled(1.0), scaled(100.0)
+    assert freeze(functools.partial(one, 2.0)) == freeze(functools.partial(one, 2.0))
+    assert freeze(functools.partial(one, 2.0)) != freeze(functools.partial(one, 3.0))
+    assert freeze(functools.partial(one, 2.0)) != freeze(functools.partial(two, 2.0))
+    assert freeze(jax.random.key(0)) == freeze(jax.random.key(0)) != freeze(jax.random.key(1))
+    assert freeze(np.float64(0.5)) == freeze(0.5)
+
+
 def test_an_address_used_again_is_another_object() -> None:
     keys = {repr(freeze(lambda x, k=k: k * x)) for k in range(100)}  # each one is gone before the next is made
     assert len(keys) == 100
@@ -96,11 +112,27 @@ def test_conditions_are_no_numbers(build: Callable[[tx.Expr], tx.Expr]) -> None:
         build(v <= 0.0)
 
 
+def test_a_condition_chosen_by_a_constant_stays_one() -> None:
+    x = {"s": np.array(0.5), "v": np.array([0.0, 2.0, 0.5])}
+    np.testing.assert_array_equal(compiled(tx.Cond(tx.Constant(True), s <= 1.0, v <= 1.0), **x), [True] * 3)
+
+
+def test_conditions_may_lie_deep() -> None:
+    e: tx.Expr = s
+    for _ in range(3000):
+        e = tx.Where(s <= 0.0, 1.0, e)
+    assert not (e + 1.0).boolean
+
+
 @pytest.mark.parametrize("x", [1e-300, 1e-8, 0.3, 1e8, 1e160, 1e300])
 def test_a_rounded_corner_does_not_overflow(x: float) -> None:
     e = tx.SmoothReLU(s, c=1e-8)
     expected = x * (x / (np.hypot(x, 1e-8) + 1e-8))
     np.testing.assert_allclose(tx.lower(e)(0.0, {"s": x}), expected, rtol=1e-14)
+    slope = jax.grad(lambda x: tx.lower(e)(0.0, {"s": x}))(x)
+    np.testing.assert_allclose(slope, x / np.hypot(x, 1e-8), rtol=1e-14)
+    curvature = jax.grad(jax.grad(lambda x: tx.lower(e)(0.0, {"s": x})))(x)
+    np.testing.assert_allclose(curvature, (1e-8 / np.hypot(x, 1e-8)) ** 2 / np.hypot(x, 1e-8), rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(tx.lower(tx.SmoothReLU(s))(0.0, {"s": np.float32(2e19)}), np.float32(2e19), rtol=1e-6)
 
 

@@ -224,6 +224,7 @@ def test_random_keys_are_the_arrays_of_their_numbers() -> None:
 
     x = jnp.array([0.5, -1.0, 2.0])
     program = Derived(scalarize(lambda x: [noisy(x)], jax.ShapeDtypeStruct((3,), x.dtype)))
+    inside = jax.jit(lambda x: call_program(Derived(scalarize(lambda x: [noisy(x)], jax.typeof(x))), x)[0])
     for transform in (lambda f: f, jax.jacfwd, jax.jacrev):
-        found = transform(lambda x: call_program(program, x)[0])(x)
-        np.testing.assert_allclose(found, transform(noisy)(x), rtol=1e-15)
+        for function in (lambda x: call_program(program, x)[0], inside):
+            np.testing.assert_allclose(transform(function)(x), transform(noisy)(x), rtol=1e-15)

@@ -323,7 +323,9 @@ class Constraint(Entrywise):
     rhs: Operand
     precedence = 5
     abstract = True
-    boolean = True
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return True
 
     def residual(self) -> Expr:
         """lhs - rhs, of which the optimiser wants <= 0 (inequality) or = 0 (equality)."""

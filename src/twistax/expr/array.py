@@ -22,9 +22,8 @@ class _Parts(Variadic, init=False):
     abstract = True
     listed = True
 
-    @property
-    def boolean(self) -> bool:
-        return all(part.boolean for part in self.children())
+    def makes_boolean(self, *operands: bool) -> bool:
+        return all(operands)
 
     def to_latex(self, *operands: str) -> str:
         return matrix_latex([[operand] for operand in operands])
@@ -302,9 +301,8 @@ class Index(Expr):
             )
         return found
 
-    @property
-    def boolean(self) -> bool:
-        return self.base.boolean
+    def makes_boolean(self, *operands: bool) -> bool:
+        return operands[0]
 
     def evaluate(self, *values: Numbers) -> Numbers:
         return values[0][self.index]

@@ -112,19 +112,23 @@ class Reduction(Variadic, init=False):
     abstract = True
     associative = True
     listed = True
-    boolean = True
     kinks = (
         (lambda cls, x, s: cls([x >= 0.0, s <= 1.0]), {"x": [0.5, 0.2, 0.9], "s": 2.0}),
         (lambda cls, x: cls(x >= 1.0), {"x": [0.5, 0.2, 1.9]}),
+        (lambda cls, x, s: cls([x >= 0.0, s <= 1.0]), {"x": [0.5, 0.2, 0.9], "s": 0.5}),
+        (lambda cls, x: cls(x >= 2.0), {"x": [0.5, 0.2, 1.9]}),
     )
     #: How the entries of one predicate and then the predicates combine; the value that leaves the result as it is.
     reduce: ClassVar[Anything]
     combine: ClassVar[Anything]
     neutral: ClassVar[bool]
 
-    def validate(self) -> None:
-        for predicate in self.predicates:
-            _predicate(type(self).__name__, predicate)
+    def __init__(self, *predicates: Anything) -> None:
+        given = predicates[0] if len(predicates) == 1 and isinstance(predicates[0], (list, tuple)) else predicates
+        super().__init__(*(_predicate(type(self).__name__, predicate) for predicate in given))
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return ()
@@ -199,9 +203,8 @@ class Where(Entrywise):
     def __init__(self, condition: Anything, x: ExprLike, y: ExprLike) -> None:
         super().__init__(_predicate("Where", condition), x, y)
 
-    @property
-    def boolean(self) -> bool:
-        return self.x.boolean and self.y.boolean
+    def makes_boolean(self, *operands: bool) -> bool:
+        return operands[1] and operands[2]
 
     def simplify(self) -> Expr:
         """A constant condition decides; equal sides need no condition."""
@@ -252,9 +255,8 @@ class Cond(Expr):
             )
         return broadcast(self, *shapes[1:])
 
-    @property
-    def boolean(self) -> bool:
-        return self.true_branch.boolean and self.false_branch.boolean
+    def makes_boolean(self, *operands: bool) -> bool:
+        return operands[1] and operands[2]
 
     def eager_children(self) -> list[Expr]:
         return [self.predicate]
@@ -275,5 +277,7 @@ class Cond(Expr):
             return self.true_branch
         if isinstance(self.predicate, Constant):
             chosen = self.true_branch if self.predicate.value.all() else self.false_branch
-            return chosen if chosen.shape == self.shape else chosen + zeros_of(self)
+            if chosen.shape == self.shape:
+                return chosen
+            return self if chosen.boolean else chosen + zeros_of(self)
         return self

@@ -272,6 +272,7 @@ class SmoothReLU(Entrywise):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         part = jnp.maximum(values[0], 0.0)
-        size = jnp.maximum(part, self.c)
-        root = size * jnp.sqrt((part / size) ** 2 + (self.c / size) ** 2)
-        return part * (part / (root + self.c))
+        # The result does not depend on the size, so neither does its derivative.
+        size = jax.lax.stop_gradient(jnp.maximum(part, self.c))
+        p, c = part / size, self.c / size
+        return size * (p * (p / (jnp.sqrt(p * p + c * c) + c)))

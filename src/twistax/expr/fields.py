@@ -9,12 +9,12 @@ class Adjoint(Expr):
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import inspect
 import itertools
 import numbers
 import pickle
-import types
 import weakref
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
 
@@ -115,16 +115,20 @@ def positive(owner: object, name: str, value: object, unit: str = "") -> None:
 def freeze(value: Any) -> Any:
     """Static data as something that compares and prints by content, for structural keys.
 
-    Objects without a key of their own count by what pickle writes of them. Functions, and what pickle refuses, are each
-    different from all others.
+    Objects without a key of their own count by what pickle writes of them. What can be called, and what pickle refuses,
+    is different from all else.
     """
+    if isinstance(value, float):
+        return float(value).hex()
+    if isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+        return (str(value.dtype), freeze(jax.random.key_data(value)))
+    if isinstance(value, functools.partial):
+        return ("partial", freeze((value.func, value.args, value.keywords)))
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         array = np.asarray(value)
         if array.dtype == object:
             return ("objects", array.shape, freeze(array.tolist()))
         return (str(array.dtype), array.shape, _digest(array.tobytes()))
-    if isinstance(value, float):
-        return value.hex()
     if isinstance(value, (tuple, list)):
         return tuple(freeze(item) for item in value)
     if isinstance(value, dict):
@@ -138,7 +142,7 @@ def freeze(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = ((f.name, freeze(getattr(value, f.name))) for f in dataclasses.fields(value))
         return (f"{type(value).__module__}.{type(value).__qualname__}", *fields)
-    if not isinstance(value, types.FunctionType):  # its name may come to mean another one
+    if not callable(value):  # pickle knows functions and classes by names, which may come to mean others
         try:
             return ("pickle", _digest(pickle.dumps(value)))
         except Exception:  # of whatever kind its class raises
@@ -158,10 +162,11 @@ _KEPT: list[Any] = []
 
 def _number_of(value: Any) -> int:
     """A number that no other object gets, not even one that comes to lie at the same address."""
-    if id(value) not in _IDENTITIES:
-        _IDENTITIES[id(value)] = next(_NUMBERS)
+    own = next(_NUMBERS)
+    found = _IDENTITIES.setdefault(id(value), own)
+    if found == own:
         try:
             weakref.finalize(value, _IDENTITIES.pop, id(value), None)
         except TypeError:
             _KEPT.append(value)
-    return _IDENTITIES[id(value)]
+    return found

@@ -79,8 +79,7 @@ class Constant(Leaf):
     def static_key(self) -> tuple[Any, ...]:
         return (freeze(self.value),)
 
-    @property
-    def boolean(self) -> bool:
+    def makes_boolean(self, *operands: bool) -> bool:
         return self.value.dtype == bool
 
     def makes_group_element(self, *operands: bool) -> bool:

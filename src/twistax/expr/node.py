@@ -214,6 +214,10 @@ class Expr(Operators):
         """Whether the value is a rotation or a pose by construction, given which operands are."""
         return False
 
+    def makes_boolean(self, *operands: bool) -> bool:
+        """Whether the entries are true or false, given of which operands they are."""
+        return False
+
     @classmethod
     def example(cls) -> list[Example]:
         """The cases for the conformance suite."""
@@ -350,7 +354,7 @@ class Expr(Operators):
     @property
     def boolean(self) -> bool:
         """Whether the entries are true or false: constraints and what is made of them."""
-        return False
+        return bottom_up(self, "_boolean", _boolean_of)
 
     def canonicalize(self) -> Expr:
         """A simpler tree of the same shape, equal wherever the original is finite."""
@@ -383,6 +387,10 @@ def to_expr(value: Any) -> Expr:
     from .leaves import Constant
 
     return Constant(value)
+
+
+def _boolean_of(node: Expr) -> bool:
+    return node.makes_boolean(*(child.__dict__["_boolean"] for child in node.children()))
 
 
 def _element_of(node: Expr) -> bool:

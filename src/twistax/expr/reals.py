@@ -38,7 +38,7 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         entries = [np.nan if entry is None and free else entry for entry in array.ravel()]
         strangers = [entry for entry in entries if not isinstance(entry, numbers.Real)]
         if strangers:
-            raise error(f"{place} is not an array of numbers: it has {type(strangers[0]).__name__} {strangers[0]!r}")
+            raise error(f"{place} is not an array of numbers: got {type(strangers[0]).__name__}: {strangers[0]!r}")
         array = np.array([float(entry) for entry in entries]).reshape(array.shape)
     if array.dtype == bool:
         return array

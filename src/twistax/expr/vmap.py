@@ -99,8 +99,7 @@ class Vmap(Expr):
         own = {placeholder.key() for placeholder in self.placeholders}
         return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in own]
 
-    @property
-    def boolean(self) -> bool:
+    def makes_boolean(self, *operands: bool) -> bool:
         return self.body.boolean
 
     def children(self) -> list[Expr]:

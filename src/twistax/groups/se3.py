@@ -184,7 +184,7 @@ def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
 
     Shapes: (6,) -> (6, 6). Raises ShapeError.
     """
-    return left_jacobian(-floats(xi)[0])
+    return left_jacobian(-of_shape("se3.right_jacobian", {"xi": (6,)}, xi)[0])
 
 
 def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
@@ -201,7 +201,7 @@ def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
 
 def right_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
     """J_r(xi)^-1 = J_l(-xi)^-1. Shapes: (6,) -> (6, 6). Raises ShapeError."""
-    return left_jacobian_inv(-floats(xi)[0])
+    return left_jacobian_inv(-of_shape("se3.right_jacobian_inv", {"xi": (6,)}, xi)[0])
 
 
 def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:

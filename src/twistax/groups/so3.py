@@ -146,7 +146,7 @@ def left_jacobian(w: Input) -> Float[Array, "3 3"]:
 
 def right_jacobian(w: Input) -> Float[Array, "3 3"]:
     """J_r(w) = J_l(-w): Exp(w + d) = Exp(w) Exp(J_r d) to first order. Shapes: (3,) -> (3, 3). Raises ShapeError."""
-    return left_jacobian(-floats(w)[0])
+    return left_jacobian(-of_shape("so3.right_jacobian", {"w": (3,)}, w)[0])
 
 
 def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
@@ -161,7 +161,7 @@ def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
 
 def right_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
     """J_r(w)^-1 = J_l(-w)^-1. Shapes: (3,) in rad -> (3, 3). Raises ShapeError."""
-    return left_jacobian_inv(-floats(w)[0])
+    return left_jacobian_inv(-of_shape("so3.right_jacobian_inv", {"w": (3,)}, w)[0])
 
 
 def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:

@@ -110,7 +110,8 @@ class Solution:
         if ts.ndim > 1:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, trail)):
-            start, end = float(trail.t[0]), float(trail.t[int(trail.steps)])
+            known = np.asarray(trail.t)
+            start, end = float(known[0]), float(known[int(trail.steps)])
             room, times = 1e-6 * (end - start), np.asarray(ts).reshape(-1)
             outside = ~((times >= start - room) & (times <= end + room))
             if outside.any():

@@ -126,9 +126,9 @@ def _held(state: State, array: jax.Array) -> jax.Array:
 
 def _numbers(place: str, value: Any, dtype: Any) -> jax.Array:
     try:
-        array = jnp.asarray(value)
+        array = jnp.asarray(value) if is_traced(value) else np.asarray(value)
     except (TypeError, ValueError):
         array = None
     if array is None or not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise InputError(f"{place} expects numbers, got {value!r}")
-    return array.astype(dtype)
+    return jnp.asarray(array.astype(dtype))

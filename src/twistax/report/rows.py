@@ -170,7 +170,11 @@ def _version(package: str) -> str:
 
 def _code() -> str:
     root = Path(twistax.__file__).parent
-    files = [path for path in sorted(root.rglob("*")) if path.suffix in (".py", ".c") and path.stem != "page"]
+    files = [
+        path
+        for path in sorted(root.rglob("*"))
+        if path.suffix in (".py", ".c", ".json") and path != Path(__file__).with_name("page.py")
+    ]
     return _digest(b"".join(path.read_bytes() for path in files if root / "demo" not in path.parents))
 
 

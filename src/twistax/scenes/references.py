@@ -341,7 +341,7 @@ def main(arguments: list[str] | None = None) -> int:
             more = 3 * how.steps // 2
             coarse, fine = how.end(scene), how.end(scene, more)
             apart = max(np.max(np.abs(end - coarse[s])) / max(1.0, np.max(np.abs(end))) for s, end in fine.items())
-            numbers = [f"{name} = {value:g}" for name, value in scene.params.items() if value.shape == ()]
+            numbers = [f"{name} = {float(value)!r}" for name, value in scene.params.items() if value.shape == ()]
             print(f"# {', '.join([scene.name, *numbers])}: {how.steps} and {more} steps are {apart:.1e} apart")
             print(*(f'    "{state}": {value.astype(float).tolist()}' for state, value in fine.items()), sep=",\n")
     return 0

@@ -146,7 +146,7 @@ class Scene:
 
 def stored_end(name: str, **values: float) -> State | None:
     """The end of a scene, for values of its parameters, as `python -m twistax.scenes.references` finds it, if known."""
-    return _ENDS.get(", ".join([name, *(f"{parameter} = {value:g}" for parameter, value in values.items())]))
+    return _ENDS.get(", ".join([name, *(f"{parameter} = {float(value)!r}" for parameter, value in values.items())]))
 
 
 def _frozen(values: State | None) -> State | None:

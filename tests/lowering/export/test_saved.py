@@ -162,8 +162,8 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_another_format_is_refused(file: Path) -> None:
-    edited(file, lambda content: content.update(format=3, twistax="9.9.9"))
-    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 3; this is twistax .* format 2"):
+    edited(file, lambda content: content.update(format=4, twistax="9.9.9"))
+    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 4; this is twistax .* format 3"):
         tx.load(file)
 
 
@@ -174,7 +174,7 @@ def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
         with pytest.raises(tx.InputError, match=r"'.*s' is "):
             tx.load(file)
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("system.json", b'{"format": 2, "twistax": "0"}')
+        archive.writestr("system.json", b'{"format": 3, "twistax": "0"}')
     with pytest.raises(tx.InputError, match="no saved system, or damaged"):
         tx.load(file)
     with pytest.raises(tx.InputError, match="there is no file"):

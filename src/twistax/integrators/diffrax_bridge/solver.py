@@ -344,7 +344,25 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
         return keep, start, end, jumped, _State(pid, state.tolerances, state.frame), result
 
 
-def controller(rtol: Any, atol: Any = None, *, step_ts: Any = None, jump_ts: Any = None, **options: Any) -> Any:
+_USUAL = StepControl()
+
+
+def controller(
+    rtol: Any,
+    atol: Any = None,
+    *,
+    pcoeff: float = _USUAL.pcoeff,
+    icoeff: float = _USUAL.icoeff,
+    dcoeff: float = _USUAL.dcoeff,
+    safety: float = _USUAL.safety,
+    factormin: float = _USUAL.factormin,
+    factormax: float = _USUAL.factormax,
+    dtmin: float | None = None,
+    dtmax: float | None = None,
+    force_dtmin: bool = True,
+    step_ts: Any = None,
+    jump_ts: Any = None,
+) -> Any:
     """Steps for `LieSolver` whose error is at most atol + rtol x size, measured in the tangent space.
 
     Rotations count in rad against size 1, positions in their unit against their distance from the origin, other states
@@ -355,16 +373,26 @@ def controller(rtol: Any, atol: Any = None, *, step_ts: Any = None, jump_ts: Any
         rtol: relative tolerance.
         atol: absolute tolerance, rtol if left out: a number, or a dict by state; for a pose a pair (rotation,
             position).
+        pcoeff, icoeff, dcoeff, safety, factormin, factormax, dtmin, dtmax, force_dtmin: as in diffrax.PIDController;
+            the numbers of `tx.StepControl` if left out.
         step_ts, jump_ts: times at which steps end, and at which rates or controls jump, as in
             diffrax.ClipStepSizeController.
-        options: pcoeff, icoeff, dcoeff, safety, factormin, factormax, dtmin, dtmax, force_dtmin, as in
-            diffrax.PIDController; the numbers of `tx.StepControl` if left out.
     Raises:
         InputError: when the integration begins, for tolerances that do not fit the system.
     """
-    usual = dataclasses.asdict(StepControl())
-    del usual["max_steps"]
-    pid = diffrax.PIDController(**{"rtol": 0.0, "atol": 1.0, **usual, **options})
+    pid = diffrax.PIDController(
+        rtol=0.0,
+        atol=1.0,
+        pcoeff=pcoeff,
+        icoeff=icoeff,
+        dcoeff=dcoeff,
+        safety=safety,
+        factormin=factormin,
+        factormax=factormax,
+        dtmin=dtmin,
+        dtmax=dtmax,
+        force_dtmin=force_dtmin,
+    )
     allowed = rtol if atol is None else atol
     smallest = functools.reduce(jnp.minimum, [jnp.min(jnp.asarray(leaf)) for leaf in jax.tree.leaves(allowed)])
     found = LieController(rtol, smallest, pid.norm, allowed, pid)

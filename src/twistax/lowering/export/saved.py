@@ -36,7 +36,7 @@ from . import version
 __all__ = ["read", "read_nodes", "save", "write_nodes"]
 
 #: Raised whenever a file of the old form would be read wrongly.
-_FORMAT = 2
+_FORMAT = 3
 #: The member of the archive that says everything but the arrays.
 _JSON = "system.json"
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # equal systems give equal files

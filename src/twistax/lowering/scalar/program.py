@@ -86,7 +86,8 @@ class Reader:
             return self._literal(variable) if isinstance(variable, Literal) else known[variable]
 
         consts = zip(jaxpr.constvars, program.consts, strict=True)
-        known.update((v, g.array(jax.random.key_data(c) if is_key(v) else c)) for v, c in consts)
+        with jax.ensure_compile_time_eval():
+            known.update((v, g.array(jax.random.key_data(c) if is_key(v) else c)) for v, c in consts)
         known.update(zip(jaxpr.invars, inputs, strict=True))
         self._reading.append(jaxpr)
         for eqn in jaxpr.eqns:
