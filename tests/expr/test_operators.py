@@ -69,10 +69,10 @@ def test_type_errors(attempt: Callable[[], Any], sentence: str) -> None:
         (lambda: tx.Cinterp(s, [0.0, 1.0], [1.0, 2.0, 3.0]), "Cinterp expects fp with a first axis of length 2"),
         (lambda: tx.Cinterp(s, [0.0, 1.0, 2.0], [1.0, 2.0, 3.0], method="quintic"), "one of cubic, pchip, akima"),
         (lambda: tx.Cinterp(s, x, [1.0, 2.0, 3.0]), "Cinterp expects xp to be numbers"),
-        (lambda: x + "a", "a Constant must be a real number or array"),
-        (lambda: x * (1.0 + 2.0j), "a Constant must be a real number or array"),
-        (lambda: x + None, "a Constant must be a real number or array"),
-        (lambda: x + [[1.0], [1.0, 2.0]], "cannot make a Constant"),
+        (lambda: x + "a", "a Constant is not an array of numbers"),
+        (lambda: x * (1.0 + 2.0j), "a Constant expects real numbers, got complex128"),
+        (lambda: x + None, "a Constant is not an array of numbers: got NoneType"),
+        (lambda: x + [[1.0], [1.0, 2.0]], "a Constant is not an array of numbers"),
     ],
 )
 def test_value_errors(attempt: Callable[[], Any], sentence: str) -> None:
