@@ -123,7 +123,8 @@ def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
 
 def is_key(variable: Any) -> bool:
     """Whether a variable of a jaxpr holds random keys."""
-    return bool(jax.dtypes.issubdtype(variable.aval.dtype, jax.dtypes.prng_key))
+    dtype = getattr(variable.aval, "dtype", None)  # an effect's token has none
+    return dtype is not None and bool(jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key))
 
 
 def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:

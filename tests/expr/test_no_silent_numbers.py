@@ -69,8 +69,8 @@ def test_static_fields_of_any_type() -> None:
         return lambda x: scale * x
 
     values = [
-        None, True, 1, 1.0, np.float32(1.0), np.int32(1), "1", b"1", 1j, (1,), [2], {"a": 1}, {"a": 2}, {1}, slice(1),
-        ..., np.array([1.0]), np.array([1]), np.array([1.0], np.float32), jnp.array([2.0]), np.array([None]),
+        None, True, 1, 1.0, np.float32(1.0), np.int32(1), "1", b"1", 1j, (1,), [2], {"a": 1}, {"a": 2}, {1}, {1, 2},
+        slice(1), ..., np.array([1.0]), np.array([1]), np.array([1.0], np.float32), jnp.array([2.0]), np.array([None]),
         function(1.0), function(2.0), np.array(["1"]), object(), tx.SE3, tx.SO3, tx.LINEAR_FIRST, tx.ANGULAR_FIRST,
         float, int,
     ]  # fmt: skip
@@ -241,6 +241,21 @@ def test_numbers_of_all_kinds_come_in() -> None:
         assert float(tx.Parameter("p", value=value).value) == expected
         assert float(tx.lower(tx.Constant(value) * s)(0.0, {"s": 3.0})) == 3.0 * expected
     assert float(dynamics(0.0, {"s": np.inf}, None, {"p": 1.0})["s"]) == np.inf
+
+
+def test_lists_with_traced_entries_come_in() -> None:
+    dynamics = tx.compile(tx.System({v: 2.0 * v}))
+    found = jax.jit(lambda a: dynamics(0.0, {"v": [a, 1.0, jnp.sin(a)]})["v"])(0.5)
+    np.testing.assert_allclose(found, [1.0, 2.0, 2.0 * np.sin(0.5)])
+
+
+def test_functions_of_others_are_not_numpys() -> None:
+    sign = np.frompyfunc(lambda a: 7.0, 1, 1)  # any name may be NumPy's too
+    with pytest.raises(TypeError, match="not a function of NumPy's own"):
+        sign(v)
+    special = pytest.importorskip("scipy.special")
+    with pytest.raises(TypeError, match="not a function of NumPy's own"):
+        special.log1p(v)
 
 
 def test_masked_entries_are_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -123,10 +124,13 @@ class Case:
 
     def as_code(self) -> str:
         """A script that builds the expression and prints its value."""
-        values = ", ".join(f"{name!r}: np.{np.asarray(value)!r}" for name, value in self.used().items())
-        values = values.replace("nan", "np.nan").replace("inf", "np.inf")
         lines = ["import jax", "import jax.numpy as jnp", "import numpy as np", "import twistax as tx"]
-        lines += ['jax.config.update("jax_enable_x64", True)', *self.term.lines(), f"values = {{{values}}}"]
+        lines += ['jax.config.update("jax_enable_x64", True)', *self.term.lines()]
+        for kind in "scp":  # states, controls, parameters
+            own = {name: value.tolist() for name, value in self.used().items() if name[0] == kind}
+            entries = re.sub(r"\b(nan|inf)\b", r"np.\1", repr(own))
+            lines.append(f"{kind} = {entries}")
+        lines.append("print(tx.lower(tx.expr.to_expr(e))(0.0, s, c, p))")
         how = [f"baked: {', '.join(self.baked)}"] * bool(self.baked)
         how += [name for name in ("batched", "single", "differentiated") if getattr(self, name)]
         return "\n".join([*lines, f"# {'; '.join(how)}" if how else "# as it is"])

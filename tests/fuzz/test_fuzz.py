@@ -78,6 +78,17 @@ def test_a_wrong_case_is_shrunk_to_its_core() -> None:
     assert not small.batched
 
 
+def test_the_script_of_a_case_prints_its_value(capsys: pytest.CaptureFixture[str]) -> None:
+    code = "tx.Sin({0}) + {1} * tx.Constant(np.array(2.0))"
+    control = Term('tx.Control("c1", shape=())', np.asarray, (), (), leaf="c1")
+    leaves = {"s0": np.array([0.5, np.inf, -2.0]), "c1": np.array(0.25)}
+    case = Case(Term(code, lambda a, b: np.sin(a) + 2.0 * b, (LEAF, control), (3,)), leaves, batched=True)
+    exec(case.as_code(), {"__name__": "script"})
+    said = capsys.readouterr().out
+    assert "0.979" in said
+    assert "nan" in said
+
+
 def test_users_nodes_reach_scalars() -> None:
     """The update function of `apply` is part of the operation."""
     code = "User({0})"

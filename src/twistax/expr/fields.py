@@ -131,6 +131,8 @@ def freeze(value: Any) -> Any:
         return (str(array.dtype), array.shape, _digest(array.tobytes()))
     if isinstance(value, (tuple, list)):
         return tuple(freeze(item) for item in value)
+    if isinstance(value, (set, frozenset)):
+        return ("set", *sorted(repr(freeze(item)) for item in value))
     if isinstance(value, dict):
         return ("dict", *((freeze(name), freeze(item)) for name, item in value.items()))
     if isinstance(value, slice):

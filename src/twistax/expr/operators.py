@@ -55,6 +55,11 @@ class Operators:
     # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Expr:
         name = ufunc.__name__
+        if getattr(np, name, None) is not ufunc:
+            raise TypeError(
+                f"{ufunc!r} is not a function of NumPy's own, and has no meaning for expressions.\n"
+                "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
+            )
         function = _meaning(name)
         if method != "__call__":
             raise TypeError(
@@ -76,7 +81,7 @@ class Operators:
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:
         raise TypeError(
-            f"{type(self).__name__} is an expression and has no numbers yet.\n"
+            f"{type(self).__name__} is an expression and has no value yet.\n"
             "  fix: lower it with tx.lower(expr) and call the function, or build with tx.Stack / tx.Concat"
         )
 

@@ -389,7 +389,7 @@ class SplitExponential(Exponential):
 
 
 def chart_of(owner: str, given: Any, default: Chart) -> Chart:
-    """The chart that was given to a method, or the default one. Raises ModelError where it is none."""
+    """The chart that was given to a method, or the default one. Raises ModelError for what is not a chart."""
     if given is None:
         return default
     if not isinstance(given, Chart):

@@ -99,8 +99,8 @@ def integrate(
         not reached are NaN.
 
     Raises:
-        InputError: what a call of `dynamics` raises; values that are not finite; a rotation that is none; times, steps
-            or tolerances that make no sense.
+        InputError: what a call of `dynamics` raises; values that are not finite; a matrix that is no rotation; times,
+            steps or tolerances that make no sense.
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration ended early. Names the time, the state and the likely cause.
     """

@@ -66,11 +66,15 @@ def is_finite(value: Any) -> bool:
 
 def _array(place: str, value: Any) -> jax.Array | np.ndarray:
     """The value as an array of real numbers."""
-    if not isinstance(value, jax.Array):
+    if not (isinstance(value, jax.Array) or is_traced(value)):
         return reals(place, value, InputError)
-    if jnp.issubdtype(value.dtype, jnp.complexfloating):
-        raise InputError(f"{place} expects real numbers, got {value.dtype}")
-    return value
+    try:
+        array = jnp.asarray(value)  # also lists with traced entries
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{place} is not an array of numbers: {error}") from None
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise InputError(f"{place} expects real numbers, got {array.dtype}")
+    return array
 
 
 def _cast(place: str, array: jax.Array | np.ndarray, dtype: Any) -> jax.Array:

@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..jax_inside import all_equations, opened, small_calls_exist, xla_metadata
+from ..jax_inside import all_equations, is_key, opened, small_calls_exist, xla_metadata
 from .scalar.table import entry_of
 
-__all__ = ["apart", "fits", "held", "inside_small_call", "is_key", "known_inside", "small_call"]
+__all__ = ["apart", "fits", "held", "inside_small_call", "known_inside", "small_call"]
 
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
@@ -127,8 +127,3 @@ def known_inside(jaxpr: Any) -> bool:
     if any(map(is_key, [*jaxpr.constvars, *jaxpr.invars])):
         return False
     return all((entry := entry_of(eqn)) is not None and entry.inside(eqn) for eqn in all_equations(jaxpr))
-
-
-def is_key(variable: Any) -> bool:
-    """Whether a variable of a jaxpr holds random keys, or anything else that is no array of numbers."""
-    return hasattr(variable.aval, "dtype") and jax.dtypes.issubdtype(variable.aval.dtype, jax.dtypes.extended)

@@ -413,7 +413,7 @@ class AxisRotation(Expr):
         axis: three numbers, not all zero; it is normalised.
     Raises:
         ShapeError: angle is no scalar, or axis has not three entries.
-        ModelError: axis is zero, not finite or no numbers.
+        ModelError: axis is zero, not finite, or does not consist of numbers.
     """
 
     angle: Operand
@@ -445,7 +445,7 @@ def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
 
     Raises:
         ShapeError: it has not three entries.
-        ModelError: it is zero, not finite or no numbers.
+        ModelError: it is zero, not finite, or does not consist of numbers.
     """
     try:
         vector = np.array(value, dtype=np.float64)
