@@ -309,8 +309,8 @@ MUTATIONS: list[Mutation] = [
         "lowering/scalar/movement.py",
         (
             "a function at places read as setting",
-            'when=lambda p: p["update_jaxpr"] is None and _SCATTERED(p)',
-            "when=_SCATTERED",
+            'when=lambda p: p["update_jaxpr"] is None and _scattered(p)',
+            "when=_scattered",
             "lowering/test_table.py",
         ),
     ),

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 import twistax as tx
 
@@ -49,6 +50,50 @@ def body() -> tx.Dynamics:
             constraints={"most": F <= 3.0, "level": g[2, 3] == 1.0},
         )
     )
+
+
+def tables() -> dict[str, tuple[tx.Expr, Any]]:
+    """Tables of vectors and inside of maps: of `x` (3,) and `M` (3, 2), each with its value by plain interpolation."""
+    x, M = tx.State("x", shape=(3,)), tx.State("M", shape=(3, 2))
+    knots, lines, plane = np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0]), np.arange(6.0).reshape(3, 2) ** 1.5
+    several = np.sqrt(np.arange(18.0)).reshape(3, 3, 2)
+    fp = tx.Parameter("fp", value=plane)
+
+    def bilinear(a: Any, b: Any, fp: np.ndarray = plane) -> np.ndarray:
+        inside = np.stack(np.broadcast_arrays(np.clip(a, 0.0, 3.0), np.clip(b, 0.0, 2.0)), axis=-1)
+        return RegularGridInterpolator((knots, lines), fp)(inside)
+
+    def column(x: Any, k: int) -> np.ndarray:
+        return np.interp(x, knots, plane[:, k])
+
+    return {
+        "vector": (tx.Bilerp(x, x[::-1], knots, lines, plane), lambda x, M: bilinear(x, x[::-1])),
+        "parameter": (tx.Bilerp(M, 0.3, knots, lines, fp), lambda x, M: bilinear(M, 0.3)),
+        "map": (tx.Vmap(lambda r: tx.Bilerp(r[0], r[1], knots, lines, plane), M), lambda x, M: bilinear(*M.T)),
+        "vectors in a map": (
+            tx.Vmap(lambda e: tx.Bilerp(e, x, knots, lines, fp), x),
+            lambda x, M: np.stack([bilinear(e, x) for e in x]),
+        ),
+        "a table each": (
+            tx.Vmap(lambda e, fp: tx.Bilerp(e, 0.7, knots, lines, fp), [x, several]),
+            lambda x, M: np.stack([bilinear(e, 0.7, fp) for e, fp in zip(x, several, strict=True)]),
+        ),
+        "lines": (
+            tx.Vmap(lambda e: tx.Linterp(e, knots, plane), x),
+            lambda x, M: np.stack([column(x, 0), column(x, 1)], axis=-1),
+        ),
+        "cubic": (
+            tx.Vmap(lambda e: tx.Cinterp(e, knots, knots**2), x),
+            lambda x, M: CubicSpline(knots, knots**2)(x),
+        ),
+    }
+
+
+#: Between, on and beyond lines of the grids.
+TABLE_POINTS = [
+    (np.array([0.3, 1.0, 2.5]), np.array([[0.5, 1.5], [-1.0, 3.0], [3.0, 0.0]])),
+    (np.array([-0.5, 3.0, 4.5]), np.array([[1.0, 2.0], [2.9, 0.1], [0.0, 1.9]])),
+]
 
 
 def point(seed: int = 0) -> tuple[Any, ...]:

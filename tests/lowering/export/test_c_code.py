@@ -9,7 +9,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from export_systems import COMPILERS, MASS, STRICT, STRICTER, Library, body, flat, needs_compiler, point, run
+from export_systems import (
+    COMPILERS,
+    MASS,
+    STRICT,
+    STRICTER,
+    TABLE_POINTS,
+    Library,
+    body,
+    flat,
+    needs_compiler,
+    point,
+    run,
+    tables,
+)
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 import twistax as tx
@@ -98,6 +111,25 @@ def test_tables_of_other_kinds(tmp_path: Path) -> None:
     for a, b in [(0.0, 0.0), (0.3, 1.9), (1.0, 2.0), (2.0, 0.5), (3.9, 1.0), (4.0, 2.0)]:
         found = library.call("dynamics_rates", [0.0, np.array([a]), np.array([b])], [(), ()])
         np.testing.assert_allclose(found, [cubic(a), plane((a, b)) + min(a, 2.0)], rtol=1e-12, atol=1e-13)
+
+
+@needs_compiler
+def test_tables_of_vectors_and_in_maps(tmp_path: Path) -> None:
+    """Values by plain interpolation; the Jacobian beside that of JAX on arrays."""
+    own, (x, M) = tables(), (tx.State("x", shape=(3,)), tx.State("M", shape=(3, 2)))
+    rates = {x: tx.linalg.Sum(tx.Concat(*[tx.linalg.Sum(e) for e, _ in own.values()])) * np.ones(3), M: 0.0 * M}
+    outputs = {f"o{k}": e for k, (e, _) in enumerate(own.values())}
+    dynamics = tx.compile(tx.System(rates, outputs))
+    library = Library(dynamics.to_c(tmp_path, jacobian=("x",)).source)
+    fp = dynamics.parameters[0].value
+    for at in TABLE_POINTS:
+        expected = [value(*at) for _, value in own.values()]
+        found = library.call("dynamics_outputs", [0.0, *at, fp], [np.shape(value) for value in expected])
+        for name, a, b in zip(own, found, expected, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13, err_msg=name)
+        (jacobian,) = library.call("dynamics_jacobian", [0.0, *at, fp], [(9, 9)])
+        arrays = tx.compile(tx.System(rates), backend=tx.JAX()).jacobian(0.0, {"x": at[0], "M": at[1]})
+        np.testing.assert_allclose(jacobian, arrays["x"], rtol=1e-12, atol=1e-13)
 
 
 @needs_compiler

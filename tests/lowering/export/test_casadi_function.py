@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from export_systems import MASS, body, point
+from export_systems import MASS, TABLE_POINTS, body, point, tables
 
 import twistax as tx
 from twistax.lowering.export.casadi_function import expression
@@ -43,6 +43,18 @@ def test_values_names_and_shapes(casadi: Any) -> None:
         own = np.asarray(expected[name.removeprefix("rate_")])
         own = own if own.ndim == 2 else own.reshape(-1, 1)
         np.testing.assert_allclose(value, own, rtol=1e-12, atol=1e-13, err_msg=name)
+
+
+def test_tables_of_vectors_and_in_maps(casadi: Any) -> None:
+    own, (x, M) = tables(), (tx.State("x", shape=(3,)), tx.State("M", shape=(3, 2)))
+    outputs = {f"o{k}": e for k, (e, _) in enumerate(own.values())}
+    dynamics = tx.compile(tx.System({x: 0.0 * x, M: 0.0 * M}, outputs))
+    function, fp = dynamics.to_casadi("outputs"), dynamics.parameters[0].value
+    for at in TABLE_POINTS:
+        found = function(t=0.0, x=at[0], M=at[1], fp=fp)
+        for k, (name, (_, value)) in enumerate(own.items()):
+            expected = np.atleast_2d(value(*at).T).T  # a vector is a column
+            np.testing.assert_allclose(np.array(found[f"o{k}"]), expected, rtol=1e-12, atol=1e-13, err_msg=name)
 
 
 def test_derivatives_of_casadi(casadi: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
@@ -122,20 +122,24 @@ def _lookup(g: Graph, table: list[int], place: int) -> int:
     return found
 
 
-def _dynamic_slice(reader: Reader, eqn: Any, a: Nodes, *indices: Nodes) -> list[Nodes] | None:
-    """A window; where its place along an axis is known only at run time, of one entry along a short axis."""
-    g, sizes = reader.graph, eqn.params["slice_sizes"]
-    places = [g.numbers[int(i)] for i in indices]
-    unknown = [axis for axis, place in enumerate(places) if place is None]
+def _window_at(g: Graph, a: Nodes, places: Sequence[int], sizes: Sequence[int]) -> Nodes | None:
+    """A window of an array; of one entry along a short axis where its place is known at run time only."""
+    start = [g.numbers[place] for place in places]
+    unknown = [axis for axis, place in enumerate(start) if place is None]
     if any(sizes[axis] != 1 for axis in unknown) or math.prod(a.shape[axis] for axis in unknown) > g.limits.table:
         return None
     whole = [a.shape[axis] if axis in unknown else size for axis, size in enumerate(sizes)]
-    found = a[_window([place or 0 for place in places], a.shape, whole)]
+    found = a[_window([place or 0 for place in start], a.shape, whole)]
     for axis in unknown:
         columns = np.moveaxis(found, axis, -1)
-        picked = [_lookup(g, each, int(indices[axis])) for each in columns.reshape(-1, a.shape[axis]).tolist()]
+        picked = [_lookup(g, each, places[axis]) for each in columns.reshape(-1, a.shape[axis]).tolist()]
         found = np.expand_dims(nodes(picked, columns.shape[:-1]), axis)
-    return [found]
+    return found
+
+
+def _dynamic_slice(reader: Reader, eqn: Any, a: Nodes, *indices: Nodes) -> list[Nodes] | None:
+    found = _window_at(reader.graph, a, flat(*indices), eqn.params["slice_sizes"])
+    return None if found is None else [found]
 
 
 def _dynamic_update_slice(reader: Reader, eqn: Any, a: Nodes, update: Nodes, *indices: Nodes) -> list[Nodes] | None:
@@ -155,51 +159,49 @@ _MODES = (_CLIP, _FILL, lax.GatherScatterMode.PROMISE_IN_BOUNDS)
 
 
 def _known(*names: str) -> Callable[[Any], bool]:
-    """Whether the dimension numbers are these and those of batches, of which there are none; and the mode is known."""
-    fields = (*names, "operand_batching_dims")
+    """Whether the dimension numbers are these, and those of batches; and the mode is known."""
 
     def when(p: Any) -> bool:
-        numbers = p["dimension_numbers"]
-        own = numbers._fields[:-1] == fields and numbers._fields[-1].endswith("_indices_batching_dims")
-        return own and not numbers.operand_batching_dims and p["mode"] in _MODES
+        *own, last = p["dimension_numbers"]._fields
+        known = own == [*names, "operand_batching_dims"] and last.endswith("_indices_batching_dims")
+        return known and p["mode"] in _MODES
 
     return when
 
 
+_SCATTER_NUMBERS = _known("update_window_dims", "inserted_window_dims", "scatter_dims_to_operand_dims")
+
+
+def _scattered(p: Any) -> bool:
+    return _SCATTER_NUMBERS(p) and not p["dimension_numbers"].operand_batching_dims
+
+
 def _gather(reader: Reader, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
     """As XLA's gather: a window of the operand for every vector of start indices."""
-    p, where = eqn.params, reader.graph.values(indices)
-    numbers, sizes, filled = p["dimension_numbers"], p["slice_sizes"], p["mode"] == _FILL
-    if where is None:
-        return None if filled else _taken(reader.graph, eqn, a, indices)
-    shape = eqn.outvars[0].aval.shape
+    g, p, shape = reader.graph, eqn.params, eqn.outvars[0].aval.shape
+    numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
+    alike = list(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
     batch_axes = [i for i in range(len(shape)) if i not in numbers.offset_dims]
-    window_axes = [i for i in range(a.ndim) if i not in numbers.collapsed_slice_dims]
+    dropped = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims}
+    window_shape = [size for i, size in enumerate(sizes) if i not in dropped]
     found = np.empty(shape, np.int64)
     for batch in np.ndindex(*(shape[i] for i in batch_axes)):
-        start = _at(a.ndim, numbers.start_index_map, where[batch], 0)
-        window = _window(start, a.shape, sizes)
-        if filled and _moved(start, window):
+        start = list(_at(a.ndim, numbers.start_index_map, indices[batch].tolist(), g.constant(0, g.dtype_of(indices))))
+        for axis, along in alike:
+            start[axis] = g.constant(batch[along], g.dtype_of(indices))
+        if p["mode"] == _FILL and not _inside(g, start, a.shape, sizes):
             return None
-        found[_at(len(shape), batch_axes, batch)] = a[window].reshape([sizes[i] for i in window_axes])
+        window = _window_at(g, a, start, sizes)
+        if window is None:
+            return None
+        found[_at(len(shape), batch_axes, batch)] = window.reshape(window_shape)
     return [found]
 
 
-def _taken(g: Graph, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] | None:
-    """Whole slices along one short axis, at places known only at run time."""
-    numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
-    if len(numbers.start_index_map) != 1 or not set(numbers.collapsed_slice_dims) <= set(numbers.start_index_map):
-        return None
-    (axis,) = numbers.start_index_map
-    whole = tuple(1 if i == axis else n for i, n in enumerate(a.shape))
-    if a.shape[axis] > g.limits.table or sizes != whole:
-        return None
-    columns = np.moveaxis(a, axis, -1).reshape(-1, a.shape[axis]).tolist()
-    picked = [_lookup(g, column, place) for place in flat(indices) for column in columns]
-    shape = eqn.outvars[0].aval.shape
-    batch = [i for i in range(len(shape)) if i not in numbers.offset_dims]
-    order = [*batch, *numbers.offset_dims]
-    return [nodes(picked, (shape[i] for i in order)).transpose(np.argsort(order))]
+def _inside(g: Graph, start: Sequence[int], shape: Any, sizes: Any) -> bool:
+    """Whether a window is known to lie inside."""
+    places = [g.numbers[place] for place in start]
+    return all(s is not None and 0 <= s <= n - m for s, n, m in zip(places, shape, sizes, strict=True))
 
 
 def _at(rank: int, axes: Any, places: Any, others: Any = slice(None)) -> tuple[Any, ...]:
@@ -248,7 +250,6 @@ def _one_place(entries: float) -> Callable[[Any], bool]:
 
 
 _SCATTER = "dimension_numbers mode update_jaxpr update_consts indices_are_sorted unique_indices"
-_SCATTERED = _known("update_window_dims", "inserted_window_dims", "scatter_dims_to_operand_dims")
 
 INDEXING = [
     moving("dynamic_slice", _dynamic_slice, "slice_sizes"),
@@ -263,9 +264,9 @@ INDEXING = [
         "scatter",
         _scatter(None),
         _SCATTER,
-        when=lambda p: p["update_jaxpr"] is None and _SCATTERED(p),  # else it applies another function
+        when=lambda p: p["update_jaxpr"] is None and _scattered(p),  # else it applies another function
         inside=_one_place(math.inf),
     ),
-    moving("scatter-add", _scatter("add"), _SCATTER, when=_SCATTERED, inside=_one_place(4096)),
-    Entry("scatter-mul", _scatter("mul"), _SCATTER, when=_SCATTERED, any_type=True),
+    moving("scatter-add", _scatter("add"), _SCATTER, when=_scattered, inside=_one_place(4096)),
+    Entry("scatter-mul", _scatter("mul"), _SCATTER, when=_scattered, any_type=True),
 ]
