@@ -402,11 +402,11 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- integrators -------------------------------------------------------------------------------------------------
     *_at(
-        "integrators/tableaus.py",
+        "integrators/tableaus.json",
         (
             "a weight of the embedded method",
-            "b_embedded=[7 / 24, 1 / 4, 1 / 3, 1 / 8]",
-            "b_embedded=[7 / 24, 1 / 3, 1 / 4, 1 / 8]",
+            "7/24 1/4 1/3 1/8",
+            "7/24 1/3 1/4 1/8",
             "integrators/test_order_conditions.py integrators/test_tableaus.py",
         ),
     ),

@@ -7,12 +7,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 from scene_oracles import scipy_solution, spinning, tumbling
+from scene_references import REFERENCES
 
 from twistax.scenes import SCENES, offset_tumble
 from twistax.scenes.free_rotation import SymmetricBody, TriaxialBody
 from twistax.scenes.heavy_top import INERTIA, MOMENT
 from twistax.scenes.lagrange_top import LagrangeTop
-from twistax.scenes.references import REFERENCES
 from twistax.scenes.scene import about, rotation_angle
 
 R0 = about((1.0, 0.0, 0.0), 0.6)

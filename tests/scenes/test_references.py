@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scene_oracles import scipy_solution
+from scene_references import REFERENCES, extrapolated, main
 from scipy import special
 
 from twistax.scenes import SCENES, check_cases, heavy_top, spring_bodies
 from twistax.scenes.free_rotation import TriaxialBody
-from twistax.scenes.references import REFERENCES, extrapolated, main
 from twistax.scenes.scene import about, rotation_angle
 
 #: Extended precision is a double on some machines.

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 from scene_oracles import scipy_solution
+from scene_references import REFERENCES
 
 import twistax as tx
 from twistax.scenes import SCENES, Scene, spring_bodies
-from twistax.scenes.references import REFERENCES
 
 METHOD = tx.RKMK(tx.tableaus.DOP853)
 

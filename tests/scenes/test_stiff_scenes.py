@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scene_oracles import hat, scipy_solution
+from scene_references import REFERENCES, collocated, main, radau
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.scenes import SCENES, Scene, actuator_lag, stiff_attitude, stiff_joint
-from twistax.scenes.references import REFERENCES, collocated, main, radau
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 JOINT = stiff_joint.STIFF_JOINT

@@ -173,7 +173,7 @@ def _code() -> str:
     files = [
         path
         for path in sorted(root.rglob("*"))
-        if path.suffix in (".py", ".c", ".json") and path != Path(__file__).with_name("page.py")
+        if path.suffix in (".py", ".c", ".json", ".ll") and path != Path(__file__).with_name("page.py")
     ]
     return _digest(b"".join(path.read_bytes() for path in files if root / "demo" not in path.parents))
 

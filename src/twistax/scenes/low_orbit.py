@@ -80,8 +80,8 @@ LOW_ORBIT = _scene(
     duration=5828.0,
 )
 
-#: `python -m twistax.scenes.references spinning-satellite` finds its end to 1e-13, where 64 bits of mantissa end. The
-#: stored digits come from the same steps in 113 bits.
+#: `tests/scenes/scene_references.py` finds its end to 1e-13, where 64 bits of mantissa end. The stored digits come from
+#: the same steps in 113 bits.
 SPINNING_SATELLITE = _scene(
     SPINNING_INERTIA,
     (0.01, 0.02, 0.5),

@@ -145,7 +145,7 @@ class Scene:
 
 
 def stored_end(name: str, **values: float) -> State | None:
-    """The end of a scene, for values of its parameters, as `python -m twistax.scenes.references` finds it, if known."""
+    """The end of a scene, for values of its parameters, if known: from `tests/scenes/scene_references.py`."""
     return _ENDS.get(", ".join([name, *(f"{parameter} = {float(value)!r}" for parameter, value in values.items())]))
 
 

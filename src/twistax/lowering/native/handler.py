@@ -1,349 +1,99 @@
-"""The function that XLA calls, by its typed foreign-function interface: a loop over rows, shared between threads.
-
-Structures and their offsets are those of `xla/ffi/api/c_api.h`, version 0.3, on machines with addresses of 64 bits.
-The handler tells XLA for which version it is made; XLA refuses it where it does not know that one.
-"""
+"""The function that XLA calls, `kernel.ll`: what differs from kernel to kernel is filled in here."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from string import Template
 
 import numpy as np
 
 from .code import Module, addressed
 from .rows import Array
 
-__all__ = ["API", "write_handler", "write_loop"]
+__all__ = ["API", "write_handler"]
 
-#: The version of the interface.
+#: The version of the interface. XLA refuses a handler that is made for a version it does not know.
 API = (0, 3)
 
 #: XLA's numbers of the types, `XLA_FFI_DataType`.
 _DATA_TYPES = {"double": 12, "float": 11, "i64": 5, "i32": 4, "i1": 1}
 
-_BEGIN = """define ptr @handler(ptr %frame) #0 {{
-entry:
-%extension = load ptr, ptr %frame + 8
-%plain = icmp eq ptr %extension, null
-br i1 %plain, label %call, label %asked
-asked:
-%type = load i32, ptr %extension + 8
-%describe = icmp eq i32 %type, 1
-br i1 %describe, label %metadata, label %call
-metadata:
-%own = load ptr, ptr %extension + 24
-store i32 {major}, ptr %own + 24
-store i32 {minor}, ptr %own + 28
-store i32 0, ptr %own + 32
-ret ptr null
-call:
-%api = load ptr, ptr %frame + 16
-%major = load i32, ptr %api + 32
-%minor = load i32, ptr %api + 36
-%same = icmp eq i32 %major, {major}
-%recent = icmp sge i32 %minor, {minor}
-%known = and i1 %same, %recent
-br i1 %known, label %count, label %wrong.version
-count:
-%arguments.count = load i64, ptr %frame + 56
-%results.count = load i64, ptr %frame + 96
-%arguments.right = icmp eq i64 %arguments.count, {arguments}
-%results.right = icmp eq i64 %results.count, {results}
-%counts.right = and i1 %arguments.right, %results.right
-br i1 %counts.right, label %buffers, label %wrong.count
-buffers:
-%arguments = load ptr, ptr %frame + 72
-%results = load ptr, ptr %frame + 112
-%table = alloca [{count} x ptr]
-%first.at = load ptr, ptr %results
-%first.dims = load ptr, ptr %first.at + 40
-%rows = load i64, ptr %first.dims
-br label %check.0
-"""
+#: What is called of LLVM and of the C library.
+_DECLARED = {
+    "declare ptr @malloc(i64)",
+    "declare void @free(ptr)",
+    "declare i32 @sched_yield()",
+    "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
+    "declare i64 @llvm.umin.i64(i64, i64)",
+}
 
 _BUFFER = """check.{k}:
-%slot.{k} = getelementptr ptr, ptr %{family}, i64 {place}
-%buffer.{k} = load ptr, ptr %slot.{k}
-%type.{k} = load i32, ptr %buffer.{k} + 16
-%rank.{k} = load i64, ptr %buffer.{k} + 32
-%type.right.{k} = icmp eq i32 %type.{k}, {type}
-%rank.right.{k} = icmp eq i64 %rank.{k}, 2
-%kind.{k} = and i1 %type.right.{k}, %rank.right.{k}
-br i1 %kind.{k}, label %shape.{k}, label %wrong.{k}
-shape.{k}:
-%dims.{k} = load ptr, ptr %buffer.{k} + 40
-%rows.{k} = load i64, ptr %dims.{k}
-%size.{k} = load i64, ptr %dims.{k} + 8
-%rows.right.{k} = icmp eq i64 %rows.{k}, %rows
-%size.right.{k} = icmp eq i64 %size.{k}, {size}
-%both.{k} = and i1 %rows.right.{k}, %size.right.{k}
-br i1 %both.{k}, label %keep.{k}, label %wrong.{k}
-keep.{k}:
-%data.{k} = load ptr, ptr %buffer.{k} + 24
-%entry.{k} = getelementptr ptr, ptr %table, i64 {k}
-store ptr %data.{k}, ptr %entry.{k}
-br label %check.{next}
-"""
-
-_END = """check.{count}:
-%empty = icmp eq i64 %rows, 0
-br i1 %empty, label %done, label %work
-work:
-call void @start(ptr %frame, ptr %table, i64 %rows, i64 {threads})
-br label %done
-done:
-ret ptr null
-"""
+%right.{k} = call i1 @taken(ptr %{family}s, i64 {place}, i32 {type}, i64 %rows, i64 {size}, ptr %table, i64 {k})
+br i1 %right.{k}, label %check.{next}, label %wrong.{k}"""
 
 _ERROR = """{label}:
 %error.{label} = call ptr @failed(ptr %api, ptr @message.{label})
-ret ptr %error.{label}
-"""
+ret ptr %error.{label}"""
 
-# Error code 3: an invalid argument.
-_FAILED = """define internal ptr @failed(ptr %api, ptr %message) #0 {
-%arguments = alloca [4 x i64]
-store i64 28, ptr %arguments
-store i64 0, ptr %arguments + 8
-store ptr %message, ptr %arguments + 16
-store i64 3, ptr %arguments + 24
-%create = load ptr, ptr %api + 48
-%error = call ptr %create(ptr %arguments)
-ret ptr %error
-}"""
+_POINTER = """%p{k} = getelementptr ptr, ptr %table, i64 {k}
+%{name} = load ptr, ptr %p{k}"""
+
+_MOVED = """%{name}.place = mul i64 %row, {size}
+%{name}.row = getelementptr {stored}, ptr %{name}, i64 %{name}.place"""
 
 
-def write_handler(module: Module, arguments: Sequence[Array], results: Sequence[Array], threads: int) -> None:
-    """`handler(frame)`: checks the version, types and shapes (rows, entries), then computes all rows.
+@functools.cache
+def _template() -> Template:
+    return Template(Path(__file__).with_name("kernel.ll").read_text())
+
+
+def write_handler(module: Module, arrays: Mapping[str, Array], read: int, lanes: int, chunk: int, threads: int) -> None:
+    """Adds `run(table, first, end)`, rows of the arrays in a table of pointers, and `handler(frame)`, all rows.
 
     Args:
+        arrays: by what the tile calls them: those that are read, then the results.
+        read: how many are read.
+        lanes: rows of a tile.
+        chunk: rows that a thread takes at a time, a multiple of `lanes`.
         threads: the most to use.
     """
-    count = len(arguments) + len(results)
+    results = len(arrays) - read
     major, minor = API
-    text = _BEGIN.format(major=major, minor=minor, arguments=len(arguments), results=len(results), count=count)
     messages = {
         "wrong.version": f"a kernel of twistax is made for version {major}.{minor} of XLA's foreign-function interface",
-        "wrong.count": f"a kernel of twistax takes {len(arguments)} arguments and gives {len(results)} results",
+        "wrong.count": f"a kernel of twistax takes {read} arguments and gives {results} results",
     }
-    families = [("argument", k, a) for k, a in enumerate(arguments)] + [("result", k, a) for k, a in enumerate(results)]
-    for k, (family, place, array) in enumerate(families):
+    buffers = []
+    for k, array in enumerate(arrays.values()):
+        family, place = ("argument", k) if k < read else ("result", k - read)
         kind = _DATA_TYPES[array.kind]
-        text += _BUFFER.format(k=k, family=f"{family}s", place=place, type=kind, size=array.size, next=k + 1)
+        buffers.append(_BUFFER.format(k=k, family=family, place=place, type=kind, size=array.size, next=k + 1))
         expected = f"{np.dtype(array.dtype).name} of shape (rows, {array.size})"
         messages[f"wrong.{k}"] = f"a kernel of twistax expects {expected} as {family} {place}"
-    text += _END.format(count=count, threads=threads)
-    text += "".join(_ERROR.format(label=label) for label in messages)
     constants = [
         f'@message.{label} = private constant [{len(message) + 1} x i8] c"{message}\\00"'
         for label, message in messages.items()
     ]
-    module.functions["failed"] = addressed(_FAILED)
-    module.functions["handler"] = "\n".join([addressed(text) + "}", *constants])
-
-
-# ---- the loop --------------------------------------------------------------------------------------------------------
-
-
-def write_loop(module: Module, arrays: Mapping[str, Array], lanes: int, chunk: int) -> None:
-    """Adds functions on a table of pointers to arrays.
-
-    `run(table, first, end)` computes rows `first` to `end` - 1, at least one. `start(frame, table, rows, most)` has all
-    of them computed by at most so many threads of XLA's pool, `chunk` rows at a time.
-
-    Args:
-        arrays: by what the tile calls them, in the order of the table.
-        lanes: rows of a tile.
-        chunk: a multiple of `lanes`.
-    """
-    pointers = [
-        f"%p{k} = getelementptr ptr, ptr %table, i64 {k}\n%{name} = load ptr, ptr %p{k}"
-        for k, name in enumerate(arrays)
-    ]
-    moved = [
-        f"%{name}.place = mul i64 %row, {array.size}\n"
-        f"%{name}.row = getelementptr {array.stored}, ptr %{name}, i64 %{name}.place"
-        for name, array in arrays.items()
-    ]
-    module.functions["run"] = _RUN.format(
-        pointers="\n".join(pointers),
-        moved="\n".join(moved),
+    text = _template().substitute(
+        messages="\n".join(constants),
+        pointers="\n".join(_POINTER.format(k=k, name=name) for k, name in enumerate(arrays)),
+        moved="\n".join(_MOVED.format(name=name, size=a.size, stored=a.stored) for name, a in arrays.items()),
         rows="".join(f", ptr %{name}.row" for name in arrays),
         lanes=lanes,
+        chunk=chunk,
+        table=8 * len(arrays),
+        job=32 + 8 * len(arrays),
+        major=major,
+        minor=minor,
+        arguments=read,
+        results=results,
+        count=len(arrays),
+        buffers="\n".join(buffers),
+        threads=threads,
+        errors="\n".join(_ERROR.format(label=label) for label in messages),
     )
-    module.declarations |= {
-        "declare ptr @malloc(i64)",
-        "declare void @free(ptr)",
-        "declare i32 @sched_yield()",
-        "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
-        "declare i64 @llvm.umin.i64(i64, i64)",
-    }
+    module.declarations |= _DECLARED
     module.library |= {"malloc", "free", "sched_yield"}
-    text = _THREADS.format(chunk=chunk, table=8 * len(arrays), job=_HEAD + 8 * len(arrays))
-    module.functions["threads"] = addressed(text)
-
-
-_RUN = """define void @run(ptr %table, i64 %first, i64 %end) #0 {{
-entry:
-{pointers}
-%final = sub i64 %end, 1
-br label %loop
-loop:
-%row = phi i64 [ %first, %entry ], [ %next, %loop ]
-%last = sub i64 %final, %row
-{moved}
-call void @tile(i64 %last{rows})
-%next = add i64 %row, {lanes}
-%more = icmp ult i64 %next, %end
-br i1 %more, label %loop, label %done
-done:
-ret void
-}}"""
-
-#: Of a job: the next row that nobody has taken, all rows, rows that are done, holders; then its table.
-_HEAD = 32
-
-# Whoever comes takes chunks of rows until none is left. The thread that started waits only for chunks that others work
-# on at that moment, never for tasks that the pool has not begun: these find nothing to do, and the last one frees the
-# job. So the pool cannot be blocked, however many kernels run in it.
-# Offsets are those of XLA's c_api.h, version 0.3.
-_THREADS = """
-define internal void @work(ptr %job) #0 {{
-entry:
-%rows = load i64, ptr %job + 8
-%done.at = getelementptr i64, ptr %job, i64 2
-%table = getelementptr i64, ptr %job, i64 4
-br label %take
-take:
-%first = atomicrmw add ptr %job, i64 {chunk} acq_rel
-%left = icmp ult i64 %first, %rows
-br i1 %left, label %some, label %none
-some:
-%full = add i64 %first, {chunk}
-%end = call i64 @llvm.umin.i64(i64 %full, i64 %rows)
-call void @run(ptr %table, i64 %first, i64 %end)
-%count = sub i64 %end, %first
-%before = atomicrmw add ptr %done.at, i64 %count acq_rel
-br label %take
-none:
-ret void
-}}
-define internal void @release(ptr %job, i64 %holders) #0 {{
-entry:
-%holders.at = getelementptr i64, ptr %job, i64 3
-%before = atomicrmw sub ptr %holders.at, i64 %holders acq_rel
-%last = icmp eq i64 %before, %holders
-br i1 %last, label %end, label %others
-end:
-call void @free(ptr %job)
-ret void
-others:
-ret void
-}}
-define internal void @task(ptr %job) #0 {{
-call void @work(ptr %job)
-call void @release(ptr %job, i64 1)
-ret void
-}}
-define internal void @dropped(ptr %api, ptr %error) #0 {{
-%arguments = alloca [3 x i64]
-store i64 24, ptr %arguments
-store i64 0, ptr %arguments + 8
-store ptr %error, ptr %arguments + 16
-%destroy = load ptr, ptr %api + 64
-call void %destroy(ptr %arguments)
-ret void
-}}
-define internal i64 @threads(ptr %api, ptr %context) #0 {{
-entry:
-%count = alloca i64
-store i64 1, ptr %count
-%arguments = alloca [4 x i64]
-store i64 32, ptr %arguments
-store i64 0, ptr %arguments + 8
-store ptr %context, ptr %arguments + 16
-store ptr %count, ptr %arguments + 24
-%function = load ptr, ptr %api + 144
-%error = call ptr %function(ptr %arguments)
-%failed = icmp ne ptr %error, null
-br i1 %failed, label %none, label %known
-none:
-call void @dropped(ptr %api, ptr %error)
-ret i64 1
-known:
-%found = load i64, ptr %count
-ret i64 %found
-}}
-define internal void @start(ptr %frame, ptr %table, i64 %rows, i64 %most) #0 {{
-entry:
-%small = icmp ule i64 %rows, {chunk}
-%single = icmp ule i64 %most, 1
-%either = or i1 %small, %single
-br i1 %either, label %alone, label %many
-alone:
-call void @run(ptr %table, i64 0, i64 %rows)
-ret void
-many:
-%api = load ptr, ptr %frame + 16
-%context = load ptr, ptr %frame + 24
-%found = call i64 @threads(ptr %api, ptr %context)
-%allowed = call i64 @llvm.umin.i64(i64 %found, i64 %most)
-%up = add i64 %rows, {chunk}
-%up1 = sub i64 %up, 1
-%chunks = udiv i64 %up1, {chunk}
-%holders = call i64 @llvm.umin.i64(i64 %allowed, i64 %chunks)
-%helped = icmp ugt i64 %holders, 1
-br i1 %helped, label %share, label %alone
-share:
-%job = call ptr @malloc(i64 {job})
-%missing = icmp eq ptr %job, null
-br i1 %missing, label %alone, label %filled
-filled:
-store i64 0, ptr %job
-store i64 %rows, ptr %job + 8
-%done.at = getelementptr i64, ptr %job, i64 2
-store i64 0, ptr %done.at
-store i64 %holders, ptr %job + 24
-%own = getelementptr i64, ptr %job, i64 4
-call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %table, i64 {table}, i1 false)
-%arguments = alloca [5 x i64]
-store i64 40, ptr %arguments
-store i64 0, ptr %arguments + 8
-store ptr %context, ptr %arguments + 16
-store ptr @task, ptr %arguments + 24
-store ptr %job, ptr %arguments + 32
-%schedule = load ptr, ptr %api + 136
-br label %call
-call:
-%begun = phi i64 [ 1, %filled ], [ %next, %called ]
-%missed = phi i1 [ false, %filled ], [ %failed, %called ]
-%all = icmp eq i64 %begun, %holders
-br i1 %all, label %join, label %one
-one:
-%error = call ptr %schedule(ptr %arguments)
-%failed = icmp ne ptr %error, null
-br i1 %failed, label %refused, label %called
-called:
-%next = add i64 %begun, 1
-br label %call
-refused:
-call void @dropped(ptr %api, ptr %error)
-br label %join
-join:
-%running = phi i64 [ %holders, %call ], [ %begun, %refused ]
-call void @work(ptr %job)
-br label %wait
-wait:
-%done = load atomic i64, ptr %done.at acquire, align 8
-%finished = icmp eq i64 %done, %rows
-br i1 %finished, label %leave, label %yield
-yield:
-%ignored = call i32 @sched_yield()
-br label %wait
-leave:
-%absent = sub i64 %holders, %running
-%mine = add i64 %absent, 1
-call void @release(ptr %job, i64 %mine)
-ret void
-}}
-"""
+    module.functions["handler"] = addressed(text)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .code import Module
-from .handler import API, write_handler, write_loop
+from .handler import API, write_handler
 from .machine_code import BuildError, Processor, load
 from .rows import Array
 from .tile import Tile
@@ -49,8 +49,7 @@ class Kernel:
         self._written = [tile.results[k] for k in tile.written]
         module = Module(processor)
         tile.write(module)
-        write_loop(module, tile.arrays, tile.lanes, tile.chunk)
-        write_handler(module, self._read, self._written, threads or _ALL)
+        write_handler(module, tile.arrays, len(self._read), tile.lanes, tile.chunk, threads or _ALL)
         text = module.text()
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)

@@ -1,6 +1,6 @@
 """The true ends of the scenes without a closed form, found again in extended precision.
 
-    python -m twistax.scenes.references [SCENE ...]
+    python tests/scenes/scene_references.py [SCENE ...]
 
 prints them as `ends.json` stores them, and how far two step sizes are apart. Nothing here uses the package's
 expressions or integrators: the equations are NumPy, solved by extrapolation of the modified midpoint rule (Gragg,
@@ -20,9 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from ..mechanics.environment import gravity
-from . import actuator_lag, check_cases, heavy_top, low_orbit, rocket, spring_bodies, stiff_attitude, stiff_joint
-from .scene import Array, Scene, about, cross_matrix
+from twistax.mechanics.environment import gravity
+from twistax.scenes import (
+    actuator_lag,
+    check_cases,
+    heavy_top,
+    low_orbit,
+    rocket,
+    spring_bodies,
+    stiff_attitude,
+    stiff_joint,
+)
+from twistax.scenes.scene import Array, Scene, about, cross_matrix
 
 Values = Mapping[str, Array]
 
@@ -330,7 +339,7 @@ def _legendre(degree: int, x: Array) -> tuple[Array, Array]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the ends as `ends.json` has them, and how far those of two step sizes are apart."""
-    parser = argparse.ArgumentParser(prog="python -m twistax.scenes.references", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python tests/scenes/scene_references.py", description=__doc__.split("\n")[0])
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(REFERENCES)}; all if left out")
     names = parser.parse_args(arguments).scenes or list(REFERENCES)
     for name in names:

@@ -1,0 +1,267 @@
+; What XLA calls: a loop over rows, shared between threads, by its typed foreign-function interface.
+;
+; Structures and their offsets are those of xla/ffi/api/c_api.h, version 0.3, on machines with addresses of 64 bits.
+; handler.py fills in what stands after a dollar sign, and reads an offset in bytes, "ptr %a + 8", as an address.
+
+$messages
+
+; ---- rows `first` to `end` - 1 of the arrays in a table, at least one --------------------------------------------------
+
+define void @run(ptr %table, i64 %first, i64 %end) #0 {
+entry:
+$pointers
+%final = sub i64 %end, 1
+br label %loop
+loop:
+%row = phi i64 [ %first, %entry ], [ %next, %loop ]
+%last = sub i64 %final, %row
+$moved
+call void @tile(i64 %last$rows)
+%next = add i64 %row, $lanes
+%more = icmp ult i64 %next, %end
+br i1 %more, label %loop, label %done
+done:
+ret void
+}
+
+; ---- all rows, by at most so many threads of XLA's pool --------------------------------------------------------------
+; Whoever comes takes chunks of rows until none is left. The thread that started waits only for chunks that others work
+; on at that moment, never for tasks that the pool has not begun: these find nothing to do, and the last one frees the
+; job. So the pool cannot be blocked, however many kernels run in it.
+; A job is the next row that nobody has taken, all rows, rows that are done, holders; then its table.
+
+define internal void @work(ptr %job) #0 {
+entry:
+%rows = load i64, ptr %job + 8
+%done.at = getelementptr i64, ptr %job, i64 2
+%table = getelementptr i64, ptr %job, i64 4
+br label %take
+take:
+%first = atomicrmw add ptr %job, i64 $chunk acq_rel
+%left = icmp ult i64 %first, %rows
+br i1 %left, label %some, label %none
+some:
+%full = add i64 %first, $chunk
+%end = call i64 @llvm.umin.i64(i64 %full, i64 %rows)
+call void @run(ptr %table, i64 %first, i64 %end)
+%count = sub i64 %end, %first
+%before = atomicrmw add ptr %done.at, i64 %count acq_rel
+br label %take
+none:
+ret void
+}
+
+define internal void @release(ptr %job, i64 %holders) #0 {
+entry:
+%holders.at = getelementptr i64, ptr %job, i64 3
+%before = atomicrmw sub ptr %holders.at, i64 %holders acq_rel
+%last = icmp eq i64 %before, %holders
+br i1 %last, label %end, label %others
+end:
+call void @free(ptr %job)
+ret void
+others:
+ret void
+}
+
+define internal void @task(ptr %job) #0 {
+call void @work(ptr %job)
+call void @release(ptr %job, i64 1)
+ret void
+}
+
+define internal void @dropped(ptr %api, ptr %error) #0 {
+%arguments = alloca [3 x i64]
+store i64 24, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %error, ptr %arguments + 16
+%destroy = load ptr, ptr %api + 64
+call void %destroy(ptr %arguments)
+ret void
+}
+
+define internal i64 @threads(ptr %api, ptr %context) #0 {
+entry:
+%count = alloca i64
+store i64 1, ptr %count
+%arguments = alloca [4 x i64]
+store i64 32, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %context, ptr %arguments + 16
+store ptr %count, ptr %arguments + 24
+%function = load ptr, ptr %api + 144
+%error = call ptr %function(ptr %arguments)
+%failed = icmp ne ptr %error, null
+br i1 %failed, label %none, label %known
+none:
+call void @dropped(ptr %api, ptr %error)
+ret i64 1
+known:
+%found = load i64, ptr %count
+ret i64 %found
+}
+
+define internal void @start(ptr %frame, ptr %table, i64 %rows, i64 %most) #0 {
+entry:
+%small = icmp ule i64 %rows, $chunk
+%single = icmp ule i64 %most, 1
+%either = or i1 %small, %single
+br i1 %either, label %alone, label %many
+alone:
+call void @run(ptr %table, i64 0, i64 %rows)
+ret void
+many:
+%api = load ptr, ptr %frame + 16
+%context = load ptr, ptr %frame + 24
+%found = call i64 @threads(ptr %api, ptr %context)
+%allowed = call i64 @llvm.umin.i64(i64 %found, i64 %most)
+%up = add i64 %rows, $chunk
+%up1 = sub i64 %up, 1
+%chunks = udiv i64 %up1, $chunk
+%holders = call i64 @llvm.umin.i64(i64 %allowed, i64 %chunks)
+%helped = icmp ugt i64 %holders, 1
+br i1 %helped, label %share, label %alone
+share:
+%job = call ptr @malloc(i64 $job)
+%missing = icmp eq ptr %job, null
+br i1 %missing, label %alone, label %filled
+filled:
+store i64 0, ptr %job
+store i64 %rows, ptr %job + 8
+%done.at = getelementptr i64, ptr %job, i64 2
+store i64 0, ptr %done.at
+store i64 %holders, ptr %job + 24
+%own = getelementptr i64, ptr %job, i64 4
+call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %table, i64 $table, i1 false)
+%arguments = alloca [5 x i64]
+store i64 40, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %context, ptr %arguments + 16
+store ptr @task, ptr %arguments + 24
+store ptr %job, ptr %arguments + 32
+%schedule = load ptr, ptr %api + 136
+br label %call
+call:
+%begun = phi i64 [ 1, %filled ], [ %next, %called ]
+%missed = phi i1 [ false, %filled ], [ %failed, %called ]
+%all = icmp eq i64 %begun, %holders
+br i1 %all, label %join, label %one
+one:
+%error = call ptr %schedule(ptr %arguments)
+%failed = icmp ne ptr %error, null
+br i1 %failed, label %refused, label %called
+called:
+%next = add i64 %begun, 1
+br label %call
+refused:
+call void @dropped(ptr %api, ptr %error)
+br label %join
+join:
+%running = phi i64 [ %holders, %call ], [ %begun, %refused ]
+call void @work(ptr %job)
+br label %wait
+wait:
+%done = load atomic i64, ptr %done.at acquire, align 8
+%finished = icmp eq i64 %done, %rows
+br i1 %finished, label %leave, label %yield
+yield:
+%ignored = call i32 @sched_yield()
+br label %wait
+leave:
+%absent = sub i64 %holders, %running
+%mine = add i64 %absent, 1
+call void @release(ptr %job, i64 %mine)
+ret void
+}
+
+; ---- the handler: checks the version, types and shapes (rows, entries), then has all rows computed ---------------------
+
+; Error code 3: an invalid argument.
+define internal ptr @failed(ptr %api, ptr %message) #0 {
+%arguments = alloca [4 x i64]
+store i64 28, ptr %arguments
+store i64 0, ptr %arguments + 8
+store ptr %message, ptr %arguments + 16
+store i64 3, ptr %arguments + 24
+%create = load ptr, ptr %api + 48
+%error = call ptr %create(ptr %arguments)
+ret ptr %error
+}
+
+; Puts the data of a buffer into the table, if it is of this type and of shape (rows, size).
+define internal i1 @taken(ptr %buffers, i64 %place, i32 %type, i64 %rows, i64 %size, ptr %table, i64 %number) #0 {
+entry:
+%slot = getelementptr ptr, ptr %buffers, i64 %place
+%buffer = load ptr, ptr %slot
+%own.type = load i32, ptr %buffer + 16
+%rank = load i64, ptr %buffer + 32
+%type.right = icmp eq i32 %own.type, %type
+%rank.right = icmp eq i64 %rank, 2
+%kind = and i1 %type.right, %rank.right
+br i1 %kind, label %shape, label %wrong
+shape:
+%dims = load ptr, ptr %buffer + 40
+%own.rows = load i64, ptr %dims
+%own.size = load i64, ptr %dims + 8
+%rows.right = icmp eq i64 %own.rows, %rows
+%size.right = icmp eq i64 %own.size, %size
+%both = and i1 %rows.right, %size.right
+br i1 %both, label %keep, label %wrong
+keep:
+%data = load ptr, ptr %buffer + 24
+%entry.at = getelementptr ptr, ptr %table, i64 %number
+store ptr %data, ptr %entry.at
+ret i1 true
+wrong:
+ret i1 false
+}
+
+define ptr @handler(ptr %frame) #0 {
+entry:
+%extension = load ptr, ptr %frame + 8
+%plain = icmp eq ptr %extension, null
+br i1 %plain, label %call, label %asked
+asked:
+%type = load i32, ptr %extension + 8
+%describe = icmp eq i32 %type, 1
+br i1 %describe, label %metadata, label %call
+metadata:
+%own = load ptr, ptr %extension + 24
+store i32 $major, ptr %own + 24
+store i32 $minor, ptr %own + 28
+store i32 0, ptr %own + 32
+ret ptr null
+call:
+%api = load ptr, ptr %frame + 16
+%major = load i32, ptr %api + 32
+%minor = load i32, ptr %api + 36
+%same = icmp eq i32 %major, $major
+%recent = icmp sge i32 %minor, $minor
+%known = and i1 %same, %recent
+br i1 %known, label %count, label %wrong.version
+count:
+%arguments.count = load i64, ptr %frame + 56
+%results.count = load i64, ptr %frame + 96
+%arguments.right = icmp eq i64 %arguments.count, $arguments
+%results.right = icmp eq i64 %results.count, $results
+%counts.right = and i1 %arguments.right, %results.right
+br i1 %counts.right, label %buffers, label %wrong.count
+buffers:
+%arguments = load ptr, ptr %frame + 72
+%results = load ptr, ptr %frame + 112
+%table = alloca [$count x ptr]
+%first.at = load ptr, ptr %results
+%first.dims = load ptr, ptr %first.at + 40
+%rows = load i64, ptr %first.dims
+br label %check.0
+$buffers
+check.$count:
+%empty = icmp eq i64 %rows, 0
+br i1 %empty, label %done, label %work
+work:
+call void @start(ptr %frame, ptr %table, i64 %rows, i64 $threads)
+br label %done
+done:
+ret ptr null
+$errors
+}
