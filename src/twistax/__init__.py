@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     )
     from .integrators.implicit import ImplicitRKMK
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
-    from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
+    from .lowering import JAX, XLA, Dynamics, Native, compile, fast, load, lower
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.2.0.dev0"
@@ -94,6 +94,7 @@ __all__ = [
     "compile",
     "compositions",
     "diffrax",
+    "fast",
     "integrate",
     "lie",
     "linalg",
@@ -125,7 +126,7 @@ _LATER = {
     ),
     ".integrators.implicit": ("ImplicitRKMK",),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
-    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
+    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "fast", "load", "lower"),
     ".trajectory": ("Maximize", "Minimize"),
 }
 

@@ -40,6 +40,7 @@ __all__ = [
     "mlir",
     "opened",
     "parameters",
+    "part",
     "say_once",
     "scan_parts",
     "shaped_array",
@@ -116,9 +117,22 @@ def all_equations(jaxpr: Any) -> Iterator[Any]:
 
 def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
     """The jaxpr of one equation of `jaxpr`, of these variables."""
+    return part(jaxpr, [eqn], inputs, eqn.outvars)
+
+
+def part(
+    jaxpr: Jaxpr, eqns: Sequence[Any], inputs: Sequence[Any], outputs: Sequence[Any], constants: Mapping[Any, Any] = {}
+) -> ClosedJaxpr:
+    """The jaxpr of some equations of `jaxpr`, from variables to variables.
+
+    Args:
+        constants: variables whose values are known.
+    """
     debug = jaxpr.debug_info.with_unknown_names()
-    one = jaxpr.replace(constvars=[], invars=list(inputs), outvars=list(eqn.outvars), eqns=[eqn], debug_info=debug)
-    return ClosedJaxpr(one, [])
+    own = jaxpr.replace(
+        constvars=list(constants), invars=list(inputs), outvars=list(outputs), eqns=list(eqns), debug_info=debug
+    )
+    return ClosedJaxpr(own, list(constants.values()))
 
 
 def is_key(variable: Any) -> bool:

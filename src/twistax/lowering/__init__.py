@@ -3,6 +3,7 @@
 from .backends import JAX, XLA, Backend
 from .dynamics import Dynamics, compile, load
 from .explain import Explanation
+from .fast import Fast, fast
 from .lower import lower
 from .native.backend import Native
 
@@ -12,8 +13,10 @@ __all__ = [
     "Dynamics",
     "Backend",
     "Explanation",
+    "Fast",
     "Native",
     "compile",
+    "fast",
     "load",
     "lower",
 ]

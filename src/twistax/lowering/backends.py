@@ -6,19 +6,31 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
+from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
-from .scalar.primitive import Derived, Repeated, call_program
+from .scalar.primitive import Derived, Repeated, Ring, Rows, call_program
 from .scalar.program import ScalarProgram, emitted_form, scalarize
 from .scalar.table import entry_of
 from .small_call import is_key, known_inside
 
-__all__ = ["ANY_SIZE", "JAX", "XLA", "Backend", "Emission", "Shapes", "Step", "array_operations", "pure"]
+__all__ = [
+    "ANY_SIZE",
+    "JAX",
+    "XLA",
+    "Backend",
+    "Emission",
+    "Shapes",
+    "Step",
+    "array_operations",
+    "chosen",
+    "pure",
+]
 
 #: A step of arrays to arrays, and what it takes.
 Step: TypeAlias = Callable[..., list[jax.Array]]
@@ -85,6 +97,15 @@ class Backend(ABC):
         """A step of arrays to arrays as one program, to be differentiated in a loop; None: it runs as it is."""
         return None
 
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+        """What makes a kernel, of one body (True) or of many, that takes all iterations of a loop; None: it has none.
+
+        Args:
+            step: one iteration.
+            ring: how its arguments and results go round.
+        """
+        return None
+
 
 @dataclasses.dataclass(frozen=True)
 class JAX(Backend):
@@ -146,7 +167,7 @@ class XLA(Backend):
         program = self.scalars(closed, ANY_SIZE)
         return Derived(program) if all(_steady(call.jaxpr.jaxpr) for call in program.calls) else None
 
-    def scalarised(self, closed: ClosedJaxpr) -> ScalarProgram:
+    def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS) -> ScalarProgram:
         """The scalars of a jaxpr.
 
         Raises:
@@ -154,11 +175,23 @@ class XLA(Backend):
         """
         if max((v.aval.size for v in _variables(closed.jaxpr)), default=0) > self.widest:
             raise TooLarge(f"one of the arrays has more than {self.widest} entries")
-        return self.scalars(closed, self.largest)
+        return self.scalars(closed, self.largest, limits)
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
         """A jaxpr as a scalar program, of at most so many scalars, derivatives included."""
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
+
+
+def chosen(backend: Backend | Literal["auto"], auto: Backend) -> Backend:
+    """The backend that a user asked for, `auto` for "auto".
+
+    Raises:
+        ModelError: it is none.
+    """
+    found = auto if isinstance(backend, str) and backend == "auto" else backend
+    if not isinstance(found, Backend):
+        raise ModelError(f'backend expects "auto", tx.XLA(), tx.Native() or tx.JAX(), got {backend!r}')
+    return found
 
 
 def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:

@@ -14,7 +14,7 @@ from ..errors import ModelError
 from ..expr import Leaf, State
 from ..groups import Euclidean
 from ..system import System
-from .backends import Backend
+from .backends import Backend, chosen
 from .explain import Dependence, Explanation, explain, explain_one
 from .export import CFiles
 from .functions import Arrays, Functions
@@ -234,10 +234,7 @@ def compile(
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
     if bake is not None and not isinstance(bake, Mapping):
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
-    chosen = Auto() if isinstance(backend, str) and backend == "auto" else backend
-    if not isinstance(chosen, Backend):
-        raise ModelError(f'backend expects "auto", tx.XLA(), tx.Native() or tx.JAX(), got {backend!r}')
-    return Dynamics(Functions(system, outputs, dict(bake or {}), chosen))
+    return Dynamics(Functions(system, outputs, dict(bake or {}), chosen(backend, Auto())))
 
 
 def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:

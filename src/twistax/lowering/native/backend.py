@@ -14,10 +14,11 @@ from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ..scalar.graph import TooLarge
-from ..scalar.primitive import Derived, Repeated, call_program
+from ..scalar.primitive import Derived, Repeated, Ring, Rows, call_program
 from ..scalar.program import ScalarProgram
 from .code import NotNative
 from .kernel import Kernel, check_kernel
+from .loop import Loop
 from .machine_code import BuildError, Processor
 from .tile import NATIVE_LIMITS, Iterations, Straight, Tile, native_form
 
@@ -92,6 +93,13 @@ class Native(Backend):
             return self.scalars.step(step, shapes)
         program.graph.largest = ANY_SIZE  # for derivatives of any order, which nothing else could run
         return Derived(program, None, self)
+
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return None
+        form = native_form(program)
+        return lambda single: self._built(Loop, form, single, ring)
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
         """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""

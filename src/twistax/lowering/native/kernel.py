@@ -75,7 +75,7 @@ class Kernel:
         """The results that are not empty, for arguments that the kernel reads, (rows, entries) each; without JAX."""
         rows = len(arguments[0]) if arguments else 1
         given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
-        results = [np.empty((rows, array.size), array.dtype) for array in self._written]
+        results = [np.zeros((rows, array.size), array.dtype) for array in self._written]
         table = (ctypes.c_void_p * (len(given) + len(results)))(*(a.ctypes.data for a in (*given, *results)))
         if rows:
             call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._run)

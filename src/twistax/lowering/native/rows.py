@@ -59,6 +59,12 @@ class Rows:
         self._align = array.dtype.itemsize
         self._read: dict[int, str] = {}
 
+    def window(self, start: str, array: Array) -> Rows:
+        """Part of each row: an array from an entry on that is known only at run time."""
+        found = Rows(self._code, array, "", [])
+        found._pointers = [self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}") for p in self._pointers]
+        return found
+
     def read(self, entry: int) -> str:
         """The value of an entry in all rows."""
         if entry not in self._read:

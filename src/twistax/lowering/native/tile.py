@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,14 +17,23 @@ from .code import NAMES, Code, Module, NotNative
 from .rows import Array, Rows
 from .trigonometry import sines_and_cosines
 
-__all__ = ["NATIVE_LIMITS", "Iterations", "Straight", "Tile", "native_form"]
+__all__ = [
+    "NATIVE_LIMITS",
+    "Iterations",
+    "Scalars",
+    "Straight",
+    "Tile",
+    "arguments_of",
+    "by_numpy",
+    "native_form",
+    "needed_by",
+]
 
 #: Kernels call no library: more is unrolled than for XLA.
 NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 
-#: The value of an entry of an argument; and all entries of a result.
+#: The value of an entry of an argument.
 Read: TypeAlias = Callable[[int, int], str]
-Write: TypeAlias = Callable[[int, list[str]], None]
 
 #: Computed several at a time, by `sines_and_cosines`.
 _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
@@ -63,7 +72,7 @@ def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
     return form
 
 
-class _Scalars:
+class Scalars:
     """The values of a program's nodes in one function, each computed once."""
 
     def __init__(self, code: Code, form: ScalarProgram, read: Read) -> None:
@@ -148,14 +157,17 @@ class Tile(ABC):
         places = ["0"]  # the row of a lane: its own, or the last one
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        rows = {name: Rows(code, array, f"%{name}", places) for name, array in self.arrays.items()}
-        self.body(code, lambda argument, entry: rows[f"a{argument}"].read(entry), lambda k, v: rows[f"r{k}"].write(v))
+        self.body(code, {name: Rows(code, array, f"%{name}", places) for name, array in self.arrays.items()})
         heads = "".join(f", ptr noalias %{name}" for name in self.arrays)
         module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
 
     @abstractmethod
-    def body(self, code: Code, read: Read, write: Write) -> None:
-        """Adds the instructions."""
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        """Adds the instructions.
+
+        Args:
+            rows: those of `arrays`.
+        """
 
     @abstractmethod
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
@@ -174,17 +186,17 @@ class Straight(Tile):
 
     def __init__(self, program: ScalarProgram, lanes: int) -> None:
         results = [Array(nodes.shape, dtype) for nodes, dtype in zip(program.outputs, program.types, strict=True)]
-        super().__init__(program, lanes, _arguments(program), results, _needed(program))
+        super().__init__(program, lanes, arguments_of(program), results, needed_by(program))
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
-    def body(self, code: Code, read: Read, write: Write) -> None:
-        scalars = _Scalars(code, self.program, read)
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        scalars = Scalars(code, self.program, lambda argument, entry: rows[f"a{argument}"].read(entry))
         scalars.compute(self.program.live)
         for k in self.written:
-            write(k, scalars.compute(flat(self.program.outputs[k])))
+            rows[f"r{k}"].write(scalars.compute(flat(self.program.outputs[k])))
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        return _by_numpy(self.program, arguments)
+        return by_numpy(self.program, arguments)
 
 
 #: Places of the first arguments: the number of the first iteration, and the number at which to stop.
@@ -203,16 +215,19 @@ class Iterations(Tile):
     """
 
     def __init__(self, program: ScalarProgram, lanes: int, state: int) -> None:
-        number, *rest = _arguments(program)
+        number, *rest = arguments_of(program)
         arguments, results = [number, number, *rest], [*rest[len(rest) - state :], number]
         #: The first argument of the step that is state.
         self._first_state = len(rest) - state + 1
         #: Whether the step says if another iteration follows.
         self._says = len(program.outputs) > state
-        needed = {k + 1 for k in _needed(program)} | {_FIRST, _STOP, *range(self._first_state + 1, len(arguments))}
+        needed = {k + 1 for k in needed_by(program)} | {_FIRST, _STOP, *range(self._first_state + 1, len(arguments))}
         super().__init__(program, lanes, arguments, results, needed)
 
-    def body(self, code: Code, read: Read, write: Write) -> None:
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        def read(argument: int, entry: int) -> str:
+            return rows[f"a{argument}"].read(entry)
+
         step, g = self.program, self.program.graph
         counter, kind = NAMES[self.arguments[_FIRST].dtype], NAMES[g.dtype]
         counters, numbers, flags = code.vector(counter), code.vector(kind), code.vector("i1")
@@ -225,7 +240,7 @@ class Iterations(Tile):
         def own(argument: int, entry: int) -> str:
             return count if argument == 0 else now.get((argument, entry)) or read(argument + 1, entry)
 
-        scalars = _Scalars(code, step, own)
+        scalars = Scalars(code, step, own)
         changing = step.depending([0, *range(self._first_state, len(step.inputs))])
         scalars.compute([i for i in step.live if i not in changing])
         going = code.emit(f"icmp slt {counters} {first}, {stop}")
@@ -254,7 +269,7 @@ class Iterations(Tile):
         ]
         ends = iter([*after, next_count])
         for k in self.written:
-            write(k, [next(ends) for _ in range(self.results[k].size)])
+            rows[f"r{k}"].write([next(ends) for _ in range(self.results[k].size)])
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
         """One iteration, two, none, and so on."""
@@ -267,7 +282,7 @@ class Iterations(Tile):
         fixed, state, k = rest[: self._first_state - 1], rest[self._first_state - 1 :], first.copy()
         live = k < stop
         while live.any():
-            found = _by_numpy(self.program, [k, *fixed, *state])
+            found = by_numpy(self.program, [k, *fixed, *state])
             more = found.pop() if self._says else live
             for values in [] if self._says else found:
                 live = live & np.isfinite(values).all(1, keepdims=True)
@@ -286,16 +301,16 @@ def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
     return code.instruction("fcmp ord", kind, total, total)
 
 
-def _arguments(program: ScalarProgram) -> list[Array]:
+def arguments_of(program: ScalarProgram) -> list[Array]:
     return [Array(a.shape, program.graph.dtype_of(a)) for a in program.inputs]
 
 
-def _needed(program: ScalarProgram) -> set[int]:
+def needed_by(program: ScalarProgram) -> set[int]:
     """The arguments that a program reads."""
     return {place[0] for i in program.live if (place := program.graph.input_of(i)) is not None}
 
 
-def _by_numpy(program: ScalarProgram, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+def by_numpy(program: ScalarProgram, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
     """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
     count = len(arguments[0]) if arguments else 1
     with np.errstate(all="ignore"):

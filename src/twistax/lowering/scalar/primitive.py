@@ -1,9 +1,11 @@
-"""Scalar programs as equations of JAX: one whose derivatives are scalar programs again, and one for a repeated step."""
+"""Equations of JAX that twistax compiles: scalar programs, whole functions with loops, repeated steps and loops."""
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias
 
@@ -17,7 +19,7 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
-__all__ = ["Derived", "Repeated", "Rows", "Runner", "call_program", "repeat"]
+__all__ = ["Derived", "Differentiable", "Looped", "Repeated", "Ring", "Rows", "Runner", "Shapes", "call_program", "differentiable", "loop", "repeat"]
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
@@ -39,8 +41,67 @@ class Runner(Protocol):
         """
 
 
-class Derived:
-    """A program with its derivatives, each made when it first runs. Compared and hashed by identity.
+class Differentiable(ABC):
+    """What an equation computes, with its derivatives, each made when it first runs. Compared and hashed by identity.
+
+    Attributes:
+        results: the shapes and types of the results.
+        function: from arguments to results of one body; pure and traceable.
+        origin: of one made by `tangent`: which one it is a derivative of, and along which arguments.
+    """
+
+    def __init__(self) -> None:
+        self._tangents: dict[tuple[int, ...], Differentiable] = {}
+        self._cotangents: dict[tuple[int, ...], Differentiable] = {}
+        self.origin: tuple[Differentiable, tuple[int, ...]] | None = None
+
+    @property
+    @abstractmethod
+    def results(self) -> Shapes: ...
+
+    @property
+    @abstractmethod
+    def function(self) -> Callable[..., list[jax.Array]]: ...
+
+    @abstractmethod
+    def primitive(self, inside: bool) -> Primitive:
+        """What JAX calls it; `inside` of a small call or not."""
+
+    @abstractmethod
+    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
+        """What XLA runs on the CPU where there is no kernel."""
+
+    @abstractmethod
+    def kernel(self, rows: int) -> Rows | None:
+        """What runs so many bodies at once on the CPU instead."""
+
+    @abstractmethod
+    def _tangent(self, active: tuple[int, ...]) -> Differentiable:
+        """(arguments, tangents of the active ones) -> tangents of the real results."""
+
+    @abstractmethod
+    def _cotangent(self, active: tuple[int, ...]) -> Differentiable:
+        """(arguments, cotangents of the real results) -> cotangents of the active arguments."""
+
+    @property
+    def real(self) -> list[int]:
+        """The results that have derivatives."""
+        return [k for k, (_, dtype) in enumerate(self.results) if is_real(dtype)]
+
+    def tangent(self, active: tuple[int, ...]) -> Differentiable:
+        if active not in self._tangents:
+            found = self._tangents[active] = self._tangent(active)
+            found.origin = (self, active)
+        return self._tangents[active]
+
+    def cotangent(self, active: tuple[int, ...]) -> Differentiable:
+        if active not in self._cotangents:
+            self._cotangents[active] = self._cotangent(active)
+        return self._cotangents[active]
+
+
+class Derived(Differentiable):
+    """A program with its derivatives.
 
     Args:
         program: the program; or what makes it, with the shapes and types of its results.
@@ -53,14 +114,11 @@ class Derived:
         results: Shapes | None = None,
         runner: Runner | None = None,
     ) -> None:
+        super().__init__()
         self._program = program
         self.runner = runner
         self._results = results
-        self._tangents: dict[tuple[int, ...], Derived] = {}
-        self._cotangents: dict[tuple[int, ...], Derived] = {}
         self._prepared: dict[bool, Rows | None] = {}
-        #: Of a program made by `tangent`: which one it is a derivative of, and along which arguments.
-        self.origin: tuple[Derived, tuple[int, ...]] | None = None
 
     @functools.cached_property
     def program(self) -> ScalarProgram:
@@ -104,24 +162,16 @@ class Derived:
 
         return _over_rows(lambda rows, *flat: small_call(each, *flat), arguments, depth)
 
-    @property
-    def real(self) -> list[int]:
-        """The results that have derivatives."""
-        return [k for k, (_, dtype) in enumerate(self.results) if is_real(dtype)]
+    def primitive(self, inside: bool) -> Primitive:
+        return _program_p if inside or self.runner is None else _native_p
 
-    def tangent(self, active: tuple[int, ...]) -> Derived:
-        if active not in self._tangents:
-            # Made when it runs: what is only transposed need not have a forward derivative at all.
-            results = [self.results[k] for k in self.real]
-            found = Derived(lambda: tangent_program(self.program, active), results, self.runner)
-            found.origin = (self, active)
-            self._tangents[active] = found
-        return self._tangents[active]
+    def _tangent(self, active: tuple[int, ...]) -> Derived:
+        # Made when it runs: what is only transposed need not have a forward derivative at all.
+        results = [self.results[k] for k in self.real]
+        return Derived(lambda: tangent_program(self.program, active), results, self.runner)
 
-    def cotangent(self, active: tuple[int, ...]) -> Derived:
-        if active not in self._cotangents:
-            self._cotangents[active] = Derived(cotangent_program(self.program, active), None, self.runner)
-        return self._cotangents[active]
+    def _cotangent(self, active: tuple[int, ...]) -> Derived:
+        return Derived(cotangent_program(self.program, active), None, self.runner)
 
 
 class Repeated:
@@ -175,15 +225,67 @@ class Repeated:
         return loop
 
 
+@dataclasses.dataclass(frozen=True)
+class Ring:
+    """How the arguments and results of one iteration go round.
+
+    A scan takes (*fixed, *state, *rows) and gives (*state, *rows): the rows of an iteration are parts of longer arrays.
+    A `while_loop` takes (*fixed, *state) and gives (going, *state): it ends, with the state that came in, where it is
+    not going.
+
+    Attributes:
+        fixed, state: how many arguments stay the same, and how many are carried.
+        length: the iterations of a scan; None: it is a `while_loop`.
+        reverse: whether a scan begins with the last rows.
+    """
+
+    fixed: int
+    state: int
+    length: int | None = None
+    reverse: bool = False
+
+    @property
+    def rows(self) -> int:
+        """How many entries the arrays have whose rows come one by one."""
+        return self.length or 0
+
+    def place(self, k: int) -> int:
+        """The row of an iteration."""
+        return self.rows - 1 - k if self.reverse else k
+
+
+class Looped:
+    """A loop of JAX, and the kernels that take all of its iterations. Compared and hashed by identity.
+
+    Args:
+        function: the loop as JAX has it, of (count, *arguments).
+        results: the shapes and types of its results.
+        kernel: makes the kernel, for one body (True) or for many; None where there is none.
+    """
+
+    def __init__(
+        self, function: Callable[..., list[jax.Array]], results: Shapes, kernel: Callable[[bool], Rows | None]
+    ) -> None:
+        self.function = function
+        self.results = results
+        self._kernel = functools.lru_cache(kernel)
+
+    def kernel(self, rows: int) -> Rows | None:
+        return self._kernel(rows == 1)
+
+    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
+        return _at_once(self, arguments, depth)
+
+
 #: A program that XLA runs; it may be part of a small call.
 _program_p = Primitive("scalar_program")
 #: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
 _native_p = Primitive("native_program")
-#: A repeated step.
+#: A repeated step, or a loop.
 _repeat_p = Primitive("repeated_step")
 
 
-def call_program(program: Derived, *arguments: Any, depth: int = 0) -> list[Any]:
+def call_program(program: Differentiable, *arguments: Any, depth: int = 0) -> list[Any]:
     """The results of a program; differentiable and batched as any JAX function.
 
     Args:
@@ -191,8 +293,7 @@ def call_program(program: Derived, *arguments: Any, depth: int = 0) -> list[Any]
     """
     # A loop that is compiled as one small function needs no other one inside.
     inside = inside_small_call()
-    primitive = _program_p if inside or program.runner is None else _native_p
-    return primitive.bind(*arguments, program=program, depth=depth, inside=inside)
+    return program.primitive(inside).bind(*arguments, program=program, depth=depth, inside=inside)
 
 
 def repeat(
@@ -210,6 +311,11 @@ def repeat(
     return found, k
 
 
+def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:
+    """The results of a loop. Traceable, batched by vmap, not differentiable."""
+    return _repeat_p.bind(jnp.int32(count), *arguments, program=looped, depth=0, inside=False)
+
+
 # ---- what JAX asks of them -------------------------------------------------------------------------------------------
 
 
@@ -221,7 +327,7 @@ def _over_rows(function: Rows, arguments: Sequence[Any], depth: int) -> list[jax
     return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in found]
 
 
-def _at_once(program: Derived | Repeated, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
+def _at_once(program: Differentiable | Repeated | Looped, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
     """All bodies at once, as accelerators do."""
     function = program.function
     for _ in range(depth):
@@ -233,26 +339,26 @@ def _bodies(arguments: Sequence[Any], depth: int) -> tuple[int, ...]:
     return np.shape(arguments[0])[:depth] if arguments else ()
 
 
-def _by_xla(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[jax.Array]:
+def _by_xla(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[jax.Array]:
     return program.on_cpu(arguments, depth, inside)
 
 
-def _by_kernel(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[jax.Array]:
+def _by_kernel(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[jax.Array]:
     rows = math.prod(_bodies(arguments, depth))
     kernel = program.kernel(rows) if rows else None
     return program.on_cpu(arguments, depth, inside) if kernel is None else _over_rows(kernel, arguments, depth)
 
 
-def _elsewhere(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[jax.Array]:
+def _elsewhere(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[jax.Array]:
     return _at_once(program, arguments, depth)
 
 
-def _abstract(*arguments: Any, program: Derived | Repeated, depth: int, inside: bool) -> list[Any]:
+def _abstract(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[Any]:
     return [shaped_array((*_bodies(arguments, depth), *shape), dtype) for shape, dtype in program.results]
 
 
 def _jvp(
-    primals: Sequence[Any], tangents: Sequence[Any], *, program: Derived, depth: int, inside: bool
+    primals: Sequence[Any], tangents: Sequence[Any], *, program: Differentiable, depth: int, inside: bool
 ) -> tuple[list[Any], list[Any]]:
     results = call_program(program, *primals, depth=depth)
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
@@ -263,7 +369,7 @@ def _jvp(
     ]
 
 
-def _transpose(cotangents: Sequence[Any], *arguments: Any, program: Derived, depth: int, inside: bool) -> list[Any]:
+def _transpose(cotangents: Sequence[Any], *arguments: Any, program: Differentiable, depth: int, inside: bool) -> list[Any]:
     if program.origin is None:
         raise NotImplementedError("only the derivative of a scalar program is linear")
     origin, active = program.origin
@@ -300,9 +406,13 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
     mlir.register_lowering(primitive, mlir.lower_fun(on_cpu, multiple_results=True), platform="cpu")
 
 
-_define(_program_p, _by_xla)
-_define(_native_p, _by_kernel)
+def differentiable(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]] | None = None) -> None:
+    """The same for an equation of a `Differentiable`; on the CPU by its kernel if there is one."""
+    _define(primitive, on_cpu or _by_kernel)
+    ad.primitive_jvps[primitive] = _jvp
+    ad.primitive_transposes[primitive] = _transpose
+
+
+differentiable(_program_p, _by_xla)
+differentiable(_native_p)
 _define(_repeat_p, _by_kernel)
-for _primitive in (_program_p, _native_p):
-    ad.primitive_jvps[_primitive] = _jvp
-    ad.primitive_transposes[_primitive] = _transpose

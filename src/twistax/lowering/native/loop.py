@@ -1,0 +1,122 @@
+"""A loop of JAX, `scan` or `while_loop`, as one function: all iterations of as many bodies as a vector has lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scalar.entry import flat
+from ..scalar.primitive import Ring
+from ..scalar.program import ScalarProgram
+from .code import NAMES, Code
+from .rows import Array, Rows
+from .tile import Scalars, Tile, arguments_of, by_numpy, needed_by
+
+__all__ = ["Loop"]
+
+_COUNT = Array((), np.dtype(np.int32))
+
+
+class Loop(Tile):
+    """Takes (count, *fixed, *state, *rows), gives (*state, *rows).
+
+    The count of a scan is its length. That of a `while_loop` bounds the iterations; -1: nothing does.
+
+    Args:
+        program: one iteration.
+    """
+
+    def __init__(self, program: ScalarProgram, lanes: int, ring: Ring) -> None:
+        self.ring = ring
+        own = arguments_of(program)
+        self._rows = own[ring.fixed + ring.state :]
+        arguments = [_COUNT, *own[: ring.fixed + ring.state], *(self._long(a) for a in self._rows)]
+        found = [Array(a.shape, t) for a, t in zip(program.outputs, program.types, strict=True)][ring.length is None :]
+        self._results = found[ring.state :]
+        results = [*found[: ring.state], *(self._long(a) for a in self._results)]
+        states = range(ring.fixed + 1, ring.fixed + ring.state + 1)
+        super().__init__(program, lanes, arguments, results, {k + 1 for k in needed_by(program)} | {0, *states})
+
+    def _long(self, array: Array) -> Array:
+        return Array((self.ring.rows, *array.shape), array.dtype)
+
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        step, ring = self.program, self.ring
+        first_row = ring.fixed + ring.state
+        flags = code.vector("i1")
+        states = [(k, j) for k in range(ring.fixed, first_row) for j in range(step.inputs[k].size)]
+        kinds = [NAMES[self.arguments[k + 1].dtype] for k, _ in states]
+        starts = [rows[f"a{k + 1}"].read(j) for k, j in states]
+        now = {place: code.name() for place in states}
+        own: dict[int, Rows] = {}
+
+        def read(argument: int, entry: int) -> str:
+            if argument in own:
+                return own[argument].read(entry)
+            return now.get((argument, entry)) or rows[f"a{argument + 1}"].read(entry)
+
+        scalars = Scalars(code, step, read)
+        changing = step.depending(range(ring.fixed, len(step.inputs)))
+        scalars.compute([i for i in step.live if i not in changing])
+        one = code.emit(f"extractelement {code.vector('i32')} {rows['a0'].read(0)}, i32 0")
+        count, k, live = code.emit(f"sext i32 {one} to i64"), code.name(), code.name()
+        before, loop, latch, done = (code.label() for _ in range(4))
+        code.lines += [f"br label %{before}", f"{before}:", f"br label %{loop}", f"{loop}:"]
+        # What comes round is known at the end of the loop.
+        heads = len(code.lines)
+        place = code.emit(f"sub i64 {ring.rows - 1}, {k}") if ring.reverse else k
+
+        def window(name: str, array: Array) -> Rows:
+            return rows[name].window(code.emit(f"mul i64 {place}, {array.size}"), array)
+
+        own |= {n: window(f"a{n + 1}", a) for n, a in enumerate(self._rows, first_row) if n + 1 in self.read}
+        found = scalars.compute(step.flat)
+        after = found[ring.length is None :][: len(states)]
+        following = code.emit(f"add i64 {k}, 1")
+        again = code.emit(f"icmp ult i64 {following}, {count}")
+        lines = [f"{k} = phi i64 [ 0, %{before} ], [ {following}, %{latch} ]"]
+        if ring.length is None:
+            going = code.instruction("and", "i1", live, found[0])
+            after = [code.select(kind, going, new, now[p]) for kind, p, new in zip(kinds, states, after, strict=True)]
+            lines.append(f"{live} = phi {flags} [ {code.constant('i1', True)}, %{before} ], [ {going}, %{latch} ]")
+            again = code.emit(f"and i1 {again}, {code.any(going)}")
+        for n, array in enumerate(self._results, ring.state):
+            if array.size:
+                window(f"r{n}", array).write(scalars.compute(flat(step.outputs[n])))
+        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {again}, label %{loop}, label %{done}", f"{done}:"]
+        code.lines[heads:heads] = lines + [
+            f"{now[p]} = phi {code.vector(kind)} [ {start}, %{before} ], [ {end}, %{latch} ]"
+            for p, kind, start, end in zip(states, kinds, starts, after, strict=True)
+        ]
+        ends = iter(after)
+        for n in range(ring.state):
+            values = [next(ends) for _ in range(self.results[n].size)]
+            if values:
+                rows[f"r{n}"].write(values)
+
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """Three iterations at most."""
+        return [np.full_like(arguments[0], min(3, self.ring.length or 3)), *arguments[1:]]
+
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        ring, (count, *rest) = self.ring, arguments
+        fixed, state = rest[: ring.fixed], rest[ring.fixed : ring.fixed + ring.state]
+        longer = rest[ring.fixed + ring.state :]
+        rows = [np.zeros((len(count), ring.rows * a.size), a.dtype) for a in self._results]
+        live = np.ones((len(count), 1), bool)
+        for k in range(int(count[0, 0])):
+            here = [_part(a, ring.place(k), own.size) for a, own in zip(longer, self._rows, strict=True)]
+            found = by_numpy(self.program, [*fixed, *state, *here])
+            if ring.length is None:
+                live = live & found.pop(0)
+            state = [np.where(live, new, old) for new, old in zip(found, state, strict=False)]
+            for a, own, new in zip(rows, self._results, found[ring.state :], strict=True):
+                _part(a, ring.place(k), own.size)[:] = new
+        return [*state, *rows]
+
+
+def _part(a: NDArray[Any], place: int, size: int) -> NDArray[Any]:
+    return a[:, place * size : (place + 1) * size]
