@@ -60,7 +60,7 @@ class Fast(Generic[P, R]):
         places = [i for i, leaf in enumerate(leaves) if is_traced(leaf)]
         shapes: list[Any] = []
 
-        def flat(*values: Any) -> list[jax.Array]:
+        def flat(*values: Any) -> list[Any]:
             own = list(leaves)
             for i, value in zip(places, values, strict=True):
                 own[i] = value
@@ -122,7 +122,9 @@ def fast(
 
     def made(function: Callable[P, R]) -> Fast[P, R]:
         if not callable(function):
-            raise ModelError(f"fast expects a function, got {type(function).__name__}: fast(function), or @fast above it")
+            raise ModelError(
+                f"fast expects a function, got {type(function).__name__}: fast(function), or @fast above it"
+            )
         return Fast(function, own, static)
 
     return made if function is None else made(function)

@@ -123,7 +123,7 @@ class Whole(Differentiable):
         return function
 
     def _made(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> Whole:
-        own = [v.aval for v in self.program.jaxpr.invars]
+        own: list[Any] = [v.aval for v in self.program.jaxpr.invars]
         count = len(own)
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*own, *more]]
         closed = jax.make_jaxpr(lambda *values: derivative(list(values[:count]), list(values[count:])))(*shapes)
@@ -153,18 +153,19 @@ def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., li
 
     def run(*arguments: jax.Array) -> list[jax.Array]:
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
-        for part in parts:
-            found = part.function(*(values[v] for v in part.inputs))
-            values.update(zip(part.outputs, found, strict=True))
+        for each in parts:
+            found = each.function(*(values[v] for v in each.inputs))
+            values.update(zip(each.outputs, found, strict=True))
         return [jnp.asarray(v.val if isinstance(v, Literal) else values[v], v.aval.dtype) for v in jaxpr.outvars]
 
-    return run, [reason for part in parts for reason in part.reasons]
+    return run, [reason for each in parts for reason in each.reasons]
 
 
 def _opened(program: ClosedJaxpr) -> ClosedJaxpr:
     """The same function without calls of functions."""
-    avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in program.jaxpr.invars]
-    return jax.make_jaxpr(functools.partial(_evaluate, program))(*avals)
+    avals: list[Any] = [v.aval for v in program.jaxpr.invars]
+    shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
+    return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
 
 
 def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
@@ -183,7 +184,8 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
         else:
             found = _evaluate(inside, *map(value, eqn.invars))
         values.update(zip(eqn.outvars, found, strict=True))
-    return [value(v) for v in jaxpr.outvars]
+    results: list[Any] = jaxpr.outvars
+    return [value(v) for v in results]
 
 
 def _loops(eqn: Any) -> bool:
@@ -323,7 +325,7 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
         reason = f"{name}: all iterations in one kernel"
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, given(values)), [reason])
     if ring.length is None:
-        rolled, reasons = as_it_is, [f"{name}, as JAX has it"]
+        reasons = [f"{name}, as JAX has it"]
         return Part(inputs, eqn.outvars, lambda *values: small_call(as_it_is, *joined(known, values)), reasons)
     body, reasons = emit_whole(jax.make_jaxpr(step)(*shapes), backend.in_loops())
 

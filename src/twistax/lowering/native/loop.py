@@ -18,6 +18,8 @@ from .tile import Scalars, Tile, arguments_of, by_numpy, needed_by
 __all__ = ["Loop"]
 
 _COUNT = Array((), np.dtype(np.int32))
+#: Iterations that a kernel takes where it is checked.
+_TRIED = 3
 
 
 class Loop(Tile):
@@ -31,6 +33,7 @@ class Loop(Tile):
 
     def __init__(self, program: ScalarProgram, lanes: int, ring: Ring) -> None:
         self.ring = ring
+        self.fills = (ring.length or 0) <= _TRIED
         own = arguments_of(program)
         self._rows = own[ring.fixed + ring.state :]
         arguments = [_COUNT, *own[: ring.fixed + ring.state], *(self._long(a) for a in self._rows)]
@@ -98,8 +101,7 @@ class Loop(Tile):
                 rows[f"r{n}"].write(values)
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """Three iterations at most."""
-        return [np.full_like(arguments[0], min(3, self.ring.length or 3)), *arguments[1:]]
+        return [np.full_like(arguments[0], min(_TRIED, self.ring.length or _TRIED)), *arguments[1:]]
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         ring, (count, *rest) = self.ring, arguments

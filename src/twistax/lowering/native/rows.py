@@ -62,7 +62,9 @@ class Rows:
     def window(self, start: str, array: Array) -> Rows:
         """Part of each row: an array from an entry on that is known only at run time."""
         found = Rows(self._code, array, "", [])
-        found._pointers = [self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}") for p in self._pointers]
+        found._pointers = [
+            self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}") for p in self._pointers
+        ]
         return found
 
     def read(self, entry: int) -> str:

@@ -133,7 +133,10 @@ class Tile(ABC):
         arguments, results: all of them, of one row.
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
+        fills: whether all entries of the results are written also for arguments from `exercised`.
     """
+
+    fills = True
 
     def __init__(
         self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]

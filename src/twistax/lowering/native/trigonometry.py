@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 
-from .code import Code
+from .code import ROUNDING, Code
 
 __all__ = ["LARGEST", "sines_and_cosines"]
 
@@ -39,9 +39,6 @@ _COSINE = (
 
 #: pi / 2, 188 bits behind the point.
 _QUARTER_TURN = Fraction(0x1921FB54442D18469898CC51701B839A252049C1114CF98E, 2**188)
-
-#: 1.5 * 2^52: added to a number it leaves the nearest integer in the lowest bits.
-_ROUNDING = 6755399441055744.0
 
 
 def _pieces(count: int, bits: int) -> list[float]:
@@ -77,8 +74,8 @@ def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tupl
 
 def _near(code: Code, x: str) -> tuple[str, ...]:
     d = "double"
-    shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), code.constant(d, _ROUNDING))
-    k = code.instruction("fsub", d, shifted, code.constant(d, _ROUNDING))
+    shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), code.constant(d, ROUNDING))
+    k = code.instruction("fsub", d, shifted, code.constant(d, ROUNDING))
     quadrant = code.convert("bitcast", d, "i64", shifted)
     r = x
     for piece in _FUSED if code.module.processor.fma else _EXACT:

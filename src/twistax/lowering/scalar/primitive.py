@@ -19,7 +19,20 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram
 
-__all__ = ["Derived", "Differentiable", "Looped", "Repeated", "Ring", "Rows", "Runner", "Shapes", "call_program", "differentiable", "loop", "repeat"]
+__all__ = [
+    "Derived",
+    "Differentiable",
+    "Looped",
+    "Repeated",
+    "Ring",
+    "Rows",
+    "Runner",
+    "Shapes",
+    "call_program",
+    "differentiable",
+    "loop",
+    "repeat",
+]
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
@@ -277,6 +290,9 @@ class Looped:
         return _at_once(self, arguments, depth)
 
 
+#: What an equation computes.
+Computed: TypeAlias = Differentiable | Repeated | Looped
+
 #: A program that XLA runs; it may be part of a small call.
 _program_p = Primitive("scalar_program")
 #: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
@@ -327,7 +343,7 @@ def _over_rows(function: Rows, arguments: Sequence[Any], depth: int) -> list[jax
     return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in found]
 
 
-def _at_once(program: Differentiable | Repeated | Looped, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
+def _at_once(program: Computed, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
     """All bodies at once, as accelerators do."""
     function = program.function
     for _ in range(depth):
@@ -339,21 +355,21 @@ def _bodies(arguments: Sequence[Any], depth: int) -> tuple[int, ...]:
     return np.shape(arguments[0])[:depth] if arguments else ()
 
 
-def _by_xla(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[jax.Array]:
+def _by_xla(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[jax.Array]:
     return program.on_cpu(arguments, depth, inside)
 
 
-def _by_kernel(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[jax.Array]:
+def _by_kernel(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[jax.Array]:
     rows = math.prod(_bodies(arguments, depth))
     kernel = program.kernel(rows) if rows else None
     return program.on_cpu(arguments, depth, inside) if kernel is None else _over_rows(kernel, arguments, depth)
 
 
-def _elsewhere(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[jax.Array]:
+def _elsewhere(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[jax.Array]:
     return _at_once(program, arguments, depth)
 
 
-def _abstract(*arguments: Any, program: Differentiable | Repeated | Looped, depth: int, inside: bool) -> list[Any]:
+def _abstract(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[Any]:
     return [shaped_array((*_bodies(arguments, depth), *shape), dtype) for shape, dtype in program.results]
 
 
@@ -369,7 +385,9 @@ def _jvp(
     ]
 
 
-def _transpose(cotangents: Sequence[Any], *arguments: Any, program: Differentiable, depth: int, inside: bool) -> list[Any]:
+def _transpose(
+    cotangents: Sequence[Any], *arguments: Any, program: Differentiable, depth: int, inside: bool
+) -> list[Any]:
     if program.origin is None:
         raise NotImplementedError("only the derivative of a scalar program is linear")
     origin, active = program.origin

@@ -1,0 +1,344 @@
+"""`tx.fast` gives what the function gives, under every transformation, and loops become kernels."""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+import twistax as tx
+
+pytest.importorskip("llvmlite")
+
+RANDOM = np.random.default_rng(5)
+A = jnp.asarray(RANDOM.normal(size=(3, 3)) * 0.5)
+X = jnp.asarray(RANDOM.normal(size=3))
+MANY = jnp.asarray(RANDOM.normal(size=(700, 3)))
+#: More than is unrolled, and no multiple of anything.
+LENGTH = 701
+
+
+def recursion(a: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Carried, scanned over and stacked."""
+
+    def body(c: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        c = jnp.sin(a @ c) + u
+        return c, jnp.stack([c.sum(), c[0] * u[1]])
+
+    return jax.lax.scan(body, x, MANY)
+
+
+def backwards(a: jax.Array, x: jax.Array) -> Any:
+    return jax.lax.scan(lambda c, u: (0.9 * c + u, c @ a), x, MANY, reverse=True)
+
+
+def counted(a: jax.Array, x: jax.Array) -> jax.Array:
+    """By `fori_loop`, with the number of the iteration."""
+    return jax.lax.fori_loop(0, LENGTH, lambda k, c: jnp.cos(a @ c) + 1e-3 * k, x)
+
+
+def until(a: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """As many iterations as it takes."""
+
+    def going(state: Any) -> jax.Array:
+        return (jnp.abs(state[0]).max() > 1e-3) & (state[1] < 5000)
+
+    return jax.lax.while_loop(going, lambda s: (0.99 * (s[0] + 0.01 * a @ jnp.sin(s[0])), s[1] + 1), (x, 0))
+
+
+def mixed(a: jax.Array, x: jax.Array) -> dict[str, Any]:
+    """Integers, truth values and tuples are carried; constants are folded; what is before and after is straight."""
+    zeros = jnp.zeros((2, 3)).at[0, 1].set(2.0)
+
+    def body(state: Any, row: Any) -> Any:
+        count, flag, (c, d) = state
+        c = jnp.where(flag, a @ c, c + row["u"]) * 0.5
+        new = (count + jnp.where(c[0] > 0, 2, 1), ~flag | (c[1] > 0.1), (c, zeros @ c + d * 0.1))
+        return new, {"count": count, "flag": flag, "c": jnp.outer(c, c)}
+
+    start = (3, x[0] > 0, (jnp.tanh(a) @ x, jnp.zeros(2)))
+    end, rows = jax.lax.scan(body, start, {"u": MANY, "k": jnp.arange(len(MANY))})
+    return {"end": end, "rows": rows, "after": jnp.linalg.det(a) * end[2][0], "none": None}
+
+
+def two_in_a_row(a: jax.Array, x: jax.Array) -> jax.Array:
+    """The second loop takes what the first one gives, through a call and a branch."""
+    first = jax.jit(recursion)(a, x)[0]
+    return jax.lax.cond(first[0] > 10.0, lambda c: c, lambda c: counted(a, c), first) @ backwards(a, first)[1].sum(0)
+
+
+def nested(a: jax.Array, x: jax.Array) -> jax.Array:
+    """A loop inside of a loop that is too long to be unrolled."""
+
+    def outer(c: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.lax.fori_loop(0, 100, lambda k, d: jnp.sin(a @ d) + 0.1 * u, c), c.sum()
+
+    return jax.lax.scan(outer, x, MANY[:40])[1]
+
+
+def straight(a: jax.Array, x: jax.Array) -> jax.Array:
+    """No loops."""
+    for _ in range(30):
+        x = jnp.sin(a @ x) + jnp.linalg.solve(a + 3.0 * jnp.eye(3, dtype=a.dtype), x)
+    return x
+
+
+def small_loop(a: jax.Array, x: jax.Array) -> jax.Array:
+    """A loop that is unrolled."""
+    return jax.lax.scan(lambda c, u: (jnp.sin(a @ c) + u, c[0]), x, MANY[:7])[1]
+
+
+FUNCTIONS = [recursion, backwards, counted, until, mixed, two_in_a_row, nested, straight, small_loop]
+#: Those with a derivative in reverse.
+SMOOTH = [recursion, backwards, counted, two_in_a_row, nested, straight, small_loop]
+every = pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
+smooth = pytest.mark.parametrize("function", SMOOTH, ids=lambda f: f.__name__)
+
+
+def close(found: Any, expected: Any, tolerance: float = 1e-12) -> None:
+    """Of one structure, with the same types, equal to rounding."""
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for own, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert own.dtype == other.dtype
+        assert own.shape == other.shape
+        scale = float(jnp.abs(other).max()) if other.size and other.dtype.kind == "f" else 1.0
+        np.testing.assert_allclose(own, other, rtol=0, atol=tolerance * scale)
+
+
+def around(a: jax.Array, rows: int) -> jax.Array:
+    """Arrays that differ a little."""
+    return jnp.asarray(np.asarray(a) + 0.1 * RANDOM.normal(size=(rows, *a.shape)))
+
+
+def scalar(function: Callable[..., Any]) -> Callable[..., jax.Array]:
+    """The sum of all results."""
+
+    def total(a: jax.Array, x: jax.Array) -> jax.Array:
+        real = [leaf for leaf in jax.tree.leaves(function(a, x)) if leaf.dtype == a.dtype]
+        return sum((jnp.sum(leaf * jnp.cos(leaf)) for leaf in real), jnp.zeros((), a.dtype))
+
+    return total
+
+
+# ---- values ----------------------------------------------------------------------------------------------------------
+
+
+@every
+def test_values_are_those_of_the_function(function: Callable[..., Any]) -> None:
+    close(tx.fast(function)(A, X), jax.jit(function)(A, X))
+
+
+@every
+@pytest.mark.parametrize("backend", [tx.XLA(), tx.JAX()], ids=str)
+def test_and_so_they_are_by_other_backends(function: Callable[..., Any], backend: Any) -> None:
+    close(tx.fast(function, backend=backend)(A, X), jax.jit(function)(A, X))
+
+
+@every
+@pytest.mark.parametrize("rows", [1, 5, 16])
+def test_batches_are_their_members(function: Callable[..., Any], rows: int) -> None:
+    xs = around(X, rows)
+    found = jax.jit(jax.vmap(tx.fast(function), in_axes=(None, 0)))(A, xs)
+    close(found, jax.vmap(function, in_axes=(None, 0))(A, xs), 1e-11)
+
+
+def test_batches_of_batches() -> None:
+    a, xs = around(A, 3), around(X, 5)
+    own, other = (jax.vmap(jax.vmap(f, (0, None)), (None, 0), out_axes=1) for f in (tx.fast(recursion), recursion))
+    close(own(a, xs), other(a, xs), 1e-11)
+
+
+@every
+def test_single_precision(function: Callable[..., Any]) -> None:
+    if function in (mixed, recursion, backwards, two_in_a_row, nested, small_loop):
+        pytest.skip("it holds a table of float64")
+    a, x = A.astype(jnp.float32), X.astype(jnp.float32)
+    close(tx.fast(function)(a, x), jax.jit(function)(a, x), 1e-4 if function is not until else 1e-2)
+
+
+# ---- derivatives -----------------------------------------------------------------------------------------------------
+
+
+@smooth
+def test_gradients_in_reverse(function: Callable[..., Any]) -> None:
+    found = jax.jit(jax.grad(scalar(tx.fast(function)), argnums=(0, 1)))(A, X)
+    close(found, jax.jit(jax.grad(scalar(function), argnums=(0, 1)))(A, X), 1e-10)
+
+
+@every
+def test_derivatives_forward(function: Callable[..., Any]) -> None:
+    close(*(jax.jit(jax.jacfwd(scalar(f)))(A, X) for f in (tx.fast(function), function)), 1e-10)
+
+
+@smooth
+def test_hessians(function: Callable[..., Any]) -> None:
+    close(*(jax.jit(jax.hessian(scalar(f), argnums=1))(A, X) for f in (tx.fast(function), function)), 1e-9)
+
+
+def test_batches_of_gradients_and_gradients_of_batches() -> None:
+    xs = around(X, 5)
+    expected = jax.vmap(jax.grad(scalar(counted), argnums=(0, 1)), in_axes=(None, 0))(A, xs)
+    own = scalar(tx.fast(counted))
+    close(jax.vmap(jax.grad(own, argnums=(0, 1)), in_axes=(None, 0))(A, xs), expected, 1e-11)
+    summed = jax.grad(lambda a, xs: jax.vmap(own, in_axes=(None, 0))(a, xs).sum(), argnums=(0, 1))(A, xs)
+    close(summed, (expected[0].sum(0), expected[1]), 1e-11)
+
+
+def test_forward_is_reverse_is_numeric() -> None:
+    check_grads(tx.fast(lambda x: counted(A, x)), (X,), order=2, modes=("fwd", "rev"), rtol=1e-6, eps=1e-4)
+
+
+# ---- what stands around it -------------------------------------------------------------------------------------------
+
+
+def test_inside_of_a_loop_and_of_a_branch() -> None:
+    def loop(f: Callable[..., Any], x: jax.Array) -> jax.Array:
+        def body(c: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+            return jax.lax.cond(c[0] > 0, lambda c: f(A, c), lambda c: -c, c), c
+
+        return jax.lax.scan(body, x, None, 3)[1]
+
+    close(*(jax.jit(functools.partial(loop, f))(X) for f in (tx.fast(counted), counted)))
+
+
+def test_values_it_closes_over_may_be_traced() -> None:
+    def outer(f: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda a: f(lambda x: counted(a, x))(X).sum()
+
+    close(jax.jit(jax.value_and_grad(outer(tx.fast)))(A), jax.value_and_grad(outer(lambda g: g))(A), 1e-11)
+
+
+def test_static_arguments_and_names() -> None:
+    @functools.partial(tx.fast, static_argnames=("times", "kind"))
+    def powers(x: jax.Array, *, times: int, kind: str = "sum") -> jax.Array:
+        assert isinstance(times, int)
+        y = jax.lax.fori_loop(0, times, lambda k, c: c * x + 1e-3, x)
+        return y if kind == "sum" else -y
+
+    np.testing.assert_allclose(powers(X * 0.1, times=3), (((X * 0.1) ** 2 + 1e-3) * X * 0.1 + 1e-3) * X * 0.1 + 1e-3)
+    np.testing.assert_array_equal(powers(X, times=900, kind="minus"), -powers(X, times=900))
+    assert "scan" in powers.explain(X, times=900)
+
+
+def test_a_method() -> None:
+    class Model:
+        gain = 0.3
+
+        @functools.partial(tx.fast, static_argnums=0)
+        def run(self, x: jax.Array) -> jax.Array:
+            return jax.lax.fori_loop(0, LENGTH, lambda k, c: jnp.sin(c) * self.gain + c, x)
+
+    expected = X
+    for _ in range(LENGTH):
+        expected = np.sin(expected) * 0.3 + expected
+    np.testing.assert_allclose(Model().run(X), expected, rtol=1e-12)
+    assert Model.run.__name__ == "run"
+
+
+def test_its_own_derivative_is_kept() -> None:
+    @jax.custom_vjp
+    def clipped(x: jax.Array) -> jax.Array:
+        return jnp.sin(x)
+
+    clipped.defvjp(lambda x: (jnp.sin(x), x), lambda x, c: (1.98 * c,))
+
+    def loop(x: jax.Array) -> jax.Array:
+        return jax.lax.scan(lambda c, _: (0.5 * clipped(c), None), x, None, 900)[0]
+
+    with_loop = jax.grad(lambda x: tx.fast(loop)(x).sum())(X)
+    np.testing.assert_allclose(with_loop, 0.99**900 * np.ones(3), rtol=1e-10)
+
+
+def test_what_has_no_scalar_form_runs_as_it_is() -> None:
+    def noisy(x: jax.Array) -> jax.Array:
+        return jax.random.normal(jax.random.key(0), (3,), x.dtype) + x
+
+    seen: list[float] = []
+
+    def loud(x: jax.Array) -> jax.Array:
+        jax.debug.callback(lambda value: seen.append(float(value)), x[0])
+        return jax.lax.fori_loop(0, LENGTH, lambda k, c: jnp.sin(c), x)
+
+    def large(x: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 50, lambda k, c: jnp.linalg.eigh(jnp.diag(jnp.tile(c, 20)))[0][:3], x)
+
+    for function in (noisy, loud, large):
+        close(tx.fast(function)(X), function(X))
+    jax.effects_barrier()
+    assert seen == [float(X[0])] * 2
+
+
+def test_nothing_of_it_is_an_array() -> None:
+    assert tx.fast(lambda: 3)() == 3
+    close(tx.fast(lambda x: {"constant": jnp.arange(3), "same": x})(X), {"constant": jnp.arange(3), "same": X})
+    close(tx.fast(lambda x: jax.lax.scan(lambda c, u: (c, u), x, jnp.zeros((0, 3))))(X), (X, jnp.zeros((0, 3))))
+
+
+def test_long_tables_are_arguments() -> None:
+    table = jnp.asarray(RANDOM.normal(size=(4000, 3)))
+
+    def function(x: jax.Array) -> jax.Array:
+        return jax.lax.scan(lambda c, row: (jnp.sin(c + row), None), x, table)[0]
+
+    close(tx.fast(function)(X), function(X))
+    assert "kernel" in tx.fast(function).explain(X)
+
+
+def test_a_loop_that_never_begins_gives_its_start() -> None:
+    def function(x: jax.Array) -> Any:
+        return jax.lax.while_loop(lambda c: c[1] < 0, lambda c: (c[0] / 0.0, c[1] // 0), (x, 3))
+
+    close(tx.fast(function)(X), (X, jnp.asarray(3)))
+
+
+def test_members_of_a_batch_end_by_themselves() -> None:
+    def collatz(n: jax.Array) -> jax.Array:
+        return jax.lax.while_loop(
+            lambda c: c[0] != 1, lambda c: (jnp.where(c[0] % 2 == 0, c[0] // 2, 3 * c[0] + 1), c[1] + 1), (n, 0)
+        )[1]
+
+    def steps(n: int) -> int:
+        return 0 if n == 1 else 1 + steps(n // 2 if n % 2 == 0 else 3 * n + 1)
+
+    numbers = range(1, 38)
+    assert jax.vmap(tx.fast(collatz))(jnp.asarray(numbers)).tolist() == [steps(n) for n in numbers]
+
+
+# ---- what is said ----------------------------------------------------------------------------------------------------
+
+
+def test_what_became_of_it_is_said() -> None:
+    assert tx.fast(recursion).explain(A, X) == "scan: all iterations in one kernel"
+    said = tx.fast(mixed).explain(A, X).splitlines()
+    assert len(said) == 3
+    assert said[1] == "scan: all iterations in one kernel"
+    assert "while: all iterations" in tx.fast(until).explain(A, X)
+    assert "tx.fast(recursion" in repr(tx.fast(recursion))
+    assert "operations" in tx.fast(straight).explain(A, X)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_nonsense_is_refused() -> None:
+    with pytest.raises(tx.ModelError, match="fast expects a function, got int"):
+        tx.fast(3)
+    with pytest.raises(tx.ModelError, match='backend expects "auto"'):
+        tx.fast(recursion, backend="native")
+
+
+def test_other_values_compile_nothing_anew() -> None:
+    traced = []
+
+    def function(x: jax.Array) -> jax.Array:
+        traced.append(None)
+        return counted(A, x)
+
+    own = tx.fast(function)
+    for k in range(3):
+        own(X + k)
+    assert len(traced) == 1
+    assert math.isfinite(float(own(X)[0]))
