@@ -49,7 +49,8 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     )
     from .integrators.implicit import ImplicitRKMK
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
-    from .lowering import JAX, XLA, Dynamics, Native, compile, fast, load, lower
+    from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
+    from .lowering.fast import fast
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.2.0.dev0"
@@ -126,7 +127,8 @@ _LATER = {
     ),
     ".integrators.implicit": ("ImplicitRKMK",),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
-    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "fast", "load", "lower"),
+    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
+    ".lowering.fast": ("fast",),
     ".trajectory": ("Maximize", "Minimize"),
 }
 

@@ -3,7 +3,6 @@
 from .backends import JAX, XLA, Backend
 from .dynamics import Dynamics, compile, load
 from .explain import Explanation
-from .fast import Fast, fast
 from .lower import lower
 from .native.backend import Native
 
@@ -13,10 +12,8 @@ __all__ = [
     "Dynamics",
     "Backend",
     "Explanation",
-    "Fast",
     "Native",
     "compile",
-    "fast",
     "load",
     "lower",
 ]

@@ -107,8 +107,8 @@ def fast(
     run side by side in the processor's vectors. What has no such form (libraries, large arrays, effects, random keys)
     runs as JAX has it, and so does everything on other devices. `fast(f).explain(*arguments)` says what became of it.
 
-    Results are those of the function to rounding, with two differences: 0 x, 0 / x and x - x are zero also where x is
-    infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`; and subnormal numbers may be kept.
+    Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
+    unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
     Args:
         function: takes and gives pytrees of arrays; pure. Left out, `fast` is a decorator with options.

@@ -173,7 +173,8 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
 
     def value(v: Any) -> Any:
-        return jnp.asarray(v.val, v.aval.dtype) if isinstance(v, Literal) else values[v]
+        own: Any = v.aval
+        return jnp.asarray(v.val, own.dtype) if isinstance(v, Literal) else values[v]
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
