@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from twistax.lowering.native.backend import Native
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS
@@ -22,6 +23,7 @@ MATRIX, SQUARE, TRUTHS = (
 BEHIND = np.array([np.nan, -1.5])
 
 _PRODUCT = Derived(scalarize(lambda x: [x * x], jax.ShapeDtypeStruct((2,), float)))
+_BY_KERNEL = Derived(_PRODUCT.program, None, Native())
 
 
 @jax.custom_jvp
@@ -108,6 +110,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "cond": (lambda a: lax.cond(a[0] > 0.0, jnp.sin, jnp.cos, a), REAL),
     "while": (lambda a: lax.while_loop(lambda s: s[0] < 9.0, lambda s: 2.0 * s, a), REAL),
     "scalar_program": (lambda x: jax.jit(lambda y: call_program(_PRODUCT, y)[0])(x), REAL),
+    "native_program": (lambda x: jax.jit(lambda y: call_program(_BY_KERNEL, y)[0])(x), REAL),
 }
 
 if jax.__version_info__ < (0, 12):

@@ -309,6 +309,26 @@ def test_members_of_a_batch_end_by_themselves() -> None:
     assert jax.vmap(tx.fast(collatz))(jnp.asarray(numbers)).tolist() == [steps(n) for n in numbers]
 
 
+@pytest.mark.parametrize("backend", ["auto", tx.XLA(least=0), tx.Native()], ids=str)
+def test_a_compiled_system_in_a_loop_is_part_of_its_kernel(backend: Any) -> None:
+    w, torque = tx.State("w", shape=(3,)), tx.Control("torque", shape=(3,))
+    inertia = tx.Parameter("J", shape=(3, 3), value=np.diag([1.0, 2.0, 3.0]))
+    rate = tx.linalg.Solve(inertia, torque - tx.linalg.Cross(w, inertia @ w))
+    dynamics = tx.compile(tx.System(rates={w: rate}), backend=backend)
+
+    def rollout(x: dict[str, jax.Array], u: dict[str, jax.Array]) -> Any:
+        def step(x: dict[str, jax.Array], t: jax.Array) -> Any:
+            return {"w": x["w"] + 1e-3 * dynamics(t, x, u)["w"]}, x["w"]
+
+        return jax.lax.scan(step, x, jnp.linspace(0.0, 1.0, 1001))
+
+    x, u = {"w": X}, {"torque": 0.1 * X}
+    assert tx.fast(rollout).explain(x, u).splitlines()[-1] == "scan: all iterations in one kernel"
+    close(tx.fast(rollout)(x, u), jax.jit(rollout)(x, u))
+    gradients = (jax.grad(lambda u, f=f: jnp.sum(f(x, u)[0]["w"] ** 2))(u) for f in (tx.fast(rollout), rollout))
+    close(*gradients, 1e-11)
+
+
 # ---- what is said ----------------------------------------------------------------------------------------------------
 
 

@@ -49,7 +49,7 @@ def test_the_parameters_are_those_that_jax_gives(name: str) -> None:
 def test_every_scalar_example_is_read() -> None:
     """But for what is left to JAX on purpose."""
     left = {name for name, entry in TABLE.items() if type(entry) is Entry and entry.read is None}
-    assert left == {"round", "while", "scalar_program"}
+    assert left == {"round", "while"}
     for name, (function, *arrays) in EXAMPLES.items():
         if name not in left | {"custom_jvp_call", "custom_vjp_call", "custom_linear_solve"}:
             shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -95,6 +95,12 @@ class Reader:
             known.update(zip(eqn.outvars, results, strict=True))
         self._reading.pop()
         return [value(v) for v in jaxpr.outvars]
+
+    def inlined(self, program: ScalarProgram, inputs: Sequence[Nodes]) -> list[Nodes]:
+        """The results of a scalar program on arrays of nodes."""
+        known = dict(zip(flat(*program.inputs), flat(*inputs), strict=True))
+        _copy(program, self, known)
+        return [_renamed(known, own) for own in program.outputs]
 
     def known(self, arrays: Iterable[Nodes]) -> bool:
         """Whether all entries of arrays are numbers."""
@@ -330,7 +336,20 @@ def _rebuilt(
         entries = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(flat(own))]
         known.update(zip(flat(own), entries, strict=True))
         inputs.append(nodes(entries, own.shape))
-    reader = Reader(new, whole)
+    _copy(program, Reader(new, whole), known, shared, order)
+    outputs = tuple(_renamed(known, own) for own in program.outputs)
+    return ScalarProgram(new, tuple(inputs), outputs, program.types)
+
+
+def _copy(
+    program: ScalarProgram,
+    reader: Reader,
+    known: dict[int, int],
+    shared: Collection[int] = (),
+    order: Sequence[int] | None = None,
+) -> None:
+    """Add the nodes of a program to the graph of a reader; `known` says what they are there, at first the inputs."""
+    old, new, whole = program.graph, reader.graph, reader.whole
     done: set[int] = set()
     for i in program.live if order is None else order:
         if i in known:
@@ -350,8 +369,6 @@ def _rebuilt(
                 known[i] = functools.reduce(functools.partial(new.node, operation.pair), arguments)
             else:
                 known[i] = operation.on(new)(*arguments)
-    outputs = tuple(_renamed(known, own) for own in program.outputs)
-    return ScalarProgram(new, tuple(inputs), outputs, program.types)
 
 
 def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], whole: bool) -> None:

@@ -6,6 +6,7 @@ the entries of calls, loops and branches, and of functions with a derivative of 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,6 +96,18 @@ def _equations(jaxpr: Any) -> int:
     return sum(1 for _ in all_equations(jaxpr))
 
 
+def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """The scalars of a program of this package, for one body."""
+    return None if eqn.params["depth"] else reader.inlined(eqn.params["program"].program, arrays)
+
+
+def _operations(eqn: Any) -> dict[str, int]:
+    """Those of all bodies."""
+    bodies = math.prod(eqn.outvars[0].aval.shape[: eqn.params["depth"]])
+    counts: dict[str, int] = eqn.params["program"].program.counts()
+    return {name: bodies * count for name, count in counts.items()}
+
+
 # ---- the entries -----------------------------------------------------------------------------------------------------
 
 #: Where arrays of a jitted function lie, and how it is kept: nothing that changes numbers.
@@ -123,7 +136,8 @@ _CONTROL = [
     moving("cond", _cond, "branches | branches branches_platforms", when=lambda p: "branches_platforms" not in p),
     moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
     # This package's own.
-    moving("scalar_program", None, "program depth inside", moves=False),
+    moving("scalar_program", _program, "program depth inside", moves=False, work=_operations),
+    Entry("native_program", _program, "program depth inside", any_type=True, work=_operations),
 ]
 
 #: By the name of the primitive.
