@@ -507,7 +507,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/implicit/implicit_rkmk.py",
+        "integrators/implicit_rkmk.py",
         (
             "stages not around the middle",
             "Z - half[None, :]",
@@ -516,7 +516,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/implicit/implicit_rkmk.py",
+        "integrators/implicit_rkmk.py",
         (
             "transpose of the tangent's equations",
             "jnp.linalg.solve(columns.T, b.reshape(-1))",
@@ -525,7 +525,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/implicit/newton.py",
+        "integrators/newton.py",
         (
             "imaginary part of the solution",
             "found += [x, -y]",

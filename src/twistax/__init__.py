@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
         ZeroOrderHold,
         integrate,
     )
-    from .integrators.implicit import ImplicitRKMK
+    from .integrators.implicit_rkmk import ImplicitRKMK
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
@@ -125,7 +125,7 @@ _LATER = {
         "ZeroOrderHold",
         "integrate",
     ),
-    ".integrators.implicit": ("ImplicitRKMK",),
+    ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),

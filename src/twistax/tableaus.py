@@ -5,9 +5,7 @@
 """
 
 from .integrators.commutator_free import CF4, CommutatorFreeTableau
-from .integrators.implicit.collocation import *  # noqa: F403
-from .integrators.implicit.collocation import __all__ as _implicit
 from .integrators.tableaus import *  # noqa: F403
 from .integrators.tableaus import __all__ as _tableaus
 
-__all__ = [*_tableaus, *_implicit, "CF4", "CommutatorFreeTableau"]
+__all__ = [*_tableaus, "CF4", "CommutatorFreeTableau"]

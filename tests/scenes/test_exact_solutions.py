@@ -11,8 +11,7 @@ from scene_references import REFERENCES
 
 from twistax.scenes import SCENES, offset_tumble
 from twistax.scenes.free_rotation import SymmetricBody, TriaxialBody
-from twistax.scenes.heavy_top import INERTIA, MOMENT
-from twistax.scenes.lagrange_top import LagrangeTop
+from twistax.scenes.heavy_top import INERTIA, MOMENT, LagrangeTop
 from twistax.scenes.scene import about, rotation_angle
 
 R0 = about((1.0, 0.0, 0.0), 0.6)

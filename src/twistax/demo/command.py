@@ -28,7 +28,6 @@ class _Report:
         self.begin = self._clock = time.perf_counter()
 
     def lap(self) -> float:
-        """Seconds since the last lap."""
         before, self._clock = self._clock, time.perf_counter()
         return self._clock - before
 

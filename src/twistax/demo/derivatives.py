@@ -11,7 +11,7 @@ import numpy as np
 import twistax as tx
 
 from ..scenes.powered_descent import Array
-from ..trajectory.discretize import Controls
+from ..trajectory.discretize import Controls, value_and_jacobian
 from ..trajectory.guess import column_scales
 
 #: The largest difference allowed.
@@ -22,17 +22,11 @@ _STEP = 2e-3
 
 
 class DerivativeCheck(NamedTuple):
-    """The largest difference at any point, relative to the largest entry of its row.
+    """The largest difference at any point, relative to the largest entry of its row."""
 
-    Attributes:
-        points: how many points were tried.
-        rates: rates and limits, by JAX's differentiation of the compiled system.
-        interval: the end of an interval with held controls, by the closed form of `tx.trajectory.discretize`.
-    """
-
-    points: int
-    rates: float
-    interval: float
+    points: int  # how many were tried
+    rates: float  # and limits, by JAX's differentiation of the compiled system
+    interval: float  # its end under held controls, by the closed form of `tx.trajectory.discretize`
 
     @property
     def holds(self) -> bool:
@@ -61,14 +55,13 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
         controls = {name: u[name] + change for name, change in flat.split(step[n:-1]).items()}
         return dynamics.retract(x, step[:n]), controls, h + step[-1]
 
-    def pointwise(x: Any, u: Any, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def pointwise(x: Any, u: Any, z: jax.Array) -> jax.Array:
         x, u, _ = moved(x, u, z)
         rates, found = dynamics(0.0, x, u), dynamics.constraints(0.0, x, u)
-        values = jnp.concatenate([*(rates[s.name].reshape(-1) for s in dynamics.states), *found.values()])
-        return values, values
+        return jnp.concatenate([*(rates[s.name].reshape(-1) for s in dynamics.states), *found.values()])
 
     def at(x: Any, u: Any, z: jax.Array) -> tuple[Any, ...]:
-        slopes, values = jax.jacfwd(pointwise, 2, has_aux=True)(x, u, z)
+        values, slopes = value_and_jacobian(lambda z: pointwise(x, u, z), z)
         interval = tx.trajectory.discretize(dynamics, 0.0, *moved(x, u, z))
         closed = jnp.column_stack([interval.A, interval.B, interval.h_derivative]) * scale[None, :]
         return slopes, values, closed, interval.x1

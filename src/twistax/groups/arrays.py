@@ -60,34 +60,28 @@ def unpack(a: Array) -> Components:
 
 
 def vector(components: Sequence[Array]) -> Array:
-    """The scalars as one vector."""
     return jnp.stack(list(components))
 
 
 def matrix(rows: Sequence[Sequence[Array]]) -> Array:
-    """Rows of scalars as one matrix."""
     return jnp.stack([jnp.stack(list(row)) for row in rows])
 
 
 def dot(a: Components, b: Components) -> Array:
-    """a . b"""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Components, b: Components) -> Components:
-    """a x b"""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def add(a: Components, *others: Components) -> Components:
-    """a + b + ..."""
     for b in others:
         a = tuple(x + y for x, y in zip(a, b, strict=True))
     return a
 
 
 def scale(s: Array | float, a: Components) -> Components:
-    """s a"""
     return tuple(s * x for x in a)
 
 

@@ -270,7 +270,6 @@ class Product(Group):
         return {name: getattr(group, function)(*(g[name] for g in elements)) for name, group in self._factors}
 
     def _diagonal(self, parts: Mapping[str, Array]) -> Array:
-        """The block-diagonal matrix of the parts."""
         rows = [
             jnp.pad(block, ((0, 0), (self.slices[name].start, self.dimension - self.slices[name].stop)))
             for name, block in parts.items()

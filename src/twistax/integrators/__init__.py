@@ -3,7 +3,7 @@
 from .commutator_free import CommutatorFree
 from .controls import FirstOrderHold, ZeroOrderHold
 from .events import Event
-from .implicit import ImplicitRKMK
+from .implicit_rkmk import ImplicitRKMK
 from .integrate import integrate
 from .magnus import Magnus
 from .method import Method, VectorField

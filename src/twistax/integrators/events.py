@@ -172,10 +172,9 @@ class Meeting(NamedTuple):
     evaluations: jax.Array  # of the right-hand side, to find it
 
 
-def locate(stepper: Stepper, watch: Watch, run: Run) -> Meeting:
+def locate(stepper: Stepper, watch: Watch, seen: Watched, run: Run) -> Meeting:
     """The first root in the step that a loop halted before. Traceable, not differentiable."""
-    assert run.watched is not None  # a loop with conditions says what it saw
-    (values, hits), outcome = run.watched, run.outcome
+    (values, hits), outcome = seen, run.outcome
     t, h = outcome.t, outcome.h
     met = outcome.code == Result.EVENT.value
     finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))

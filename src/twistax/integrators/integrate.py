@@ -1,7 +1,7 @@
 """Integration of a compiled system over time: what was given is read and checked, steps are taken, a solution made.
 
-The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (fixed.py, adaptive.py),
-which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop over stages in a chart (charts).
+The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (steps.py, adaptive.py),
+which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop over stages in a chart (charts.py).
 """
 
 from __future__ import annotations

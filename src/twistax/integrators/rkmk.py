@@ -135,7 +135,9 @@ class Slopes(NamedTuple):
         table = np.zeros((*np.shape(weights)[:-1], len(self.rows)))
         known = np.asarray(weights)[..., : len(self.rows)]
         table[..., : known.shape[-1]] = known
-        return _read(self.read, h * _combination(table, self.rows))
+        small = inside_small_call()
+        combined = _sum(table, self.rows) if small else _weighted(jnp.asarray(table, self.rows.dtype), self.rows)
+        return _read(self.read, h * combined)
 
 
 def stage_slopes(
@@ -180,11 +182,6 @@ def stage_slopes(
 
 def _read(read: Callable[[jax.Array], Any], combined: jax.Array) -> Any:
     return read(combined) if combined.ndim == 1 else [read(row) for row in combined]
-
-
-def _combination(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
-    """weights @ rows for weights that are known."""
-    return _sum(weights, rows) if inside_small_call() else _weighted(jnp.asarray(weights, rows.dtype), rows)
 
 
 def _sum(weights: NDArray[Any], rows: jax.Array) -> jax.Array:

@@ -59,7 +59,8 @@ def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     # Without a path saved times lie as the loop left them.
     run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
-    meeting = None if steps.watch is None else small_call(locate, stepper, steps.watch, run)
+    seen = run.watched
+    meeting = None if seen is None else small_call(locate, stepper, steps.watch, seen, run)
     return _to_saved_times(
         steps, stepper, x, run, meeting, lambda saved, parts: small_call(_one_by_one, stepper, saved.y, parts)
     )
@@ -129,7 +130,7 @@ def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
     steps, stepper, x = jax.lax.stop_gradient(primals)
     run = steps.run(stepper, stepper.stored.enter(x), record=True)
-    known = None if steps.watch is None else locate(stepper, steps.watch, run)
+    known = None if run.watched is None else locate(stepper, steps.watch, run.watched, run)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]

@@ -171,7 +171,7 @@ class FixedSteps(Steps):
     t0: Any
     h: Any  # the length of a step
     steps: Any  # their number
-    at: _Saves | None  # where the saved times fall, if there are any
+    at: Any  # the `_Saves`, where the saved times fall; None where there are none
     #: The number of steps as structure, which derivatives and dense output need; else None.
     most: int | None = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
@@ -264,13 +264,11 @@ class FixedSteps(Steps):
         return Part(self._time(k), jnp.broadcast_to(self.h, k.shape))
 
     def parts(self, path: None, saved: Saved) -> Part:
-        assert self.at is not None  # else there would be nothing saved
         return Part(self._time(saved.steps), self.at.share * self.h)
 
     @property
     def saved_times(self) -> jax.Array:
-        assert self.at is not None  # else there would be nothing saved
-        return self.at.ts
+        return jnp.asarray(self.at.ts)
 
     def _time(self, k: jax.Array) -> jax.Array:
         """The start of step k, computed afresh so that it does not drift."""

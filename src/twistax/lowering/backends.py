@@ -46,17 +46,11 @@ ANY_SIZE = 10**9
 
 @dataclasses.dataclass(frozen=True)
 class Emission:
-    """A function and how it came about.
+    """A function and how it came about."""
 
-    Attributes:
-        function: arrays to a list of arrays; pure and traceable.
-        program: the scalar program that it runs; None where it runs as arrays.
-        reason: one sentence.
-    """
-
-    function: Callable[..., list[jax.Array]]
-    program: ScalarProgram | None
-    reason: str
+    function: Callable[..., list[jax.Array]]  # pure and traceable
+    program: ScalarProgram | None  # that it runs; None where it runs as arrays
+    reason: str  # one sentence
 
 
 class Backend(ABC):

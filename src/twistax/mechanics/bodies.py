@@ -177,7 +177,6 @@ def power(F: ExprLike, V: ExprLike) -> Expr:
 
 
 def _velocities(owner: str, V: ExprLike) -> tuple[Expr, Expr]:
-    """v and w of a twist."""
     twist = of_shape(owner, "V", V, (6,))
     return linear(twist), angular(twist)
 

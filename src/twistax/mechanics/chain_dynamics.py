@@ -135,25 +135,15 @@ def mass_matrix(chain: Chain, q: ExprLike) -> Expr:
 
 @dataclasses.dataclass(frozen=True)
 class _Moving:
-    """A link in motion. Six-vectors are in its frame, but for `centripetal`, which is in that of the link before.
-
-    Attributes:
-        link: what moves.
-        placement: pose of the joint's child frame in its parent frame.
-        T: pose of the link in the link before.
-        H: motion of the joint (6,).
-        gyroscopic: ad*_W(M W).
-        centripetal: [w x (w x p); 0] of the link before.
-        coriolis: [(w_0 + w) x s q'; w_0 x r q'].
-    """
+    """A link in motion. Six-vectors are in its frame, but for `centripetal`, which is in that of the link before."""
 
     link: Link
-    placement: Expr
-    T: Expr
-    H: Expr
-    gyroscopic: Expr
-    centripetal: Expr
-    coriolis: Expr
+    placement: Expr  # pose of the joint's child frame in its parent frame
+    T: Expr  # pose of the link in the link before
+    H: Expr  # motion of the joint (6,)
+    gyroscopic: Expr  # ad*_W(M W)
+    centripetal: Expr  # [w x (w x p); 0] of the link before
+    coriolis: Expr  # [(w_0 + w) x s q'; w_0 x r q']
 
     @property
     def inertia(self) -> Expr:
@@ -202,12 +192,6 @@ class _Hinge:
     With U = I H and D = H' U the joint accelerates by q'' = (tau - H' b - U' B) / D, B that of the link but for its own
     joint's. U / D is h* + U_R / D, with h* the joint's working wrench and U_R what the bearing carries of U: written
     so, the entries of I - U U' / D along the joint are exact zeros.
-
-    Args:
-        link: the link behind the joint.
-        I: the articulated inertia (6, 6).
-        b: the wrench (6,) needed at B = 0.
-        tau: the motor's force ().
     """
 
     def __init__(self, link: _Moving, I: Expr, b: Expr, tau: Expr) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,28 +14,6 @@ from .chain import Chain, Link
 from .joints import Revolute
 
 __all__ = ["equal_links", "modified_dh", "panda"]
-
-#: a (m), d (m) and alpha in quarter turns of each link.
-_PANDA_FRAMES = (
-    (0.0, 0.333, 0),
-    (0.0, 0.0, -1),
-    (0.0, 0.316, 1),
-    (0.0825, 0.0, 1),
-    (-0.0825, 0.384, -1),
-    (0.0, 0.0, 1),
-    (0.088, 0.0, 1),
-)
-
-#: Mass (kg), centre of mass (m) and xx, xy, xz, yy, yz, zz of the inertia about it (kg m2), in the link's frame.
-_PANDA_BODIES = (
-    (4.970684, (0.003875, 0.002081, -0.04762), (0.70337, -0.000139, 0.006772, 0.70661, 0.019169, 0.009117)),
-    (0.646926, (-0.003141, -0.02872, 0.003495), (0.007962, -0.003925, 0.010254, 0.02811, 0.000704, 0.025995)),
-    (3.228604, (0.027518, 0.039252, -0.066502), (0.037242, -0.004761, -0.011396, 0.036155, -0.012805, 0.01083)),
-    (3.587895, (-0.05317, 0.104419, 0.027454), (0.025853, 0.007796, -0.001332, 0.019552, 0.008641, 0.028323)),
-    (1.225946, (-0.011953, 0.041065, -0.038437), (0.035549, -0.002117, -0.004037, 0.029474, 0.000229, 0.008627)),
-    (1.666555, (0.060149, -0.014117, -0.010517), (0.001964, 0.000109, -0.001158, 0.004354, 0.000341, 0.005433)),
-    (0.735522, (0.010517, -0.004252, 0.061597), (0.012516, -0.000428, -0.001196, 0.010027, -0.000741, 0.004815)),
-)
 
 
 def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
@@ -52,19 +33,17 @@ def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
 def panda() -> Chain:
     """The seven links of Franka's Panda, without a hand; the base's z axis points up.
 
-    Source: the modified Denavit-Hartenberg parameters are those of Franka's documentation. The inertias are those
-    identified by C. Gaz, M. Cognetti, A. Oliva, P. Robuffo Giordano, A. De Luca, Dynamic Identification of the Franka
-    Emika Panda Robot With Retrieval of Feasible Parameters Using Penalty-Based Optimization, IEEE Robotics and
-    Automation Letters (2019), as Franka's package franka_ros lists them about the centres of mass. Friction and the
-    rotors of the motors are left out.
+    Friction and the rotors of the motors are left out. Source: Franka's documentation for the frames; for the inertias
+    C. Gaz and others, Dynamic Identification of the Franka Emika Panda Robot, IEEE Robotics and Automation Letters
+    (2019). The numbers and the whole titles stand in `panda.json`.
     """
     links = []
-    for i, (frame, (mass, center, tensor)) in enumerate(zip(_PANDA_FRAMES, _PANDA_BODIES, strict=True), start=1):
-        xx, xy, xz, yy, yz, zz = tensor
-        body = SpatialInertia(
-            mass=mass, center_of_mass=center, inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        )
-        links.append(Link(Revolute(f"joint{i}", axis=(0.0, 0.0, 1.0)), body, modified_dh(*frame)))
+    for i, link in enumerate(json.loads(Path(__file__).with_name("panda.json").read_text())["links"], start=1):
+        xx, xy, xz, yy, yz, zz = link["inertia"]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        body = SpatialInertia(mass=link["mass"], center_of_mass=link["center_of_mass"], inertia=inertia)
+        mount = modified_dh(link["a"], link["d"], link["quarter_turns"])
+        links.append(Link(Revolute(f"joint{i}", axis=(0.0, 0.0, 1.0)), body, mount))
     return Chain(links)
 
 

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -139,69 +141,43 @@ def system(air: Air = atmosphere.US1976) -> tx.System:
     )
 
 
-_BRICK_MASS = 2.267961895
-_BRICK_INERTIA = (0.001894220 * SLUG_FOOT2, 0.006211019 * SLUG_FOOT2, 0.007194665 * SLUG_FOOT2)
-_BRICK_RATE = (10.0 * DEGREE, 20.0 * DEGREE, 30.0 * DEGREE)
-#: The same fall in all cases, as simulations 04 and 06 give it; the other two do not give inertial positions.
-_FALL = {"04": (6382876.258616161, 13969.823256741602, 0.0), "06": (6382876.258603542, 13969.823256759775, 0.0)}
+def _published(number: int) -> tuple[Published, ...]:
+    """What is published of a case, feet and degrees brought to m and rad."""
+    found = json.loads(Path(__file__).with_name("check_cases.json").read_text())[str(number)]
+    return tuple(
+        Published(
+            end["simulation"], tuple(end["rate"]), tuple(end["euler"]), end["position"] and tuple(end["position"])
+        )
+        for end in found
+    )
 
 
-def _ends(*ends: tuple[str, Vector, Vector]) -> tuple[Published, ...]:
-    return tuple(Published(number, rate, euler, _FALL.get(number)) for number, rate, euler in ends)
+_SPHERE = CheckCase(
+    number=1,
+    title="sphere without drag",
+    mass=14.5939,
+    inertia=(4.880944614, 4.880944614, 4.880944614),
+    rate=(0.0, 0.0, 0.0),
+    published=_published(1),
+)
+_BRICK = CheckCase(
+    number=2,
+    title="tumbling brick without damping",
+    mass=2.267961895,
+    inertia=(0.001894220 * SLUG_FOOT2, 0.006211019 * SLUG_FOOT2, 0.007194665 * SLUG_FOOT2),
+    rate=(10.0 * DEGREE, 20.0 * DEGREE, 30.0 * DEGREE),
+    published=_published(2),
+)
+_DAMPED = dataclasses.replace(
+    _BRICK,
+    number=3,
+    title="tumbling brick with damping",
+    damping=RateDamping(area=2.0 / 9.0 * FOOT**2, span=1.0 / 3.0 * FOOT, chord=2.0 / 3.0 * FOOT),
+    published=_published(3),
+)
 
-
-# fmt: off
-#: By number. Published values in feet and degrees are given here in m and rad.
-CASES = {
-    1: CheckCase(
-        number=1,
-        title="sphere without drag",
-        mass=14.5939,
-        inertia=(4.880944614, 4.880944614, 4.880944614),
-        rate=(0.0, 0.0, 0.0),
-        published=_ends(
-            ("01", (0.0, 0.0, 0.0), (-0.0021886373267568553, 0.0, 0.0)),
-            ("02", (0.0, 0.0, 0.0), (-0.002188635778510834, 0.0, 0.0)),
-            ("04", (0.0, 0.0, 0.0), (-0.0021886372827926628, 0.0, 0.0)),
-            ("06", (0.0, 0.0, 1.6191747942405682e-20), (-0.0021886372827847685, 2.2204513624867946e-16, 0.0)),
-        ),
-    ),
-    2: CheckCase(
-        number=2,
-        title="tumbling brick without damping",
-        mass=_BRICK_MASS,
-        inertia=_BRICK_INERTIA,
-        rate=_BRICK_RATE,
-        published=_ends(
-            ("01", (0.22023246533868357, -0.30364321612656375, 0.5431392879422197),
-             (-0.9800251968615921, -0.06666555465260421, -0.07486336822299243)),
-            ("02", (0.22024688499968356, -0.3036298619995637, 0.5431454519992196),
-             (-1.0446953410649202, -0.0611879293168447, -0.07237430113073469)),
-            ("04", (0.22023246533924629, -0.3036432161277715, 0.543139287941697),
-             (-0.9800251968119047, -0.06666555467698733, -0.07486336827445753)),
-            ("06", (0.22027528327493817, -0.3035921728426686, 0.5431593491869584),
-             (-0.980007686394294, -0.066705703262406, -0.0748418640229128)),
-        ),
-    ),
-    3: CheckCase(
-        number=3,
-        title="tumbling brick with damping",
-        mass=_BRICK_MASS,
-        inertia=_BRICK_INERTIA,
-        rate=_BRICK_RATE,
-        damping=RateDamping(area=2.0 / 9.0 * FOOT**2, span=1.0 / 3.0 * FOOT, chord=2.0 / 3.0 * FOOT),
-        published=_ends(
-            ("01", (-4.848695734423033e-25, -9.160986609996838e-30, 3.029162765205648e-07),
-             (-0.08933988814527163, -0.6768295465710275, -1.9490035310271994)),
-            ("02", (-1.11e-07, -2.79e-08, 3.06e-07), (-0.08871965139839559, -0.6867871805638883, -1.9461256090344343)),
-            ("04", (-5.09949977227008e-25, -1.5913275951413096e-29, 3.0647668170201917e-07),
-             (-0.08890815656076159, -0.6769941148081133, -1.944015065744376)),
-            ("06", (-2.072685031186363e-05, 6.614884803965917e-05, 2.2939510254979567e-05),
-             (-0.08985677430752981, -0.6754373552738147, -1.9435700994961824)),
-        ),
-    ),
-}
-# fmt: on
+#: By number.
+CASES = {case.number: case for case in (_SPHERE, _BRICK, _DAMPED)}
 
 
 class Vacuum:

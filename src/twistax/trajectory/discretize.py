@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import prod
 from typing import Any, NamedTuple
 
@@ -87,13 +87,12 @@ def linearize(
     flat = controls.join(inputs.u, inputs.dtype)
     n = dynamics.dimension
 
-    def velocity(z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def velocity(z: jax.Array) -> jax.Array:
         moved = dynamics.group.retract(inputs.x, z[:n])
         rates = dynamics._functions.vector_field(inputs.t, moved, controls.split(z[n:]), dict(inputs.params))
-        flat_rate = jnp.concatenate([rates[name].reshape(-1) for name in dynamics.group.factors])
-        return flat_rate, flat_rate
+        return jnp.concatenate([rates[name].reshape(-1) for name in dynamics.group.factors])
 
-    jacobian, rate = jax.jacfwd(velocity, has_aux=True)(jnp.concatenate([jnp.zeros(n, inputs.dtype), flat]))
+    rate, jacobian = value_and_jacobian(velocity, jnp.concatenate([jnp.zeros(n, inputs.dtype), flat]))
     return Linearization(rate, jacobian[:, :n] - dynamics.group.ad(rate), jacobian[:, n:])
 
 
@@ -118,18 +117,11 @@ class Discretization:
 
 
 class Rollout(NamedTuple):
-    """The ends of the substeps of an interval, its start first; all with a leading axis of substeps + 1.
-
-    Attributes:
-        ts: times.
-        xs: states by name.
-        sensitivity: (substeps + 1, n, n + m + 2), derivatives of the states' tangents with respect to
-            [start, controls, h, t].
-    """
+    """The ends of the substeps of an interval, its start first; all with a leading axis of substeps + 1."""
 
     ts: jax.Array
     xs: Arrays
-    sensitivity: jax.Array
+    sensitivity: jax.Array  # (substeps + 1, n, n + m + 2): the states' tangents by [start, controls, h, t]
 
 
 def discretize(
@@ -175,6 +167,12 @@ def discretize(
     return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])
 
 
+def value_and_jacobian(function: Callable[[jax.Array], jax.Array], z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The value of a function of a vector and its derivative, forward."""
+    slopes, value = jax.jacfwd(lambda z: (function(z),) * 2, has_aux=True)(z)
+    return value, slopes
+
+
 def check_whole(name: str, value: object, least: int = 1) -> None:
     """Raise TrajectoryError unless a value is a whole number, not less than the least."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
@@ -182,14 +180,7 @@ def check_whole(name: str, value: object, least: int = 1) -> None:
 
 
 def rollout(
-    dynamics: Dynamics,
-    method: RKMK,
-    t: jax.Array,
-    x: Arrays,
-    u: jax.Array,
-    h: jax.Array,
-    params: Arrays,
-    substeps: int,
+    dynamics: Dynamics, method: RKMK, t: jax.Array, x: Arrays, u: jax.Array, h: jax.Array, params: Arrays, substeps: int
 ) -> Rollout:
     """All substeps of an interval with their sensitivities. Arguments are prepared; u is flat."""
     n, m = dynamics.dimension, u.shape[0]
@@ -219,15 +210,14 @@ def step_derivatives(
     group, controls = dynamics.group, Controls(dynamics.controls)
     n, m = group.dimension, u.shape[0]
 
-    def eta(z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def eta(z: jax.Array) -> jax.Array:
         held = controls.split(z[n : n + m])
         moved = group.retract(x, z[:n])
-        parts = method.increment(VectorField(dynamics, lambda _: held, params), z[n + m + 1], moved, z[n + m])
-        flat = group.join(parts)
-        return flat, flat
+        field = VectorField(dynamics, lambda _: held, params)
+        return group.join(method.increment(field, z[n + m + 1], moved, z[n + m]))
 
     point = jnp.concatenate([jnp.zeros(n, u.dtype), u, h[None], t[None]])
-    slopes, value = jax.jacfwd(eta, has_aux=True)(point)
+    value, slopes = value_and_jacobian(eta, point)
     # Ad(Exp(-eta)) = I - J_r(eta) ad_eta, which spares an exponential.
     transported = slopes.at[:, :n].add(-group.ad(value))
     moves = group.right_jacobian(value) @ transported

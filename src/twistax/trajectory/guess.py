@@ -106,17 +106,11 @@ _TURN = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Scales:
-    """Sizes by which unknowns, residuals and the objective are divided.
+    """Sizes by which unknowns, residuals and the objective are divided."""
 
-    Attributes:
-        columns: (local,) of the unknowns an interval sees.
-        rows: (rows,) of the residuals.
-        cost: of the objective.
-    """
-
-    columns: Array
-    rows: Array
-    cost: float
+    columns: Array  # (local,) of the unknowns an interval sees
+    rows: Array  # (rows,) of the residuals
+    cost: float  # of the objective
 
     @staticmethod
     def measured(columns: Array, dimension: int, evaluations: list[Evaluation]) -> Scales:
@@ -134,13 +128,11 @@ class Scales:
 
 def column_scales(leaves: Mapping[str, State | Control], landmarks: Mapping[str, list[Array]]) -> Array:
     """The scales of the leaves' tangents in one vector: what the leaf declares, or a guess from its landmarks."""
-    parts = []
+    parts = [np.zeros(0)]
     for name, leaf in leaves.items():
         group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
-        declared = leaf.scale
-        scale = typical_change(group, landmarks[name]) if declared is None else np.ravel(declared)
-        parts.append(scale)
-    return np.concatenate(parts) if parts else np.zeros(0)
+        parts.append(typical_change(group, landmarks[name]) if leaf.scale is None else np.ravel(leaf.scale))
+    return np.concatenate(parts)
 
 
 def typical_change(group: Group, landmarks: list[Array]) -> Array:

@@ -86,24 +86,15 @@ class Model:
     """m(z) = b.z + z.B z / 2 + mu/2 sum over rows (r + J z)^2, where inequality rows count only while positive.
 
     Everything is given interval by interval and scaled.
-
-    Attributes:
-        band: where the unknowns sit.
-        start: (intervals, rows) r, zero where a row is not asked.
-        slopes: (intervals, rows, local) J.
-        equality: (rows,) which rows always count.
-        pull: (unknowns,) b.
-        bends: (intervals, local, local) B, positive semidefinite.
-        penalty: mu.
     """
 
-    band: BorderedBand
-    start: Array
-    slopes: Array
-    equality: Array
-    pull: Array
-    bends: Array
-    penalty: float
+    band: BorderedBand  # where the unknowns sit
+    start: Array  # (intervals, rows) r, zero where a row is not asked
+    slopes: Array  # (intervals, rows, local) J
+    equality: Array  # (rows,) which rows always count
+    pull: Array  # (unknowns,) b
+    bends: Array  # (intervals, local, local) B, positive semidefinite
+    penalty: float  # mu
 
     def minimize(self, damping: float, largest: float) -> tuple[Array, float]:
         """The z that minimises m(z) + damping |z|^2 / 2, shortened to `largest` in any entry, and m(0) - m(z).
@@ -163,25 +154,20 @@ class Model:
 class Smoothing:
     """A weighted sum of squares of the differences between neighbouring intervals' controls.
 
-    Args:
-        band: where unknowns sit.
-        controls: the slice of the controls within a node's block.
-        scales: (m,) sizes of the controls.
-        weight: of the whole.
-
-    Attributes:
-        curvature: (intervals, local, local) second derivative.
+    `controls` is their slice within a block, `scales` (m,) are their sizes; `curvature` (intervals, local, local)
+    is the second derivative.
     """
 
     def __init__(self, band: BorderedBand, controls: slice, scales: Array, weight: float) -> None:
-        self._band, self._controls, self._scales, self._weight = band, controls, scales, weight
-        self._next = slice(band.block + controls.start, band.block + controls.stop)
-        difference = np.zeros((controls.stop - controls.start, band.local))
-        difference[:, controls] = -np.eye(len(difference))
-        difference[:, self._next] = np.eye(len(difference))
+        self._scales, self._weight = scales, weight
+        one = np.eye(controls.stop - controls.start)
+        #: (m, local) of an interval's unknowns: its controls are subtracted from the next one's.
+        self._difference = np.zeros((len(one), band.local))
+        self._difference[:, controls] = -one
+        self._difference[:, band.block + controls.start : band.block + controls.stop] = one
         # The last interval has no control after it.
         paired = np.arange(band.nodes - 1) < band.nodes - 2
-        self.curvature = weight * paired[:, None, None] * (difference.T @ difference)
+        self.curvature = weight * paired[:, None, None] * (self._difference.T @ self._difference)
 
     def value(self, us: Array) -> float:
         """The price of controls (intervals, m)."""
@@ -189,11 +175,8 @@ class Smoothing:
 
     def gradient(self, us: Array) -> Array:
         """(intervals, local) first derivative."""
-        pull = np.zeros((self._band.nodes - 1, self._band.local))
-        steps = self._weight * self._steps(us)
-        pull[:-1, self._controls] = -steps
-        pull[:-1, self._next] = steps
-        return pull
+        steps = np.pad(self._steps(us), ((0, 1), (0, 0)))
+        return self._weight * (steps @ self._difference)
 
     def _steps(self, us: Array) -> Array:
         return np.diff(us / self._scales, axis=0)

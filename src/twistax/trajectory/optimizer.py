@@ -66,19 +66,12 @@ class Status(enum.Enum):
 
 
 class Outcome(NamedTuple):
-    """Where a run of the optimiser ended.
+    """Where a run of the optimiser ended."""
 
-    Attributes:
-        evaluation: the last iterate with its residuals.
-        violations: (intervals, rows) scaled violations, zero where a row holds.
-        status: how it ended.
-        iterations: evaluations of the problem.
-    """
-
-    evaluation: Evaluation
-    violations: Array
+    evaluation: Evaluation  # the last iterate with its residuals
+    violations: Array  # (intervals, rows), scaled, zero where a row holds
     status: Status
-    iterations: int
+    iterations: int  # evaluations of the problem
 
     @property
     def cost(self) -> float:
@@ -108,15 +101,7 @@ class _Merit(NamedTuple):
 
 
 class Optimizer:
-    """Minimises a transcribed problem.
-
-    Args:
-        evaluate: (iterate, step) -> the evaluation after the step, as NumPy arrays.
-        band: where the unknowns sit and which are free.
-        transcription: what kind its rows are.
-        scales: sizes of unknowns, rows and objective.
-        shortest_time: the final time never falls below it during the search.
-    """
+    """Minimises a transcribed problem; the final time never falls below `shortest_time` during the search."""
 
     def __init__(
         self,

@@ -163,7 +163,6 @@ class Problem:
         return best_result(self, outcomes, tolerance, compiled - begin, done - compiled)
 
     def _start(self, given: Mapping[str, Array]) -> Iterate:
-        """The guess as an iterate."""
         count = self.nodes - 1
         xs: dict[str, Any] = {
             s.name: state_guess(s, given.get(s.name), self.initial[s.name], self.final[s.name], self.nodes)

@@ -62,9 +62,27 @@ class TrajectoryResult:
         """Whether the status is SOLVED."""
         return self.status is Status.SOLVED
 
-    def replay(self, method: Any = None, steps: int | None = None, **tolerances: float) -> Replay:
-        """Roll out the found controls from the first node and measure what comes out. See `Replay` and `replay`."""
-        return replay(self, method, steps, **tolerances)
+    def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
+        """Roll out the found controls from the first node, each held over its interval, and measure what comes out.
+
+        Args:
+            method: an RKMK method, RK4 if left out; or a diffrax solver, which integrates the same system as a plain
+                ODE in quaternions with adaptive steps.
+            steps: samples an interval, and for an RKMK method its steps there.
+            rtol, atol: tolerances of a diffrax solver.
+        Raises:
+            TrajectoryError: steps is no positive whole number.
+            InputError: method is neither.
+            IntegrationError: the rollout did not reach its end.
+        """
+        check_whole("steps", steps)
+        method = RKMK(RK4) if method is None else method
+        with jax.enable_x64(True):
+            if isinstance(method, Method):
+                xs = _rollout_on_group(self, method, steps)
+            else:
+                xs = _rollout_ambient(self, method, steps, rtol, atol)
+            return _judged(self, xs, steps)
 
     def __repr__(self) -> str:
         return (
@@ -150,33 +168,6 @@ class Replay:
     vectors: dict[str, Array]
     violations: dict[str, float]
     final: dict[str, float]
-
-
-def replay(
-    result: TrajectoryResult, method: Any = None, steps: int | None = None, *, rtol: float = 1e-10, atol: float = 1e-10
-) -> Replay:
-    """Roll out the controls of a result from its first node, each held over its interval.
-
-    Args:
-        result: what `Problem.solve` gave.
-        method: an RKMK method, RK4 if left out; or a diffrax solver, which integrates the same system as a plain ODE in
-            quaternions with adaptive steps.
-        steps: samples an interval, and for an RKMK method its steps there; 20 if left out.
-        rtol, atol: tolerances of a diffrax solver.
-    Raises:
-        TrajectoryError: steps is no positive whole number.
-        InputError: method is neither.
-        IntegrationError: the rollout did not reach its end.
-    """
-    steps = 20 if steps is None else steps
-    check_whole("steps", steps)
-    method = RKMK(RK4) if method is None else method
-    with jax.enable_x64(True):
-        if isinstance(method, Method):
-            xs = _rollout_on_group(result, method, steps)
-        else:
-            xs = _rollout_ambient(result, method, steps, rtol, atol)
-        return _judged(result, xs, steps)
 
 
 def _rollout_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[str, Array]:
@@ -278,15 +269,13 @@ def _path_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], 
     if not rows.names:
         return {}
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
-    params = {name: jnp.asarray(value) for name, value in problem.params.items()}
     at = jax.vmap(problem.transcription.path_values, in_axes=(0, 0, None, None))
     points = {name: values[window] for name, values in xs.items()}
-    values = jax.jit(jax.vmap(at, in_axes=(0, 0, 0, None)))(ts[window], points, dict(result.us), params)
+    values = jax.jit(jax.vmap(at, in_axes=(0, 0, 0, None)))(ts[window], points, dict(result.us), problem.params)
     return largest_by_name(rows.names, violations(np.asarray(values), rows.equality).max(axis=(0, 1)))
 
 
 def _final_violations(problem: Problem, t: float, end: dict[str, Array]) -> dict[str, float]:
     rows = problem.final_rows
-    params = {name: jnp.asarray(value) for name, value in problem.params.items()}
-    values = np.asarray(jax.jit(rows.values)(jnp.asarray(t), end, params))
+    values = np.asarray(jax.jit(rows.values)(jnp.asarray(t), end, problem.params))
     return largest_by_name(rows.names, violations(values, rows.equality))

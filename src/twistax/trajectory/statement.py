@@ -113,19 +113,13 @@ class Bound:
 
 @dataclasses.dataclass(frozen=True)
 class PathRows:
-    """The rows of the path function: the system's inequalities, its equalities, then the boxes of the leaves.
-
-    Attributes:
-        names, equality, reads: of every row.
-        states: the states every row reads.
-        bounds: the boxes, as the last rows.
-    """
+    """The rows of the path function: the system's inequalities, its equalities, then the boxes of the leaves."""
 
     names: tuple[str, ...]
-    equality: Array
-    reads: tuple[Reads, ...]
-    states: tuple[frozenset[str], ...]
-    bounds: tuple[Bound, ...]
+    equality: Array  # which rows are equalities
+    reads: tuple[Reads, ...]  # of every row
+    states: tuple[frozenset[str], ...]  # that every row reads
+    bounds: tuple[Bound, ...]  # the boxes
 
     def asked(self, intervals: int, substeps: int) -> Array:
         """Where the rows are asked: bool (intervals, substeps + 1, rows). The last point of an interval is its end."""
@@ -215,20 +209,13 @@ def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
 
 @dataclasses.dataclass(frozen=True)
 class FinalRows:
-    """Conditions on the final node: inequalities (<= 0) first, then equalities.
+    """Conditions on the final node: inequalities (<= 0) first, then equalities."""
 
-    Attributes:
-        names: one for every entry.
-        residuals: canonical expressions.
-        equality: which entries are equalities.
-    """
-
-    names: list[str]
-    residuals: list[Expr]
-    equality: Array
+    names: list[str]  # one for every entry
+    residuals: list[Expr]  # canonical
+    equality: Array  # which entries are equalities
 
     def values(self, t: jax.Array, x: Any, params: Any) -> jax.Array:
-        """The residuals of the final node."""
         inputs = Inputs(t, x, {}, params, t.dtype)
         values = evaluate_all(self.residuals, lambda leaf: leaf.read(inputs))
         return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)

@@ -24,7 +24,7 @@ from ..expr import Expr, Inputs, evaluate_all
 from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .discretize import Controls, rollout
+from .discretize import Controls, rollout, value_and_jacobian
 from .statement import FinalRows, Objective, PathRows
 
 
@@ -37,41 +37,26 @@ class Iterate(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """Everything an optimiser needs at an iterate, in the problem's own units.
-
-    Attributes:
-        iterate: the iterate itself.
-        rows: (intervals, rows) residuals.
-        slopes: (intervals, rows, local) their derivatives.
-        cost: the objective, to be minimised.
-        gradient: (intervals, local) its derivative, to be summed over the intervals.
-        curvature: (intervals, local, local) positive semidefinite part of its second derivative.
-    """
+    """Everything an optimiser needs at an iterate, in the problem's own units."""
 
     iterate: Iterate
-    rows: Any
-    slopes: Any
-    cost: Any
-    gradient: Any
-    curvature: Any
+    rows: Any  # (intervals, rows) residuals
+    slopes: Any  # (intervals, rows, local) their derivatives
+    cost: Any  # the objective, to be minimised
+    gradient: Any  # (intervals, local) its derivative, to be summed over the intervals
+    curvature: Any  # (intervals, local, local) positive semidefinite part of its second derivative
 
 
 class Transcription:
     """The discrete problem behind a continuous one.
 
     Args:
-        dynamics, method, nodes, substeps: what is integrated and how.
-        objective: what is optimised.
-        path: the rows asked along the path.
-        final: the conditions on the final node.
         time_limits: (low, high) of the final time; low = high fixes it.
         fixed: states whose start is given in full.
 
     Attributes:
-        names: the name of every row.
-        equality: (rows,) which rows are equalities.
-        exists: (intervals, rows) which rows are asked in which interval.
-        decided: (intervals, rows) which of them no unknown can change.
+        names, equality: (rows,) of every row; whether it is an equality.
+        exists, decided: (intervals, rows) which rows are asked in which interval, and which of them no unknown changes.
     """
 
     def __init__(
@@ -221,13 +206,7 @@ class Transcription:
     def _path_slopes(self, t: jax.Array, x: Arrays, u: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """The path rows at a point and their derivatives with respect to [d, u, t]."""
         point, here = self._around(x, u, t)
-
-        def rows(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-            value = self.path_values(*point(z), params)
-            return value, value
-
-        slopes, value = jax.jacfwd(rows, has_aux=True)(here)
-        return value, slopes
+        return value_and_jacobian(lambda z: self.path_values(*point(z), params), here)
 
     def path_values(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
         """The path rows at a point: inequalities, equalities, boxes."""
@@ -261,15 +240,13 @@ class Transcription:
         n, b = self.n, self.block
         columns = np.array([*range(b, b + n), self.local - 1])
 
-        def rows(z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def rows(z: jax.Array) -> jax.Array:
             value = self._final.values(z[-1], self.dynamics.group.retract(x, z[:n]), params)
             low, high = self.time_limits
-            if low < high:
-                value = jnp.concatenate([value, jnp.stack([low - z[-1], z[-1] - high])])
-            return value, value
+            return value if low == high else jnp.concatenate([value, jnp.stack([low - z[-1], z[-1] - high])])
 
         here = jnp.concatenate([jnp.zeros(n, t.dtype), t[None]])
-        small_slopes, values = jax.jacfwd(rows, has_aux=True)(here)
+        values, small_slopes = value_and_jacobian(rows, here)
         slopes = jnp.zeros((values.shape[0], self.local), t.dtype).at[:, columns].set(small_slopes)
         gradient = jnp.zeros(self.local, t.dtype)
         curvature = jnp.zeros((self.local, self.local), t.dtype)

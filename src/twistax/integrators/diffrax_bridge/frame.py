@@ -114,7 +114,6 @@ class Frame:
 
     @property
     def local(self) -> StateCoordinates:
-        """The coordinates of all states."""
         return coordinates_of(self.chart, self.dynamics.group)
 
     @property

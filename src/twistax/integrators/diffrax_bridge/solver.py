@@ -98,13 +98,14 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         self.frame = Frame(dynamics, default if chart is None else chart)
         _ = self.frame.ambient  # refuses groups without matrices, by name
 
-    # What diffrax asks for: terms before the first step, the interpolation within a step, and what the wrapped solver
-    # says; ForwardMode and DirectAdjoint set its scan_kind.
-    term_structure = property(lambda self: LieTerms)
-    interpolation_cls = property(lambda self: _Interpolate(self.solver.interpolation_cls, self.frame))
-    scan_kind = property(lambda self: self.solver.scan_kind)
-    root_finder = property(lambda self: self.solver.root_finder)
-    root_find_max_steps = property(lambda self: self.solver.root_find_max_steps)
+    # What diffrax asks for, partly of the wrapped solver.
+    term_structure = property(lambda self: LieTerms, doc="What terms must be.")
+    interpolation_cls = property(
+        lambda self: _Interpolate(self.solver.interpolation_cls, self.frame), doc="Makes the interpolation of a step."
+    )
+    scan_kind = property(lambda self: self.solver.scan_kind, doc="Set by ForwardMode and DirectAdjoint.")
+    root_finder = property(lambda self: self.solver.root_finder, doc="Of an implicit solver.")
+    root_find_max_steps = property(lambda self: self.solver.root_find_max_steps, doc="Its most iterations.")
 
     def order(self, terms: Any) -> Any:
         """The wrapped solver's."""

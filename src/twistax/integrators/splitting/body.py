@@ -17,7 +17,7 @@ from ...groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, qua
 from ...groups.arrays import Components, add, scale, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts import Ambient, Blocks, FlatCoordinates, StoredState, conjugate, tightened
+from ..charts import Ambient, Blocks, Coordinates, StoredState, conjugate, tightened
 from .inertia import BodyInertia, arrays, rigid, rotational
 
 
@@ -119,16 +119,16 @@ class FreeParticle(FreeMotion):
         return {self.position: v, self.velocity: jnp.zeros_like(v)}
 
     def flows(self, dynamics: Dynamics, params: Arrays) -> Flows:
-        group = dynamics.group.factors[self.position]
-        assert isinstance(group, Euclidean)  # `check` refuses others
-        return _ParticleFlows(self.position, self.velocity, FlatCoordinates(group))
+        return _ParticleFlows(
+            self.position, self.velocity, Ambient().coordinates(dynamics.group.factors[self.position])
+        )
 
 
 @dataclasses.dataclass(frozen=True)
 class _ParticleFlows(Flows):
     position: str
     velocity: str
-    part: FlatCoordinates
+    part: Coordinates
 
     def enter(self, x: Arrays) -> Blocks:
         return {name: begun(self.part.enter(x[name])) for name in (self.position, self.velocity)}

@@ -16,8 +16,8 @@ from ...errors import InputError, ModelError
 from ...groups import Euclidean
 from ..functions import Functions
 from ..scalar.in_c import CType, c_type
-from . import CFiles, version
-from .c_code import MARK, Code, identifiers
+from . import CFiles
+from .c_code import MARK, Code, filled, identifiers, mark
 from .functions import ExportedFunction, Exporter
 
 __all__ = ["write_c"]
@@ -176,45 +176,19 @@ def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
                 steps.append(f'failed += compare("{label}", {own}, {array}, {port.size}, {allowed});')
     widest = max(len(function.results) for function in code.functions)
     longest = max(port.size for function in code.functions for port in function.results)
-    listed, zero = "\n    ".join(steps), real.literal(0.0)
-    return f"""{MARK} {version()}: compares with values by JAX in double precision, on arrays.
- * Allowed is {tolerance:.0e} times the largest reference of the function. Ends with 0 where all agree.
- */
-#include <math.h>
-#include <stdio.h>
-
-#include "{code.name}.h"
-
-{"".join(data)}
-static {real.name} found[{widest}][{longest}];
-
-static int compare(const char *name, const {real.name} *own, const {real.name} *other, int n, {real.name} allowed)
-{{
-    {real.name} worst = {zero};
-    int bad = 0, k;
-    for (k = 0; k < n; k++) {{
-        if (isnan(other[k])) {{
-            bad += !isnan(own[k]);
-        }} else if (isinf(other[k])) {{
-            bad += !isinf(own[k]) || (own[k] > {zero}) != (other[k] > {zero});
-        }} else {{
-            const {real.name} apart = fabs{real.suffix}(own[k] - other[k]);
-            bad += !(apart <= allowed);
-            worst = apart > worst ? apart : worst;
-        }}
-    }}
-    printf("%-40s apart %.1e, allowed %.1e%s\\n", name, (double)worst, (double)allowed, bad ? "  WRONG" : "");
-    return bad;
-}}
-
-int main(void)
-{{
-    int failed = 0;
-    {listed}
-    printf(failed ? "%d entries are WRONG\\n" : "all agree\\n", failed);
-    return failed ? 1 : 0;
-}}
-"""
+    return filled(
+        "test_main.c.in",
+        mark=mark(),
+        tolerance=f"{tolerance:.0e}",
+        name=code.name,
+        real=real.name,
+        data="".join(data),
+        widest=widest,
+        longest=longest,
+        zero=real.literal(0.0),
+        fabs=f"fabs{real.suffix}",
+        steps="\n    ".join(steps),
+    )
 
 
 def _references(function: ExportedFunction, points: Sequence[Point]) -> list[list[NDArray[Any]]]:
@@ -228,7 +202,6 @@ def _references(function: ExportedFunction, points: Sequence[Point]) -> list[lis
 
 
 def _cast(values: Any, real: CType) -> NDArray[Any]:
-    """As numbers of the code."""
     with np.errstate(over="ignore"):
         return np.asarray(values).astype(real.dtype)
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
 
 from ...errors import ModelError
 from ...groups import Euclidean
@@ -13,7 +16,7 @@ from ..scalar.in_c import CType, c_type, expression
 from . import version
 from .functions import ExportedFunction, Exporter, Port
 
-__all__ = ["MARK", "Code", "body", "identifiers"]
+__all__ = ["MARK", "Code", "body", "filled", "identifiers", "mark"]
 
 #: How every file begins, by which files that may be replaced are known.
 MARK = "/* Written by twistax"
@@ -43,6 +46,16 @@ _MEANINGS = {
 }
 
 
+def mark() -> str:
+    """The first words of a file that is written now."""
+    return f"{MARK} {version()}"
+
+
+def filled(template: str, **parts: Any) -> str:
+    """The text of a file of this folder, its parts in place."""
+    return Template(Path(__file__).with_name(template).read_text()).substitute(parts)
+
+
 def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
     """What each array is called: a prefix of its kind, and its name, in which what C does not allow is an underscore.
 
@@ -65,55 +78,30 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
 
 @dataclasses.dataclass(frozen=True)
 class Code:
-    """What is written.
+    """What is written."""
 
-    Attributes:
-        name: of the files, and what the names of all functions begin with.
-        exporter, functions: of the system.
-        names: of all arrays.
-        real: the type of its numbers.
-    """
-
-    name: str
+    name: str  # of the files, and what the names of all functions begin with
     exporter: Exporter
     functions: Sequence[ExportedFunction]
-    names: Mapping[Port, str]
-    real: CType
+    names: Mapping[Port, str]  # of all arrays
+    real: CType  # of all numbers
 
     def header(self) -> str:
         """The call convention, and what is declared."""
-        guard = f"{self.name}_H"  # as written: in C, names that differ in case differ
         constants = "".join(f"extern {head};\n" for head in self._defaults())
         if constants:
             constants = f"/* The parameters' own values, to pass where no others are wanted. */\n{constants}\n"
         prototypes = "\n".join(f"{self._head(function)};\n" for function in self.functions)
-        return f"""{MARK} {version()}. Do not edit: write it anew with to_c.
- *
- * x' = f(t, x, u, p) with numbers of type {self.real.name}: C99, no allocation, no state, nothing but libm.
- *
- * Call convention
- *   Every array is a pointer to its entries, read row by row; a scalar is an array of one entry, the time a value.
- *   Arguments come first and are only read; results follow and are written whole, zeros too. A result must not
- *   overlap an argument or another result. All functions take the same arguments; what one does not read is ignored.
- *   Units are those of the arguments: nothing is converted.
- *   Compile without -ffast-math where infinities or NaN may occur.
- *
- * Arguments, in this order
-{self._listed(self.exporter.arguments)}{"".join(map(self._results, self.functions))} */
-#ifndef {guard}
-#define {guard}
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-{constants}{prototypes}
-#ifdef __cplusplus
-}}
-#endif
-
-#endif
-"""
+        return filled(
+            "header.h.in",
+            mark=mark(),
+            real=self.real.name,
+            arguments=self._listed(self.exporter.arguments),
+            results="".join(map(self._results, self.functions)),
+            guard=f"{self.name}_H",  # as written: in C, names that differ in case differ
+            constants=constants,
+            prototypes=prototypes,
+        )
 
     def source(self) -> str:
         """What the functions do."""
@@ -122,7 +110,7 @@ extern "C" {{
             for function in self.functions
         ]
         parts = [
-            f'{MARK} {version()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
+            f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
             "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
             *bodies,

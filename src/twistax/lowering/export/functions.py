@@ -25,16 +25,10 @@ _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 
 @dataclasses.dataclass(frozen=True)
 class Port:
-    """An array that goes into a function or comes out of it.
+    """An array that goes into a function or comes out of it."""
 
-    Attributes:
-        kind: "t", "x", "u" or "p" of arguments; "rate", "output", "constraint" or "jacobian" of results.
-        name: of the leaf or the result; empty for the time.
-        shape: of the array.
-    """
-
-    kind: str
-    name: str
+    kind: str  # "t", "x", "u" or "p" of arguments; "rate", "output", "constraint" or "jacobian" of results
+    name: str  # of the leaf or the result; empty for the time
     shape: tuple[int, ...]
 
     @property
@@ -44,30 +38,19 @@ class Port:
 
 @dataclasses.dataclass(frozen=True)
 class ExportedFunction:
-    """One function.
+    """One function."""
 
-    Attributes:
-        name: "rates", "outputs", "constraints" or "jacobian".
-        results: what it gives, in order; empty arrays are left out.
-        program: from all arguments, in order, to the results; without calls.
-        arrays: the same in JAX arrays, not by way of scalars: what references are computed with.
-    """
-
-    name: str
-    results: tuple[Port, ...]
-    program: ScalarProgram
-    arrays: Callable[..., list[jax.Array]]
+    name: str  # "rates", "outputs", "constraints" or "jacobian"
+    results: tuple[Port, ...]  # what it gives, in order; empty arrays are left out
+    program: ScalarProgram  # from all arguments, in order, to the results; without calls
+    arrays: Callable[..., list[jax.Array]]  # the same in JAX arrays: what references are computed with
 
 
 class Exporter:
     """The functions of a compiled system in one precision, whatever JAX's x64 switch says.
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
-
-    Args:
-        dynamics: those of the compiled system.
-        dtype: float64 or float32.
-        checked: as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
+    `checked` is as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
     """
 
     def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:

@@ -308,7 +308,6 @@ def _value(written: Any, arrays: Sequence[NDArray[Any]], nodes: Sequence[Expr]) 
 
 
 def _reference(cls: type) -> str:
-    """How a file names a class."""
     return f"{cls.__module__}:{cls.__qualname__}"
 
 

@@ -29,7 +29,6 @@ _MISSING = "llvmlite is not installed"
 
 
 def installed() -> bool:
-    """Whether llvmlite is there."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
@@ -140,6 +139,7 @@ class Native(Backend):
     # ---- the runner ----------------------------------------------------------------------------------------------
 
     def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
+        """The kernel of a program, for one body or for batches; None where it has no native form."""
         try:
             return self._built(Straight, native_form(program), single)
         except NotNative:

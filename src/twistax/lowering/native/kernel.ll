@@ -1,7 +1,7 @@
 ; What XLA calls: a loop over rows, shared between threads, by its typed foreign-function interface.
 ;
 ; Structures and their offsets are those of xla/ffi/api/c_api.h, version 0.3, on machines with addresses of 64 bits.
-; handler.py fills in what stands after a dollar sign, and reads an offset in bytes, "ptr %a + 8", as an address.
+; kernel.py fills in what stands after a dollar sign, and reads an offset in bytes, "ptr %a + 8", as an address.
 
 $messages
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
 import threading
 from collections.abc import Sequence
+from pathlib import Path
+from string import Template
 from typing import Any
 
 import jax
@@ -13,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from .code import Module
-from .handler import API, write_handler
+from .code import Module, addressed
 from .machine_code import BuildError, Processor, load
 from .rows import Array
 from .tile import Tile
@@ -49,7 +51,7 @@ class Kernel:
         self._written = [tile.results[k] for k in tile.written]
         module = Module(processor)
         tile.write(module)
-        write_handler(module, tile.arrays, len(self._read), tile.lanes, tile.chunk, threads or _ALL)
+        _write_handler(module, tile, threads or _ALL)
         text = module.text()
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)
@@ -86,8 +88,87 @@ class Kernel:
 def _name(text: str, processor: Processor) -> str:
     import llvmlite
 
-    parts = (text, processor.name, processor.features, llvmlite.__version__, str(API))
+    parts = (text, processor.name, processor.features, llvmlite.__version__, str(_API))
     return f"twistax_{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()[:32]}"
+
+
+# ---- the function that XLA calls, `kernel.ll`: what differs from kernel to kernel is filled in here ------------------
+
+#: The version of the interface. XLA refuses a handler that is made for a version it does not know.
+_API = (0, 3)
+
+#: XLA's numbers of the types, `XLA_FFI_DataType`.
+_DATA_TYPES = {"double": 12, "float": 11, "i64": 5, "i32": 4, "i1": 1}
+
+#: What is called of LLVM and of the C library.
+_DECLARED = {
+    "declare ptr @malloc(i64)",
+    "declare void @free(ptr)",
+    "declare i32 @sched_yield()",
+    "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
+    "declare i64 @llvm.umin.i64(i64, i64)",
+}
+
+_BUFFER = """check.{k}:
+%right.{k} = call i1 @taken(ptr %{family}s, i64 {place}, i32 {type}, i64 %rows, i64 {size}, ptr %table, i64 {k})
+br i1 %right.{k}, label %check.{next}, label %wrong.{k}"""
+
+_ERROR = """{label}:
+%error.{label} = call ptr @failed(ptr %api, ptr @message.{label})
+ret ptr %error.{label}"""
+
+_POINTER = """%p{k} = getelementptr ptr, ptr %table, i64 {k}
+%{name} = load ptr, ptr %p{k}"""
+
+_MOVED = """%{name}.place = mul i64 %row, {size}
+%{name}.row = getelementptr {stored}, ptr %{name}, i64 %{name}.place"""
+
+
+@functools.cache
+def _template() -> Template:
+    return Template(Path(__file__).with_name("kernel.ll").read_text())
+
+
+def _write_handler(module: Module, tile: Tile, threads: int) -> None:
+    """Adds `run(table, first, end)`, some rows of the arrays in a table, and `handler(frame)`, all, by many threads."""
+    arrays, read, results = tile.arrays, len(tile.read), len(tile.written)
+    major, minor = _API
+    messages = {
+        "wrong.version": f"a kernel of twistax is made for version {major}.{minor} of XLA's foreign-function interface",
+        "wrong.count": f"a kernel of twistax takes {read} arguments and gives {results} results",
+    }
+    buffers = []
+    for k, array in enumerate(arrays.values()):
+        family, place = ("argument", k) if k < read else ("result", k - read)
+        kind = _DATA_TYPES[array.kind]
+        buffers.append(_BUFFER.format(k=k, family=family, place=place, type=kind, size=array.size, next=k + 1))
+        expected = f"{np.dtype(array.dtype).name} of shape (rows, {array.size})"
+        messages[f"wrong.{k}"] = f"a kernel of twistax expects {expected} as {family} {place}"
+    constants = [
+        f'@message.{label} = private constant [{len(message) + 1} x i8] c"{message}\\00"'
+        for label, message in messages.items()
+    ]
+    text = _template().substitute(
+        messages="\n".join(constants),
+        pointers="\n".join(_POINTER.format(k=k, name=name) for k, name in enumerate(arrays)),
+        moved="\n".join(_MOVED.format(name=name, size=a.size, stored=a.stored) for name, a in arrays.items()),
+        rows="".join(f", ptr %{name}.row" for name in arrays),
+        lanes=tile.lanes,
+        chunk=tile.chunk,
+        table=8 * len(arrays),
+        job=32 + 8 * len(arrays),
+        major=major,
+        minor=minor,
+        arguments=read,
+        results=results,
+        count=len(arrays),
+        buffers="\n".join(buffers),
+        threads=threads,
+        errors="\n".join(_ERROR.format(label=label) for label in messages),
+    )
+    module.declarations |= _DECLARED
+    module.library |= {"malloc", "free", "sched_yield"}
+    module.functions["handler"] = addressed(text)
 
 
 # ---- asked once, before anything relies on it ------------------------------------------------------------------------

@@ -22,21 +22,13 @@ _LEVELS = {128: ("x86-64", False), 256: ("x86-64-v3", True)}
 
 @dataclasses.dataclass(frozen=True)
 class Processor:
-    """A processor as LLVM names it, and what its vectors can do.
-
-    Attributes:
-        name: for LLVM.
-        features: for LLVM, as "+avx2,-avx512f"; empty where the name says all.
-        bits: of a vector.
-        fma: whether a b + c is one instruction with one rounding.
-        masks: whether parts of vectors are read and written at no cost.
-    """
+    """A processor as LLVM names it, and what its vectors can do."""
 
     name: str
-    features: str
-    bits: int
-    fma: bool
-    masks: bool
+    features: str  # as "+avx2,-avx512f"; empty where the name says all
+    bits: int  # of a vector
+    fma: bool  # whether a b + c is one instruction with one rounding
+    masks: bool  # whether parts of vectors are read and written at no cost
 
     def lanes(self, dtype: np.dtype[Any]) -> int:
         """How many numbers of a floating-point type go into a vector."""

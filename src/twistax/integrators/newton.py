@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from .collocation import CollocationTableau
+from .tableaus import CollocationTableau
 
 #: Updates within this many times round-off count as solved when they stop falling.
 _STALLED = 1e3
@@ -169,7 +169,6 @@ def inverse(matrix: Parts) -> Parts:
 
 
 def applied(matrix: Parts, vector: Parts) -> Parts:
-    """The product of a matrix and a vector."""
     products = times(matrix, tuple(entry[None, :] for entry in vector))
     return tuple(jnp.sum(product, axis=1) for product in products)
 

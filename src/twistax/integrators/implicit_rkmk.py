@@ -10,16 +10,16 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ...errors import ModelError
-from ...jax_inside import opened
-from ...lowering import XLA, Dynamics
-from ...lowering.small_call import small_call
-from ..charts import Blocks, Chart, Exponential, chart_of
-from ..method import Attempt, Carry, ChartMethod, VectorField
-from ..steps import all_finite
-from ..tolerances import Tolerances
-from .collocation import CollocationTableau
+from ..errors import ModelError
+from ..jax_inside import opened
+from ..lowering import XLA, Dynamics
+from ..lowering.small_call import small_call
+from .charts import Blocks, Chart, Exponential, chart_of
+from .method import Attempt, Carry, ChartMethod, VectorField
 from .newton import Factors, Parts, combined, newton
+from .steps import all_finite
+from .tableaus import CollocationTableau
+from .tolerances import Tolerances
 
 #: Newton steps before a step is given up: where it may be taken back, and where it may not.
 _FEW, _MANY = 8, 200
