@@ -13,6 +13,7 @@ SOURCE = Path(twistax.__file__).parent
 LAYERS = [
     "errors",
     "jax_inside",
+    "checks",
     "groups",
     "expr",
     "system",

@@ -7,6 +7,7 @@ __all__ = [
     "InputError",
     "IntegrationError",
     "ModelError",
+    "OperationError",
     "OrderError",
     "ShapeError",
     "TrajectoryError",
@@ -54,6 +55,10 @@ class InputError(TwistaxError, ValueError):
 
 class ImmutableError(TwistaxError, AttributeError):
     """Somebody assigned to a node. Nodes are values; `replace` makes a changed copy."""
+
+
+class OperationError(TwistaxError, TypeError):
+    """An operator, an index, a function or an argument that has no meaning for expressions."""
 
 
 class IntegrationError(TwistaxError, RuntimeError):

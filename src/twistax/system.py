@@ -6,12 +6,40 @@ import itertools
 from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
+
+from .checks import listed, short
 from .errors import ModelError, ShapeError
-from .expr import Constraint, Control, Expr, Leaf, Parameter, State, check_orders, find_path, leaves_of, to_expr
+from .expr import (
+    Add,
+    Block,
+    Concat,
+    Constant,
+    Constraint,
+    Control,
+    Div,
+    Expr,
+    Hstack,
+    Leaf,
+    Mul,
+    Neg,
+    Parameter,
+    Stack,
+    State,
+    Sub,
+    Vstack,
+    check_orders,
+    find_path,
+    leaves_of,
+    to_expr,
+)
 from .expr.fields import ExprLike, freeze
+from .expr.vmap import no_elements
 from .groups import Euclidean, Product
 
 L = TypeVar("L", bound=Leaf)
+#: Nodes whose value is NaN where an entry of an operand is.
+_PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
 
 class System:
@@ -46,9 +74,13 @@ class System:
         parameters: Iterable[Parameter] | None = None,
     ) -> None:
         if not isinstance(rates, Mapping) or not rates:
-            raise ModelError("a System needs at least one state with a rate: rates={x: expression}")
+            got = short(rates) if isinstance(rates, Mapping) else type(rates).__name__
+            raise ModelError(f"a System needs at least one state with a rate: rates={{x: expression}}, got {got}")
         if outputs is not None and not isinstance(outputs, Mapping):
             raise ModelError(f"outputs must be a dict from names to expressions, got {type(outputs).__name__}")
+        for name in outputs or ():
+            if not isinstance(name, str):
+                raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         self.constraints: dict[str, Constraint] = _named_constraints(constraints)
@@ -57,7 +89,9 @@ class System:
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
-        used = [leaf for leaf in leaves_of(*self._roots.values()) if isinstance(leaf, (State, Control, Parameter))]
+        leaves = list(leaves_of(*self._roots.values()))
+        no_elements(leaves)
+        used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter))]
         self.states: tuple[State, ...] = _states(rates, used)
         self.rates: dict[str, Expr] = dict(zip((s.name for s in self.states), expressions.values(), strict=True))
         self.controls: tuple[Control, ...] = self._declared(Control, controls, used)
@@ -84,8 +118,10 @@ class System:
         if declared is None:
             return tuple(reversed(found.values()))
         argument = f"{kind.__name__.lower()}s"
-        listed: Iterable[Any] = (declared,) if isinstance(declared, Expr) else declared
-        leaves = {id(leaf): leaf for leaf in listed}
+        given: Iterable[Any] = (declared,) if isinstance(declared, Expr) else declared
+        if not isinstance(given, Iterable):
+            raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {given!r}")
+        leaves = {id(leaf): leaf for leaf in given}
         for leaf in leaves.values():
             if not isinstance(leaf, kind):
                 raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {leaf!r}")
@@ -127,6 +163,12 @@ class System:
                 root.check_shape()
             except ShapeError as error:
                 raise error.located(f"{name}: {error.at}") from None
+        for name, root in self._roots.items():
+            if (found := _not_finite(root)) is not None:
+                raise ModelError(
+                    f"{name} is never finite: it expects finite numbers, got {found!r}.\n"
+                    f"  at: {find_path(root, found)}\n  fix: what is not known yet is a tx.Parameter"
+                )
         for state in self.states:
             rate = self.rates[state.name]
             euclidean = isinstance(state.group, Euclidean)
@@ -154,6 +196,22 @@ def name_of(key: Any) -> str:
     return key if isinstance(key, str) else getattr(key, "name", repr(key))
 
 
+def _not_finite(root: Expr) -> Constant | None:
+    """A constant that makes the value NaN whatever the states are, or that is the value and infinite; None if none."""
+    if isinstance(root, Constant) and not np.isfinite(root.value).all():
+        return root
+    waiting, seen = [root], set[int]()
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Constant) and np.isnan(node.value).any():
+            return node
+        # Others may leave an entry out, or choose another branch.
+        if isinstance(node, _PASSING) and id(node) not in seen:
+            seen.add(id(node))
+            waiting.extend(node.children())
+    return None
+
+
 def _expression(place: str, value: ExprLike) -> Expr:
     try:
         return to_expr(value)
@@ -172,6 +230,8 @@ def _named_constraints(
 ) -> dict[str, Constraint]:
     if isinstance(constraints, Mapping):
         named = dict(constraints)
+    elif not isinstance(constraints, Iterable):
+        raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
     else:
         named = {}
         for constraint in [constraints] if isinstance(constraints, Constraint) else constraints:
@@ -194,10 +254,9 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
             raise ModelError(f"a key of rates must be a State or its name, got {key!r}")
         name = name_of(key)
         if name not in found:
-            known = ", ".join(sorted(found)) or "none"
             raise ModelError(
-                f"rates names {name!r}, but no State of that name is used (known: {known}).\n"
-                "  fix: give the State itself as the key"
+                f"rates names {name!r}, but no State of that name is used.\n"
+                f"  fix: give the State itself as the key; known are {listed(sorted(found), name)}"
             )
         if name in states:
             first = next(other for other in rates if name_of(other) == name)

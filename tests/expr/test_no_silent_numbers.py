@@ -267,3 +267,45 @@ def test_masked_entries_are_refused() -> None:
     with pytest.raises(tx.InputError, match="masked entries"):
         tx.compile(system).outputs(0.0, {"s": 0.0}, None, {"p": value})
     assert tx.Parameter("p", value=np.ma.array([1.0, 2.0])).shape == (2,)
+
+
+def test_baking_changes_no_value() -> None:
+    p, q = tx.Parameter("p"), tx.Parameter("q")
+    quotient = tx.System(rates={s: s * p / p})
+    for number in (0.0, 2.0):
+        baked = tx.compile(quotient, bake={"p": number})(0.0, {"s": 1.5})["s"]
+        np.testing.assert_array_equal(baked, tx.compile(quotient)(0.0, {"s": 1.5}, None, {"p": number})["s"])
+    infinite = {"p": np.inf, "q": 1.0}
+    for e in (p - p, p * (q - q), 0.0 * p, p + -p, tx.Constant([np.inf, 1.0]) @ np.zeros(2), 1e-200 * s * 1e-200 * q):
+        system = tx.System(rates={s: 0.0 * s}, outputs={"e": e})
+        bake = {x.name: np.inf for x in system.parameters if x.name == "p"}
+        for backend in (tx.JAX(), tx.XLA(least=0)):
+            baked = tx.compile(system, bake=bake, backend=backend)
+            x = {leaf.name: 1e300 for leaf in tx.expr.postorder(e) if isinstance(leaf, tx.State)}
+            expected = tx.lower(e)(0.0, x, None, {x.name: infinite[x.name] for x in system.parameters})
+            given = {x.name: infinite[x.name] for x in baked.parameters}
+            np.testing.assert_array_equal(baked.outputs(0.0, {"s": 1e300}, None, given)["e"], expected)
+
+
+def test_an_element_belongs_to_its_vmap() -> None:
+    kept: list[tx.Expr] = []
+    inner = tx.Vmap(lambda q: tx.Vmap(lambda r: (kept.append(q * r), q * r)[1], v), v)  # both within their functions
+    np.testing.assert_allclose(tx.lower(inner)(0.0, {"v": np.arange(3.0)}), np.outer(np.arange(3.0), np.arange(3.0)))
+    for use in (lambda: tx.Vmap(lambda q: q * kept[0], v), lambda: tx.lower(kept[0]), lambda: tx.System({s: kept[0]})):
+        with pytest.raises(tx.ModelError, match="stands for an element of a Vmap's batch"):
+            use()
+
+
+@pytest.mark.parametrize("log", [tx.lie.so3.log, lambda R: tx.lie.se3.log(tx.lie.se3.transform(R, jnp.zeros(3)))])
+def test_a_traced_map_of_no_rotation_is_nan(log: Callable[..., Any]) -> None:
+    for R in (np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3)), 3.0 * np.eye(3)):
+        assert np.isnan(jax.jit(log)(jnp.asarray(R))).any()
+    R = tx.lie.so3.exp([0.3, -0.2, 3.1])
+    np.testing.assert_array_equal(jax.jit(log)(R)[-3:], jax.jit(tx.lie.so3.unchecked_log)(R))
+
+
+def test_half_precision_is_computed_in_single_or_more() -> None:
+    for number in (np.float16(0.5), jnp.asarray(0.5, jnp.bfloat16), 1, True):
+        found = tx.lower(tx.Exp(s))(0.0, {"s": number})
+        assert found.dtype == jnp.float64
+        np.testing.assert_allclose(found, np.exp(float(number)), rtol=1e-15)

@@ -169,12 +169,12 @@ MISTAKES: dict[str, tuple[tuple[Any, ...], list[str]]] = {
     "a wrong shape": ((0.0, {"x": X[:2]}, {"u": 1.0}), ["x['x'] expects shape (3,), got (2,)"]),
     "a batch": ((0.0, {"x": M}, {"u": 1.0}), ["x['x'] expects shape (3,), got (2, 3)", "fix:", "jax.vmap"]),
     "no dict": ((0.0, X, {"u": 1.0}), ["x must be a dict from names to arrays, got ndarray"]),
-    "words": ((0.0, {"x": "abc"}, {"u": 1.0}), ["x['x'] is not an array of numbers"]),
-    "nothing": ((0.0, {"x": X}, {"u": None}), ["u['u'] is not an array of numbers"]),
-    "an expression": ((0.0, {"x": x}, {"u": 1.0}), ["x['x'] is not an array of numbers", "State is an expression"]),
+    "words": ((0.0, {"x": "abc"}, {"u": 1.0}), ["x['x'] expects real numbers"]),
+    "nothing": ((0.0, {"x": X}, {"u": None}), ["u['u'] expects real numbers"]),
+    "an expression": ((0.0, {"x": x}, {"u": 1.0}), ["x['x'] expects real numbers", "State is an expression"]),
     "complex numbers": ((0.0, {"x": 1j * X}, {"u": 1.0}), ["x['x'] expects real numbers, got complex128"]),
     "several times": ((X, {"x": X}, {"u": 1.0}), ["t expects a scalar, got shape (3,)"]),
-    "no time": ((None, {"x": X}, {"u": 1.0}), ["t is not an array of numbers"]),
+    "no time": ((None, {"x": X}, {"u": 1.0}), ["t expects real numbers"]),
 }
 
 

@@ -154,7 +154,7 @@ SKEWED = np.eye(3) + 0.1 * np.eye(3, k=1)
         ({"mass": [1.0]}, tx.ShapeError, r"mass with shape \(\), got \(1,\)"),
         ({"center_of_mass": [0.0, 1.0]}, tx.ShapeError, r"center_of_mass with shape \(3,\), got \(2,\)"),
         ({"center_of_mass": [0.0, 1.0, np.nan]}, tx.ModelError, "finite center_of_mass"),
-        ({"mass": None}, tx.ModelError, r"SpatialInertia expects mass with shape \(\): .*got NoneType"),
+        ({"mass": None}, tx.ModelError, r"SpatialInertia expects mass with shape \(\): .*got None"),
         ({"inertia": np.ones(3)}, tx.ShapeError, r"(?s)inertia with shape \(3, 3\), got \(3,\).*fix: .*np.diag"),
         ({"inertia": np.full((3, 3), np.nan)}, tx.ModelError, "finite inertia"),
         ({"inertia": SKEWED}, tx.ModelError, "symmetric inertia"),

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ShapeError
+from ..errors import OperationError, ShapeError
 from ..groups.arrays import multiply
 from .fields import Operand, Operands
 from .leaves import Constant
@@ -49,7 +49,8 @@ class Add(Chained, init=False):
         """Fold constants, drop zeros and pairs x - x; never change the shape. Nested sums are flattened before."""
         constants = [t for t in self.terms if isinstance(t, Constant)]
         others = _cancel([t for t in self.terms if not isinstance(t, Constant)])
-        total = np.asarray(sum((c.value for c in constants), start=np.float64(0.0)))
+        with np.errstate(all="ignore"):
+            total = np.asarray(sum((c.value for c in constants), start=np.float64(0.0)))
         if not others:
             return Constant(np.broadcast_to(total, self.shape))
         kept = np.broadcast_shapes(*(other.shape for other in others))
@@ -81,7 +82,7 @@ class Sub(Entrywise):
 
     def simplify(self) -> Expr:
         """x - x is 0; x - 0 is x; 0 - x is -x; x - (-y) is x + y."""
-        if self.left.key() == self.right.key():
+        if self.left.key() == self.right.key() and not isinstance(self.left, Constant):
             return zeros_of(self)
         if is_constant(self.right, 0.0) and self.left.shape == self.shape:
             return self.left
@@ -111,8 +112,11 @@ class Mul(Chained, init=False):
         """Fold constants, drop ones, absorb zeros; never change the shape. Nested products are flattened before."""
         constants = [f for f in self.factors if isinstance(f, Constant)]
         others = [f for f in self.factors if not isinstance(f, Constant)]
-        product = np.asarray(functools.reduce(operator.mul, (c.value for c in constants), np.float64(1.0)))
-        if not np.isfinite(product).all():
+        with np.errstate(all="ignore"):
+            product = np.asarray(functools.reduce(operator.mul, (c.value for c in constants), np.float64(1.0)))
+        # Numbers that overflow or underflow among themselves need not do so with the others between them.
+        zero = functools.reduce(np.logical_or, (c.value == 0.0 for c in constants), np.False_)
+        if not np.isfinite(product).all() or ((product == 0.0) != zero).any():
             return self
         if not product.any() or not others:
             return Constant(np.broadcast_to(product, self.shape))
@@ -143,10 +147,10 @@ class Div(Entrywise):
     by_operators = True
 
     def simplify(self) -> Expr:
-        """x / 1 is x; 0 / x is 0 (equal wherever the quotient is finite)."""
+        """x / 1 is x; 0 / x is 0, where x is not known to be zero or NaN."""
         if is_constant(self.right, 1.0) and self.left.shape == self.shape:
             return self.left
-        return zeros_of(self) if is_constant(self.left, 0.0) else self
+        return zeros_of(self) if is_constant(self.left, 0.0) and not isinstance(self.right, Constant) else self
 
 
 class Neg(Entrywise):
@@ -266,7 +270,8 @@ class MatMul(Expr):
             return self.right
         if is_identity(self.right) and self.left.shape == self.shape:
             return self.left
-        if is_constant(self.left, 0.0) or is_constant(self.right, 0.0):
+        both = isinstance(self.left, Constant) and isinstance(self.right, Constant)  # whose product is not finite
+        if not both and (is_constant(self.left, 0.0) or is_constant(self.right, 0.0)):
             return zeros_of(self)
         applied = self.left.applied_to(self.right) if self.right.ndim in (1, 2) else None
         return self if applied is None else applied
@@ -335,7 +340,7 @@ class Constraint(Entrywise):
         return f"{operands[0]} {self.infix} {operands[1]}"
 
     def __bool__(self) -> bool:
-        raise TypeError(
+        raise OperationError(
             f"the constraint {self!r} has no truth value.\n"
             "  fix: chain constraints as a list [a <= x, x <= b]; choose with tx.Where; "
             "compare structure with a.key() == b.key()"

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ShapeError
+from ..errors import ModelError, OperationError, ShapeError
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant
 from .node import Expr, Numbers, Shape, Variadic
@@ -183,7 +183,7 @@ class Block(Expr):
         columns: blocks in a row.
     Raises:
         ShapeError: heights within a row, widths within a column, or further axes differ.
-        ValueError: no blocks, or rows with different numbers of blocks.
+        ModelError: no blocks, or rows with different numbers of blocks.
     """
 
     entries: Operands
@@ -199,11 +199,11 @@ class Block(Expr):
 
     def __init__(self, blocks: Sequence[Any]) -> None:
         if not blocks:
-            raise ValueError("Block requires at least one row of blocks")
+            raise ModelError(f"Block expects at least one row of blocks, got {blocks!r}")
         rows = blocks if isinstance(blocks[0], (list, tuple)) else [blocks]
         widths = {len(row) for row in rows}
         if len(widths) > 1 or 0 in widths:
-            raise ValueError(f"Block requires rows with the same number of blocks, got {[len(row) for row in rows]}")
+            raise ModelError(f"Block expects rows with the same number of blocks, got {[len(row) for row in rows]}")
         super().__init__(*(block for row in rows for block in row), columns=len(rows[0]))
 
     @property
@@ -266,7 +266,7 @@ class Index(Expr):
             when the expression is built; a negative number counts from the end.
     Raises:
         ShapeError: an index out of bounds, too many of them, or a part without entries.
-        TypeError: an index that is an expression or no index at all.
+        OperationError: an index that is an expression or no index at all.
     """
 
     base: Operand
@@ -349,7 +349,7 @@ def _static(index: Any) -> Any:
     if isinstance(index, (list, np.ndarray, jax.Array)) and np.ndim(index) > 0:
         array = np.array(index)
         if array.dtype.kind not in "iub":
-            raise TypeError(f"Index expects whole numbers or a mask, got an array of {array.dtype}")
+            raise OperationError(f"Index expects whole numbers or a mask, got an array of {array.dtype}")
         array.setflags(write=False)
         return array
     return _whole(index)
@@ -357,16 +357,16 @@ def _static(index: Any) -> Any:
 
 def _whole(index: Any) -> int:
     if isinstance(index, Expr):
-        raise TypeError(
+        raise OperationError(
             f"an index is fixed when the expression is built; {index!r} is an expression.\n"
             "  fix: choose entries at run time with tx.Where, or look values up with tx.Linterp"
         )
     if isinstance(index, (bool, np.bool_)):
-        raise TypeError("Index expects whole numbers, got a truth value")
+        raise OperationError(f"Index expects whole numbers, got a truth value: {index}")
     try:
         return index.__index__()
     except (AttributeError, TypeError):
-        raise TypeError(f"Index expects whole numbers, slices, ... or None, got {index!r}") from None
+        raise OperationError(f"Index expects whole numbers, slices, ... or None, got {index!r}") from None
 
 
 def index_text(index: Any) -> str:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ShapeError
+from ..errors import OperationError, ShapeError
 from .arithmetic import rebuilt, zeros_of
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant
@@ -54,7 +54,7 @@ class Max(Extremum, init=False):
 
     Raises:
         ShapeError: the shapes do not broadcast.
-        ValueError: fewer than two operands.
+        ModelError: fewer than two operands.
     """
 
     function = jnp.maximum
@@ -69,7 +69,7 @@ class Min(Extremum, init=False):
 
     Raises:
         ShapeError: the shapes do not broadcast.
-        ValueError: fewer than two operands.
+        ModelError: fewer than two operands.
     """
 
     function = jnp.minimum
@@ -84,7 +84,7 @@ class LogSumExp(Extremum, init=False):
 
     Raises:
         ShapeError: the shapes do not broadcast.
-        ValueError: fewer than two operands.
+        ModelError: fewer than two operands.
     """
 
     combine = np.logaddexp
@@ -100,7 +100,7 @@ def _predicate(node: str, value: Anything) -> Expr:
         expr = to_expr(value)
         if expr.boolean:
             return expr
-    raise TypeError(
+    raise OperationError(
         f"{node} expects constraints such as x <= 5, or All and Any of them, got {type(value).__name__}: {value!r}"
     )
 

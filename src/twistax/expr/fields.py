@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
 import jax
 import numpy as np
 
-from ..errors import ModelError
+from ..errors import ModelError, OperationError
 
 if TYPE_CHECKING:
     from .node import Expr
@@ -96,11 +96,12 @@ def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict
     try:
         bound = cls._signature.bind(*args, **kwargs)
     except TypeError as error:
-        raise TypeError(f"{cls.__name__}{cls._signature}: {error}") from None
+        raise OperationError(f"{cls.__name__}{cls._signature}: {error}") from None
     bound.apply_defaults()
     for field in cls._fields:
         if field.variadic and len(bound.arguments[field.name]) < cls.fewest:
-            raise ValueError(f"{cls.__name__} requires {('one', 'two')[cls.fewest - 1]} or more {field.name}")
+            given, least = len(bound.arguments[field.name]), ("one", "two")[cls.fewest - 1]
+            raise ModelError(f"{cls.__name__} requires {least} or more {field.name}, got {given}")
     return bound.arguments
 
 

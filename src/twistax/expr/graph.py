@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..checks import callable_with, short
+from ..errors import OperationError
+
 if TYPE_CHECKING:
     import jax
 
@@ -31,7 +34,10 @@ def postorder(*roots: Expr) -> list[Expr]:
 
 
 def traverse(expr: Expr, visit: Callable[[Expr], None]) -> None:
-    """Call `visit` on every node below `expr`, children first, each once."""
+    """Call `visit` on every node below `expr`, children first, each once. Raises OperationError."""
+    if not hasattr(expr, "children"):
+        raise OperationError(f"traverse expects an expression, got {short(expr)}")
+    callable_with("traverse", visit, ["node"], OperationError)
     for node in postorder(expr):
         visit(node)
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import short
 from ..errors import ModelError, ShapeError
 from .fields import ExprLike, Operand
 from .leaves import Constant
@@ -103,6 +104,8 @@ class Cinterp(Expr):
 
     def validate(self) -> None:
         _increasing("Cinterp", "xp", self.xp)
+        if not (np.isfinite(self.xp).all() and np.isfinite(self.fp).all()):
+            raise ModelError(f"Cinterp expects finite numbers, got xp {short(self.xp)} and fp {short(self.fp)}")
         if self.fp.ndim < 1 or len(self.fp) != len(self.xp):
             raise ModelError(
                 f"Cinterp expects fp with a first axis of length {len(self.xp)}, got shape {self.fp.shape}"

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
+from ..checks import reals, short
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
+from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
 from .printing import matrix_latex, number_latex
-from .reals import reals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,8 +83,7 @@ class Constant(Leaf):
         return self.value.dtype == bool
 
     def makes_group_element(self, *operands: bool) -> bool:
-        group = {SO3.shape: SO3, SE3.shape: SE3}.get(self.shape)
-        return group is not None and not self.boolean and _defect(self.value, group) < _ROUND_OFF
+        return self.shape in (SO3.shape, SE3.shape) and not self.boolean and element_defect(self.value) < _ROUND_OFF
 
     @property
     def folded_from(self) -> Expr | None:
@@ -284,17 +283,20 @@ class Parameter(Leaf):
 
 
 def _shape_of(name: str, shape: Shape | int) -> Shape:
-    shape = (shape,) if isinstance(shape, (int, np.integer)) else tuple(shape)
-    if not all(isinstance(n, (int, np.integer)) and n >= 1 for n in shape):
-        raise ModelError(f"{name!r}: a shape is a tuple of positive whole numbers, got {shape}")
-    return tuple(int(n) for n in shape)
+    sizes = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
+    if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 1 for n in sizes):
+        raise ModelError(f"{name!r}: shape expects a tuple of positive whole numbers, got {shape!r}")
+    return tuple(int(n) for n in sizes)
 
 
 def _group(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
     """The group of a state, in its order."""
     if group is None:
         if order is not None:
-            raise ModelError(f"State {name!r}: order= is for pose states (group=tx.SE3); the Lie nodes carry their own")
+            raise ModelError(
+                f"State {name!r}: order= is for poses, got a state without a group.\n"
+                "  fix: group=tx.SE3, or leave order out; the Lie nodes carry their own"
+            )
         return Euclidean(_shape_of(name, () if shape is None else shape))
     if not isinstance(group, Group):
         raise ModelError(f"State {name!r}: group must be tx.SO3 or tx.SE3, got {group!r}")
@@ -306,7 +308,9 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
     if order is None:
         return group
     if not isinstance(group, SpecialEuclidean):
-        raise ModelError(f"State {name!r}: order= concerns poses (tx.SE3), not {group.name}")
+        raise ModelError(f"State {name!r}: order= is for poses, got the group {group.name}.\n  fix: leave order out")
+    if not isinstance(order, Order):
+        raise ModelError(f"State {name!r} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {order!r}")
     return group.with_order(order)
 
 
@@ -327,14 +331,19 @@ def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any
     shape, euclidean = group.shape, isinstance(group, Euclidean)
     low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
     if low is not None and high is not None and (low > high).any():
-        raise ModelError(f"{name!r}: min {low} is above max {high}")
+        raise ModelError(f"{name!r} expects min below max, got min {low} and max {high}")
+    for side, bound, never in (("min", low, np.inf), ("max", high, -np.inf)):
+        if bound is not None and (bound == never).any():
+            raise ModelError(f"{name!r}: {side} expects numbers that a value can meet, got {bound}")
     if guess is not None:
         guess = reals(f"{name!r}: guess", guess, ModelError).astype(np.float64)
+        if not np.isfinite(guess).all():
+            raise ModelError(f"{name!r}: guess expects finite numbers, got {short(guess)}")
         if guess.shape != shape and guess.shape[1:] != shape:
             raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {guess.shape}")
     scale = _value(name, "scale", scale, shape if euclidean else (group.dimension,))
-    if scale is not None and not (scale > 0).all():
-        raise ModelError(f"{name!r}: scale must be positive, got {scale}")
+    if scale is not None and not ((scale > 0) & (scale < np.inf)).all():
+        raise ModelError(f"{name!r}: scale must be positive and finite, got {scale}")
     return {"min": low, "max": high, "guess": guess, "scale": scale}
 
 
@@ -342,26 +351,17 @@ def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any
 _ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
 
 
-@functools.cache
-def _compiled_defect(group: Group) -> Callable[..., jax.Array]:
-    # Compiled as one, once: a dozen eager operations would each be compiled alone.
-    return jax.jit(group.defect)
-
-
-def _defect(value: np.ndarray, group: Group) -> float:
-    """How far a value is from its group."""
-    with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        return float(_compiled_defect(group)(jax.numpy.asarray(value)))
-
-
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
     """A start or an end: an element of a group, or numbers of which some may be None."""
     if value is None or isinstance(group, Euclidean):
-        return _value(name, what, value, group.shape)
+        found = _value(name, what, value, group.shape)
+        if found is not None and np.isinf(found).any():
+            raise ModelError(f"{name!r}: {what} expects finite numbers, None where it is free, got {found}")
+        return found
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
     array = reals(f"{name!r}: {what}", value, ModelError).astype(np.float64)
-    defect = _defect(array, group)
+    defect = element_defect(array)
     if not defect <= _ROTATION_TOLERANCE:
         raise ModelError(
             f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"

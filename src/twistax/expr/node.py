@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar,
 import jax
 import numpy as np
 
-from ..errors import ImmutableError, ModelError, ShapeError
+from ..checks import listed
+from ..errors import ImmutableError, ModelError, OperationError, ShapeError
 from . import printing
 from .fields import ExprLike, Field, bind_fields, declare_fields, freeze
 from .graph import bottom_up, find_path
@@ -149,11 +150,15 @@ class Expr(Operators):
         object.__setattr__(self, name, value)
 
     def __delattr__(self, name: str) -> None:
-        raise ImmutableError(f"{type(self).__name__} is immutable: cannot delete {name!r}.")
+        raise ImmutableError(f"{type(self).__name__} is immutable: cannot delete {name!r}.\n  fix: build another one")
 
     def replace(self: E, **changes: Any) -> E:
         """A copy with some of the constructor's arguments changed."""
         taken = inspect.signature(type(self)).parameters.values()
+        for name in changes.keys() - {p.name for p in taken}:
+            raise OperationError(
+                f"{type(self).__name__} has no {name!r}; it has: {listed([p.name for p in taken], name)}"
+            )
         variadic = [p.name for p in taken if p.kind is p.VAR_POSITIONAL]
         given = {p.name: getattr(self, p.name) for p in taken} | changes
         operands = [operand for name in variadic for operand in given.pop(name)]

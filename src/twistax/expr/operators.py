@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
 
+from ..errors import OperationError
+
 if TYPE_CHECKING:
     from .arithmetic import Equality, Inequality
     from .node import Expr
@@ -28,11 +30,16 @@ def _both_ways(node: str) -> tuple[Callable[[Any, Any], Expr], Callable[[Any, An
     return lambda a, b: getattr(_nodes(), node)(a, b), lambda b, a: getattr(_nodes(), node)(a, b)
 
 
-def _refused(sentence: str) -> Callable[[Any, Any], bool]:
-    def refuse(a: Any, b: Any) -> NoReturn:
-        raise TypeError(sentence)
+def _refused(written: str, why: str, fix: str) -> Callable[..., Any]:
+    """An operator that has no meaning: how it is written with a and b, why, and what has one."""
+
+    def refuse(a: Any, b: Any = None, c: Any = None) -> NoReturn:
+        raise OperationError(f"{written.format(a=a, b=b, c=c)}: {why}.\n  fix: {fix}")
 
     return refuse
+
+
+_NUMBER = "an expression has no number before it is lowered, tx.lower(expr)"
 
 
 class Operators:
@@ -46,28 +53,40 @@ class Operators:
     __pow__, __rpow__ = _both_ways("Power")
     __getitem__ = _both_ways("Index")[0]
     __neg__, __abs__ = _unary("Neg"), _unary("Abs")
-    __ne__ = _refused("!= has no meaning for expressions. To compare structure use a.key() != b.key().")
-    __lt__ = _refused("< builds no constraint: an optimiser cannot hold a strict inequality. Use <=.")
-    __gt__ = _refused("> builds no constraint: an optimiser cannot hold a strict inequality. Use >=.")
-    __contains__ = _refused("'in' has no meaning for expressions: == builds a constraint. Compare keys instead.")
+    __lt__ = _refused("{a!r} < {b!r}", "< builds no constraint, an optimiser cannot hold a strict one", "use <=")
+    __gt__ = _refused("{a!r} > {b!r}", "> builds no constraint, an optimiser cannot hold a strict one", "use >=")
+    __ne__ = _refused("{a!r} != {b!r}", "!= has no meaning for expressions", "compare structure, a.key() != b.key()")
+    __contains__ = _refused("{b!r} in {a!r}", "'in' has no meaning for expressions", "compare keys: == is a constraint")
+    __and__ = __rand__ = _refused("{a!r} & {b!r}", "& has no meaning for expressions", "tx.All(a, b) of conditions")
+    __or__ = __ror__ = _refused("{a!r} | {b!r}", "| has no meaning for expressions", "tx.Any(a, b) of conditions")
+    __invert__ = _refused("~({a!r})", "~ has no meaning for expressions", "turn the choice round, tx.Where(a, no, yes)")
+    __mod__ = __rmod__ = _refused(
+        "{a!r} % {b!r}", "% has no meaning for expressions", "tx.Atan2(sin, cos) for an angle"
+    )
+    __floordiv__ = __rfloordiv__ = _refused(
+        "{a!r} // {b!r}", "// has no meaning for expressions", "tx.Linterp of steps"
+    )
+    __setitem__ = _refused("{a!r}[{b!r}] = {c!r}", "an expression never changes", "join the parts: tx.Concat, tx.Stack")
+    __float__ = _refused("float({a!r})", _NUMBER, "in the place of a function of math take a node, tx.Sin, or lower it")
+    __int__ = _refused("int({a!r})", _NUMBER, "whole numbers are Python's own, outside of expressions")
     __hash__ = object.__hash__
 
     # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Expr:
         name = ufunc.__name__
         if getattr(np, name, None) is not ufunc:
-            raise TypeError(
+            raise OperationError(
                 f"{ufunc!r} is not a function of NumPy's own, and has no meaning for expressions.\n"
                 "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
             )
         function = _meaning(name)
         if method != "__call__":
-            raise TypeError(
+            raise OperationError(
                 f"np.{name}.{method} is not available for expressions.\n"
                 "  fix: use tx.linalg.Sum, tx.linalg.Outer or an explicit sum"
             )
         if kwargs:
-            raise TypeError(f"np.{name} takes no keyword arguments with expressions, got {', '.join(kwargs)}")
+            raise OperationError(f"np.{name} takes no keyword arguments with expressions, got {', '.join(kwargs)}")
         return function(*inputs)
 
     def __array_function__(self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any) -> Any:
@@ -77,10 +96,10 @@ class Operators:
         try:
             return function(*args, **kwargs)
         except TypeError as error:
-            raise TypeError(f"np.{name} with expressions: {error}") from None
+            raise OperationError(f"np.{name} with expressions: {error}") from None
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:
-        raise TypeError(
+        raise OperationError(
             f"{type(self).__name__} is an expression and has no value yet.\n"
             "  fix: lower it with tx.lower(expr) and call the function, or build with tx.Stack / tx.Concat"
         )
@@ -103,7 +122,7 @@ class Operators:
         return _nodes().Equality(self, other)
 
     def __bool__(self) -> bool:
-        raise TypeError(
+        raise OperationError(
             f"{type(self).__name__} has no truth value before it is evaluated.\n"
             "  fix: use tx.Where or tx.Cond to choose inside an expression; compare structure with a.key() == b.key()"
         )
@@ -111,7 +130,7 @@ class Operators:
     def __len__(self) -> int:
         shape = cast("Expr", self).check_shape()
         if not shape:
-            raise TypeError(f"{self!r} is a scalar and has no length")
+            raise OperationError(f"{self!r} is a scalar and has no length: a vector was expected")
         return shape[0]
 
     def __iter__(self) -> Iterator[Expr]:
@@ -121,7 +140,7 @@ class Operators:
 def _dot(a: Any, b: Any) -> Expr:
     a, b = _nodes().to_expr(a), _nodes().to_expr(b)
     if a.ndim > 2 or b.ndim > 2:
-        raise TypeError("np.dot of expressions knows vectors and matrices; a @ b multiplies stacks of matrices")
+        raise OperationError("np.dot of expressions knows vectors and matrices; a @ b multiplies stacks of matrices")
     if a.ndim == 0 or b.ndim == 0:
         return _nodes().Mul(a, b)
     return _nodes().Dot(a, b) if a.ndim == b.ndim == 1 else _nodes().MatMul(a, b)
@@ -130,7 +149,9 @@ def _dot(a: Any, b: Any) -> Expr:
 def _cross(a: Any, b: Any) -> Expr:
     a, b = _nodes().to_expr(a), _nodes().to_expr(b)
     if a.ndim > 1 or b.ndim > 1:
-        raise TypeError("np.cross of expressions knows vectors; tx.linalg.Cross takes k columns (3, k) on the right")
+        raise OperationError(
+            "np.cross of expressions knows vectors; tx.linalg.Cross takes k columns (3, k) on the right"
+        )
     return _nodes().Cross(a, b)
 
 
@@ -140,19 +161,21 @@ def _joined(arrays: Any, axis: int = 0) -> Expr:
         return _nodes().Hstack(exprs)
     if axis == 0 or (axis == -1 and all(e.ndim == 1 for e in exprs)):
         return _nodes().Concat(*exprs)
-    raise TypeError("np.concatenate of expressions knows axis 0, and axis 1 of matrices")
+    raise OperationError("np.concatenate of expressions knows axis 0, and axis 1 of matrices")
 
 
 def _stacked(arrays: Any, axis: int = 0) -> Expr:
     if axis != 0:
-        raise TypeError("np.stack of expressions knows axis 0 only; transpose the result")
+        raise OperationError("np.stack of expressions knows axis 0 only; transpose the result")
     return _nodes().Stack(list(arrays))
 
 
 def _transposed(a: Any, axes: Any = None) -> Expr:
     expr = _nodes().to_expr(a)
     if axes not in (None, (1, 0), [1, 0]) or expr.ndim > 2:
-        raise TypeError("np.transpose of an expression knows matrices; tx.linalg.Transpose swaps the last two axes")
+        raise OperationError(
+            "np.transpose of an expression knows matrices; tx.linalg.Transpose swaps the last two axes"
+        )
     return expr.T
 
 
@@ -161,7 +184,7 @@ def _blocks(arrays: Any) -> Expr:
     entries = [e for row in arrays for e in (row if isinstance(row, (list, tuple)) else [row])]
     ranks = [_nodes().to_expr(entry).ndim for entry in entries]
     if max(ranks, default=0) > 2:
-        raise TypeError("np.block of expressions knows vectors and matrices; tx.Block joins the first two axes")
+        raise OperationError("np.block of expressions knows vectors and matrices; tx.Block joins the first two axes")
     if max(ranks, default=0) < 2 and not any(isinstance(row, (list, tuple)) for row in arrays):
         return _nodes().Hstack(list(arrays))
     return _nodes().Block(arrays)
@@ -224,14 +247,14 @@ _NEAR = {
 def _meaning(name: str) -> Callable[..., Any]:
     """What a function of NumPy builds from expressions. Raises TypeError."""
     if name in _STRICT:
-        raise TypeError(f"np.{name} builds no constraint from expressions.\n  fix: use {_STRICT[name]}")
+        raise OperationError(f"np.{name} builds no constraint from expressions.\n  fix: use {_STRICT[name]}")
     if name in _NEAR:
-        raise TypeError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
+        raise OperationError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
     if name in _SAME:
         return getattr(_nodes(), _SAME[name])
     if name in _MEANINGS:
         return _MEANINGS[name]
-    raise TypeError(
+    raise OperationError(
         f"np.{name} is not available for expressions.\n"
         "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
     )

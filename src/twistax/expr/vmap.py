@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import contextvars
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
 import numpy as np
 
-from ..errors import ModelError, ShapeError
+from ..checks import callable_with
+from ..errors import ModelError, OperationError, ShapeError
 from .arithmetic import Constraint
 from .fields import Operands
 from .graph import evaluate_all, leaves_of, substitute
 from .leaves import Leaf
 from .node import Expr, Shape, to_expr
 
-#: How many Vmaps are being built around the current one: it names their placeholders by their place.
-_depth: contextvars.ContextVar[int] = contextvars.ContextVar("depth", default=0)
+#: The placeholders of the Vmaps that are being built around the current one.
+_around: contextvars.ContextVar[tuple[tuple[Placeholder, ...], ...]] = contextvars.ContextVar("around", default=())
 
 
 _POINTS = np.arange(8.0).reshape(4, 2) ** 1.5
@@ -33,7 +35,22 @@ class Placeholder(Leaf):
         self._declare(f"e_{depth}.{number}", shape)
 
     def read(self, inputs: Any) -> jax.Array:
-        raise ModelError(f"{self.name!r} stands for an element of a Vmap's batch and has no value outside of its body")
+        raise _leaked(self)
+
+
+def _leaked(element: Placeholder) -> ModelError:
+    return ModelError(
+        f"{element.name!r} stands for an element of a Vmap's batch and has no value outside of that Vmap's body.\n"
+        "  fix: use it within the function that Vmap was given; for elements of several batches Vmap(fn, [a, b])"
+    )
+
+
+def no_elements(leaves: Iterable[Leaf], but: Iterable[Placeholder] = ()) -> None:
+    """Raise ModelError if an element of a Vmap is among the leaves, other than the ones known."""
+    known = set(map(id, but))
+    for leaf in leaves:
+        if isinstance(leaf, Placeholder) and id(leaf) not in known:
+            raise _leaked(leaf)
 
 
 class Vmap(Expr):
@@ -74,14 +91,16 @@ class Vmap(Expr):
         if fn is None:  # copying and unpickling fill an empty node
             return node
         batches = tuple(to_expr(b) for b in (batch if isinstance(batch, (list, tuple)) else [batch]))
-        depth = _depth.get()
+        around = _around.get()
         elements = enumerate(_element_shapes([b.check_shape() for b in batches], axis))
-        placeholders = tuple(Placeholder(depth, i, shape) for i, shape in elements)
-        token = _depth.set(depth + 1)
+        placeholders = tuple(Placeholder(len(around), i, shape) for i, shape in elements)
+        callable_with("Vmap", fn, [placeholder.name for placeholder in placeholders], OperationError)
+        token = _around.set((*around, placeholders))
         try:
-            body = to_expr(fn(*placeholders))
+            body = _expression(fn(*placeholders))
         finally:
-            _depth.reset(token)
+            _around.reset(token)
+        no_elements(leaves_of(body, *batches), but=[*placeholders, *itertools.chain(*around)])
         residual = body.residual() if isinstance(body, Constraint) else body
         node.__dict__.update(batches=batches, axis=axis, body=residual, placeholders=placeholders)
         node._seal()
@@ -91,7 +110,7 @@ class Vmap(Expr):
         """Everything is done by `__new__`, which for a constraint gives a constraint."""
 
     def replace(self, **changes: Any) -> Vmap:
-        raise TypeError("a Vmap has no fields to replace: build another one")
+        raise OperationError(f"a Vmap has no fields to replace, got {', '.join(changes)}.\n  fix: build another one")
 
     @property
     def captured(self) -> list[Leaf]:
@@ -161,9 +180,16 @@ class Vmap(Expr):
         return rf"\left[{self.body.latex()}\right]_{{{over}}}"
 
 
+def _expression(value: Any) -> Expr:
+    try:
+        return to_expr(value)
+    except ModelError as error:
+        raise ModelError(f"Vmap expects a function that returns an expression: {error}") from None
+
+
 def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
     if not shapes:
-        raise ModelError("Vmap expects at least one batch")
+        raise ModelError("Vmap expects at least one batch, got []")
     for i, shape in enumerate(shapes):
         if not isinstance(axis, int) or not 0 <= axis < len(shape):
             raise ShapeError(f"Vmap expects axis {axis} to be one of batch {i}, got shape {shape}")

@@ -14,7 +14,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from twistax.errors import ShapeError
+from twistax.checks import real_array
+from twistax.errors import InputError, ShapeError
 
 Input: TypeAlias = ArrayLike | Sequence[Any]
 
@@ -23,24 +24,79 @@ Components: TypeAlias = tuple[Array, ...]
 _TYPED = (Array, np.ndarray, np.generic)
 
 
-def floats(*values: Input) -> tuple[Array, ...]:
-    """The values as floating point arrays. Lists and plain numbers take the precision of the arrays beside them."""
-    typed = [jnp.asarray(value) if isinstance(value, _TYPED) else None for value in values]
-    kinds = [array.dtype for array in typed if array is not None and jnp.issubdtype(array.dtype, jnp.floating)]
+def floats(*values: Input, names: Sequence[str] = ()) -> tuple[Array, ...]:
+    """The values as floating point arrays. Lists and plain numbers take the precision of the arrays beside them.
+
+    `names` are for messages. Raises InputError for what is not made of real numbers.
+    """
+    arrays = [
+        value if isinstance(value, Array) and jnp.issubdtype(value.dtype, jnp.floating) else real_array(name, value)
+        for name, value in zip(names or ["a group's map"] * len(values), values, strict=True)
+    ]
+    own = [
+        value.dtype if isinstance(value, _TYPED) and jnp.issubdtype(value.dtype, jnp.floating) else None
+        for value in values
+    ]
+    kinds = [dtype for dtype in own if dtype is not None]
     common = jnp.result_type(*kinds) if kinds else jnp.result_type(float)
-    arrays = (
-        jnp.asarray(value, common) if array is None else array for value, array in zip(values, typed, strict=True)
-    )
-    return tuple(array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(common) for array in arrays)
+    return tuple(jnp.asarray(array, dtype or common) for array, dtype in zip(arrays, own, strict=True))
 
 
 def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Input) -> tuple[Array, ...]:
     """`floats`, after which every array must have the shape that `shapes` gives for its name, in this order."""
-    arrays = floats(*values)
+    arrays = floats(*values, names=[f"{function}: {name}" for name in shapes])
     for (name, expected), array in zip(shapes.items(), arrays, strict=True):
         if array.shape != expected:
-            raise ShapeError(f"{function} expects {name} with shape {expected}, got {array.shape}")
+            batch = ".\n  fix: map over a batch with jax.vmap" if array.shape[1:] == expected else ""
+            raise ShapeError(f"{function} expects {name} with shape {expected}, got {array.shape}{batch}")
     return arrays
+
+
+def known(a: Array) -> np.ndarray | None:
+    """The numbers of an array; None while JAX traces it and there are none."""
+    from twistax.jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
+
+    return None if is_traced(a) else np.asarray(a)
+
+
+def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
+    """A rotation (3, 3) or a pose (4, 4) as it came. Where its numbers are traced, NaN for one that is none.
+
+    A map of a reflection or of zeros has no meaning, and would be a plausible one. Raises InputError.
+    """
+    numbers = known(g)
+    if numbers is None:
+        return jnp.where((defect(g) <= drift) & (_determinant(g) > 0.0), g, jnp.nan)
+    off = element_defect(numbers)
+    det = np.nan if np.isnan(off) else float(np.linalg.det(numbers[:3, :3]))
+    if not (off <= drift and det > 0.0):
+        raise InputError(
+            f"{function} expects {name} to be {'a rotation' if len(numbers) == 3 else 'a pose'}, R orthonormal with "
+            f"determinant +1, at most {drift:.1g} off, got\n{numbers}, off by {off:.3g}, det R = {det:.6g}.\n"
+            "  fix: tx.pose(...) builds one; tx.SO3.normalize(R) takes the rotation nearest to a drifted matrix"
+        )
+    return g
+
+
+def defect(g: Array) -> Array:
+    """The largest of max |R^T R - I|, |det R - 1| and, of a pose, the deviation of the last row from (0, 0, 0, 1)."""
+    R = g[:3, :3]
+    off = jnp.maximum(jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype))), jnp.abs(_determinant(g) - 1.0))
+    return off if len(g) == 3 else jnp.maximum(off, jnp.max(jnp.abs(g[3] - jnp.eye(4, dtype=g.dtype)[3])))
+
+
+def _determinant(g: Array) -> Array:
+    x, y, z = (unpack(g[:3, i]) for i in range(3))
+    return dot(x, cross(y, z))
+
+
+def element_defect(value: np.ndarray) -> float:
+    """`defect` of an array of NumPy, without JAX; NaN where it is not finite."""
+    R = value[:3, :3]
+    if not np.isfinite(value).all():
+        return np.nan
+    row = value[3:] - np.eye(4)[3:] if len(value) == 4 else np.zeros(1)
+    return float(max(np.abs(R.T @ R - np.eye(3)).max(), abs(np.linalg.det(R) - 1.0), np.abs(row).max()))
 
 
 def multiply(a: Array, b: Array) -> Array:

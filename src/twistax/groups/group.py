@@ -201,6 +201,8 @@ class Product(Group):
     """
 
     def __init__(self, factors: Mapping[str, Group]) -> None:
+        if not isinstance(factors, Mapping):
+            raise ModelError(f"Product expects a dict from names to groups, got {type(factors).__name__}")
         for name, group in factors.items():
             if not isinstance(group, Group):
                 raise ModelError(f"Product expects a Group for factor {name!r}, got {type(group).__name__}")

@@ -8,43 +8,24 @@ from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ShapeError
 from twistax.groups import quaternions, se3
-from twistax.groups.arrays import Input, floats, of_shape
-
-
-def _concrete(a: Array) -> np.ndarray | None:
-    """The values, or None while JAX traces and there are none."""
-    from twistax.jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
-
-    return None if is_traced(a) else np.asarray(a)
+from twistax.groups.arrays import Input, element, floats, known, of_shape
 
 
 def _rotation_of(function: str, R: Input) -> Array:
-    (R,) = floats(R)
+    (R,) = floats(R, names=[f"{function}: R"])
     if R.shape not in ((3, 3), (4, 4)):
         raise ShapeError(f"{function} expects R with shape (3, 3) or (4, 4), got {R.shape}")
-    return R[:3, :3]
+    return element(function, "R", R)[:3, :3]
 
 
 def _from_rotation(R: Array) -> Array:
-    values = _concrete(R)
-    if values is not None:
-        with np.errstate(invalid="ignore"):  # NaN is refused below, in words
-            skew = float(np.max(np.abs(values.T @ values - np.eye(3))))
-            determinant = float(np.linalg.det(values))
-        allowed = float(np.sqrt(np.finfo(values.dtype).eps))
-        if not (skew <= allowed and determinant > 0.0):
-            raise InputError(
-                "pose expects rotation to be orthonormal with determinant +1, got max|R'R - I| = "
-                f"{skew:.3g} (at most {allowed:.1g} is allowed) and det R = {determinant:.6g}\n"
-                "  fix: tx.SO3.normalize(R) gives the nearest rotation of a slightly drifted matrix"
-            )
-    return R
+    return element("pose", "rotation", R, float(jnp.sqrt(jnp.finfo(R.dtype).eps)))
 
 
 def _from_quaternion(q: Array) -> Array:
-    values = _concrete(q)
-    if values is not None and not (np.all(np.isfinite(values)) and np.any(values)):
-        raise InputError(f"pose expects quaternion (w, x, y, z) to be finite and not zero, got {values.tolist()}")
+    values = known(q)
+    if values is not None and not values.any():
+        raise InputError(f"pose expects a quaternion (w, x, y, z) that is not zero, got {values.tolist()}")
     # Dividing by the largest component first keeps the squares from under- or overflowing.
     return quaternions.to_rotation(q / jnp.max(jnp.abs(q)))
 
@@ -75,8 +56,8 @@ def pose(
 
     rotation: (3, 3), orthonormal, determinant +1. quaternion: (w, x, y, z), normalised here. euler: (roll, pitch, yaw)
     in rad, R = Rz(yaw) Ry(pitch) Rx(roll). The precision follows the inputs.
-    Raises ShapeError for a wrong shape, InputError for two attitudes, a zero quaternion or a matrix that is not a
-    rotation.
+    Raises ShapeError for a wrong shape, InputError for two attitudes, numbers that are not finite, a zero quaternion or
+    a matrix that is not a rotation. Where these are traced the pose is NaN.
     """
     attitudes = {"rotation": rotation, "quaternion": quaternion, "euler": euler}
     given = {name: value for name, value in attitudes.items() if value is not None}
@@ -85,17 +66,26 @@ def pose(
     place = (0.0, 0.0, 0.0) if position is None else position
     if not given:
         (p,) = of_shape("pose", {"position": (3,)}, place)
+        _check_finite("position", p)
         return se3.transform(jnp.eye(3, dtype=p.dtype), p)
     ((name, value),) = given.items()
     shape, build = _ATTITUDES[name]
     p, attitude = of_shape("pose", {"position": (3,), name: shape}, place, value)
+    for what, array in (("position", p), (name, attitude)):
+        _check_finite(what, array)
     return se3.transform(build(attitude), p)
+
+
+def _check_finite(what: str, array: Array) -> None:
+    values = known(array)
+    if values is not None and not np.isfinite(values).all():
+        raise InputError(f"pose expects {what} to be finite, got {values.tolist()}")
 
 
 def quaternion(R: Input) -> Float[Array, "4"]:
     """The unit quaternion (w, x, y, z), w >= 0, of a rotation (3, 3) or a pose (4, 4).
 
-    At exactly a half turn its first non-zero component is positive. Raises ShapeError.
+    At exactly a half turn its first non-zero component is positive. Raises ShapeError; InputError for no rotation.
     """
     return quaternions.from_rotation(_rotation_of("quaternion", R))
 

@@ -22,6 +22,7 @@ from twistax.groups.arrays import (
     cross,
     dot,
     dual_polynomial,
+    element,
     floats,
     matrix,
     multiply,
@@ -68,10 +69,16 @@ def log(T: Input) -> Float[Array, "6"]:
     """xi = [v; w] with Exp(xi) = T and |w| <= pi; of the nearest pose where the rotation has drifted.
 
     At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
-    of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError.
+    of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError; InputError for what is no
+    pose, and is NaN for a reflection where it is traced.
     """
     (T,) = of_shape("se3.log", {"T": (4, 4)}, T)
-    rotation = so3.log(T[:3, :3])
+    return unchecked_log(element("se3.log", "T", T))
+
+
+def unchecked_log(T: Array) -> Array:
+    """`log` of a matrix whose numbers are not looked at: of states, which are checked where they come in."""
+    rotation = so3.unchecked_log(T[:3, :3])
     w = unpack(rotation)
     v = swept(w, unpack(T[:3, 3]), -0.5, inverse_derivative(0, dot(w, w)))
     return jnp.concatenate([vector(v), rotation])

@@ -16,6 +16,7 @@ from twistax.groups.arrays import (
     Input,
     cross,
     dot,
+    element,
     floats,
     matrix,
     multiply,
@@ -41,18 +42,19 @@ def exp(w: Input) -> Float[Array, "3 3"]:
 
 
 @jax.custom_jvp
-def _log(R: Array) -> Array:
+def unchecked_log(R: Array) -> Array:
+    """`log` of a matrix whose numbers are not looked at: of states, which are checked where they come in."""
     w, x, y, z = unpack(quaternions.unscaled(R))
     axis = (x, y, z)
     return vector(scale(angle_ratio(dot(axis, axis), w), axis))
 
 
-@_log.defjvp
+@unchecked_log.defjvp
 def _log_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     # d Log(R) = J_r^-1(Log R) (R^T dR)^v holds along every curve in the group, also at a half turn, and its own
     # derivatives are as smooth: no branch and no root is differentiated.
     (R,), (dR,) = primals, tangents
-    w = _log(R)
+    w = unchecked_log(R)
     return w, right_jacobian_inv_apply(w, vee(multiply(R.T, dR)))
 
 
@@ -60,10 +62,11 @@ def log(R: Input) -> Float[Array, "3"]:
     """The rotation vector w with Exp(w) = R and |w| <= pi, in rad; of the rotation nearest to R where R has drifted.
 
     At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
-    of the map on the group, finite at a half turn. Shapes: (3, 3) -> (3,). Raises ShapeError.
+    of the map on the group, finite at a half turn. Shapes: (3, 3) -> (3,). Raises ShapeError; InputError for what is no
+    rotation, and is NaN for a reflection where it is traced.
     """
     (R,) = of_shape("so3.log", {"R": (3, 3)}, R)
-    return _log(R)
+    return unchecked_log(element("so3.log", "R", R))
 
 
 def hat(w: Input) -> Float[Array, "3 3"]:

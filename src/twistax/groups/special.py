@@ -9,12 +9,13 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from twistax.errors import InputError, ShapeError
+from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups import quaternions, se3, so3
-from twistax.groups.arrays import Input, cross, dot, floats, matrix, multiply, of_shape, unpack
+from twistax.groups.arrays import Input, defect, dot, element, floats, matrix, of_shape, unpack
 from twistax.groups.group import Group
 
 
@@ -82,14 +83,6 @@ def _nearest(R: Array) -> Array:
     return quaternions.to_rotation(quaternions.unscaled(R))
 
 
-def _skewness(R: Array) -> Array:
-    """The larger of max |R^T R - I| and |det R - 1|, which a reflection fails."""
-    x, y, z = (unpack(R[:, i]) for i in range(3))
-    return jnp.maximum(
-        jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype))), jnp.abs(dot(x, cross(y, z)) - 1.0)
-    )
-
-
 class _MatrixGroup(Group):
     """Base of both: the maps of a module, which work linear first, on tangents in the group's order."""
 
@@ -145,7 +138,8 @@ class SpecialOrthogonal(_MatrixGroup):
 
     def normalize(self, g: Input) -> Float[Array, "3 3"]:
         """The rotation nearest to g, up to the square of the drift; orthonormal to round-off."""
-        return _nearest(*of_shape("SO3.normalize", {"g": self.shape}, g))
+        (g,) = of_shape("SO3.normalize", {"g": self.shape}, g)
+        return _nearest(element("SO3.normalize", "g", g, np.inf))
 
     def tighten(self, g: Input) -> Float[Array, "3 3"]:
         """One Newton step towards the nearest rotation."""
@@ -153,7 +147,7 @@ class SpecialOrthogonal(_MatrixGroup):
 
     def defect(self, g: Input) -> Float[Array, ""]:
         """The larger of max |g^T g - I| and |det g - 1|."""
-        return _skewness(*of_shape("SO3.defect", {"g": self.shape}, g))
+        return defect(*of_shape("SO3.defect", {"g": self.shape}, g))
 
 
 @dataclass(frozen=True)
@@ -169,7 +163,9 @@ class SpecialEuclidean(_MatrixGroup):
     _maps: ClassVar[ModuleType] = se3
 
     def with_order(self, order: Order) -> SpecialEuclidean:
-        """The same group with tangents in another order."""
+        """The same group with tangents in another order. Raises ModelError."""
+        if not isinstance(order, Order):
+            raise ModelError(f"with_order expects tx.LINEAR_FIRST or tx.ANGULAR_FIRST as order, got {order!r}")
         return replace(self, order=order)
 
     @property
@@ -185,6 +181,7 @@ class SpecialEuclidean(_MatrixGroup):
     def normalize(self, g: Input) -> Float[Array, "4 4"]:
         """The nearest rotation (up to the square of the drift) with the same position, and an exact last row."""
         (g,) = of_shape("SE3.normalize", {"g": self.shape}, g)
+        g = element("SE3.normalize", "g", g, np.inf)
         return se3.transform(_nearest(g[:3, :3]), g[:3, 3])
 
     def tighten(self, g: Input) -> Float[Array, "4 4"]:
@@ -194,9 +191,7 @@ class SpecialEuclidean(_MatrixGroup):
 
     def defect(self, g: Input) -> Float[Array, ""]:
         """The largest of max |R^T R - I|, |det R - 1| and the deviation of the last row from (0, 0, 0, 1)."""
-        (g,) = of_shape("SE3.defect", {"g": self.shape}, g)
-        row = jnp.max(jnp.abs(g[3] - jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype=g.dtype)))
-        return jnp.maximum(_skewness(g[:3, :3]), row)
+        return defect(*of_shape("SE3.defect", {"g": self.shape}, g))
 
 
 SO3 = SpecialOrthogonal()
@@ -216,9 +211,14 @@ def tangent_grad(fn: Callable[..., Any], group: Group = SE3, argnums: int = 0) -
     Returns:
         A function of fn's arguments. It may be jitted, mapped and differentiated again.
     Raises:
-        InputError: at call time, fewer arguments than argnums needs.
+        InputError: fn is no function, or group no group; at call time, fewer arguments than argnums needs.
         TypeError: from JAX, if fn is not scalar.
     """
+
+    if not callable(fn):
+        raise InputError(f"tangent_grad expects a function of a group element, got {fn!r}")
+    if not isinstance(group, Group):
+        raise InputError(f"tangent_grad expects a group like tx.SE3 or dynamics.group, got {group!r}")
 
     def gradient(*args: Any, **kwargs: Any) -> jax.Array:
         if not -len(args) <= argnums < len(args):

@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 import jax
 import jax.numpy as jnp
 
+from ..checks import whole
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
@@ -122,12 +123,19 @@ class XLA(Backend):
             them XLA finds as much by itself.
         largest: functions of more scalars run as arrays: the compiler would take long.
         widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it.
+
+    Raises:
+        ModelError: least, largest or widest is no whole number from 0 on.
     """
 
     checked: bool = False
     least: int = 500
     largest: int = 30_000
     widest: int = 128
+
+    def __post_init__(self) -> None:
+        for name in ("least", "largest", "widest"):
+            whole(f"XLA: {name}", getattr(self, name), 0, ModelError)
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         arrays = _as_arrays(closed)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import real_array
 from ..errors import ModelError
 from ..expr import Leaf, State
 from ..groups import Euclidean
@@ -90,13 +91,13 @@ class Dynamics:
         Raises:
             InputError: as a call of the dynamics; an unknown entry in wrt.
         """
-        names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+        names = tuple(wrt) if isinstance(wrt, (tuple, list)) else (wrt,)
         return self._functions.jacobian(self._functions.prepare(t, x, u, params), names)
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""
         inputs = self._functions.prepare(0.0, x, reads=())
-        return self.group.retract(inputs.x, jnp.asarray(d, inputs.dtype))
+        return self.group.retract(inputs.x, jnp.asarray(real_array("retract: d", d), inputs.dtype))
 
     def difference(self, x: Values, y: Values) -> jax.Array:
         """The tangent vector d with retract(x, d) = y, shape (n,): Log(x^-1 y)."""

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import listed
 from ..errors import InputError, ModelError
 from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
 from ..jax_inside import all_equations, inner_jaxprs
@@ -171,11 +172,11 @@ def explain_one(functions: Functions, of: str) -> Dependence:
     Raises:
         InputError: no rate and no output of that name, or no such entry.
     """
-    name, _, rest = of.partition("[")
+    name, _, rest = str(of).partition("[")
     families = {own: family for family in ("outputs", "rates") for own in functions.families[family]}
     if name not in families:
-        listed = ", ".join([*functions.families["rates"], *functions.families["outputs"]])
-        raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {listed}")
+        known = [*functions.families["rates"], *functions.families["outputs"]]
+        raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {listed(known, of)}")
     places, arrays = functions.flat(_inputs(functions))
 
     def function(*values: jax.Array) -> list[jax.Array]:
@@ -186,7 +187,7 @@ def explain_one(functions: Functions, of: str) -> Dependence:
         (nodes,) = program.outputs
         entries, wanted = _entries(name, nodes.shape), of.replace(" ", "").replace(",", ", ")
         if wanted not in entries:
-            raise InputError(f"{name} has no entry {of!r}; it has {entries[0]} to {entries[-1]}")
+            raise InputError(f"explain: {name} has no entry {of!r}; it has: {entries[0]} to {entries[-1]}")
         program = program.restricted([nodes.reshape(-1)[[entries.index(wanted)]]])
     inputs = {
         node: entry

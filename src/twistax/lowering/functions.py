@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
+from ..checks import listed
 from ..errors import InputError, ModelError
 from ..expr import (
     Constant,
@@ -126,16 +127,18 @@ class Functions:
         params: Values | None = None,
         *,
         reads: Iterable[str] = ("rates",),
+        names: Sequence[str] = ("t", "x", "u", "params"),
     ) -> Inputs:
         """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
 
         Args:
             reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
+            names: what messages call the arguments.
         Raises:
             InputError: as a call of the dynamics.
         """
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
-        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params)
+        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names)
 
     @functools.cached_property
     def reads(self) -> dict[str, set[str]]:
@@ -232,7 +235,7 @@ class Functions:
             if kind not in ("x", "u", "params"):
                 raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
         if len(set(wrt)) < len(wrt):
-            raise InputError(f"wrt names something twice: {wrt}")
+            raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
         places, arrays = self.flat(inputs)
 
         def make() -> RateJacobian:
@@ -270,10 +273,10 @@ def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[st
     """The outputs of these names; all if None."""
     if names is None:
         return dict(outputs)
-    names = [names] if isinstance(names, str) else list(names)
+    names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
     for name in names:
         if name not in outputs:
-            raise ModelError(f"unknown output {name!r}; the system has: {', '.join(outputs) or 'none'}")
+            raise ModelError(f"outputs names {name!r}, which is no output; the system has: {listed(outputs, name)}")
     return {name: outputs[name] for name in names}
 
 
@@ -283,9 +286,7 @@ def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> di
     constants: dict[str, Constant] = {}
     for name, value in bake.items():
         if name not in known:
-            raise ModelError(
-                f"bake names {name!r}, which is no parameter; the system has: {', '.join(known) or 'none'}"
-            )
+            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {listed(known, name)}")
         if value is None:
             raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
         if is_traced(value):

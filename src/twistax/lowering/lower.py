@@ -10,6 +10,8 @@ import jax
 from ..errors import ModelError
 from ..expr import Constant, Constraint, Expr, Leaf, Time, evaluate_all, leaves_of, to_expr
 from ..expr.fields import freeze
+from ..expr.vmap import no_elements
+from ..system import System
 from .inputs import Values, prepare
 
 Lowered = Callable[..., Any]
@@ -30,12 +32,19 @@ def lower(expr: Any) -> Lowered:
         ModelError: at once, if there is nothing to lower, or two leaves of one name differ.
         InputError: at call time, for an unknown key, a wrong shape or a missing value.
     """
+    wanted = "lower expects an expression, or a tuple, list or dict of them"
+    if isinstance(expr, System):
+        raise ModelError(f"{wanted}, got {expr!r}.\n  fix: tx.compile takes a System")
     roots, treedef = jax.tree_util.tree_flatten(expr, is_leaf=lambda node: isinstance(node, Expr))
     if not roots:
-        raise ModelError("nothing to lower: give an expression, or a tuple, list or dict of them")
-    nodes = [to_expr(root) for root in roots]
+        raise ModelError(f"{wanted}; there is nothing to lower in {expr!r}")
+    try:
+        nodes = [to_expr(root) for root in roots]
+    except ModelError as error:
+        raise ModelError(f"{wanted}: {error}") from None
     for node in nodes:
         node.check_shape()
+    no_elements(leaves_of(*nodes))
     leaves = _distinct(leaves_of(*nodes))
     required = {leaf.name for leaf in leaves}
 

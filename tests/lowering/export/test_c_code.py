@@ -239,7 +239,7 @@ def test_arguments_that_are_wrong(tmp_path: Path) -> None:
         dynamics.to_c(tmp_path, jacobian=("z",))
     with pytest.raises(tx.InputError, match="a sequence like"):
         dynamics.to_c(tmp_path, jacobian="x")
-    with pytest.raises(tx.InputError, match="names something twice"):
+    with pytest.raises(tx.InputError, match="expects each of"):
         dynamics.to_c(tmp_path, jacobian=("x", "x"))
     with pytest.raises(tx.InputError, match=r"math\.h is a header of C"):
         dynamics.to_c(tmp_path, name="math")

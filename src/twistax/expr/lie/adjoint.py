@@ -14,6 +14,7 @@ from typing import Any, ClassVar, TypeVar
 
 import jax
 
+from ...errors import OperationError
 from ...groups import LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import multiply
 from ..arithmetic import Add, MatMul, is_constant, is_identity, zeros_of
@@ -31,6 +32,7 @@ from .base import (
     JoinedParts,
     TwistNode,
     both_orders,
+    check_element,
     expect_columns,
     halves,
     has_zero_half,
@@ -184,6 +186,9 @@ class SO3Adjoint(Expr):
     formula = r"\mathrm{Ad}_{<0>}"
     cases = ({"rotation": ROTATION},)
 
+    def validate(self) -> None:
+        check_element(self, "rotation")
+
     def simplify(self) -> Expr:
         """Ad_R is R."""
         return self.rotation
@@ -208,7 +213,7 @@ class _Action(ColumnsNode):
     def validate(self) -> None:
         super().validate()
         if not isinstance(self.inverse, bool):
-            raise TypeError(f"{type(self).__name__} expects inverse=True or inverse=False, got {self.inverse!r}")
+            raise OperationError(f"{type(self).__name__} expects inverse=True or inverse=False, got {self.inverse!r}")
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         transform, vector = self.child_names()

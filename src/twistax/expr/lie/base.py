@@ -8,11 +8,13 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from ...errors import ShapeError
+from ...errors import ModelError, OperationError, ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
+from ...groups.arrays import element_defect
 from ..arithmetic import is_constant
 from ..canonical import fold
 from ..fields import ExprLike, Operand
+from ..leaves import Constant
 from ..node import Expr, Shape, expect
 
 _SIX = ((6,), (6, 6))
@@ -30,6 +32,22 @@ def both_orders(**values: Any) -> list[dict[str, Any]]:
     return [values | {"order": order} for order in (LINEAR_FIRST, ANGULAR_FIRST)]
 
 
+#: How far a constant may be from a rotation or a pose. Matrices typed with four digits pass, a reflection does not.
+NEARLY = 1e-4
+
+
+def check_element(node: Expr, operand: str) -> None:
+    """Raise ModelError where a constant operand is neither a rotation nor a pose."""
+    known = getattr(node, operand, None)
+    value = known.value if isinstance(known, Constant) else np.zeros(0)
+    if value.shape in ELEMENTS and not element_defect(value) <= NEARLY:
+        raise ModelError(
+            f"{type(node).__name__} expects {operand} to be a rotation or a pose, got\n{value}, "
+            f"off by {element_defect(value):.2g}\n"
+            "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) takes the nearest one of a drifted matrix"
+        )
+
+
 class TwistNode(Expr):
     """A node over 6-vectors. It has an order, which its six-dimensional operands and result must have too."""
 
@@ -38,8 +56,9 @@ class TwistNode(Expr):
     abstract = True
 
     def validate(self) -> None:
+        check_element(self, "transform")
         if not isinstance(self.order, Order):
-            raise TypeError(
+            raise OperationError(
                 f"{type(self).__name__} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {self.order!r}"
             )
 

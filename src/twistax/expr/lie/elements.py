@@ -34,6 +34,7 @@ from .base import (
     TWIST,
     TwistNode,
     both_orders,
+    check_element,
     expect_one_of,
     of_group,
 )
@@ -74,10 +75,13 @@ class SO3Log(Expr):
 
     rotation: Operand
     takes, gives = ((3, 3),), (3,)
-    function = so3.log
+    function = so3.unchecked_log
     latex_name = r"\operatorname{Log}"
     # Off the group the map is an extension nobody differentiates: the case goes through Exp.
     cases = ((lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),)
+
+    def validate(self) -> None:
+        check_element(self, "rotation")
 
 
 class SE3Exp(TwistNode):
@@ -121,7 +125,7 @@ class SE3Log(TwistNode):
     transform: Operand
     order: Order = LINEAR_FIRST
     takes, gives = ((4, 4),), (6,)
-    function = se3.log
+    function = se3.unchecked_log
     latex_name = r"\operatorname{Log}"
     cases = (
         (lambda cls, a: cls(SE3Exp(a)), {"a": TWIST}),

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 
+from ...checks import whole
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
@@ -55,10 +56,11 @@ class Native(Backend):
     least: int = 500
 
     def __post_init__(self) -> None:
-        if self.threads is not None and self.threads < 1:
-            raise ModelError(f"Native expects threads of at least 1, or None for all, got {self.threads}")
-        if self.least < 0:
-            raise ModelError(f"Native expects least not below zero, got {self.least}")
+        if self.threads is not None:
+            whole("Native: threads", self.threads, 1, ModelError)
+        whole("Native: least", self.least, 0, ModelError)
+        if not isinstance(self.scalars, XLA):
+            raise ModelError(f"Native: scalars must be tx.XLA(...), got {self.scalars!r}")
 
     def __str__(self) -> str:
         with_it = f"llvmlite {importlib.metadata.version('llvmlite')}" if installed() else f"{_MISSING}: XLA"

@@ -166,7 +166,7 @@ class Graph:
             return a
         if a == self.zero:
             return self.neg(b)
-        if a == b and not self.checked and self.dtypes[a] == self.dtype:
+        if a == b and not self.checked and self.dtypes[a] == self.dtype and self.numbers[a] is None:
             return self.zero
         first, second = self.nodes[a], self.nodes[b]
         if second[0] is _NEG:

@@ -1,0 +1,130 @@
+"""What may come in: one rule for the numbers, names and functions that users give, and the words that refuse others.
+
+Every value that is declared, baked, guessed, or given to a call passes here.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import numbers
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .errors import InputError, TwistaxError
+
+__all__ = ["callable_with", "listed", "number", "real_array", "reals", "short", "whole"]
+
+
+def reals(place: str, value: Any, error: type[Exception], free: bool = False) -> np.ndarray:
+    """A value as an array of real numbers: float64, or bool where all entries are truth values.
+
+    Integers, floats of any precision and truth values may come, as Python's, NumPy's or JAX's, alone or in nested
+    lists. What is no real number is refused: text, complex numbers, None, objects, masked entries.
+
+    Args:
+        place: names the value in messages.
+        error: raised where it is refused.
+        free: None stands for an entry that is left open, and becomes NaN.
+    """
+    if np.ma.is_masked(value):
+        raise error(f"{place} expects real numbers, got masked entries.\n  fix: fill them, value.filled(...)")
+    try:
+        array = np.asarray(value)
+    except jax.errors.TracerArrayConversionError:
+        raise error(
+            f"{place} expects numbers, got a traced JAX value.\n"
+            "  fix: declare a tx.Parameter and pass the value through params"
+        ) from None
+    except TwistaxError as wrong:  # of an expression
+        raise error(f"{place} expects real numbers, got {short(value)}. {wrong}") from None
+    except (TypeError, ValueError):
+        raise error(f"{place} expects real numbers, got {short(value)}") from None
+    if array.dtype == object:  # Python's own: fractions, long integers, None
+        entries = [np.nan if entry is None and free else entry for entry in array.ravel()]
+        strangers = [entry for entry in entries if not isinstance(entry, numbers.Real)]
+        if strangers:
+            raise error(f"{place} expects real numbers, got {short(strangers[0])}")
+        array = np.array([float(entry) for entry in entries]).reshape(array.shape)
+    if array.dtype == bool:
+        return array
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise error(f"{place} expects real numbers, got {array.dtype}")
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise error(f"{place} expects real numbers, got {short(value)} of dtype {array.dtype}")
+    return array.astype(np.float64)
+
+
+def real_array(place: str, value: Any, error: type[Exception] = InputError) -> jax.Array | np.ndarray:
+    """The same, where arrays of JAX and traced values stay what they are, alone or in lists."""
+    from .jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
+
+    if not (isinstance(value, jax.Array) or is_traced(value)):
+        return reals(place, value, error)
+    try:
+        found = jnp.asarray(value)
+    except (TypeError, ValueError):
+        raise error(f"{place} expects real numbers, got {short(value)}") from None
+    if jnp.issubdtype(found.dtype, jnp.complexfloating):
+        raise error(f"{place} expects real numbers, got {found.dtype}")
+    return found
+
+
+def number(
+    place: str,
+    value: Any,
+    what: str = "a finite number",
+    holds: Callable[[float], Any] = np.isfinite,
+    error: type[Exception] = InputError,
+) -> Any:
+    """The value itself if it is one real number of which something holds, in words `what`; traced ones pass."""
+    from .jax_inside import is_traced
+
+    if is_traced(value) and np.shape(value) == ():
+        return value
+    single = isinstance(value, numbers.Real) or (isinstance(value, (np.ndarray, jax.Array)) and value.shape == ())
+    kind = np.asarray(value).dtype if single else np.dtype(bool)
+    if not (single and (kind.kind in "iuO" or jnp.issubdtype(kind, jnp.floating)) and holds(float(value))):
+        raise error(f"{place} must be {what}, got {short(value)}")
+    return value
+
+
+def whole(place: str, value: Any, least: int = 1, error: type[Exception] = InputError) -> int:
+    """The value if it is a whole number, not less than the least."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise error(f"{place} must be a whole number of {least} or more, got {short(value)}")
+    return int(value)
+
+
+def callable_with(place: str, function: Any, arguments: Sequence[str], error: type[Exception]) -> None:
+    """Raise the error unless the value can be called with so many arguments."""
+    wanted = f"{place} expects a function of ({', '.join(arguments)})"
+    if not callable(function):
+        raise error(f"{wanted}, got {short(function)}")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # some of what is compiled has none
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        raise error(f"{wanted}, got one of {signature}") from None
+
+
+def listed(names: Iterable[Any], name: Any = None) -> str:
+    """Names for a message, in quotes, and which of them is near to one that is not among them."""
+    known = list(names)
+    near = difflib.get_close_matches(name, [n for n in known if isinstance(n, str)], 1) if isinstance(name, str) else []
+    return (", ".join(map(repr, known)) or "none") + (f".\n  fix: did you mean {near[0]!r}?" if near else "")
+
+
+def short(value: Any) -> str:
+    """A value in a message, with its type where that is not plain to see."""
+    text = repr(value)
+    text = text if len(text) <= 100 else f"{text[:100]} ..."
+    plain = value is None or isinstance(value, (bool, int, float, complex, str, list, tuple))
+    return text if plain or text.startswith(type(value).__name__) else f"{type(value).__name__}: {text}"

@@ -1,0 +1,152 @@
+"""Bad uses of `tx.trajectory`: the problem and its arguments, linearising, discretising."""
+
+import functools
+
+import numpy as np
+from shared import AT_REST, INERTIA, TORQUE, U, X, body, cart, decay
+from table import bad
+
+import twistax as tx
+
+position, velocity, force = tx.State("position"), tx.State("velocity"), tx.Control("force")
+effort = tx.Minimize(running=force**2)
+
+
+def problem(dynamics=None, objective=effort, **options):
+    return tx.trajectory.Problem(
+        dynamics or cart(), objective, **({"nodes": 5, "final_time": 1.0, "initial": X} | options)
+    )
+
+
+@functools.cache
+def easy() -> tx.trajectory.Problem:
+    return problem(final={"position": 0.1})
+
+
+def discretized(**options):
+    return tx.trajectory.discretize(**({"dynamics": cart(), "t": 0.0, "x": X, "u": U, "h": 0.1} | options))
+
+
+ROWS = [
+    bad(
+        "a problem of a system that is not compiled", lambda: problem(cart().system), "Problem", "System", "tx.compile"
+    ),
+    bad("a problem of a function", lambda: problem(lambda t, x: x), "Problem", "function", "tx.compile"),
+    bad("an objective that is an expression", lambda: problem(objective=position), "Problem", "State", "tx.Minimize"),
+    bad("an objective by name", lambda: problem(objective="fuel"), "Problem", "str", "tx.Minimize"),
+    bad("no objective", lambda: tx.Minimize(), "Minimize", "running"),
+    bad("an objective of a vector", lambda: tx.Minimize(tx.State("v", 3)), "Minimize", "(3,)"),
+    bad("an objective of text", lambda: tx.Minimize("fuel"), "Minimize", "'fuel'"),
+    bad("an objective of a condition", lambda: tx.Maximize(position <= 1.0), "Maximize", "position <= 1"),
+    bad("a negative smoothing", lambda: tx.Minimize(position, smoothing=-1.0), "smoothing", "-1.0"),
+    bad("a smoothing of text", lambda: tx.Minimize(position, smoothing="low"), "smoothing", "'low'"),
+    bad("an infinite smoothing", lambda: tx.Minimize(position, smoothing=np.inf), "smoothing", "inf"),
+    bad("a final cost of a control", lambda: problem(objective=tx.Minimize(force)), "'force'", "final"),
+    bad("a cost of a state it has not", lambda: problem(objective=tx.Minimize(tx.State("h"))), "'h'"),
+    bad("a cost of a parameter without a value", lambda: problem(objective=tx.Minimize(tx.Parameter("c"))), "'c'"),
+    bad("one node", lambda: problem(nodes=1), "nodes", "1"),
+    bad("half a node", lambda: problem(nodes=2.5), "nodes", "2.5"),
+    bad("nodes of text", lambda: problem(nodes="25"), "nodes", "'25'"),
+    bad("no substeps", lambda: problem(substeps=0), "substeps", "0"),
+    bad("a final time of zero", lambda: problem(final_time=0.0), "final_time", "0.0"),
+    bad("a negative final time", lambda: problem(final_time=-1.0), "final_time", "-1.0"),
+    bad("a final time of text", lambda: problem(final_time="free"), "final_time", "'free'"),
+    bad("a final time of None", lambda: problem(final_time=None), "final_time", "None"),
+    bad("limits of time that cross", lambda: problem(final_time=(2.0, 1.0)), "final_time", "(2.0, 1.0)"),
+    bad("three limits of time", lambda: problem(final_time=(1.0, 2.0, 3.0)), "final_time", "(1.0, 2.0, 3.0)"),
+    bad("a final time of NaN", lambda: problem(final_time=np.nan), "final_time", "nan"),
+    bad(
+        "a guess of time outside",
+        lambda: problem(final_time=(1.0, 2.0), final_time_guess=3.0),
+        "final_time_guess",
+        "3.0",
+    ),
+    bad(
+        "a guess of time of text",
+        lambda: problem(final_time=(1.0, 2.0), final_time_guess="1"),
+        "final_time_guess",
+        "'1'",
+    ),
+    bad("a start as a list", lambda: problem(initial=[0.0, 1.0]), "initial", "list"),
+    bad("a start of a state it has not", lambda: problem(initial={"velocty": 1.0}), "'velocty'", "velocity"),
+    bad("a start of another shape", lambda: problem(initial={"velocity": [1.0, 2.0]}), "initial", "(2,)"),
+    bad("a start of text", lambda: problem(initial={"velocity": "1"}), "initial", "1"),
+    bad("an infinite start", lambda: problem(initial={"velocity": np.inf}), "initial", "inf"),
+    bad(
+        "a start that is no pose",
+        lambda: problem(
+            body(), tx.Minimize(tx.State("V", 6)[0]), params=INERTIA, initial=AT_REST | {"g": np.zeros((4, 4))}
+        ),
+        "initial",
+        "'g'",
+    ),
+    bad(
+        "an end that breaks a bound",
+        lambda: problem(_bounded(), final={"h": -1.0}, initial={}, objective=tx.Minimize(tx.State("h", min=0.0))),
+        "final",
+        "h",
+        "-1",
+    ),
+    bad("an end of a number", lambda: problem(final=3.0), "final", "float"),
+    bad("an end of an expression", lambda: problem(final=[position]), "final", "State"),
+    bad("an end that holds a control", lambda: problem(final=[force <= 1.0]), "final", "'force'"),
+    bad("an end of another state", lambda: problem(final={"height": 0.0}), "final", "'height'"),
+    bad("a guess of a name it has not", lambda: problem(guess={"velocty": 1.0}), "guess", "'velocty'"),
+    bad("a guess of another length", lambda: problem(guess={"velocity": [1.0, 2.0]}), "guess['velocity']", "(2,)"),
+    bad("a guess of NaN", lambda: problem(guess={"velocity": np.nan}), "guess['velocity']", "nan"),
+    bad("a guess of text", lambda: problem(guess={"velocity": "fast"}), "guess['velocity']", "'fast'"),
+    bad("guesses as a list", lambda: problem(guess=[1.0]), "guess", "list"),
+    bad("a parameter it has not", lambda: problem(params={"mas": 1.0}), "'mas'", "'mass'"),
+    bad("a parameter of NaN", lambda: problem(params={"mass": np.nan}), "params['mass']", "nan"),
+    bad(
+        "a parameter that is missing", lambda: problem(body(), tx.Minimize(tx.State("V", 6)[0]), initial=AT_REST), "'J'"
+    ),
+    bad("a method by name", lambda: problem(method="RK4"), "method", "'RK4'", "tx.RKMK"),
+    bad("a tableau as a method", lambda: problem(method=tx.tableaus.RK4), "method", "RK4", "tx.RKMK"),
+    bad("an implicit method", lambda: problem(method=tx.ImplicitRKMK(tx.tableaus.RADAU_IIA3)), "method", "RADAU"),
+    bad("no guesses", lambda: easy().solve(guesses=0), "guesses", "0"),
+    bad("guesses of text", lambda: easy().solve(guesses="many"), "guesses", "'many'"),
+    bad("half an iteration", lambda: easy().solve(max_iterations=0.5), "max_iterations", "0.5"),
+    bad("a tolerance of zero", lambda: easy().solve(tolerance=0.0), "tolerance", "0.0"),
+    bad("a tolerance of text", lambda: easy().solve(tolerance="tight"), "tolerance", "'tight'"),
+    bad("a seed of text", lambda: easy().solve(seed="one"), "seed", "'one'"),
+    bad("a callback that is none", lambda: easy().solve(callback=3), "callback", "3"),
+    bad("a guess at solving of a name it has not", lambda: easy().solve({"velocty": 1.0}), "guess", "'velocty'"),
+    # derivatives
+    bad(
+        "a linearisation of a system", lambda: tx.trajectory.linearize(cart().system, 0.0, X, U), "linearize", "System"
+    ),
+    bad("a linearisation without a control", lambda: tx.trajectory.linearize(cart(), 0.0, X), "'force'", "missing"),
+    bad(
+        "a linearisation of another shape",
+        lambda: tx.trajectory.linearize(decay(), 0.0, {"x": 1.0, "v": 1.0}),
+        "x['v']",
+        "()",
+    ),
+    bad("a discretisation of text", lambda: discretized(dynamics="cart"), "discretize", "str"),
+    bad("an interval of text", lambda: discretized(h="0.1"), "h", "'0.1'"),
+    bad("an interval of NaN", lambda: discretized(h=np.nan), "h", "nan"),
+    bad("intervals", lambda: discretized(h=[0.1, 0.2]), "h", "(2,)"),
+    bad("half a substep", lambda: discretized(substeps=1.5), "substeps", "1.5"),
+    bad("a discretisation by name", lambda: discretized(method="RK4"), "method", "'RK4'", "tx.RKMK"),
+    bad(
+        "a discretisation in ambient numbers",
+        lambda: discretized(
+            dynamics=body(), x=AT_REST, u=TORQUE, params=INERTIA, method=tx.RKMK(tx.tableaus.RK4, tx.charts.Ambient())
+        ),
+        "derivatives",
+        "tx.charts.Exponential",
+    ),
+    bad(
+        "a discretisation by an implicit method",
+        lambda: discretized(method=tx.ImplicitRKMK(tx.tableaus.RADAU_IIA3)),
+        "method",
+        "RADAU",
+    ),
+]
+
+
+@functools.cache
+def _bounded() -> tx.Dynamics:
+    h = tx.State("h", min=0.0)
+    return tx.compile(tx.System({h: -h}))

@@ -1,0 +1,81 @@
+"""A bad use of the package, and what is made of it: an error of ours that names the thing and what came, or not."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import re
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import twistax as tx
+
+#: What a message says of what was expected, or of how to mend it.
+MENDS = re.compile(
+    r"fix:|expect|must|need|give|known|has:|are:|takes?\b|choose from|--help|reads|requires|knows|too many|missing a"
+)
+#: Seconds of this process that an error may take.
+SLOWEST = 2.0
+
+
+class Bad(NamedTuple):
+    """A bad use: a few words for it, the call, and what its error must say."""
+
+    name: str
+    call: Callable[[], Any]
+    words: tuple[str, ...]
+
+
+def bad(name: str, call: Callable[[], Any], *words: str) -> Bad:
+    """A row of a table. The words: the thing's name first, then what came."""
+    return Bad(name, call, words)
+
+
+class Verdict(NamedTuple):
+    """What a bad use ended in."""
+
+    kind: str  # "ours", "foreign", "silent", "words", "slow"
+    text: str
+
+
+def judge(row: Bad) -> Verdict:
+    """Run a bad use."""
+    said = io.StringIO()
+    begin = time.process_time()
+    try:
+        with contextlib.redirect_stderr(said):
+            found = row.call()
+    except tx.TwistaxError as error:
+        text, clean = str(error), error.__cause__ is None and (error.__context__ is None or error.__suppress_context__)
+    except SystemExit as error:  # argparse, which has printed why
+        text, clean = said.getvalue(), error.code == 2
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return Verdict("foreign", f"{type(error).__name__}: {str(error)[:300]} [{place.filename}:{place.lineno}]")
+    else:
+        return Verdict("silent", f"gave {str(found)[:200]}")
+    seconds = time.process_time() - begin
+    if not clean:
+        return Verdict("foreign", f"chained: {text}")
+    missing = [word for word in row.words if word not in text]
+    if missing or not row.words or not MENDS.search(text):
+        return Verdict("words", f"missing {missing or 'what to do'}: {text}")
+    return Verdict("slow" if seconds > SLOWEST else "ours", text if seconds <= SLOWEST else f"{seconds:.1f} s: {text}")
+
+
+AREAS = ("language", "systems", "lie_maps")
+
+
+def tables() -> dict[str, list[Bad]]:
+    """All rows, by area."""
+    return {area: importlib.import_module(area).ROWS for area in AREAS}
+
+
+def rows() -> Iterator[tuple[str, Bad]]:
+    """All rows with their areas."""
+    for area, own in tables().items():
+        for row in own:
+            yield area, row
