@@ -67,16 +67,15 @@ def _numbers(group: Group, quaternion: bool) -> _Numbers:
     if isinstance(group, SpecialOrthogonal):
         if quaternion:
             return _Numbers(quaternions.from_rotation, quaternions.to_rotation, _turned)
-        return _Numbers(_same, _same, lambda y, velocity: so3.compose(y, so3.hat(velocity)))
+        return _Numbers(_same, _same, lambda R, w: so3.compose(R, so3.hat(w)))
     if isinstance(group, SpecialEuclidean):
-        twist = group.order.to_linear_first
         if quaternion:
             return _Numbers(
                 lambda g: jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]]),
                 lambda y: se3.transform(quaternions.to_rotation(y[:4]), y[4:]),
-                lambda y, velocity: _moved(y, twist(velocity)),
+                lambda y, V: _moved(y, group.order.to_linear_first(V)),
             )
-        return _Numbers(_same, _same, lambda y, velocity: se3.compose(y, se3.hat(twist(velocity))))
+        return _Numbers(_same, _same, lambda g, V: se3.compose(g, se3.hat(group.order.to_linear_first(V))))
     raise ModelError(f"no plain numbers are known for states on {group.name}")
 
 

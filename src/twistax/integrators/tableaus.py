@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable
+from collections.abc import Sequence
 from fractions import Fraction
-from math import sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -183,9 +182,8 @@ class ButcherTableau(Coefficients):
             raise self._error(f"{weights} must sum to 1, it sums to {total:.16g}")
 
 
-def lower_triangle(rows: Iterable[Any]) -> NDArray[Any]:
+def lower_triangle(rows: Sequence[Any]) -> NDArray[Any]:
     """The square matrix a of the rows below its first one: row i + 1 has entries 0 to i, and the rest is zero."""
-    rows = list(rows)
     a = np.zeros((len(rows) + 1, len(rows) + 1))
     for i, row in enumerate(rows, start=1):
         a[i, :i] = row
@@ -303,94 +301,42 @@ class CollocationTableau(Coefficients):
 _WEIGHTS = ("b", "c", "b_embedded", "b_second_embedded")
 
 
-def _stored() -> dict[str, ButcherTableau]:
-    """The tableaus of `tableaus.json` with their sources: a row is text, its numbers exact fractions or decimals."""
+def _stored(kind: str) -> dict[str, dict[str, Any]]:
+    """The tableaus of a kind in `tableaus.json`, by constant: a row is text, of exact fractions or decimals."""
 
     def row(text: str) -> list[float]:
         return [float(Fraction(number)) for number in text.split()]
 
     found = {}
-    for constant, data in json.loads(Path(__file__).with_name("tableaus.json").read_text()).items():
+    for constant, data in json.loads(Path(__file__).with_name("tableaus.json").read_text())[kind].items():
         fields = {field: row(value) if field in _WEIGHTS else value for field, value in data.items()}
         del fields["what"], fields["source"]
-        found[constant] = ButcherTableau(**fields | {"a": lower_triangle(map(row, data["a"]))})
+        found[constant] = fields | {"a": [row(text) for text in data["a"]]}
     return found
 
 
-_STORED = _stored()
-EULER = _STORED["EULER"]
-HEUN = _STORED["HEUN"]
-BOGACKI_SHAMPINE3 = _STORED["BOGACKI_SHAMPINE3"]
-RK4 = _STORED["RK4"]
-DORMAND_PRINCE5 = _STORED["DORMAND_PRINCE5"]
-TSIT5 = _STORED["TSIT5"]
-DOP853 = _STORED["DOP853"]
-DORMAND_PRINCE8 = _STORED["DORMAND_PRINCE8"]
+_EXPLICIT = {
+    constant: ButcherTableau(**fields | {"a": lower_triangle(fields["a"])})
+    for constant, fields in _stored("explicit").items()
+}
+EULER = _EXPLICIT["EULER"]
+HEUN = _EXPLICIT["HEUN"]
+BOGACKI_SHAMPINE3 = _EXPLICIT["BOGACKI_SHAMPINE3"]
+RK4 = _EXPLICIT["RK4"]
+DORMAND_PRINCE5 = _EXPLICIT["DORMAND_PRINCE5"]
+TSIT5 = _EXPLICIT["TSIT5"]
+DOP853 = _EXPLICIT["DOP853"]
+DORMAND_PRINCE8 = _EXPLICIT["DORMAND_PRINCE8"]
 
 #: Every explicit tableau, by order.
-ALL: tuple[ButcherTableau, ...] = tuple(_STORED.values())
+ALL: tuple[ButcherTableau, ...] = tuple(_EXPLICIT.values())
 
-_3, _6, _15 = sqrt(3.0), sqrt(6.0), sqrt(15.0)
-
-#: Radau IIA with two stages. L-stable.
-#: Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.5.
-RADAU_IIA3 = CollocationTableau("Radau IIA 3", 3, a=[[5 / 12, -1 / 12], [3 / 4, 1 / 4]], b=[3 / 4, 1 / 4], c=[1 / 3, 1])
-
-#: Radau IIA with three stages, the method of the program RADAU5. L-stable.
-#: Source: as above.
-RADAU_IIA5 = CollocationTableau(
-    "Radau IIA 5",
-    5,
-    a=[
-        [(88 - 7 * _6) / 360, (296 - 169 * _6) / 1800, (-2 + 3 * _6) / 225],
-        [(296 + 169 * _6) / 1800, (88 + 7 * _6) / 360, (-2 - 3 * _6) / 225],
-        [(16 - _6) / 36, (16 + _6) / 36, 1 / 9],
-    ],
-    b=[(16 - _6) / 36, (16 + _6) / 36, 1 / 9],
-    c=[(4 - _6) / 10, (4 + _6) / 10, 1],
-)
-
-#: Radau IIA with five stages: the last row of a is b. L-stable.
-#: Source: nodes and weights found in sixty digits from the conditions of collocation; as above, and Hairer, Wanner,
-#: Stiff differential equations solved by Radau methods (1999), for their use.
-_RADAU9 = [
-    [0.072998864317903324, -0.026735331107945572, 0.018676929763984354, -0.01287910609330644, 0.0050428392338820152],
-    [0.15377523147918247, 0.14621486784749351, -0.03644456890512809, 0.021233063119304719, -0.0079355799027287775],
-    [0.14006304568480987, 0.29896712949128348, 0.16758507013524896, -0.033969101686617747, 0.010944288744192252],
-    [0.14489430810953476, 0.27650006876015923, 0.32579792291042103, 0.12875675325490976, -0.015708917378805328],
-    [0.14371356079122594, 0.28135601514946206, 0.31182652297574125, 0.22310390108357074, 0.04],
-]
-RADAU_IIA9 = CollocationTableau(
-    "Radau IIA 9",
-    9,
-    a=_RADAU9,
-    b=_RADAU9[-1],
-    c=[0.057104196114517682, 0.27684301363812383, 0.58359043236891682, 0.86024013565621945, 1],
-)
-
-#: Gauss with two stages. A-stable, symmetric.
-#: Source: as above.
-GAUSS_LEGENDRE4 = CollocationTableau(
-    "Gauss-Legendre 4",
-    4,
-    a=[[1 / 4, 1 / 4 - _3 / 6], [1 / 4 + _3 / 6, 1 / 4]],
-    b=[1 / 2, 1 / 2],
-    c=[1 / 2 - _3 / 6, 1 / 2 + _3 / 6],
-)
-
-#: Gauss with three stages. A-stable, symmetric.
-#: Source: as above.
-GAUSS_LEGENDRE6 = CollocationTableau(
-    "Gauss-Legendre 6",
-    6,
-    a=[
-        [5 / 36, 2 / 9 - _15 / 15, 5 / 36 - _15 / 30],
-        [5 / 36 + _15 / 24, 2 / 9, 5 / 36 - _15 / 24],
-        [5 / 36 + _15 / 30, 2 / 9 + _15 / 15, 5 / 36],
-    ],
-    b=[5 / 18, 4 / 9, 5 / 18],
-    c=[1 / 2 - _15 / 10, 1 / 2, 1 / 2 + _15 / 10],
-)
+_COLLOCATION = {constant: CollocationTableau(**fields) for constant, fields in _stored("collocation").items()}
+RADAU_IIA3 = _COLLOCATION["RADAU_IIA3"]
+GAUSS_LEGENDRE4 = _COLLOCATION["GAUSS_LEGENDRE4"]
+RADAU_IIA5 = _COLLOCATION["RADAU_IIA5"]
+GAUSS_LEGENDRE6 = _COLLOCATION["GAUSS_LEGENDRE6"]
+RADAU_IIA9 = _COLLOCATION["RADAU_IIA9"]
 
 #: Every implicit tableau, by order.
-IMPLICIT: tuple[CollocationTableau, ...] = (RADAU_IIA3, GAUSS_LEGENDRE4, RADAU_IIA5, GAUSS_LEGENDRE6, RADAU_IIA9)
+IMPLICIT: tuple[CollocationTableau, ...] = tuple(_COLLOCATION.values())

@@ -124,18 +124,14 @@ class PathRows:
     def asked(self, intervals: int, substeps: int) -> Array:
         """Where the rows are asked: bool (intervals, substeps + 1, rows). The last point of an interval is its end."""
         mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
-        for row, reads in enumerate(self.reads):
-            if reads is Reads.CONTROL:
-                mask[:, 1:, row] = False
-            elif reads is Reads.STATE:
-                mask[:-1, -1, row] = False
+        mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
+        mask[:-1, -1, [reads is Reads.STATE for reads in self.reads]] = False
         return mask
 
     def decided(self, intervals: int, substeps: int, fixed: frozenset[str]) -> Array:
         """Rows that no unknown can change, because the start fixes all the states they read: a mask as of `asked`."""
         mask = np.zeros((intervals, substeps + 1, len(self.names)), bool)
-        for row, (reads, states) in enumerate(zip(self.reads, self.states)):
-            mask[0, 0, row] = reads is Reads.STATE and states <= fixed
+        mask[0, 0] = [reads is Reads.STATE and states <= fixed for reads, states in zip(self.reads, self.states)]
         return mask
 
 
@@ -180,15 +176,6 @@ def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
                     place = f"{leaf.name}[{entry}]" if leaf.shape else leaf.name
                     found.append(Bound(leaf.name, entry, sign, float(limit), place, reads))
     return found
-
-
-def names_of(constraints: Mapping[str, Constraint]) -> list[str]:
-    """A name for every entry of named constraints."""
-    return [
-        f"{name}[{i}]" if constraint.shape else name
-        for name, constraint in constraints.items()
-        for i in range(prod(constraint.shape))
-    ]
 
 
 def violations(rows: Array, equality: Array) -> Array:
@@ -273,14 +260,16 @@ def fixed_entries(state: State, value: Array | None) -> Array:
 
 def final_rows(dynamics: Dynamics, constraints: Mapping[str, Constraint]) -> FinalRows:
     """The residuals of the constraints on the final node."""
-    ordered = {n: c for n, c in constraints.items() if not isinstance(c, Equality)}
-    equalities = {n: c for n, c in constraints.items() if isinstance(c, Equality)}
-    for name, constraint in constraints.items():
+    names: list[str] = []
+    residuals: list[Expr] = []
+    equality: list[bool] = []
+    for name, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
         check_leaves(dynamics, f"final: {name}", constraint, controls=False)
-        constraint.check_shape()
-    residuals = [c.residual().canonicalize() for c in (*ordered.values(), *equalities.values())]
-    names, count = names_of(ordered | equalities), len(names_of(ordered))
-    return FinalRows(names, residuals, np.arange(len(names)) >= count)
+        shape = constraint.check_shape()
+        names += [f"{name}[{i}]" for i in range(prod(shape))] if shape else [name]
+        residuals.append(constraint.residual().canonicalize())
+        equality += [isinstance(constraint, Equality)] * prod(shape)
+    return FinalRows(names, residuals, np.array(equality, bool))
 
 
 def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:
