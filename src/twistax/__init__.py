@@ -52,6 +52,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
+    from .monte_carlo import Statistics, Sweep, sweep
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.2.0.dev0"
@@ -88,7 +89,9 @@ __all__ = [
     "ShapeError",
     "Solution",
     "Splitting",
+    "Statistics",
     "StepControl",
+    "Sweep",
     "System",
     "TrajectoryError",
     "TwistaxError",
@@ -106,6 +109,7 @@ __all__ = [
     "mechanics",
     "pose",
     "spatial",
+    "sweep",
     "tableaus",
     "tangent_grad",
     "trajectory",
@@ -131,6 +135,7 @@ _LATER = {
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),
+    ".monte_carlo": ("Statistics", "Sweep", "sweep"),
     ".trajectory": ("Maximize", "Minimize"),
 }
 

@@ -1,0 +1,406 @@
+"""Monte Carlo: one function of many members, in chunks over all devices, resumable from disk, failures by number."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import os
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from numpy.typing import NDArray
+
+from .errors import InputError
+from .integrators import Result, Solution
+
+__all__ = ["Statistics", "Sweep", "sweep"]
+
+#: Of each result of a chunk, members on the leading axis; the last one are the numbers of the `Result`.
+Columns: TypeAlias = "list[NDArray[Any]]"
+
+_SETUP = "sweep.json"
+#: Results differ by rounding where another number of devices computed them.
+_AGREE = 1e-6
+_WIDTH = 24
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Moments and ends of each result over the members that did not fail, shaped as one member's results.
+
+    Attributes:
+        count: how many members there are.
+        mean, std: the mean, and the standard deviation of the sample (n - 1).
+        least, most: the ends.
+    """
+
+    count: int
+    mean: Any
+    std: Any
+    least: Any
+    most: Any
+
+
+class Sweep:
+    """What a sweep gave, read from its chunks when asked for.
+
+    Attributes:
+        count: how many members there are.
+        codes: (count,) the number of each member's `Result`.
+        statistics: of the members that did not fail.
+    """
+
+    def __init__(self, plan: _Plan, chunks: _Chunks) -> None:
+        self._plan, self._chunks = plan, chunks
+        self.count = plan.count
+        self.codes = np.concatenate([chunks.read(k)[-1] for k in range(plan.chunks)])
+        moments = _Moments(plan.shapes)
+        for k in range(plan.chunks):
+            *columns, codes = chunks.read(k)
+            moments.add([column[_good(codes)] for column in columns])
+        self.statistics = Statistics(moments.count, *(plan.tree(own) for own in moments.summary()))
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.count} members, {len(self.failed)} failed)"
+
+    @property
+    def failed(self) -> dict[int, Result]:
+        """The members that failed, by number. `member` gives what one was run with."""
+        bad = np.flatnonzero(~_good(self.codes))
+        return {int(i): Result(int(self.codes[i])) for i in bad}
+
+    @functools.cached_property
+    def values(self) -> Any:
+        """The results of all members, on the leading axis, those that failed too: as much memory as they take."""
+        rows = [self._chunks.read(k)[:-1] for k in range(self._plan.chunks)]
+        return self._plan.tree([np.concatenate(own) for own in zip(*rows, strict=True)])
+
+    def percentiles(self, percent: float | int | Sequence[float | int]) -> Any:
+        """Of each result over the members that did not fail, by linear interpolation; one result in memory at a time.
+
+        Args:
+            percent: 0 to 100, one number or several, which make a leading axis.
+        Raises:
+            InputError: numbers outside; every member failed.
+        """
+        asked = np.asarray(percent, float)
+        if not np.all((asked >= 0.0) & (asked <= 100.0)):
+            raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
+        good = _good(self.codes)
+        if not good.any():
+            raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
+
+        def column(place: int) -> NDArray[Any]:
+            return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good]
+
+        return self._plan.tree([np.percentile(column(i), asked, axis=0) for i in range(self._plan.columns)])
+
+    def member(self, number: int) -> Any:
+        """What a member was run with.
+
+        Raises:
+            InputError: there is no such member.
+        """
+        if not 0 <= number < self.count:
+            raise InputError(f"member expects a number from 0 to {self.count - 1}, got {number}")
+        return self._plan.member(number)
+
+
+def sweep(
+    run: Callable[[Any], Any],
+    members: Any,
+    *,
+    count: int | None = None,
+    seed: int = 0,
+    chunk: int = 4096,
+    directory: str | os.PathLike[str] | None = None,
+    devices: Sequence[jax.Device] | None = None,
+    progress: bool | None = None,
+) -> Sweep:
+    """Run a function for many members, as a Monte Carlo over starts, parameters and controls does.
+
+        def drop(member):
+            solution = tx.integrate(dynamics, member["x"], t1=10.0, dt=1e-3, params=member["params"])
+            return solution, {"miss": jnp.linalg.norm(solution.xs["r"][-1])}
+
+        found = tx.sweep(drop, lambda key: {"x": ..., "params": ...}, count=100_000, directory="out/drop")
+        found.statistics.mean["miss"], found.percentiles([5, 50, 95])["miss"], found.failed
+
+    Members are computed in chunks, of which each is shared between the devices. With a directory every chunk is kept as
+    soon as it is there: the same call takes up where an earlier one was stopped, and several processes of
+    `jax.distributed` with the same directory share the chunks. A member that fails is named by its number, with its
+    `Result`, and no other one is touched by it.
+
+    Args:
+        run: traceable, from one member to a `Solution`, to (Solution, results), or to results alone, a pytree of
+            arrays. Of a solution alone the states at the saved times are kept. A member has failed where its solution
+            has, or where a result is not finite.
+        members: a pytree of arrays, members on the leading axis; or a traceable function from a random key to one
+            member, which has a key of its own that depends on `seed` and its number alone.
+        count: how many members a function draws.
+        chunk: members that are in memory at a time, in each process.
+        directory: where chunks are kept; made if missing. In memory if None.
+        devices: those of this process; all if None.
+        progress: show a line on the terminal; None: if there is one.
+    Raises:
+        InputError: axes of different lengths, a count that is missing or given twice, several processes without a
+            directory; a directory with a sweep of something else.
+    """
+    plan = _Plan.given(run, members, count, seed, chunk, list(devices or jax.local_devices()))
+    if directory is None and jax.process_count() > 1:
+        raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
+    chunks: _Chunks = _InMemory() if directory is None else _OnDisk(Path(directory), plan)
+    line = _Line(plan, (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0)
+    own = range(jax.process_index(), plan.chunks, jax.process_count())
+    for k in own:
+        if not chunks.have(k):
+            chunks.keep(k, plan.compute(k))
+        line.show(sum(map(chunks.have, own)) / len(own))
+    while not all(map(chunks.have, range(plan.chunks))):  # of other processes
+        time.sleep(0.05)
+    line.clear()
+    return Sweep(plan, chunks)
+
+
+# ---- what is computed ------------------------------------------------------------------------------------------------
+
+
+class _Plan:
+    """The members, and the compiled function of a chunk of them."""
+
+    def __init__(self, run: Any, draw: Any, arrays: Any, count: int, seed: int, size: int, devices: list[Any]) -> None:
+        self._run, self._draw, self._arrays, self._seed = run, draw, arrays, seed
+        self.count, self.size = count, -(-min(size, count) // len(devices)) * len(devices)
+        self.chunks = -(-count // self.size)
+        shape = jax.eval_shape(self._one, self._given(np.zeros(1, int), one=True))
+        self._structure = jax.tree.structure(shape[0])
+        self.shapes = [(leaf.shape, np.dtype(leaf.dtype).str) for leaf in jax.tree.leaves(shape[0])]
+        self.columns = len(self.shapes)
+        if not self.columns:
+            raise InputError("sweep expects run to give a Solution or arrays, and it gives nothing")
+        whole = jax.vmap(self._one)
+        if len(devices) > 1:
+            each = PartitionSpec("members")
+            mesh = Mesh(np.array(devices), ("members",))
+            whole = jax.shard_map(whole, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
+        self._compiled = jax.jit(whole)
+
+    @classmethod
+    def given(cls, run: Any, members: Any, count: int | None, seed: int, size: int, devices: list[Any]) -> _Plan:
+        for name, number in (("chunk", size), ("count", 1 if count is None else count)):
+            if number < 1:
+                raise InputError(f"sweep expects {name} of at least 1, got {number}")
+        if callable(members):
+            if count is None:
+                raise InputError("sweep expects a count beside a function that draws members: sweep(..., count=...)")
+            return cls(run, members, None, count, seed, size, devices)
+        arrays = jax.tree.map(np.asarray, members)
+        lengths = {np.shape(a)[:1] for a in jax.tree.leaves(arrays)}
+        if len(lengths) != 1 or () in lengths:
+            raise InputError(f"sweep expects arrays with one length of the leading axis, got {sorted(lengths)}")
+        ((length,),) = lengths
+        if count is not None and count != length:
+            raise InputError(f"sweep has arrays of {length} members, and count is {count}.\n  fix: leave count out")
+        return cls(run, None, arrays, length, seed, size, devices)
+
+    def tree(self, columns: Sequence[Any]) -> Any:
+        """Columns as the results of a member are structured."""
+        return jax.tree.unflatten(self._structure, columns)
+
+    def member(self, number: int) -> Any:
+        return self._member(self._given(np.array([number]), one=True))
+
+    def compute(self, k: int) -> Columns:
+        """The results of a chunk."""
+        numbers = np.arange(k * self.size, (k + 1) * self.size)
+        results, codes = self._compiled(self._given(np.minimum(numbers, self.count - 1)))
+        kept = numbers < self.count  # the last chunk is filled up with its last member
+        return [np.asarray(column)[kept] for column in (*jax.tree.leaves(results), codes)]
+
+    def setup(self) -> dict[str, Any]:
+        """What says whether chunks on disk are of this sweep."""
+        digest = hashlib.sha256()
+        for leaf in jax.tree.leaves(self._arrays):
+            digest.update(np.ascontiguousarray(leaf).tobytes())
+        results = [[list(shape), dtype] for shape, dtype in self.shapes]
+        members = "drawn" if self._draw else digest.hexdigest()
+        return {"count": self.count, "chunk": self.size, "seed": self._seed, "members": members, "results": results}
+
+    def _given(self, numbers: NDArray[Any], one: bool = False) -> Any:
+        """What the compiled function takes for members of these numbers; for one of them without an axis."""
+        own = numbers.astype(np.uint32) if self._draw else jax.tree.map(lambda a: a[numbers], self._arrays)
+        return jax.tree.map(lambda a: a[0], own) if one else own
+
+    def _member(self, given: Any) -> Any:
+        return self._draw(jax.random.fold_in(jax.random.key(self._seed), given)) if self._draw else given
+
+    def _one(self, given: Any) -> tuple[Any, jax.Array]:
+        """The results of one member, and the number of its `Result`."""
+        found = self._run(self._member(given))
+        solution, results = found if isinstance(found, tuple) and len(found) == 2 else (found, found)
+        if isinstance(solution, Solution):
+            results = solution.xs if results is solution else results
+            code = jnp.asarray(solution.code, jnp.int32)
+        else:
+            results, code = found, jnp.asarray(Result.SUCCESS.value, jnp.int32)
+        results = jax.tree.map(jnp.asarray, results)
+        real = [leaf for leaf in jax.tree.leaves(results) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+        finite = functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in real], jnp.asarray(True))
+        fine = (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
+        return results, jnp.where(fine & ~finite, jnp.int32(Result.NON_FINITE.value), code)
+
+
+def _good(codes: NDArray[Any]) -> NDArray[Any]:
+    return np.isin(codes, [Result.SUCCESS.value, Result.EVENT.value])
+
+
+# ---- where chunks are kept -------------------------------------------------------------------------------------------
+
+
+class _InMemory:
+    def __init__(self) -> None:
+        self._kept: dict[int, Columns] = {}
+
+    def have(self, k: int) -> bool:
+        return k in self._kept
+
+    def keep(self, k: int, columns: Columns) -> None:
+        self._kept[k] = columns
+
+    def read(self, k: int) -> Columns:
+        return self._kept[k]
+
+
+class _OnDisk:
+    """A file for each chunk, which is there as a whole or not at all."""
+
+    def __init__(self, folder: Path, plan: _Plan) -> None:
+        self._folder, self._there = folder, set[int]()
+        setup, path = plan.setup(), folder / _SETUP
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if not path.exists():
+                _whole(path, lambda file: file.write(json.dumps(setup, indent=2).encode()))
+            found = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise InputError(f"sweep cannot use the directory {folder}: {error}") from error
+        different = [name for name in setup if found.get(name) != setup[name]]
+        if different:
+            told = ", ".join(f"{name} {found.get(name)} there, {setup[name]} here" for name in different)
+            raise InputError(f"{folder} holds another sweep: {told}.\n  fix: give another directory, or remove it")
+        self._compare(plan)
+
+    def _compare(self, plan: _Plan) -> None:
+        """One chunk that is there is computed again: the function may be another one."""
+        first = next((k for k in range(plan.chunks) if self.have(k)), None)
+        if first is None:
+            return
+        for own, new in zip(self.read(first), plan.compute(first), strict=True):
+            if not np.allclose(own, new, rtol=_AGREE, atol=_AGREE * np.max(np.abs(new), initial=0.0), equal_nan=True):
+                raise InputError(
+                    f"{self._folder} holds results of another function: chunk {first} computed again differs.\n"
+                    "  fix: give another directory, or remove that one"
+                )
+
+    def have(self, k: int) -> bool:
+        if k not in self._there and self._path(k).exists():
+            try:
+                self.read(k)
+            except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+                self._path(k).unlink(missing_ok=True)  # it is computed again
+            else:
+                self._there.add(k)
+        return k in self._there
+
+    def keep(self, k: int, columns: Columns) -> None:
+        _whole(self._path(k), lambda file: np.savez(file, *columns))
+        self._there.add(k)
+
+    def read(self, k: int) -> Columns:
+        with np.load(self._path(k), allow_pickle=False) as found:
+            return [found[f"arr_{i}"] for i in range(len(found.files))]
+
+    def _path(self, k: int) -> Path:
+        return self._folder / f"{k:06}.npz"
+
+
+_Chunks: TypeAlias = _InMemory | _OnDisk
+
+
+def _whole(path: Path, write: Callable[[Any], Any]) -> None:
+    """A file that is complete as soon as it has its name."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    with beside.open("wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, path)
+
+
+# ---- statistics ------------------------------------------------------------------------------------------------------
+
+
+class _Moments:
+    """Mean, squared deviations and ends, chunk by chunk (T. F. Chan, G. H. Golub and R. J. LeVeque 1983, eq. 2.1)."""
+
+    def __init__(self, shapes: Sequence[tuple[tuple[int, ...], str]]) -> None:
+        self.count, self._shapes = 0, shapes
+        self._columns: list[tuple[Any, ...]] = []
+
+    def add(self, columns: Columns) -> None:
+        n = len(columns[0]) if columns else 0
+        if n == 0:
+            return
+        new = []
+        for column in columns:
+            mean = column.mean(0, dtype=float)
+            new.append((mean, ((column - mean) ** 2).sum(0), column.min(0), column.max(0)))
+        self._columns = list(map(self._merged(n), self._columns, new)) if self.count else new
+        self.count += n
+
+    def _merged(self, n: int) -> Callable[..., tuple[Any, ...]]:
+        share = n / (self.count + n)
+
+        def merged(one: Any, other: Any) -> tuple[Any, ...]:
+            apart = other[0] - one[0]
+            squares = one[1] + other[1] + apart**2 * self.count * share
+            return one[0] + share * apart, squares, np.minimum(one[2], other[2]), np.maximum(one[3], other[3])
+
+        return merged
+
+    def summary(self) -> Iterator[list[Any]]:
+        """Means, standard deviations, least and most; NaN where there are no members."""
+        found = self._columns if self.count else [(np.full(shape, np.nan),) * 4 for shape, _ in self._shapes]
+        for which, own in enumerate(zip(*found, strict=True)):
+            yield [np.sqrt(a / max(self.count - 1, 1)) for a in own] if which == 1 else list(own)
+
+
+class _Line:
+    """How far it is, in one line that is overwritten."""
+
+    def __init__(self, plan: _Plan, shown: bool) -> None:
+        self._plan, self._shown, self._begin = plan, shown, time.perf_counter()
+
+    def show(self, share: float) -> None:
+        took = time.perf_counter() - self._begin
+        bar = "=" * round(_WIDTH * share)
+        left = took / share - took
+        self._write(f"[{bar:<{_WIDTH}}] {share:4.0%} of {self._plan.count} members, {took:.0f} s, {left:.0f} s left")
+
+    def clear(self) -> None:
+        self._write("")
+
+    def _write(self, text: str) -> None:
+        if self._shown:
+            sys.stderr.write(f"\r\033[K{text}")
+            sys.stderr.flush()
