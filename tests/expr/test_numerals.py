@@ -7,7 +7,7 @@ import pytest
 
 import twistax as tx
 from twistax.expr.numerals import _IN_NUMPY, _in_numpy, numerals
-from twistax.report.speed.case import CASES
+from twistax.report.speed.cases import CASES
 
 A = np.array([[1.0, -2.0, 0.5], [0.3, 4.0, -1.0], [2.0, 0.0, 3.0]])
 V = np.array([0.7, -0.2, 1.5])

@@ -22,7 +22,6 @@ from twistax.report.checks import (
     Absent,
     Check,
     Ended,
-    Section,
     agree,
     at_least,
     at_most,
@@ -156,34 +155,35 @@ def raising(error: Exception) -> Callable[[], float]:
     return measure
 
 
-def section(*more: Check, wide: bool = False) -> Section:
+def section(*more: Check) -> list[str | Check]:
     lost = raising(Ended(tx.Result.NON_FINITE, 0.5))
-    content = [
+    return [
         "Short steps.",
-        Check("a small error", "RK4", lambda: 2e-9, at_most(1e-8), place=("RK4", 1.0)),
+        Check("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
         "Long steps.",
-        Check("a larger one", "RK4", lambda: 2e-5, at_most(1e-4), place=("RK4", 10.0)),
+        Check("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
         "Too long steps.",
-        Check("too far | beyond", "RK4", lost, ends(tx.Result.NON_FINITE), slow=True, place=("RK4", 100.0)),
+        Check("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
         "For a test.",
         *more,
     ]
-    return Section("long", content, axes=("step", "error"), wide=wide)
 
 
-SILENT = Check("a silent one", "RK4", lambda: math.nan, at_most(1.0))
-ABSENT = Check("needs a package", "none", raising(Absent("not run: it is not installed")), at_most(1.0))
-BROKEN = Check("without a bar", "RK4", raising(RuntimeError("DISAGREES by 1.0e-03")))
+SILENT = Check("a silent one", "RK4", at_most(1.0), lambda: math.nan)
+ABSENT = Check("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
+BROKEN = Check("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
 
 
-def run(folder: Path, *more: Check, quick: bool = False, again: bool = False, renewed: Path | None = None) -> int:
+def run(
+    folder: Path, *more: Check, quick: bool = False, again: bool = False, renew: Any = None, only: Any = None
+) -> int:
     given = argparse.Namespace(
         out=folder,
         quick=quick,
         again=again,
-        renew=renewed,
+        renew=renew,
         no_progress=True,
-        only=None,
+        only=only,
         stability=True,
         speed=False,
         figures=False,
@@ -191,7 +191,7 @@ def run(folder: Path, *more: Check, quick: bool = False, again: bool = False, re
         method=None,
         case=None,
     )
-    return run_report(Checked("stability", [section(*more)], given), given)
+    return run_report(Checked("stability", {"long": section(*more)}, given), given)
 
 
 def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -245,8 +245,8 @@ def test_without_matplotlib_everything_but_the_figures_is_there(
 
 
 def test_the_figure_shows_numbers_and_ends() -> None:
-    made = section()
-    text = draw(made, [check.run(made.name) for _, check in made], {"title": "Made up"}).decode()
+    placed = [(check.run(), check.place) for check in section() if isinstance(check, Check)]
+    text = draw(placed, {"title": "Made up", "axes": ["step", "error"]}).decode()
     assert "Made up" in text
     assert "x: ends by name" in text
 
@@ -287,6 +287,29 @@ def test_tables_of_a_document_are_renewed_and_its_prose_is_kept(tmp_path: Path) 
     assert "old" not in text
     renew(path, {"figures: a": (["x"], [["1"]], 1)})
     assert path.read_text() == text
+
+
+def test_only_whole_tables_are_put_into_a_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A run of some sections renews those; a whole one also what other whole runs left in the folder."""
+    document, stale = tmp_path / "measured.md", "stale\n<!-- end -->\n"
+    document.write_text(f"<!-- stability: long -->\n{stale}<!-- figures: a -->\n{stale}<!-- speed: bars -->\n{stale}")
+    for name, group, whole in (("figures", "a", True), ("speed", "bars", False)):
+        store = Store(tmp_path / f"{name}.json", ORIGIN)
+        store.save([Row(group, "it", "us", value=3.0)], whole)
+    assert run(tmp_path, renew=document, only=["long"]) == 0
+    assert "renewed   " in (told := capsys.readouterr().out)
+    assert "measured.md: stability: long\n" in told
+    assert document.read_text().count("stale") == 2
+    assert run(tmp_path, renew=document) == 0
+    assert "measured.md: stability: long, figures: a\n" in capsys.readouterr().out
+    assert document.read_text().endswith(f"<!-- speed: bars -->\n{stale}")
+    for words, named in (
+        ("--figures --quick", "--quick"),
+        ("--speed --case aba-7", "--case"),
+        ("--scene rocket", "--scene"),
+    ):
+        assert main(["report", *words.split(), "--renew", str(document)]) == 2
+        assert f"--renew writes whole tables; leave out {named}\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("terminal", "shown"), [(True, True), (True, False), (False, True)])

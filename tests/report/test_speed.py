@@ -17,9 +17,8 @@ import twistax as tx
 from twistax.report.command import run_report
 from twistax.report.rows import Origin, Row, Store
 from twistax.report.speed import page
-from twistax.report.speed.casadi import CASADI
-from twistax.report.speed.case import CASES, Case, FreeBody
-from twistax.report.speed.contenders import PLAIN, SCALARS, Contender
+from twistax.report.speed.cases import CASES, FREE_BODY, Case
+from twistax.report.speed.contenders import CASADI, PLAIN, SCALARS, Contender
 from twistax.report.speed.measure import QUICK, apart, measure
 from twistax.report.speed.programs import JACOBIAN, LOOP, SINGLE, VALUE, Lacks, Quantity, Task, batch, values
 from twistax.report.timing import Repeats, Timed
@@ -28,7 +27,7 @@ ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, cases=("free-body",), largest=64, repeats=Repeats(2, 1, 1e-3))
 
 
-class Pretending(Task):
+class Pretending:
     """Results that are ones, off by a factor; some uses may be refused."""
 
     def __init__(self, shape: tuple[int, ...], factor: float, seconds: float, refuses: str) -> None:
@@ -49,13 +48,11 @@ class Pretending(Task):
         return self._program(count, count)
 
 
-def pretender(
-    name: str, factor: float = 1.0, seconds: float = 0.1, refuses: str = "", needs: Sequence[str] = ()
-) -> Contender:
+def pretender(name: str, factor: float = 1.0, seconds: float = 0.1, refuses: str = "", needs: str = "") -> Contender:
     def task(case: Case, quantity: Quantity) -> Task:
         return Pretending(quantity.shape(case), factor, seconds, refuses)
 
-    return Contender(name, "C0", "pretends", task, tools=needs)
+    return Contender(name, "C0", "pretends", task, tool=needs)
 
 
 def run(folder: Path, *contenders: Contender) -> int:
@@ -82,7 +79,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_run_says_who_is_absent_and_who_disagrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    gone = pretender("gone", needs=["no-such-tool"])
+    gone = pretender("gone", needs="no-such-tool")
     assert run(tmp_path, pretender("ours"), pretender("plain JAX", 1 + 1e-12), pretender("wrong", 1 + 1e-6), gone) == 1
     said = capsys.readouterr().out
     assert "absent    gone: there is no no-such-tool" in said
@@ -190,7 +187,7 @@ def test_the_difference_is_relative_to_the_largest_entry_of_a_point() -> None:
 
 def test_ours_and_plain_jax_agree_in_every_use(tmp_path: Path) -> None:
     """The free body, compiled."""
-    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [SCALARS, PLAIN], FreeBody())
+    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [SCALARS, PLAIN], FREE_BODY)
     assert len(rows) == 6
     for row in rows.values():
         assert row.done
@@ -218,7 +215,7 @@ def test_c_of_casadi_gives_what_the_matrices_give() -> None:
 def test_parts_of_a_result_are_joined_for_the_comparison_alone() -> None:
     """What is timed gives the rates of the pose and of the twist as they are: no copy that others do not make."""
     for contender in (SCALARS, PLAIN):
-        program = contender.task(FreeBody(), VALUE).batch(3)
+        program = contender.task(FREE_BODY, VALUE).batch(3)
         assert [part.shape for part in program.call()] == [(3, 7), (3, 6)]
         assert values(program).shape == (3, 13)
 

@@ -4,18 +4,19 @@ import pytest
 
 from twistax.report.checks import Check
 from twistax.report.page import texts
-from twistax.report.stability.page import SECTIONS
+from twistax.report.report import explained
+from twistax.report.sections import STABILITY
 
 #: Sections that take long to compile, beside the rows that take long to run.
 SLOW = ("stiff", "single", "jumps", "long")
 CHECKS = [
     pytest.param(
         check,
-        id=f"{section.name}: {check.what}, {check.by}",
-        marks=[pytest.mark.slow] if check.slow or section.name in SLOW else [],
+        id=f"{name}: {check.what}, {check.by}",
+        marks=[pytest.mark.slow] if check.slow or name in SLOW else [],
     )
-    for section in SECTIONS
-    for _, check in section
+    for name, section in STABILITY.items()
+    for _, check in explained(section)
 ]
 
 
@@ -26,8 +27,8 @@ def test_the_row_is_what_was_asked_for(check: Check) -> None:
 
 
 def test_every_row_explains_itself() -> None:
-    for section in SECTIONS:
-        assert texts("stability")["sections"][section.name]["about"].endswith(".")
-        keys = [section.key(check) for _, check in section]
+    for name, section in STABILITY.items():
+        assert texts("stability")["sections"][name]["about"].endswith(".")
+        keys = [(check.what, check.by) for _, check in explained(section)]
         assert len(set(keys)) == len(keys)
-        assert all(why.endswith(".") for why, _ in section)
+        assert all(why.endswith(".") for why, _ in explained(section))

@@ -15,13 +15,19 @@ import twistax as tx
 from twistax.__main__ import main
 from twistax.report.rows import Origin, Store
 from twistax.report.timing import Repeats
-from twistax.report.work_precision import measure, page
-from twistax.report.work_precision.contenders import CONTENDERS, QUICK, Contender, Counts, Program, tolerances
-from twistax.report.work_precision.measure import measure_scene
+from twistax.report.work_precision import contenders, page
+from twistax.report.work_precision.contenders import (
+    CONTENDERS,
+    QUICK,
+    Contender,
+    Counts,
+    Program,
+    measure_scene,
+    tolerances,
+)
 from twistax.scenes import SCENES, Scene
 
 TOP = SCENES["euler-top"]
-LINE = CONTENDERS["tsit5"].line
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, tolerances=tolerances(-6, -9, 1), repeats=Repeats(4, 2, 0.05))
 
@@ -68,12 +74,12 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     fastest = min((row for row in table if float(row["error"]) < 1e-6), key=lambda row: float(row["value"]))
     for name in ("report.md", "report.html"):
         text = (tmp_path / name).read_text()
-        assert f"(6 digits). Fastest: {CONTENDERS[fastest['by']].line.title} on Euler top." in text
+        assert f"(6 digits). Fastest: {CONTENDERS[fastest['by']].title} on Euler top." in text
         assert document["machine"] in text
     assert (tmp_path / "figures/euler-top.svg").stat().st_size < 150_000
 
     # The same again runs nothing; where rows are missing, only those are run.
-    monkeypatch.setattr(measure, "_Launch", pytest.fail)
+    monkeypatch.setattr(contenders, "_first_run", pytest.fail)
     assert main(words) == 0
     assert "   0 rows" in capsys.readouterr().out
     monkeypatch.undo()
@@ -99,7 +105,7 @@ def test_a_wrong_answer_ends_in_status_1(
 
 def test_rows_say_what_happened(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.json", ORIGIN)
-    assert measure_scene(TOP, [Contender("pretended", LINE, pretended)], SHORT, store) == {}
+    assert measure_scene(TOP, [Contender("pretended", pretended)], SHORT, store) == {}
     rows = {row.numbers["setting"]: row for row in store}
     assert list(rows) == [1e-6, 1e-7, 1e-8, 1e-9]
     size = float(np.linalg.norm(TOP.end["w"]))
@@ -118,7 +124,7 @@ def test_a_method_that_cannot_run_a_scene_is_named(tmp_path: Path) -> None:
         raise tx.ModelError("the rate depends on the pose\n  fix: another method")
 
     store = Store(tmp_path / "rows.json", ORIGIN)
-    refused = measure_scene(TOP, [Contender("refusing", LINE, refusing)], SHORT, store)
+    refused = measure_scene(TOP, [Contender("refusing", refusing)], SHORT, store)
     assert refused == {"refusing": "the rate depends on the pose"}
 
 

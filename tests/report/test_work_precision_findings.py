@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
-from twistax.report.page import bar_table, render
+from twistax.report.page import render
 from twistax.report.rows import Origin, Row
-from twistax.report.work_precision.contenders import CONTENDERS, OURS, QUICK, equal_steps, tolerances
+from twistax.report.work_precision.contenders import CONTENDERS, OURS, QUICK, WHAT, equal_steps, tolerances
 from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
-from twistax.report.work_precision.measure import WHAT
 from twistax.report.work_precision.page import LONG, STIFF, context, suited
 from twistax.scenes import SCENES
 
@@ -18,23 +17,19 @@ from twistax.scenes import SCENES
 def pages(findings: Findings, **more: Any) -> tuple[str, str]:
     """The page as Markdown and as HTML."""
     origin = Origin({"jax": "1"}, "abc", "a machine", dataclasses.asdict(QUICK))
-    bars = bar_rows(findings, "euler-top", "Euler top")
     common = {
         "title": "t",
         "command": "again",
         "origin": origin,
-        "effort": origin.effort,
-        "versions": "jax 1",
         "pictures": {},
         "drawn": False,
-        "bars": bar_table(bars),
-        "bar_count": len(bars),
+        "bars": bar_rows(findings, "euler-top"),
         "missed": 0,
         "refused": {},
         "kernels": True,
         "empty_call": 1e-5,
     }
-    return render("work_precision", common | context(findings, SCENES) | more)
+    return render("work_precision", common | context(findings) | more)
 
 
 def said(findings: Findings) -> str:
@@ -120,16 +115,16 @@ def test_a_method_that_was_stopped_early_may_still_be_right() -> None:
 def test_what_disagrees_is_not_compared() -> None:
     wrong = [row(1e-4, 1e-9, method="tsit5", setting=s) for s in (1e-5, 1e-7)]
     findings = Findings([*wrong, *runs("euler-top", "dop853", 1e-4, 8)])
-    assert findings.curve("euler-top", CONTENDERS["tsit5"].line).rows == ()
+    assert findings.curve("euler-top", CONTENDERS["tsit5"]) == ()
 
 
 def test_bars_take_the_better_rival_and_the_better_controller() -> None:
     findings = found(dop853_quaternion=1.0, diffrax_tsit5_call=4.0, diffrax_dopri8_call=2.5, diffrax_dopri8_call_pi=2.0)
-    ratios = {(each.setting, each.what): each for each in bar_rows(findings, "euler-top", "Euler top")}
+    ratios = {(each.setting, each.what): each for each in bar_rows(findings, "euler-top")}
     assert ratios["over diffrax in one call", "Euler top, error 1e-6"].value == pytest.approx(0.5)
     assert ratios["over diffrax in one call", "Euler top, error 1e-6"].verdict == "holds"
     assert ratios["over diffrax as shipped", "Euler top, error 1e-9"].verdict == "not run"
-    slower = bar_rows(found(dop853_quaternion=1.0, diffrax_tsit5_call=1.2), "euler-top", "Euler top")
+    slower = bar_rows(found(dop853_quaternion=1.0, diffrax_tsit5_call=1.2), "euler-top")
     assert {each.verdict for each in slower if not math.isnan(each.value)} == {"MISSED"}
 
 
@@ -137,7 +132,7 @@ def test_the_page_names_whoever_is_fastest() -> None:
     refused = {("magnus6", "rates read a pose"): ["rocket", "heavy-top"]}
     for fast, slow in (("dop853", "tsit5"), ("tsit5", "dop853")):
         for text in pages(found(**{fast: 1.0, slow: 3.0}), refused=refused):
-            assert f"Fastest: {CONTENDERS[fast].line.title} on Euler top." in text
+            assert f"Fastest: {CONTENDERS[fast].title} on Euler top." in text
             assert "a machine" in text
             assert "magnus6 does not run rocket, heavy-top: rates read a pose." in text
             assert "they need matplotlib" in text
@@ -210,7 +205,7 @@ def test_ladders_go_from_coarse_to_fine() -> None:
 
 
 def test_every_line_has_a_name_of_its_own() -> None:
-    lines = {contender.line for contender in CONTENDERS.values()}
-    assert len({line.title for line in lines}) == len(lines)
+    lines = {(each.title, each.code, each.side, each.style, each.drawn) for each in CONTENDERS.values()}
+    assert len({title for title, *_ in lines}) == len(lines)
     assert all(name == contender.name for name, contender in CONTENDERS.items())
-    assert sum(line.side == OURS for line in lines) >= 10
+    assert sum(side == OURS for _, _, side, _, _ in lines) >= 10

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,36 +18,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "figures": "another report: every other figure of docs/measured.md",
     }.items():
         kinds.add_argument(f"--{name}", action="store_true", help=text)
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="minutes rather than an hour: few methods or functions, coarse settings, few repeats, nothing that takes "
-        "long; the longest scenes only if asked for",
+    quick = (
+        "minutes rather than an hour: few methods or functions, coarse settings, few repeats, nothing that takes long; "
     )
+    parser.add_argument("--quick", action="store_true", help=f"{quick}the longest scenes only if asked for")
     for name, what, names, text in (
         ("scene", "scene", lambda: _load("..scenes").SCENES, "only this scene"),
         ("method", "method", lambda: _load(".work_precision.contenders").CONTENDERS, "only this method"),
-        ("case", "case", lambda: _load(".speed.case").CASES, "with --speed, only this function"),
+        ("case", "case", lambda: _load(".speed.cases").CASES, "with --speed, only this function"),
         ("only", "section", _sections, "with --stability or --figures, only this section"),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
-        parser.add_argument(
-            f"--{name}", type=functools.partial(_one_of, what, names), action="append", metavar="NAME", help=several
-        )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        default=Path("out/report"),
-        help="folder for page, figures and tables (./out/report); what was measured there before is kept",
-    )
+        parser.add_argument(f"--{name}", type=_one_of(what, names), action="append", metavar="NAME", help=several)
+    out = "folder for page, figures and tables (./out/report); what was measured there before is kept"
+    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/report"), help=out)
     parser.add_argument("--again", action="store_true", help="measure again what was measured there before")
-    parser.add_argument(
-        "--renew",
-        type=_file,
-        metavar="FILE",
-        help="put the tables of the reports in --out into this Markdown file, between the lines that name them",
-    )
+    tables = "put the tables of bars into this Markdown file, between the lines that name them"
+    parser.add_argument("--renew", type=_file, metavar="FILE", help=tables)
     parser.add_argument("--no-progress", action="store_true", help="no progress bar")
 
 
@@ -57,14 +43,16 @@ def _load(module: str) -> Any:
 
 
 def _sections() -> list[str]:
-    return [section.name for kind in ("figures", "stability") for section in _load(f".{kind}.page").SECTIONS]
+    return [*_load(".sections").FIGURES, *_load(".sections").STABILITY]
 
 
-def _one_of(what: str, names: Callable[[], Iterable[str]], text: str) -> str:
-    known = list(names())
-    if text not in known:
-        raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
-    return text
+def _one_of(what: str, names: Callable[[], Iterable[str]]) -> Callable[[str], str]:
+    def name(text: str) -> str:
+        if text not in (known := list(names())):
+            raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
+        return text
+
+    return name
 
 
 def _file(text: str) -> Path:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import datetime
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import twistax as tx
 
-from .rows import DONE, Key, Row, number
+from .rows import DONE, Row, first_line, now, number
 
 #: What a check gives: a number, or what was raised in place of one.
 Outcome = float | Exception
@@ -29,12 +29,7 @@ class Ended(Exception):
 
 
 def simulated(dynamics: tx.Dynamics, x0: Mapping[str, Any], **options: Any) -> tx.Solution:
-    """`tx.integrate` to the end, or to an event.
-
-    Raises:
-        Ended: it ended early.
-        TwistaxError: as `tx.integrate`.
-    """
+    """`tx.integrate` to the end, or to an event. Raises Ended if it ended early, and what `tx.integrate` raises."""
     sol = tx.integrate(dynamics, x0, throw=False, **options)
     if sol.result not in (tx.Result.SUCCESS, tx.Result.EVENT):
         raise Ended(sol.result, float(sol.ts[-1]))
@@ -52,21 +47,15 @@ def agree(apart: float, bar: float) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """What is asked for.
+    """What is asked for."""
 
-    Attributes:
-        text: for tables; empty where nothing is.
-        met: whether a number, or what was raised, is it; NaN never is.
-        unit: of the number.
-    """
-
-    text: str
-    met: Callable[[Outcome], bool]
+    text: str  # for tables; empty where nothing is
+    met: Callable[[Outcome], bool]  # whether a number, or what was raised, is it; NaN never is
     unit: str = ""
 
 
 def between(low: float = -math.inf, high: float = math.inf, unit: str = "") -> Expected:
-    """A finite number within bounds."""
+    """A finite number within bounds; without bounds nothing is asked for but a number."""
     bounds = (("at least", low), ("at most", high))
     said = ", ".join(f"{word} {number(bound)}" for word, bound in bounds if math.isfinite(bound))
     text = f"{said} {unit}".strip() if said else ""
@@ -95,10 +84,7 @@ def ends(result: tx.Result, after: float = 0.0, before: float = math.inf) -> Exp
 
 def refused(error: type[tx.TwistaxError], words: str) -> Expected:
     """An error of this type whose first line has these words."""
-
-    def met(came: Outcome) -> bool:
-        return isinstance(came, error) and words in str(came).splitlines()[0]
-
+    met = lambda came: isinstance(came, error) and words in first_line(came)  # noqa: E731
     return Expected(f"{error.__name__} with the words: {words}", met)
 
 
@@ -108,84 +94,51 @@ def either(one: Expected, other: Expected) -> Expected:
 
 
 def judged(row: Row, expected: Expected, came: Outcome | None = None) -> Row:
-    """The row with its bar and whether that holds; what was not measured is not judged.
-
-    Args:
-        came: without it the row's value counts, and NaN is one that was not measured.
-    """
+    """The row with its bar and whether that holds, of its value if nothing else came; what is missing is not judged."""
     missing = math.isnan(row.value) if came is None else isinstance(came, (Absent, ImportError))
     met = expected.met(row.value if came is None else came)
     holds = None if missing or (met and not expected.text) else met
     return dataclasses.replace(row, bar=expected.text, holds=holds, unit=expected.unit or row.unit)
 
 
-# ---- checks and sections --------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Check:
-    """A case.
+    """A case: what is done, in a few words with numbers; by what; and what is asked of the number that comes.
 
-    Attributes:
-        what: what is done, in a few words with numbers.
-        by: by what.
-        measure: does it: gives a number, or raises.
-        expected: what is asked of it; `between()` without bounds asks for nothing.
-        slow: whether it is left out of the quick run.
-        place: where it is drawn in its section's figure, if it is: on which line, at which x.
+    `measure` gives the number of the arguments after it, or raises. Slow ones are left out of the quick run. A place is
+    where the section's figure has it: on which line, at which x.
     """
 
-    what: str
-    by: str
-    measure: Callable[[], Any]
-    expected: Expected = between()  # noqa: RUF009  frozen
-    slow: bool = False
-    place: tuple[str, float] | None = None
+    def __init__(
+        self,
+        what: str,
+        by: str,
+        expected: Expected,
+        measure: Callable[..., Any],
+        *arguments: Any,
+        slow: bool = False,
+        place: tuple[str, float] | None = None,
+        **options: Any,
+    ) -> None:
+        self.what, self.by, self.expected, self.slow, self.place = what, by, expected, slow, place
+        self._measure = functools.partial(measure, *arguments, **options)
 
     def run(self, section: str = "") -> Row:
         """What it does."""
-        row = Row(section, self.what, self.by, sitting=datetime.now().isoformat(timespec="seconds"))
+        row = Row(section, self.what, self.by, sitting=now())
         try:
-            came: Outcome = float(self.measure())
+            came: Outcome = float(self._measure())
         except Exception as failure:  # whatever comes is what was found
             came = failure
         if isinstance(came, float):
             row = dataclasses.replace(row, value=came, note=DONE if math.isfinite(came) else _SILENT)
         else:
-            first = (str(came).splitlines() or [""])[0]
-            named = isinstance(came, (Ended, Absent))
-            row = dataclasses.replace(row, note=first if named else f"{type(came).__name__}: {first}")
+            kind = "" if isinstance(came, (Ended, Absent)) else f"{type(came).__name__}: "
+            row = dataclasses.replace(row, note=kind + first_line(came))
         return judged(row, self.expected, came)
 
 
 _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Section:
-    """Checks that belong together.
-
-    Attributes:
-        name: a word, for files and the command line; its title and what is done in it stand in `sections.toml`.
-        content: checks, those that need it after a plain sentence that explains what comes of them.
-        axes: labels of x and y of the figure; None without one.
-        wide: whether the table has a column for each `by`.
-    """
-
-    name: str
-    content: Sequence[str | Check]
-    axes: tuple[str, str] | None = None
-    wide: bool = False
-
-    def __iter__(self) -> Iterator[tuple[str, Check]]:
-        """Each check after its sentence."""
-        why = ""
-        for each in self.content:
-            if isinstance(each, str):
-                why = each
-            else:
-                yield why, each
-
-    def key(self, check: Check) -> Key:
-        """That of its row."""
-        return self.name, check.what, check.by, ""
+#: The checks of a section, those that need it after a plain sentence that explains what comes of them. Its title, and
+#: what its page says of it, stand in `sections.toml`.
+Section = list[str | Check]

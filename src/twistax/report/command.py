@@ -15,31 +15,38 @@ from typing import Any
 
 import jax
 
-from .page import MISSING, Picture, Table, bar_table, render, renew, table_of
+from .page import MISSING, Picture, Table, render, renew, table_of
 from .report import Report
 from .rows import Origin, Row, Store, save_csv
 
-#: Reports whose bars a document may show.
-_RENEWED = ("report", "speed", "stability", "figures")
+#: Where each report is made of the options, by the name of its files. Loaded where it is run: each brings much of the
+#: package with it.
+_REPORTS = {
+    "report": (".work_precision.page", "WorkPrecision"),
+    "speed": (".speed.page", "Speed"),
+    "stability": (".sections", "stability"),
+    "figures": (".sections", "figures"),
+}
+#: What leaves rows out of tables, and what leaves out whole tables.
+_PARTIAL = ("quick", "scene", "method", "case")
 _WIDTH = 24
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the report that the options ask for.
+    """Run the report that the options ask for, as `add_options` declares them.
 
-    Args:
-        arguments: what `add_options` declares.
-    Returns:
-        the exit status: 0 done; 1 something disagrees, or a check is not what was asked for; 2 the folder cannot be
-        written, or jinja2 is missing.
+    Returns the exit status: 0 done; 1 something disagrees, or a check is not what was asked for; 2 the folder cannot be
+    written, --renew would write partial tables, or jinja2 is missing.
     """
     if importlib.util.find_spec("jinja2") is None:
         print(f"twistax report: {MISSING}", file=sys.stderr)
         return 2
-    kind = next((name for name in ("stability", "figures", "speed") if getattr(arguments, name)), "work_precision")
-    # Loaded where it is run: each brings much of the package with it.
-    module = importlib.import_module(f".{kind}.page", __package__)
-    return run_report(module.report(arguments), arguments)
+    partial = [f"--{name}" for name in _PARTIAL if getattr(arguments, name)]
+    if arguments.renew and partial:
+        print(f"twistax report: --renew writes whole tables; leave out {', '.join(partial)}", file=sys.stderr)
+        return 2
+    module, name = _REPORTS[next((name for name in _REPORTS if getattr(arguments, name, False)), "report")]
+    return run_report(getattr(importlib.import_module(module, __package__), name)(arguments), arguments)
 
 
 def run_report(report: Report, arguments: argparse.Namespace) -> int:
@@ -70,12 +77,12 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
         for row in report.bars(part):
             what = f"{row.what}, {row.by} {row.setting}".rstrip()
             print(f"  {what:<72} {row.came[:60]:<16} {row.bar[:60]:<20} {row.verdict}".rstrip(), flush=True)
-    problems = report.problems()
-    for line in problems:
+    for line in (problems := report.problems()):
         _say("doubt", line)
-    _save(report, arguments)
+    whole = not (arguments.only or any(getattr(arguments, name) for name in _PARTIAL))
+    _save(report, arguments, whole)
     if arguments.renew:
-        names = renew(arguments.renew, _tables(folder))
+        names = renew(arguments.renew, _tables(folder, report.name, whole))
         _say("renewed", f"{arguments.renew}: {', '.join(names) or 'no table of this report is marked there'}")
     _say("time", f"{time.perf_counter() - begin:.1f} s in all")
     return 1 if problems else 0
@@ -92,7 +99,7 @@ class Progress:
         """Show what is going on, and how much of a part is done; parts are of equal weight."""
         whole = (self._parts.index(part) + share) / len(self._parts)
         bar, seconds = "=" * round(_WIDTH * whole), time.perf_counter() - self._begin
-        self._write(f"[{bar:<{_WIDTH}}] {whole:4.0%} {seconds:4.0f} s  {part}  {what}")
+        self._write(f"[{bar:<{_WIDTH}}] {whole:4.0%} {seconds:4.0f} s  {part}  {what}"[:150])
 
     def clear(self) -> None:
         """Make room for what is printed."""
@@ -108,50 +115,38 @@ def _say(word: str, line: str) -> None:
     print(f"{word:<9} {line}", flush=True)
 
 
-def _save(report: Report, arguments: argparse.Namespace) -> None:
+def _save(report: Report, arguments: argparse.Namespace, whole: bool) -> None:
     """Tables, figures and pages."""
     folder, name, origin = arguments.out, report.name, report.store.origin
     bars = [row for part in report.parts for row in report.bars(part)]
-    report.store.save(bars)
+    report.store.save(bars, whole)
     save_csv(folder / f"{name}.csv", report.rows())
-    pictures = {}
+    pictures, drawn = {}, True
     try:
         for stem, draw in report.drawings().items():
             path = f"figures/{stem}.svg"
             (folder / path).write_bytes(svg := draw())
             pictures[stem] = Picture(path, svg)
-        drawn = True
     except ImportError:
         drawn = False
         _say("files", "no figures: they need matplotlib; get it with pip install 'twistax[plot]'")
-    common = {
-        "name": name,
-        "title": report.title,
-        "command": _command(arguments),
-        "origin": origin,
-        "effort": report.effort,
-        "pictures": pictures,
-        "drawn": drawn,
-        "missing": report.missing,
-        "bars": bar_table(bars),
-        "missed": sum(row.holds is False for row in bars),
-        "bar_count": len(bars),
-        "versions": ", ".join(f"{package} {version}" for package, version in origin.versions.items()),
-    }
-    for kind, text in zip(("md", "html"), render(report.template, common | report.context()), strict=True):
+    said = {"report": report, "command": _command(arguments), "origin": origin, "pictures": pictures, "drawn": drawn}
+    said |= {"title": report.title, "bars": bars, "missed": sum(row.holds is False for row in bars)}
+    for kind, text in zip(("md", "html"), render(report.template, said | report.context()), strict=True):
         (folder / f"{name}.{kind}").write_text(text)
     for each in (*(f"{name}.{kind}" for kind in ("csv", "json", "md", "html")), "figures"):
         _say("files", str(folder / each))
 
 
-def _tables(folder: Path) -> dict[str, Table]:
-    """The tables of bars of all reports that were kept in a folder, by name."""
+def _tables(folder: Path, name: str, whole: bool) -> dict[str, Table]:
+    """The tables of bars of this run, by name; after a whole run those of other whole runs in the folder too."""
     groups: dict[str, list[Row]] = {}
-    for name in _RENEWED:
-        path = folder / f"{name}.json"
-        for record in json.loads(path.read_text())["bars"] if path.exists() else ():
+    for each in _REPORTS if whole else [name]:
+        path = folder / f"{each}.json"
+        document = json.loads(path.read_text()) if path.exists() else {}
+        for record in document["bars"] if each == name or document.get("whole") else ():
             row = Row.of(record)
-            groups.setdefault(f"{name}: {row.group}", []).append(row)
+            groups.setdefault(f"{each}: {row.group}", []).append(row)
     tables = {name: table_of(rows, wide=False) for name, rows in groups.items()}
     return tables | {f"{name}, wide": table_of(rows, wide=True) for name, rows in groups.items()}
 

@@ -31,12 +31,9 @@ class Picture:
 
 
 def render(name: str, context: Mapping[str, Any]) -> tuple[str, str]:
-    """The page of a template `NAME.j2` as Markdown and as an HTML file that needs no other.
+    """The page of a template `NAME.j2` as Markdown and as an HTML file that needs no other; ImportError without jinja2.
 
     Text may hold `code` and **strong** words.
-
-    Raises:
-        ImportError: jinja2 is not installed.
     """
     try:
         import jinja2
@@ -46,7 +43,7 @@ def render(name: str, context: Mapping[str, Any]) -> tuple[str, str]:
     # Text is escaped by the filters, as Markdown is no HTML.
     engine = jinja2.Environment(loader=folder, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
     engine.filters |= {"flat": _flat, "cell": lambda text: text.replace("|", "\\|"), "inline": _inline}
-    engine.filters |= {"duration": duration, "plain": plain, "listed": _listed, "span": _span}
+    engine.filters |= {"duration": duration, "plain": plain, "listed": _listed, "span": _span, "bar_table": bar_table}
     page = engine.get_template(f"{name}.j2")
     markdown, body = (page.render(context, form=form) for form in ("markdown.j2", "html.j2"))
     framed = engine.get_template("frame.html.j2").render(
@@ -130,11 +127,7 @@ def _came(row: Row | None, barred: bool) -> str:
 
 
 def renew(path: Path, tables: Mapping[str, Table]) -> list[str]:
-    """Put tables between the lines `<!-- NAME -->` and `<!-- end -->` of a Markdown file; gives the names found.
-
-    Raises:
-        ImportError: jinja2 is not installed.
-    """
+    """Put tables between the lines `<!-- NAME -->` and `<!-- end -->` of a Markdown file; gives the names found."""
     text, names = path.read_text(), []
     for name, table in tables.items():
         if f"<!-- {name} -->" in text:
@@ -149,12 +142,8 @@ def renew(path: Path, tables: Mapping[str, Table]) -> list[str]:
 # ---- figures --------------------------------------------------------------------------------------------------------
 
 
-def panels(title: str, labels: tuple[str, str], size: tuple[float, float] = (7.0, 5.0), count: int = 1) -> Any:
-    """A figure with panels below each other, which share the label of x.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
+def panels(title: str, labels: Sequence[str], size: tuple[float, float] = (7.0, 5.0), count: int = 1) -> Any:
+    """A figure with panels below each other, which share the label of x. Raises ImportError without matplotlib."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")

@@ -6,41 +6,30 @@ import argparse
 import functools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from .checks import Section
+from .checks import Check, Section
 from .page import as_svg, panels, table_of, texts
 from .rows import Row, Store
 from .timing import Tell
 
 
 class Report(ABC):
-    """Measures part by part, and says what came of it.
+    """Measures part by part, and says what came of it."""
 
-    Attributes:
-        name: of its files.
-        template: of its page.
-        title: of its page.
-        one_thread: whether every call runs in the caller's thread (`jax_cpu_enable_async_dispatch` off), so that short
-            programs are timed alike whether or not XLA counts them as cheap.
-        effort: what is run, and how often it is repeated.
-        parts: what is measured one after the other.
-        missing: who cannot take part on this machine, and why.
-        versions: of packages that take part beside the usual ones.
-        store: of its rows, once it runs.
-    """
-
-    name: str
-    template: ClassVar[str]
+    name: str  # of its files
+    template: ClassVar[str]  # of its page
     title: str
+    #: Whether every call runs in the caller's thread (`jax_cpu_enable_async_dispatch` off), so that short programs are
+    #: timed alike whether or not XLA counts them as cheap.
     one_thread: ClassVar[bool] = True
-    effort: Mapping[str, Any] = MappingProxyType({})
-    parts: Sequence[str]
-    missing: Mapping[str, str] = MappingProxyType({})
-    versions: Mapping[str, str] = MappingProxyType({})
-    store: Store
+    effort: Mapping[str, Any] = MappingProxyType({})  # what is run, and how often it is repeated
+    parts: Sequence[str]  # what is measured one after the other
+    missing: Mapping[str, str] = MappingProxyType({})  # who cannot take part on this machine, and why
+    versions: Mapping[str, str] = MappingProxyType({})  # of packages that take part beside the usual ones
+    store: Store  # of its rows, once it runs
 
     @abstractmethod
     def measure(self, part: str, tell: Tell) -> None:
@@ -75,94 +64,84 @@ _SHOWN = 14
 _FLOOR = 1e-17
 
 
-class Checked(Report):
-    """Runs every check, or the fast ones with `--quick`. What its page says beside rows stands in `sections.toml`.
+def explained(section: Section) -> Iterator[tuple[str, Check]]:
+    """Each check after its sentence."""
+    why = ""
+    for each in section:
+        if isinstance(each, str):
+            why = each
+        else:
+            yield why, each
 
-    Args:
-        name: see Report.
-        sections: all there are.
-    """
+
+class Checked(Report):
+    """Runs all checks of sections, or the fast ones. What its page says beside rows stands in `sections.toml`."""
 
     template = "checks"
 
-    def __init__(self, name: str, sections: Sequence[Section], arguments: argparse.Namespace) -> None:
+    def __init__(self, name: str, sections: Mapping[str, Section], arguments: argparse.Namespace) -> None:
         self.name, self._quick, self._texts = name, arguments.quick, texts(name)
         self.title = self._texts["title"]
-        self._sections = {each.name: each for each in sections if each.name in (arguments.only or (each.name,))}
-        self.parts = list(self._sections)
+        self.parts = [each for each in sections if each in (arguments.only or sections)]
+        self._checks = {part: list(explained(sections[part])) for part in self.parts}
 
     def measure(self, part: str, tell: Tell) -> None:
-        section = self._sections[part]
-        checks = [check for _, check in section if not (self._quick and check.slow)]
+        checks = [check for _, check in self._checks[part] if not (self._quick and check.slow)]
         for i, check in enumerate(checks):
-            row = self.store.get(*section.key(check))
+            row = self.store.get(part, check.what, check.by)
             # What was not run for want of something is tried again.
             if row is None or (row.holds is None and not row.done):
-                tell(check.what, i / len(checks))
-                self.store.add([check.run(section.name)])
+                tell(f"{check.what}, {check.by}", i / len(checks))
+                self.store.add([check.run(part)])
 
-    def _rows(self, section: Section) -> list[Row]:
-        return [row for _, check in section if (row := self.store.get(*section.key(check)))]
+    def _found(self, part: str) -> list[tuple[Row, str, Check]]:
+        """The rows there are, each with its sentence and its check."""
+        found = [(self.store.get(part, check.what, check.by), why, check) for why, check in self._checks[part]]
+        return [(row, why, check) for row, why, check in found if row]
 
     def rows(self) -> list[Row]:
-        return [row for section in self._sections.values() for row in self._rows(section)]
+        return [row for part in self.parts for row in self.bars(part)]
 
     def bars(self, part: str) -> list[Row]:
-        return self._rows(self._sections[part])
+        return [row for row, _, _ in self._found(part)]
 
     def problems(self) -> list[str]:
         return [f"{r.what} ({r.by}): {r.came}; asked for: {r.bar}" for r in self.rows() if r.holds is False]
 
     def drawings(self) -> dict[str, Callable[[], bytes]]:
+        said = self._texts["sections"]
+        placed = {part: [(row, check.place) for row, _, check in self._found(part)] for part in self.parts}
         return {
-            f"{self.name}-{name}": functools.partial(draw, section, self._rows(section), self._texts["sections"][name])
-            for name, section in self._sections.items()
-            if section.axes and self._rows(section)
+            f"{self.name}-{part}": functools.partial(draw, rows, said[part])
+            for part, rows in placed.items()
+            if rows and "axes" in said[part]
         }
 
     def context(self) -> dict[str, Any]:
-        rows = self.rows()
-        return {
-            "about": self._texts["about"],
-            "note": self._texts["note"],
-            "not_run": sum(row.holds is None and not row.done for row in rows),
-            "silent": sum(row.note.startswith("NaN") for row in rows),
-            "sections": [self._section(each) for each in self._sections.values() if self._rows(each)],
-        }
+        sections = [self._section(part) for part in self.parts if self._found(part)]
+        return {"about": self._texts["about"], "note": self._texts["note"], "sections": sections}
 
-    def _section(self, section: Section) -> dict[str, Any]:
-        rows = self._rows(section)
-        head, table, words = table_of(rows, section.wide)
-        whys = {section.key(check): why for why, check in section}
-        if not section.wide and any(whys.values()):
+    def _section(self, part: str) -> dict[str, Any]:
+        said, rows = self._texts["sections"][part], self.bars(part)
+        whys, wide = [why for _, why, _ in self._found(part)], said.get("wide", False)
+        head, table, words = table_of(rows, wide)
+        if any(whys) and not wide:
             head, words = [*head, "why"], words + 1
-            table = [[*cells, whys[row.key]] for cells, row in zip(table, rows, strict=True)]
-        return {
-            **self._texts["sections"][section.name],
-            "name": f"{self.name}-{section.name}",
-            "table": (head, table, words),
-            "reasons": list(filter(None, dict.fromkeys(whys.values()))) if section.wide else [],
-            "long": len(table) > _SHOWN,
-            "count": len(rows),
-            "missed": sum(row.holds is False for row in rows),
-        }
+            table = [[*cells, why] for cells, why in zip(table, whys, strict=True)]
+        folded = len(table) > _SHOWN and not any(row.holds is False for row in rows)
+        found = {"name": f"{self.name}-{part}", "table": (head, table, words), "count": len(rows), "folded": folded}
+        return {**said, **found, "reasons": list(filter(None, dict.fromkeys(whys))) if wide else []}
 
 
-def draw(section: Section, rows: Sequence[Row], said: Mapping[str, str]) -> bytes:
-    """The figure of a section as SVG, a cross at the upper edge where an integration ended early.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
-    figure = panels(said["title"], section.axes or ("", ""))
+def draw(rows: Sequence[tuple[Row, tuple[str, float] | None]], said: Mapping[str, Any]) -> bytes:
+    """The figure of a section as SVG, of rows with line and x; a cross at the upper edge where it ended early."""
+    figure = panels(said["title"], said["axes"])
     axes = figure.axes[0]
-    found = {row.key: row.value for row in rows}
     lines: dict[str, list[tuple[float, float]]] = {}
-    for _, check in section:
-        if check.place and section.key(check) in found:
-            line, x = check.place
-            lines.setdefault(line, []).append((x, found[section.key(check)]))
-    top = 10.0 * max(value for value in (_FLOOR, *found.values()) if math.isfinite(value))
+    for row, place in rows:
+        if place:
+            lines.setdefault(place[0], []).append((place[1], row.value))
+    top = 10.0 * max(value for value in (_FLOOR, *(row.value for row, _ in rows)) if math.isfinite(value))
     for number, (line, points) in enumerate(lines.items()):
         style: dict[str, Any] = {"color": f"C{number % 10}", "label": line}
         good = [(x, max(value, _FLOOR)) for x, value in points if math.isfinite(value)]

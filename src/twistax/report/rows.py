@@ -10,6 +10,7 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -29,33 +30,19 @@ Key = tuple[str, str, str, str]
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One measured value, and whether it is what was asked for.
+    """One measured value, and whether it is what was asked for."""
 
-    Attributes:
-        group: the scene, function or section it belongs to.
-        what: what was measured.
-        by: the method or contender.
-        setting: with which settings.
-        value: what came; NaN where nothing did.
-        unit: of the value.
-        bar: what was asked for, in words; empty where nothing was.
-        holds: whether it came; None where nothing was asked for or nothing could be measured.
-        note: "done", or why there is no value.
-        sitting: when; rows of one sitting were timed in turn.
-        numbers: what else was measured, by name.
-    """
-
-    group: str
-    what: str
-    by: str
+    group: str  # the scene, function or section it belongs to
+    what: str  # was measured
+    by: str  # the method or contender
     setting: str = ""
-    value: float = math.nan
+    value: float = math.nan  # NaN where nothing came
     unit: str = ""
-    bar: str = ""
-    holds: bool | None = None
-    note: str = DONE
-    sitting: str = ""
-    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    bar: str = ""  # what was asked for, in words; empty where nothing was
+    holds: bool | None = None  # whether that came; None where nothing was asked for or nothing could be measured
+    note: str = DONE  # or why there is no value
+    sitting: str = ""  # when; rows of one sitting were timed in turn
+    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)  # what else was measured
 
     @property
     def key(self) -> Key:
@@ -96,6 +83,16 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def now() -> str:
+    """To the second."""
+    return datetime.now().isoformat(timespec="seconds")
+
+
+def first_line(error: Any) -> str:
+    """Of what an error says; its type where it says nothing."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
 def number(value: float) -> str:
     """Two or three digits, whole numbers and thousands to the unit, and 1e-6 rather than 1e-06."""
     if ((value == int(value) and abs(value) >= 1.0) or abs(value) >= 1e3) and abs(value) < 1e7:
@@ -130,28 +127,16 @@ def save_csv(path: Path, rows: Iterable[Row]) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """Rows of different origins do not belong together.
+    """Rows of different origins do not belong together."""
 
-    Attributes:
-        versions: of the packages in use.
-        code: digest of this package's own code; the demo, and what only writes pages, left out.
-        machine: processor, cores, Python, JAX and its flags.
-        effort: what was run, and how often it was repeated.
-    """
-
-    versions: Mapping[str, str]
-    code: str
-    machine: str
-    effort: Mapping[str, Any]
+    versions: Mapping[str, str]  # of the packages in use
+    code: str  # digest of this package's own code; the demo, and what only writes pages, left out
+    machine: str  # processor, cores, Python, JAX and its flags
+    effort: Mapping[str, Any]  # what was run, and how often it was repeated, in plain values
 
     @classmethod
     def now(cls, effort: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> Origin:
-        """Of rows measured now.
-
-        Args:
-            effort: plain values.
-            versions: of other packages in use.
-        """
+        """Of rows measured now; versions are of other packages in use."""
         found = {name: _version(name) for name in _VERSIONED} | dict(versions or {})
         return cls(found, _code(), _machine(), dict(effort))
 
@@ -170,12 +155,9 @@ def _version(package: str) -> str:
 
 def _code() -> str:
     root = Path(twistax.__file__).parent
-    files = [
-        path
-        for path in sorted(root.rglob("*"))
-        if path.suffix in (".py", ".c", ".json", ".ll") and path != Path(__file__).with_name("page.py")
-    ]
-    return _digest(b"".join(path.read_bytes() for path in files if root / "demo" not in path.parents))
+    files = [path for path in sorted(root.rglob("*")) if path.suffix in (".py", ".c", ".json", ".ll")]
+    left_out = {*(root / "demo").rglob("*"), Path(__file__).with_name("page.py")}
+    return _digest(b"".join(path.read_bytes() for path in files if path not in left_out))
 
 
 def _digest(content: bytes) -> str:
@@ -183,7 +165,6 @@ def _digest(content: bytes) -> str:
 
 
 def _machine() -> str:
-    """Processor, cores, Python, JAX and its flags in one line."""
     model, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if info.exists():
         named = [line for line in info.read_text().splitlines() if line.startswith("model name")]
@@ -230,9 +211,9 @@ class Store:
         """Drop the rows of a group."""
         self._rows = {key: row for key, row in self._rows.items() if row.group != group}
 
-    def save(self, bars: Sequence[Row] = ()) -> None:
-        """Write strict JSON, a row a line, with rows about rows beside them."""
-        head = dataclasses.asdict(self.origin) | {"digest": self.origin.digest}
+    def save(self, bars: Sequence[Row] = (), whole: bool = False) -> None:
+        """Write strict JSON, a row a line, with rows about rows beside them, and whether the run left nothing out."""
+        head = dataclasses.asdict(self.origin) | {"digest": self.origin.digest, "whole": whole}
         parts = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in head.items()]
         for name, rows in (("bars", bars), ("rows", list(self))):
             lines = ",\n".join(json.dumps(row.record(), allow_nan=False) for row in rows)

@@ -28,17 +28,11 @@ _CALLS, _SHORT = 3, 5e-3
 
 @dataclasses.dataclass(frozen=True)
 class Repeats:
-    """How often calls are timed.
+    """How often calls are timed."""
 
-    Attributes:
-        rounds: at most.
-        least: and at least, however long the call.
-        share: time for all repeats of one call, s; a longer one is repeated less often.
-    """
-
-    rounds: int = 15
-    least: int = 5
-    share: float = 2.0
+    rounds: int = 15  # at most
+    least: int = 5  # and at least, however long the call
+    share: float = 2.0  # time for all repeats of one call, s; a longer one is repeated less often
 
     def visits(self, rough: float) -> int:
         """In how many rounds a call of so many seconds takes part."""
@@ -48,34 +42,24 @@ class Repeats:
 
 @dataclasses.dataclass
 class Timed:
-    """What is called, and the samples of its time.
+    """What is called, and the samples of its time."""
 
-    Attributes:
-        call: gives arrays, waited for or to be waited for.
-        evaluations: in one call; times are of one evaluation.
-        compile_seconds: tracing and compiling.
-        memory: bytes that the program needs beside arguments and results.
-        rough: about how long a call takes, s; NaN until somebody looked.
-        samples: of a call, s.
-    """
-
-    call: Callable[[], Any]
-    evaluations: int = 1
-    compile_seconds: float = math.nan
-    memory: float = math.nan
-    rough: float = math.nan
-    samples: list[float] = dataclasses.field(default_factory=list)
+    call: Callable[[], Any]  # gives arrays, waited for or to be waited for
+    evaluations: int = 1  # in one call; times are of one evaluation
+    compile_seconds: float = math.nan  # tracing and compiling
+    memory: float = math.nan  # bytes that the program needs beside arguments and results
+    rough: float = math.inf  # about how long a call takes, s: the shortest whose result was asked for
+    samples: list[float] = dataclasses.field(default_factory=list)  # of a call, s
 
     def result(self) -> Any:
-        """Of a call."""
-        return jax.block_until_ready(self.call())
-
-    def look(self) -> float:
-        """About how long a call takes, s: of two where one is short."""
-        self.rough = seconds_of(self.result)
-        if self.rough < _SHORT:
-            self.rough = min(self.rough, seconds_of(self.result))
-        return self.rough
+        """Of a call; again where it was short, as the first call of a program takes longer."""
+        for _ in range(2):
+            begin = time.perf_counter()
+            found = jax.block_until_ready(self.call())
+            self.rough = min(self.rough, time.perf_counter() - begin)
+            if self.rough > _SHORT:
+                break
+        return found
 
     @property
     def seconds(self) -> float:
@@ -91,12 +75,7 @@ class Timed:
 
 
 def compiled(function: Callable[..., Any], *arguments: Any, evaluations: int = 1, calls: int = 1) -> Timed:
-    """A traceable function compiled for its arguments.
-
-    Args:
-        evaluations: in a call.
-        calls: from Python that are timed together, each waited for.
-    """
+    """A traceable function compiled for its arguments: so many evaluations in a call, and calls timed together."""
     begin = time.perf_counter()
     run = jax.jit(function)
     program = run.lower(*arguments).compile()
@@ -120,8 +99,8 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
     What takes long takes part in some of the rounds, evenly spread.
     """
     for each in timed:
-        if math.isnan(each.rough):
-            each.look()
+        if math.isinf(each.rough):
+            each.result()
     visits = [repeats.visits(each.rough) for each in timed]
     for number in range(repeats.rounds):
         tell("timing", 0.5 + 0.5 * number / repeats.rounds)
@@ -129,8 +108,8 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
             if (number + 1) * wanted // repeats.rounds > number * wanted // repeats.rounds:
                 short = each.rough < _SHORT
                 if short:
-                    each.result()
-                each.samples.extend(seconds_of(each.result) for _ in range(_CALLS if short else 1))
+                    jax.block_until_ready(each.call())
+                each.samples.extend(seconds_of(each.call) for _ in range(_CALLS if short else 1))
 
 
 def keep(pairs: Sequence[tuple[Row, Timed | None]], repeats: Repeats, store: Store, tell: Tell = quiet) -> None:

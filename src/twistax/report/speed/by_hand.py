@@ -21,12 +21,9 @@ _AXIS = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 def free_body(
     xp: Any, M: NDArray[np.float64], mass_moment: tuple[float, NDArray[np.float64]], y: Any, V: Any, F: Any
 ) -> list[Any]:
-    """The rates of position and quaternion (7,) and of the twist (6,), with weight.
+    """The rates of position and quaternion y (7,), of any length, and of the twist V (6,), with weight and a wrench F.
 
-    Args:
-        M: the inertia (6, 6).
-        mass_moment: the mass m, and m c with the centre of mass c.
-        y, V, F: position and quaternion of any length (7,), twist (6,), wrench (6,).
+    M is the inertia (6, 6); with it come the mass m, and m c with the centre of mass c.
     """
     mass, moment = mass_moment
     w, x, z = y[3], (y[4], y[5], y[6]), V[3:6]

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import functools
 import importlib.util
 import shutil
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -18,38 +23,28 @@ import twistax as tx
 
 from ...lowering.backends import Backend
 from ...lowering.scalar.graph import TooLarge
-from ...mechanics import Chain
 from ..timing import Timed, repeated
-from .case import Case, FreeBody, OfChain, numbers
-from .programs import CALLS, JACOBIAN, TINY, VALUE, JaxTask, Lacks, Quantity, Task
+from .cases import CENTER, MASS, Case, inertia, numbers
+from .programs import CALLS, JACOBIAN, TINY, VALUE, Function, JaxTask, Lacks, Quantity, Task
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contender:
-    """A way to have dynamics evaluated.
+    """A way to have dynamics evaluated."""
 
-    Attributes:
-        name: in tables.
-        colour: in figures.
-        how: what is done, a sentence for the page.
-        task: makes a task; raises `Lacks` where there is none.
-        packages: needed, as pip and as Python call them.
-        tools: needed, as the command line calls them.
-    """
-
-    name: str
-    colour: str
-    how: str
-    task: Callable[[Case, Quantity], Task]
-    packages: Sequence[tuple[str, str]] = ()
-    tools: Sequence[str] = ()
+    name: str  # in tables
+    colour: str  # in figures
+    how: str  # what is done, a sentence for the page
+    task: Callable[[Case, Quantity], Task]  # raises `Lacks` where there is none
+    package: str = ""  # needed, as pip calls it
+    module: str = ""  # and as Python does, if another name
+    tool: str = ""  # needed, as the command line calls it
 
     def absent(self) -> str | None:
         """Why it cannot take part on this machine; None if it can."""
-        for package, module in self.packages:
-            if importlib.util.find_spec(module) is None:
-                return f"{package} is not installed"
-        return next((f"there is no {tool}" for tool in self.tools if shutil.which(tool) is None), None)
+        if self.package and importlib.util.find_spec(self.module or self.package) is None:
+            return f"{self.package} is not installed"
+        return f"there is no {self.tool}" if self.tool and shutil.which(self.tool) is None else None
 
 
 # ---- in JAX ---------------------------------------------------------------------------------------------------------
@@ -59,7 +54,7 @@ def _twistax(backend: Backend, case: Case, quantity: Quantity) -> Task:
     """This package with a backend; derivatives by JAX where it does not unroll them itself."""
     system = case.system()
 
-    def make() -> Callable[..., Any]:
+    def make() -> Function:
         dynamics = tx.compile(system, backend=backend)
         if quantity is JACOBIAN and not isinstance(backend, tx.JAX) and _unrolls(dynamics, case):
 
@@ -83,9 +78,9 @@ def _unrolls(dynamics: tx.Dynamics, case: Case) -> bool:
     return found.program.operations <= tx.XLA().largest
 
 
-def _own(name: str, colour: str, backend: Backend, how: str, **needs: Any) -> Contender:
+def _own(name: str, colour: str, backend: Backend, how: str, package: str = "") -> Contender:
     how = f"`tx.compile(system, backend=tx.{type(backend).__name__}())`: {how}"
-    return Contender(name, colour, how, functools.partial(_twistax, backend), **needs)
+    return Contender(name, colour, how, functools.partial(_twistax, backend), package)
 
 
 SCALARS = _own(
@@ -95,31 +90,27 @@ SCALARS = _own(
     "scalars where it unrolls functions, arrays below. Jacobians by `dynamics.jacobian` up to 30,000 operations, by "
     "`jax.jacfwd` beyond; gradients by `jax.grad`.",
 )
-_IN_PROCESS = "kernels compiled in process. Derivatives as with XLA."
-NATIVE = _own("twistax native", "C3", tx.Native(), _IN_PROCESS, packages=(("llvmlite", "llvmlite"),))
+NATIVE = _own(
+    "twistax native", "C3", tx.Native(), "kernels compiled in process. Derivatives as with XLA.", package="llvmlite"
+)
 ARRAYS = _own("twistax arrays", "C9", tx.JAX(), "small arrays as they are written. Derivatives by JAX.")
-
-
-def _plain(case: Case, quantity: Quantity) -> Task:
-    return JaxTask(case, lambda: quantity.by_jax(functools.partial(case.by_hand, jnp)))
-
 
 PLAIN = Contender(
     "plain JAX",
     "C7",
     "jax.numpy as one writes it by hand, in 6x6 matrices, lists and Python loops (`by_hand.py`). Derivatives by "
     "`jax.jacfwd` and `jax.grad`.",
-    _plain,
+    lambda case, quantity: JaxTask(case, lambda: quantity.by_jax(functools.partial(case.by_hand, jnp))),
 )
 
 
 def _openscvx(case: Case, quantity: Quantity) -> Task:
-    if not isinstance(case, FreeBody):
+    if case.chain is not None:
         raise Lacks("its lowering writes a shared part out again at each use, so a recursion grows with each link")
-    return JaxTask(case, lambda: quantity.by_jax(_openscvx_body(case)))
+    return JaxTask(case, lambda: quantity.by_jax(_openscvx_body()))
 
 
-def _openscvx_body(case: FreeBody) -> Callable[..., Any]:
+def _openscvx_body() -> Function:
     import openscvx as ox
     from openscvx.symbolic.lower import lower_to_jax
 
@@ -127,14 +118,14 @@ def _openscvx_body(case: FreeBody) -> Callable[..., Any]:
     F = ox.Control("F", shape=(6,))
     for leaf, place in ((p, slice(0, 3)), (q, slice(3, 7)), (V, slice(7, 13)), (F, slice(0, 6))):
         leaf._slice = place
-    mass, (x, y, z) = case.mass_moment
+    x, y, z = MASS * CENTER
     arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     R = ox.spatial.QDCM(q)
     down = R.T @ np.array([0.0, 0.0, -9.81])
     # Its coadjoint operator is right for a momentum ordered [L; p].
-    coriolis = ox.lie.AdjointDual(V, np.roll(case.inertia, 3, axis=0) @ V)
-    wrench = ox.Concat(F[:3] + mass * down - coriolis[3:], F[3:] + arm @ down - coriolis[:3])
-    rates = ox.Concat(R @ V[:3], 0.5 * ox.spatial.SSMP(V[3:]) @ q, np.linalg.inv(case.inertia) @ wrench)
+    coriolis = ox.lie.AdjointDual(V, np.roll(inertia(), 3, axis=0) @ V)
+    wrench = ox.Concat(F[:3] + MASS * down - coriolis[3:], F[3:] + arm @ down - coriolis[:3])
+    rates = ox.Concat(R @ V[:3], 0.5 * ox.spatial.SSMP(V[3:]) @ q, np.linalg.inv(inertia()) @ wrench)
     lowered = lower_to_jax(rates)
     return lambda a, b, c: [lowered(jnp.concatenate([a, b]), c, 0, {})]
 
@@ -144,81 +135,76 @@ OPENSCVX = Contender(
     "C2",
     "`openscvx.symbolic.lower.lower_to_jax` of its own nodes. Derivatives by JAX.",
     _openscvx,
-    packages=(("openscvx", "openscvx"),),
+    "openscvx",
 )
 
 # ---- Pinocchio ------------------------------------------------------------------------------------------------------
 
 
-class _PinocchioTask(Task):
-    def __init__(self, case: Case, quantity: Quantity) -> None:
-        import pinocchio as pin
+class _Called:
+    """What is called point by point, and a loop and a batch that write into an array: as `loop.c` has them."""
 
-        if not isinstance(case, OfChain):
-            raise Lacks("it has no function with quaternion rates")
-        if quantity not in (VALUE, JACOBIAN):
-            raise Lacks("it has Jacobians only")
-        begin = time.perf_counter()
-        model = _model(pin, case.chain)
-        self._case, self._shape, self._call = case, quantity.shape(case), _call(pin, model, case.inverse, quantity)
-        self._seconds = time.perf_counter() - begin
+    def __init__(self, case: Case, quantity: Quantity, seconds: float, *how: Any, wrap: Any = np.asarray) -> None:
+        self._case, self._shape, self._seconds = case, quantity.shape(case), seconds
+        (self._call, self._loop, self._batch), self._wrap = how, wrap
 
     def single(self) -> Timed:
-        arguments = [points[0] for points in self._case.points(1)]
-        return Timed(lambda: repeated(CALLS, self._call, *arguments), CALLS, self._seconds)
+        arguments = [self._wrap(points[0]) for points in self._case.points(1)]
+        return Timed(lambda: self._call(*arguments), CALLS, self._seconds)
 
     def loop(self, steps: int) -> Timed:
-        call, start = self._call, [points[0] for points in self._case.points(1)]
-
-        def steps_in_turn() -> Any:
-            arguments = [each.copy() for each in start]
-            for _ in range(steps):
-                result = call(*arguments)
-                fed = result.reshape(-1)
-                for each in arguments:
-                    each += TINY * fed[: each.size]
-            return result
-
-        return Timed(steps_in_turn, steps, self._seconds)
+        return self._into(np.zeros(self._shape), self._loop, [a[0] for a in self._case.points(1)], steps, steps, TINY)
 
     def batch(self, count: int) -> Timed:
-        call, points, out = self._call, self._case.points(count), np.zeros((count, *self._shape))
+        out = np.zeros((count, *self._shape))
+        return self._into(out, self._batch, self._case.points(count), count, count)
 
-        def each_in_turn() -> Any:
-            for i, arguments in enumerate(zip(*points, strict=True)):
-                out[i] = call(*arguments)
+    def _into(self, out: Any, call: Any, points: Sequence[Any], evaluations: int, *given: Any) -> Timed:
+        arguments = [np.ascontiguousarray(each) for each in points]
+
+        def run() -> Any:
+            call(*given, *arguments, out)
             return out
 
-        return Timed(each_in_turn, count, self._seconds)
+        return Timed(run, evaluations, self._seconds)
 
 
-def _call(pin: Any, model: Any, inverse: bool, quantity: Quantity) -> Callable[[Any, Any, Any], Any]:
-    """Three vectors to an array."""
-    data = model.createData()
-
-    def slopes_of_rnea(q: Any, qd: Any, qdd: Any) -> Any:
-        pin.computeRNEADerivatives(model, data, q, qd, qdd)
-        return np.concatenate([data.dtau_dq, data.dtau_dv], axis=1)
-
-    def slopes_of_aba(q: Any, qd: Any, tau: Any) -> Any:
-        pin.computeABADerivatives(model, data, q, qd, tau)
-        return np.concatenate([data.ddq_dq, data.ddq_dv], axis=1)
-
-    if quantity is JACOBIAN:
-        return slopes_of_rnea if inverse else slopes_of_aba
-    algorithm = pin.rnea if inverse else pin.aba
-    return lambda q, qd, third: algorithm(model, data, q, qd, third)
-
-
-def _model(pin: Any, chain: Chain) -> Any:
+def _pinocchio(case: Case, quantity: Quantity) -> Task:
     """The chain as a model of Pinocchio; all joints turn about z."""
-    model, before = pin.Model(), 0
-    for number, link in enumerate(chain.links):
+    import pinocchio as pin
+
+    if case.chain is None:
+        raise Lacks("it has no function with quaternion rates")
+    if quantity not in (VALUE, JACOBIAN):
+        raise Lacks("it has Jacobians only")
+    begin, model, before, inverse = time.perf_counter(), pin.Model(), 0, case.inverse
+    for number, link in enumerate(case.chain().links):
         mount, body = numbers(link.mount), link.body
         before = model.addJoint(before, pin.JointModelRZ(), pin.SE3(mount[:3, :3], mount[:3, 3]), f"joint{number}")
-        inertia = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
-        model.appendBodyToJoint(before, inertia, pin.SE3.Identity())
-    return model
+        own = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
+        model.appendBodyToJoint(before, own, pin.SE3.Identity())
+    data = model.createData()
+
+    def slopes(q: Any, qd: Any, third: Any) -> Any:
+        (pin.computeRNEADerivatives if inverse else pin.computeABADerivatives)(model, data, q, qd, third)
+        return np.concatenate([data.dtau_dq, data.dtau_dv] if inverse else [data.ddq_dq, data.ddq_dv], axis=1)
+
+    call = slopes if quantity is JACOBIAN else functools.partial(pin.rnea if inverse else pin.aba, model, data)
+
+    def loop(steps: int, tiny: float, *arguments: Any) -> None:
+        *fed, out = arguments
+        for _ in range(steps):
+            result = call(*fed)
+            for each in fed:
+                each += tiny * result.reshape(-1)[: each.size]
+        out[...] = result
+
+    def batch(count: int, a: Any, b: Any, c: Any, out: Any) -> None:
+        for i in range(count):
+            out[i] = call(a[i], b[i], c[i])
+
+    seconds = time.perf_counter() - begin
+    return _Called(case, quantity, seconds, functools.partial(repeated, CALLS, call), loop, batch)
 
 
 PINOCCHIO = Contender(
@@ -226,6 +212,74 @@ PINOCCHIO = Contender(
     "C4",
     "`pin.rnea`, `pin.aba` and their analytic derivatives, called from Python in a loop, point by point, also for "
     "loops and batches: what a call costs is part of every time and is not subtracted. A loop in C++ is faster.",
-    _PinocchioTask,
-    packages=(("pin", "pinocchio"),),
+    _pinocchio,
+    *("pin", "pinocchio"),
+)
+
+# ---- CasADi: a function of SX symbols, C written from it, compiled with gcc and called in a C loop ------------------
+
+_FLAGS = ("-O3", "-march=native", "-fPIC", "-shared")
+_LOOP = Path(__file__).with_name("loop.c")
+
+#: Longer, s, and gcc is stopped.
+_PATIENCE = 120.0
+
+_VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
+
+
+def _as_numpy(ca: Any) -> Any:
+    """SX symbols under the names of NumPy, with structural zeros."""
+    asarray = lambda value: ca.SX(ca.sparsify(ca.DM(np.asarray(value, float))))  # noqa: E731
+    block = lambda rows: ca.vertcat(*(ca.horzcat(*row) for row in rows))  # noqa: E731
+    stack = lambda parts: ca.vertcat(*parts)  # noqa: E731
+    made = {"asarray": asarray, "array": lambda rows: ca.sparsify(block(rows)), "block": block}
+    joined = {"stack": stack, "concatenate": stack, "outer": lambda a, b: a @ b.T}
+    return SimpleNamespace(sin=ca.sin, cos=ca.cos, dot=ca.dot, **made, **joined)
+
+
+def _casadi(case: Case, quantity: Quantity) -> Task:
+    """Written and compiled once for all uses. Raises Lacks where gcc takes too long."""
+    import casadi as ca
+
+    shape, arguments = quantity.shape(case), [ca.SX.sym(name, n) for name, n in zip("abc", case.sizes, strict=True)]
+    result = ca.vertcat(*case.by_hand(_as_numpy(ca), *arguments))
+    begin, x = time.perf_counter(), ca.vertcat(*arguments[:2])
+    if quantity is not VALUE:
+        # CasADi keeps columns together, we rows.
+        result = ca.jacobian(result, x).T if quantity is JACOBIAN else ca.gradient(ca.sum1(result), x)
+    function, generator = ca.Function("evaluated", arguments, [ca.densify(result)]), ca.CodeGenerator("evaluated.c")
+    generator.add(function)
+    sizes = dict(zip(("SIZE_A", "SIZE_B", "SIZE_C"), case.sizes, strict=True)) | {"SIZE_OUT": int(np.prod(shape))}
+    sizes |= {name: getattr(function, name.lower())() for name in ("SZ_ARG", "SZ_RES", "SZ_IW", "SZ_W")}
+    # What is loaded stays when its file is gone.
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(f"{folder}/")
+        target, defined = f"{folder}/evaluated.so", [f"-D{name}={value}" for name, value in sizes.items()]
+        defined += ["-DNAME=evaluated", f'-DSOURCE="{folder}/evaluated.c"']
+        words = ["gcc", *_FLAGS, *defined, "-o", target, str(_LOOP), "-lm"]
+        try:
+            subprocess.run(words, check=True, capture_output=True, timeout=_PATIENCE)
+        except subprocess.TimeoutExpired:
+            raise Lacks(f"gcc was stopped after {_PATIENCE:g} s on {function.n_instructions():,} operations") from None
+        library, external = ctypes.CDLL(target), ca.external("evaluated", target)
+    seconds = time.perf_counter() - begin
+    library.twistax_batch.argtypes = [ctypes.c_long, *[_VECTOR] * 4]
+    library.twistax_loop.argtypes = [ctypes.c_long, ctypes.c_double, *[_VECTOR] * 4]
+    library.twistax_batch.restype = library.twistax_loop.restype = None
+
+    def calls(*point: Any) -> Any:
+        return np.asarray(repeated(CALLS, external, *point).full()).T.reshape(shape)
+
+    return _Called(case, quantity, seconds, calls, library.twistax_loop, library.twistax_batch, wrap=ca.DM)
+
+
+CASADI = Contender(
+    "CasADi C",
+    "C1",
+    "the same plain matrices as SX symbols, C written by `Function.generate`, compiled with "
+    f"`gcc {' '.join(_FLAGS[:2])}`; loop and batch are loops in C on one core, a single call goes through its "
+    "Python interface (`casadi.external`). Derivatives are its own, `jacobian` and `gradient`.",
+    _casadi,
+    package="casadi",
+    tool="gcc",
 )

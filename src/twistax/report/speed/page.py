@@ -9,16 +9,15 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..checks import at_most, judged
 from ..page import Table, as_svg, duration, panels
 from ..report import Report
 from ..rows import Row
 from ..timing import Tell, empty_call_seconds
-from .casadi import CASADI
-from .case import CASES
-from .contenders import ARRAYS, NATIVE, OPENSCVX, PINOCCHIO, PLAIN, SCALARS, Contender
+from .cases import CASES
+from .contenders import ARRAYS, CASADI, NATIVE, OPENSCVX, PINOCCHIO, PLAIN, SCALARS, Contender
 from .measure import AGREEMENT, FULL, QUICK, measure
 from .programs import JACOBIAN, LOOP, QUANTITIES, USES, VALUE, Quantity, batch
 
@@ -26,33 +25,21 @@ _CONTENDERS = (SCALARS, NATIVE, ARRAYS, PLAIN, OPENSCVX, CASADI, PINOCCHIO)
 #: Ratios are to these.
 _BASES = (PLAIN.name, CASADI.name)
 
-# ---- bars: what we want to be true, said beforehand -----------------------------------------------------------------
-
-
-class _Bar(NamedTuple):
-    """Median time of a contender over that of another, at most `limit`; seconds to compile if `against` is None."""
-
-    case: str
-    quantity: Quantity
-    use: str
-    contender: Contender
-    against: Contender | None
-    limit: float
-
-
-_MANY = batch(4096).name
+_MANY = batch(4096)
+#: What we want to be true, said beforehand: of a case, quantity and use the median time of a contender over that of
+#: another is at most so much; seconds to compile if there is no other.
 _BARS = (
-    _Bar("aba-7", VALUE, LOOP.name, SCALARS, PLAIN, 0.2),
-    _Bar("aba-7", VALUE, _MANY, SCALARS, PLAIN, 0.5),
-    _Bar("free-body", VALUE, LOOP.name, SCALARS, OPENSCVX, 1.0),
-    _Bar("aba-7", VALUE, LOOP.name, SCALARS, None, 1.0),
-    _Bar("aba-30", VALUE, LOOP.name, SCALARS, None, 7.0),
-    _Bar("aba-7", VALUE, _MANY, NATIVE, CASADI, 0.15),
-    _Bar("aba-7", VALUE, _MANY, NATIVE, PLAIN, 0.03),
-    _Bar("rnea-7", VALUE, _MANY, NATIVE, CASADI, 0.15),
-    _Bar("free-body", VALUE, _MANY, NATIVE, CASADI, 0.4),
-    _Bar("aba-7", JACOBIAN, _MANY, NATIVE, CASADI, 0.2),
-    _Bar("aba-7", VALUE, LOOP.name, NATIVE, CASADI, 1.2),
+    ("aba-7", VALUE, LOOP, SCALARS, PLAIN, 0.2),
+    ("aba-7", VALUE, _MANY, SCALARS, PLAIN, 0.5),
+    ("free-body", VALUE, LOOP, SCALARS, OPENSCVX, 1.0),
+    ("aba-7", VALUE, LOOP, SCALARS, None, 1.0),
+    ("aba-30", VALUE, LOOP, SCALARS, None, 7.0),
+    ("aba-7", VALUE, _MANY, NATIVE, CASADI, 0.15),
+    ("aba-7", VALUE, _MANY, NATIVE, PLAIN, 0.03),
+    ("rnea-7", VALUE, _MANY, NATIVE, CASADI, 0.15),
+    ("free-body", VALUE, _MANY, NATIVE, CASADI, 0.4),
+    ("aba-7", JACOBIAN, _MANY, NATIVE, CASADI, 0.2),
+    ("aba-7", VALUE, LOOP, NATIVE, CASADI, 1.2),
 )
 
 
@@ -60,22 +47,17 @@ def bar_rows(rows: Sequence[Row], case: str) -> list[Row]:
     """Every bar of a case that was run with its quantity and use."""
     found = {row.key: row for row in rows if row.done}
     result = []
-    for bar in _BARS:
-        quantity, use, value, setting, unit = bar.quantity.name, bar.use, math.nan, "compiling", "s"
-        if bar.case != case or not any((*key[:2], key[3]) == (case, quantity, use) for key in found):
+    for place, quantity, use, contender, against, limit in _BARS:
+        if place != case or not any((*key[:2], key[3]) == (case, quantity.name, use.name) for key in found):
             continue
-        own = found.get((case, quantity, bar.contender.name, use))
-        if bar.against is None:
-            value = own.numbers["compile_seconds"] if own else math.nan
+        own = found.get((case, quantity.name, contender.name, use.name))
+        if against is None:
+            value, setting, unit = own.numbers["compile_seconds"] if own else math.nan, "compiling", "s"
         else:
-            other = found.get((case, quantity, bar.against.name, use))
-            value, setting, unit = (
-                own.value / other.value if own and other else math.nan,
-                f"over {bar.against.name}",
-                "",
-            )
-        row = Row("bars", f"{CASES[case].title}, {quantity}, {use}", bar.contender.name, setting, value)
-        result.append(judged(row, at_most(bar.limit, unit)))
+            other = found.get((case, quantity.name, against.name, use.name))
+            value, setting, unit = own.value / other.value if own and other else math.nan, f"over {against.name}", ""
+        row = Row("bars", f"{CASES[case].title}, {quantity.name}, {use.name}", contender.name, setting, value)
+        result.append(judged(row, at_most(limit, unit)))
     return result
 
 
@@ -89,7 +71,7 @@ class Speed(Report):
         self.effort = dataclasses.asdict(self._effort)
         self.missing = {each.name: why for each in contenders if (why := each.absent()) is not None}
         self._contenders = [each for each in contenders if each.name not in self.missing]
-        self.versions = {name: metadata.version(name) for each in self._contenders for name, _ in each.packages}
+        self.versions = {each.package: metadata.version(each.package) for each in self._contenders if each.package}
         self.parts = [name for name in CASES if name in (arguments.case or self._effort.cases or CASES)]
 
     def measure(self, part: str, tell: Tell) -> None:
@@ -106,20 +88,21 @@ class Speed(Report):
         present = {each.name for each in self._contenders}
         return [row for row in super().rows() if row.by in present]
 
-    def _wrong(self) -> list[Row]:
-        return [row for row in self.rows() if row.note.startswith("disagrees")]
-
     def bars(self, part: str) -> list[Row]:
         return bar_rows(self.rows(), part)
+
+    def _wrong(self) -> list[Row]:
+        return [row for row in self.rows() if row.note.startswith("disagrees")]
 
     def problems(self) -> list[str]:
         return [f"{row.by} {row.note}: {row.group} {row.what} {row.setting}" for row in self._wrong()]
 
     def drawings(self) -> dict[str, Callable[[], bytes]]:
-        rows = self.rows()
-        timed = {row.what for row in rows if row.done}
-        drawn = [each for each in QUANTITIES if each.name in timed]
-        return {f"speed-{each.name}": functools.partial(draw, rows, each, self._contenders) for each in drawn}
+        timed: dict[str, list[Row]] = {}
+        for row in self.rows():
+            if row.done:
+                timed.setdefault(f"speed-{row.what}", []).append(row)
+        return {name: functools.partial(draw, rows, self._contenders) for name, rows in timed.items()}
 
     def context(self) -> dict[str, Any]:
         rows = self.rows()
@@ -135,36 +118,33 @@ class Speed(Report):
         }
 
 
-report = Speed
-
-
 # ---- tables and figures ---------------------------------------------------------------------------------------------
 
 
 def _quantity(rows: Sequence[Row], quantity: Quantity, contenders: Sequence[Contender]) -> dict[str, Any]:
     """Its tables: ratios, times and seconds to compile; and why some are missing."""
-    own = [row for row in rows if row.what == quantity.name]
-    done = {row.by for row in own if row.done}
+    found = {(row.group, row.setting, row.by): row for row in rows if row.what == quantity.name}
+    done = {row.by for row in found.values() if row.done}
     names = [each.name for each in contenders if each.name in done]
     others = [name for name in names if name not in _BASES]
-    found = {(row.group, row.setting, row.by): row for row in own}
-    places = list(dict.fromkeys((row.group, row.setting) for row in own))
 
-    def table(columns: Sequence[str], cell: Callable[[str, str, str], str]) -> Table:
-        cells = [[CASES[case].title, use, *(cell(case, use, name) for name in columns)] for case, use in places]
-        return ["function", "use", *columns], cells, 2
+    def table(columns: Sequence[str], cell: Callable[[Row], str]) -> Table:
+        places = dict.fromkeys(place[:2] for place in found)
+        cells = [[((row := found.get((*place, name))) and cell(row)) or "-" for name in columns] for place in places]
+        heads = [[CASES[case].title, use] for case, use in places]
+        return ["function", "use", *columns], [[*head, *line] for head, line in zip(heads, cells, strict=True)], 2
 
-    def ratios(case: str, use: str, name: str) -> str:
-        times = [row.value if (row := found.get((case, use, each))) else math.nan for each in (name, *_BASES)]
-        return " / ".join(_ratio(times[0] / base) for base in times[1:])
+    def ratios(row: Row) -> str:
+        bases = [found.get((row.group, row.setting, name)) for name in _BASES]
+        return " / ".join(_ratio(row.value / base.value if base else math.nan) for base in bases)
 
     return {
         "name": quantity.name,
         "title": quantity.title[:1].upper() + quantity.title[1:],
         "ratios": table(others, ratios) if others else None,
-        "times": table(names, lambda *place: _spread(found.get(place))) if names else None,
-        "compiling": table(names, lambda *place: _compiled(found.get(place))),
-        "notes": sorted({f"{row.by}, {CASES[row.group].title}: {row.note}." for row in own if not row.done}),
+        "times": table(names, _spread) if names else None,
+        "compiling": table(names, _compiling),
+        "notes": sorted({f"{row.by}, {CASES[row.group].title}: {row.note}." for row in found.values() if not row.done}),
     }
 
 
@@ -174,10 +154,8 @@ def _ratio(value: float) -> str:
     return f"{value:.2f}" if value >= 0.095 else f"{value:.3f}"
 
 
-def _spread(row: Row | None) -> str:
-    if row is None or not row.done:
-        return "-"
-    return f"{_ns(row.value)} ({_ns(row.numbers['lower'])} to {_ns(row.numbers['upper'])})"
+def _spread(row: Row) -> str:
+    return f"{_ns(row.value)} ({_ns(row.numbers['lower'])} to {_ns(row.numbers['upper'])})" if row.done else "-"
 
 
 def _ns(seconds: float) -> str:
@@ -187,18 +165,13 @@ def _ns(seconds: float) -> str:
     return f"{value:,.{digits}f} ns" if value < 1e6 else duration(seconds)
 
 
-def _compiled(row: Row | None) -> str:
-    seconds = row.numbers.get("compile_seconds", math.nan) if row else math.nan
+def _compiling(row: Row) -> str:
+    seconds = row.numbers.get("compile_seconds", math.nan)
     return f"{seconds:.2f}" if math.isfinite(seconds) else "-"
 
 
-def draw(rows: Sequence[Row], quantity: Quantity, contenders: Sequence[Contender]) -> bytes:
-    """The figure of a quantity as SVG; dots at the median, lines between the quartiles.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
-    timed = [row for row in rows if row.what == quantity.name and row.done]
+def draw(timed: Sequence[Row], contenders: Sequence[Contender]) -> bytes:
+    """The figure of a quantity as SVG; dots at the median, lines between the quartiles."""
     cases = [case for name, case in CASES.items() if any(row.group == name for row in timed)]
     uses = list(dict.fromkeys(row.setting for row in timed))
     shown = [each for each in contenders if any(row.by == each.name for row in timed)]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..timing import Timed, compiled
-from .case import Case
+from .cases import Case
 
 #: Calls from Python that are timed together.
 CALLS = 20
@@ -40,20 +39,13 @@ def values(timed: Timed) -> NDArray[np.float64]:
 # ---- quantities -----------------------------------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class Quantity:
-    """Of a function.
+class Quantity(NamedTuple):
+    """Of a function."""
 
-    Attributes:
-        name, title: for tables, and for the page.
-        shape: of the result of a case.
-        by_jax: of a traceable function.
-    """
-
-    name: str
-    title: str
-    shape: Callable[[Case], tuple[int, ...]]
-    by_jax: Callable[[Function], Function]
+    name: str  # for tables
+    title: str  # for the page
+    shape: Callable[[Case], tuple[int, ...]]  # of the result of a case
+    by_jax: Callable[[Function], Function]  # of a traceable function
 
 
 def _jacobian(function: Function) -> Function:
@@ -76,36 +68,19 @@ JACOBIAN = Quantity("jacobian", _SLOPES, lambda case: (case.results, case.column
 GRADIENT = Quantity("gradient", _TOTAL, lambda case: (case.columns,), _gradient)
 QUANTITIES = (VALUE, JACOBIAN, GRADIENT)
 
-# ---- tasks and uses -------------------------------------------------------------------------------------------------
+# ---- uses and tasks -------------------------------------------------------------------------------------------------
 
-
-class Task(ABC):
-    """A quantity of a case by a contender. Each use raises `Lacks` if there is none."""
-
-    @abstractmethod
-    def single(self) -> Timed:
-        """`CALLS` calls from Python, one after the other, each waited for."""
-
-    @abstractmethod
-    def loop(self, steps: int) -> Timed:
-        """A compiled loop in which each evaluation waits for the one before."""
-
-    @abstractmethod
-    def batch(self, count: int) -> Timed:
-        """Many points at once."""
+#: A quantity of a case by a contender: `single()`, `loop(steps)` and `batch(count)`, or they raise `Lacks`.
+Task = Any
 
 
 @dataclasses.dataclass(frozen=True)
 class Use:
-    """What a task is asked for.
-
-    Attributes:
-        count: of points at once; zero if it is no batch.
-    """
+    """What a task is asked for."""
 
     name: str
     of: Callable[[Task], Timed]
-    count: int = 0
+    count: int = 0  # of points at once; zero if it is no batch
 
 
 def batch(count: int) -> Use:
@@ -118,21 +93,23 @@ LOOP = Use("in a loop", lambda task: task.loop(1000))
 USES: tuple[Use, ...] = (SINGLE, LOOP, *map(batch, (64, 4096, 65536)))
 
 
-class JaxTask(Task):
+class JaxTask:
     """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives the parts of the result.
 
-    Args:
-        make: makes the function anew, so that what is found when it is traced counts as compiling.
+    It is made anew for each use, so that what is found when it is traced counts as compiling.
     """
 
-    def __init__(self, case: Case, make: Callable[[], Callable[..., Any]]) -> None:
+    def __init__(self, case: Case, make: Callable[[], Function]) -> None:
         self._case, self._make = case, make
 
     def single(self) -> Timed:
+        """`CALLS` calls from Python, one after the other, each waited for."""
         return self._compiled(lambda function: function, calls=CALLS)
 
     def loop(self, steps: int) -> Timed:
-        def looped(function: Callable[..., Any]) -> Callable[..., Any]:
+        """A compiled loop in which each evaluation waits for the one before."""
+
+        def looped(function: Function) -> Callable[..., Any]:
             def step(carry: tuple[Any, Any], _: None) -> tuple[Any, None]:
                 arguments, _before = carry
                 result = function(*arguments)
@@ -149,9 +126,10 @@ class JaxTask(Task):
         return self._compiled(looped, evaluations=steps)
 
     def batch(self, count: int) -> Timed:
+        """Many points at once."""
         return self._compiled(jax.vmap, count, evaluations=count)
 
-    def _compiled(self, use: Callable[..., Any], points: int = 0, **counts: int) -> Timed:
+    def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
         """For one point, or for a batch of them."""
         arguments = [jnp.asarray(each if points else each[0]) for each in self._case.points(points or 1)]
         begin = time.perf_counter()

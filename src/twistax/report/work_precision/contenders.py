@@ -1,13 +1,16 @@
-"""The methods of the report: each with a name, the settings it is run with, and its run of a scene as a program."""
+"""The methods of the report: each with its settings and its run of a scene as a program; runs timed in turn."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import functools
+import math
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 
 import twistax as tx
@@ -15,7 +18,8 @@ import twistax as tx
 from ...integrators import Method
 from ...lowering.small_call import fits, small_call
 from ...scenes import Scene
-from ..timing import Repeats
+from ..rows import Row, Store, first_line, now
+from ..timing import Repeats, Tell, Timed, keep, quiet, seconds_of
 
 # ---- settings -------------------------------------------------------------------------------------------------------
 
@@ -37,25 +41,17 @@ def equal_steps(first: int, factor: float, most: int = 2**21) -> tuple[float, ..
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
-    """Settings to run, from coarse to fine, and how often each run is repeated.
+    """Settings to run, from coarse to fine, and how often each run is repeated."""
 
-    Attributes:
-        name: for the page.
-        tolerances: rtol = atol, of methods that choose their steps.
-        longest: a method is not run finer once one of its runs takes longer, s.
-        repeats: of every run of a scene, in turn.
-        steps: numbers of them, of methods with equal steps, until the error is below `enough`.
-    """
-
-    name: str
-    tolerances: tuple[float, ...]
-    longest: float
-    repeats: Repeats
-    steps: tuple[float, ...] = equal_steps(32, 4.0)
+    name: str  # for the page
+    tolerances: tuple[float, ...]  # rtol = atol, of methods that choose their steps
+    longest: float  # a method is not run finer once one of its runs takes longer, s
+    repeats: Repeats  # of every run of a scene, in turn
+    steps: tuple[float, ...] = equal_steps(32, 4.0)  # numbers of them, until the error is below `enough`
     enough: float = 1e-10
 
 
-FULL = Effort("full", tolerances(-3, -13, 2), 0.5, Repeats(31, 5, 0.2))
+FULL = Effort("full", tolerances(-3, -13, 2), 0.5, Repeats(21, 3, 0.1))
 QUICK = Effort("quick", tolerances(-4, -12, 1), 0.1, Repeats(9, 3, 0.05))
 
 # ---- contenders -----------------------------------------------------------------------------------------------------
@@ -71,69 +67,49 @@ class Counts(NamedTuple):
 
 
 class Program(NamedTuple):
-    """One scene by one method, as a function of the start and the setting.
+    """One scene by one method, as a function of the start and the setting."""
 
-    Attributes:
-        start: a pytree of arrays.
-        solve: (start, setting) -> (end, Counts), traceable.
-        state: the end as the scene names its states; not timed.
-    """
-
-    start: Any
-    solve: Callable[[Any, Any], tuple[Any, Counts]]
-    state: Callable[[Any], Any]
+    start: Any  # a pytree of arrays
+    solve: Callable[[Any, Any], tuple[Any, Counts]]  # (start, setting) -> (end, counts), traceable
+    state: Callable[[Any], Any]  # the end as the scene names its states; not timed
 
 
-@dataclasses.dataclass(frozen=True)
-class Side:
-    """Who runs a method, how, and whether that can be had by calling what a library offers."""
+class Side(NamedTuple):
+    """Who runs a method, and how."""
 
     name: str
     what: str
-    ready: bool = True
+    ready: bool = True  # whether that can be had by calling what a library offers
 
 
-@dataclasses.dataclass(frozen=True)
-class Line:
-    """One line in the figures. Several contenders may share one: its best points count.
-
-    Attributes:
-        title: how tables call it.
-        code: how a program writes it.
-        side: who runs it.
-        style: colour, dash and marker, as matplotlib names them.
-        drawn: whether it is drawn, or is in the tables alone.
-    """
-
-    title: str
-    code: str
-    side: Side
-    style: tuple[str, str, str]
-    drawn: bool = True
+OURS = Side("twistax", "`tx.integrate` with its defaults")
+ONE_CALL = Side(
+    "diffrax in one call",
+    "the same compiled as one small function, as twistax compiles its own; diffrax itself does not offer that",
+    ready=False,
+)
+SHIPPED = Side("diffrax as shipped", "`diffeqsolve` on the quaternions with its defaults, inside `jax.jit`")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contender:
-    """A method. A new one is one more in `CONTENDERS`.
+    """A method. A new one is one more in `CONTENDERS`. Those of one title share a line: its best points count."""
 
-    Attributes:
-        name: on the command line.
-        line: of the figures.
-        build: its run of a scene. Raises TwistaxError where it cannot do it.
-        equal: whether the setting is a number of equal steps, for each of which it is compiled, or rtol = atol.
-    """
-
-    name: str
-    line: Line
-    build: Callable[[Scene], Program]
-    equal: bool = False
+    name: str  # on the command line
+    build: Callable[[Scene], Program]  # its run of a scene. Raises TwistaxError where it cannot do it
+    title: str = ""  # how tables and figures call it
+    code: str = ""  # how a program writes it
+    side: Side = OURS
+    style: tuple[str, str, str] = ("tab:blue", "-", "o")  # colour, dash and marker, as matplotlib names them
+    drawn: bool = True  # or in the tables alone
+    equal: bool = False  # whether the setting is a number of equal steps, each compiled for itself, or rtol = atol
 
 
 #: More steps than any run here takes; diffrax's own limit is 4096.
 _MOST_STEPS = 10**7
 
 
-def ours(name: str, line: Line, method: Method, equal: bool = False) -> Contender:
+def ours(name: str, method: Method, equal: bool = False, **look: Any) -> Contender:
     """`tx.integrate` as a function of one flat array, as diffrax has it: each array in or out costs a microsecond."""
 
     def build(scene: Scene) -> Program:
@@ -151,11 +127,11 @@ def ours(name: str, line: Line, method: Method, equal: bool = False) -> Contende
 
         return Program(start, solve, read)
 
-    return Contender(name, line, build, equal)
+    return Contender(name, build, equal=equal, **look)
 
 
 def _diffrax(
-    name: str, line: Line, solver: str, gains: tuple[float, float], most_steps: int = _MOST_STEPS
+    name: str, side: Side, solver: str, gains: tuple[float, float], most_steps: int = _MOST_STEPS, **look: Any
 ) -> Contender:
     """diffrax on the same system in quaternions: PIDController, the first step chosen by it, rtol = atol = the setting.
 
@@ -174,7 +150,7 @@ def _diffrax(
         term = tx.diffrax.ambient_term(scene.dynamics)
         start, unravel = ravel_pytree(term.to_ambient(scene.start))
         u, params = scene.u, {name: jnp.asarray(value) for name, value in scene.params.items()}
-        one_call = {"throw": False, "adjoint": diffrax.ForwardMode()} if line.side == ONE_CALL else {}
+        one_call = {"throw": False, "adjoint": diffrax.ForwardMode()} if side == ONE_CALL else {}
         method = getattr(diffrax, solver)()
 
         def rate(t: Any, y: jax.Array, args: Any) -> jax.Array:
@@ -200,19 +176,13 @@ def _diffrax(
 
         return Program(start, in_one_call if one_call else solve, lambda y: term.from_ambient(unravel(y)))
 
-    return Contender(name, line, build)
+    title = side.name.replace("diffrax", f"diffrax {solver}")
+    return Contender(name, build, title, f"diffrax.{solver}()", side, **look)
 
 
 # ---- all of them ----------------------------------------------------------------------------------------------------
 
-OURS = Side("twistax", "`tx.integrate` with its defaults")
-ONE_CALL = Side(
-    "diffrax in one call",
-    "the same compiled as one small function, as twistax compiles its own; diffrax itself does not offer that",
-    ready=False,
-)
-SHIPPED = Side("diffrax as shipped", "`diffeqsolve` on the quaternions with its defaults, inside `jax.jit`")
-
+_QUATERNION, _CLOSED, _RADAU = "tx.charts.Ambient()", "tx.charts.Exponential()", "tx.tableaus.RADAU_IIA5"
 #: Ours: name, title, how a program writes it, style, whether it is drawn.
 _OURS = (
     ("rk4", "RK4, equal steps", "tx.RKMK(tx.tableaus.RK4)", "gray - s", True),
@@ -221,48 +191,110 @@ _OURS = (
     ("bs3", "Bogacki-Shampine 3", "tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3)", "olive - v", False),
     ("dopri5", "Dormand-Prince 5", "tx.RKMK(tx.tableaus.DORMAND_PRINCE5)", "pink - <", False),
     ("tsit5", "Tsit5", "tx.RKMK(tx.tableaus.TSIT5)", "cyan - o", True),
-    ("tsit5-quaternion", "Tsit5, quaternion", "tx.RKMK(tx.tableaus.TSIT5, tx.charts.Ambient())", "cyan -- o", True),
+    ("tsit5-quaternion", "Tsit5, quaternion", f"tx.RKMK(tx.tableaus.TSIT5, {_QUATERNION})", "cyan -- o", True),
     ("dop853", "DOP853", "tx.RKMK(tx.tableaus.DOP853)", "blue - D", True),
-    (
-        "dop853-closed",
-        "DOP853, closed form",
-        "tx.RKMK(tx.tableaus.DOP853, tx.charts.Exponential())",
-        "purple - P",
-        False,
-    ),
+    ("dop853-closed", "DOP853, closed form", f"tx.RKMK(tx.tableaus.DOP853, {_CLOSED})", "purple - P", False),
     ("dop853-split", "DOP853, split", "tx.RKMK(tx.tableaus.DOP853, tx.charts.SplitExponential(6))", "green - ^", True),
-    ("dop853-quaternion", "DOP853, quaternion", "tx.RKMK(tx.tableaus.DOP853, tx.charts.Ambient())", "blue -- D", True),
+    ("dop853-quaternion", "DOP853, quaternion", f"tx.RKMK(tx.tableaus.DOP853, {_QUATERNION})", "blue -- D", True),
     ("dopri8", "Dormand-Prince 8", "tx.RKMK(tx.tableaus.DORMAND_PRINCE8)", "brown - >", False),
-    ("radau5", "Radau IIA 5", "tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)", "blue - X", True),
-    (
-        *("radau5-quaternion", "Radau IIA 5, quaternion"),
-        *("tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5, tx.charts.Ambient())", "blue -- X", True),
-    ),
+    ("radau5", "Radau IIA 5", f"tx.ImplicitRKMK({_RADAU})", "blue - X", True),
+    ("radau5-quaternion", "Radau IIA 5, quaternion", f"tx.ImplicitRKMK({_RADAU}, {_QUATERNION})", "blue -- X", True),
 )
+
+
+_PI = (0.4, 0.3)
 
 
 def _all() -> list[Contender]:
     found = []
     for name, title, code, style, drawn in _OURS:
-        colour, dash, marker = style.split()
-        line = Line(title, code, OURS, (f"tab:{colour}", dash, marker), drawn)
         # What the page shows is what is run.
-        found.append(ours(name, line, eval(code, {"tx": tx}), "equal steps" in title))
-    # diffrax's default, and proportional-integral control, which rejects fewer steps on some scenes.
-    default, pi = (0.0, 1.0), (0.4, 0.3)
+        own: dict[str, Any] = {"title": title, "code": code, "style": tuple(f"tab:{style}".split()), "drawn": drawn}
+        found.append(ours(name, eval(code, {"tx": tx}), "equal steps" in title, **own))
     looks = {"Tsit5": ("tab:orange", "o"), "Dopri5": ("goldenrod", "<"), "Dopri8": ("tab:red", "D")}
+    # Two controllers on one line: diffrax's default, and proportional-integral control, which rejects fewer steps on
+    # some scenes.
     for side, suffix, dash in ((ONE_CALL, "-call", "-"), (SHIPPED, "", ":")):
         for solver, (colour, marker) in looks.items():
-            title = side.name.replace("diffrax", f"diffrax {solver}")
-            line = Line(title, f"diffrax.{solver}()", side, (colour, dash, marker), drawn=solver != "Dopri5")
-            name = f"diffrax-{solver.lower()}{suffix}"
-            # Two controllers on one line: the better counts.
-            found += [_diffrax(name, line, solver, default), _diffrax(f"{name}-pi", line, solver, pi)]
+            look: dict[str, Any] = {"style": (colour, dash, marker), "drawn": solver != "Dopri5"}
+            for end, gains in (("", (0.0, 1.0)), ("-pi", _PI)):
+                found.append(_diffrax(f"diffrax-{solver.lower()}{suffix}{end}", side, solver, gains, **look))
     # Its default controller is no match for stiff systems, and its linear algebra calls a library: no small call. Near
     # round-off its steps may become so short that a run takes hours.
-    stiff = Line("diffrax Kvaerno5 as shipped", "diffrax.Kvaerno5()", SHIPPED, ("tab:red", ":", "X"))
-    return [*found, _diffrax("diffrax-kvaerno5-pi", stiff, "Kvaerno5", pi, most_steps=20_000)]
+    dotted = ("tab:red", ":", "X")
+    return [*found, _diffrax("diffrax-kvaerno5-pi", SHIPPED, "Kvaerno5", _PI, most_steps=20_000, style=dotted)]
 
 
 #: All of them, by name.
 CONTENDERS: dict[str, Contender] = {contender.name: contender for contender in _all()}
+
+
+# ---- runs of a scene, timed in turn ---------------------------------------------------------------------------------
+
+#: What is measured of a scene.
+WHAT = "one call"
+
+
+def measure_scene(
+    scene: Scene, contenders: Sequence[Contender], effort: Effort, store: Store, tell: Tell = quiet
+) -> dict[str, str]:
+    """Run what is not in the store yet, time it in turn, keep the rows; gives the methods that cannot, and why."""
+    refused: dict[str, str] = {}
+    runs: list[tuple[Row, Timed | None]] = []
+    sitting = now()
+    for number, contender in enumerate(contenders):
+        tell(f"compiling {contender.name}", 0.5 * number / len(contenders))
+        try:
+            runs += _climb(scene, contender, effort, store, sitting)
+        except tx.TwistaxError as error:
+            refused[contender.name] = first_line(error)
+    keep(runs, effort.repeats, store, tell)
+    return refused
+
+
+def _climb(
+    scene: Scene, contender: Contender, effort: Effort, store: Store, sitting: str
+) -> Iterator[tuple[Row, Timed | None]]:
+    """From coarse to fine, one run each, except for rows that are there."""
+    unit, enough = ("steps", effort.enough) if contender.equal else ("tolerance", 0.0)
+    first = functools.cache(lambda: _first_run(scene, contender))
+    for setting in effort.steps if contender.equal else effort.tolerances:
+        row = Row(scene.name, WHAT, contender.name, f"{unit} {setting:g}", unit="s", sitting=sitting)
+        if found := store.get(*row.key):
+            row, seconds = found, found.value
+        else:
+            row, timed = first()(dataclasses.replace(row, numbers={"setting": setting}))
+            yield row, timed
+            seconds = timed.rough if timed else 0.0
+        if seconds > effort.longest or row.numbers.get("error", math.nan) < enough:
+            return
+
+
+def _first_run(scene: Scene, contender: Contender) -> Callable[[Row], tuple[Row, Timed | None]]:
+    """What runs a scene for the setting of a row: the row of that run, and what is timed."""
+    program = contender.build(scene)
+    run = jax.jit(program.solve, static_argnums=1 if contender.equal else ())
+    compile_seconds = math.nan
+
+    def first(row: Row) -> tuple[Row, Timed | None]:
+        nonlocal compile_seconds
+        setting = row.numbers["setting"]
+        arguments = program.start, setting if contender.equal else jnp.asarray(setting)
+        try:
+            if contender.equal or math.isnan(compile_seconds):
+                compile_seconds = seconds_of(lambda: run.lower(*arguments).compile())
+            timed = Timed(functools.partial(run, *arguments))
+            end, counts = timed.result()
+        except (RuntimeError, ValueError) as error:  # diffrax raises where it gives up, from a callback
+            if isinstance(error, ValueError) and "callback" not in str(error):
+                raise
+            said = [line for line in str(error).splitlines() if "RuntimeError" in line]
+            return dataclasses.replace(row, note=first_line(said[0] if said else error)[:80]), None
+        good = bool(counts.good)
+        state = {name: np.asarray(value) for name, value in program.state(end).items()}
+        numbers = {"error": float(scene.error(state)) if good else math.nan, "compile_seconds": compile_seconds}
+        numbers |= {name: float(getattr(counts, name)) for name in ("evaluations", "accepted", "rejected")}
+        note = row.note if good else "did not reach the end"
+        return dataclasses.replace(row, note=note, numbers={**row.numbers, **numbers}), timed
+
+    return first

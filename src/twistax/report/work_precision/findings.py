@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from statistics import geometric_mean, median
 
+from ...scenes import SCENES
 from ..checks import at_most, judged
 from ..rows import Row, plain
-from .contenders import CONTENDERS, ONE_CALL, OURS, SHIPPED, Contender, Line, Side
+from .contenders import CONTENDERS, ONE_CALL, OURS, SHIPPED, Contender, Side
 
 #: Errors at which methods are compared.
 TARGETS = (1e-6, 1e-9)
@@ -30,17 +33,12 @@ def _error(row: Row) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Doubt:
-    """A method that did not come close to the truth of a scene.
-
-    Attributes:
-        best: its smallest error; infinite where no run ended with a finite one.
-        excuse: why that need not mean that it disagrees; empty where there is none.
-    """
+    """A method that did not come close to the truth of a scene."""
 
     scene: str
     method: str
-    best: float
-    excuse: str
+    best: float  # its smallest error; infinite where no run ended with a finite one
+    excuse: str  # why that need not mean that it disagrees; empty where there is none
 
     @property
     def sentence(self) -> str:
@@ -58,7 +56,7 @@ def doubts(rows: Iterable[Row]) -> list[Doubt]:
         # Numbers of steps grow, tolerances fall.
         sign = {row.key: 1.0 if row.setting.startswith("steps") else -1.0 for row in own}
         done = sorted((row for row in own if row.done), key=lambda row: sign[row.key] * row.numbers["setting"])
-        best = min((_error(row) for row in done if math.isfinite(_error(row))), default=math.inf)
+        best = min(filter(math.isfinite, map(_error, done)), default=math.inf)
         if best > _AGREED:
             found.append(Doubt(scene, method, best, _excuse(done)))
     return found
@@ -78,11 +76,8 @@ def _excuse(done: list[Row]) -> str:
 # ---- the time at an error -------------------------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class Curve:
+class Curve(tuple[Row, ...]):
     """The best runs of a line, from the fastest to the most accurate: each is slower and better than the one before."""
-
-    rows: tuple[Row, ...]
 
     @classmethod
     def of(cls, rows: Iterable[Row]) -> Curve:
@@ -92,7 +87,11 @@ class Curve:
         for row in sorted(timed, key=lambda row: (row.value, _error(row))):
             if not front or _error(row) < _error(front[-1]):
                 front.append(row)
-        return cls(tuple(front))
+        return cls(front)
+
+    def row_at(self, error: float) -> Row | None:
+        """The fastest run that is accurate enough."""
+        return next((row for row in self if _error(row) <= error), None)
 
     def time_at(self, error: float) -> float:
         """Seconds for an error, on straight lines between the runs in logarithms of both.
@@ -100,75 +99,122 @@ class Curve:
         Of an error that the fastest run undercuts it is the time of that run. NaN where no run is accurate enough:
         nothing is extrapolated.
         """
-        for number, row in enumerate(self.rows):
-            if _error(row) <= error:
-                return row.value if number == 0 else _between(self.rows[number - 1], row, error)
-        return math.nan
-
-    def row_at(self, error: float) -> Row | None:
-        """The fastest run that is accurate enough."""
-        return next((row for row in self.rows if _error(row) <= error), None)
-
-
-def _between(coarse: Row, fine: Row, error: float) -> float:
-    high, low, at = (math.log(max(value, _ROUND_OFF)) for value in (_error(coarse), _error(fine), error))
-    share = (high - at) / (high - low) if high > low else 1.0
-    return math.exp((1.0 - share) * math.log(coarse.value) + share * math.log(fine.value))
+        fine = self.row_at(error)
+        if fine is None or fine is self[0]:
+            return fine.value if fine else math.nan
+        coarse = self[self.index(fine) - 1]
+        high, low, at = (math.log(max(value, _ROUND_OFF)) for value in (_error(coarse), _error(fine), error))
+        share = (high - at) / (high - low) if high > low else 1.0
+        return math.exp((1.0 - share) * math.log(coarse.value) + share * math.log(fine.value))
 
 
 # ---- all of it ------------------------------------------------------------------------------------------------------
 
 
 class Findings:
-    """Rows put together by scene and line.
+    """Rows put together by scene and line, without methods that disagree with the truth of a scene.
 
-    Methods that disagree with the truth of a scene do not take part there.
-
-    Args:
-        rows: of all scenes.
-        contenders: by name; their order is that of tables.
+    The order of the contenders is that of tables.
     """
 
     def __init__(self, rows: Iterable[Row], contenders: Mapping[str, Contender] = CONTENDERS) -> None:
         self.rows = [row for row in rows if row.by in contenders]
         present = {row.by for row in self.rows}
-        self.contenders = {name: contender for name, contender in contenders.items() if name in present}
+        there = [contender for name, contender in contenders.items() if name in present]
+        self.contenders = {each.name: each for each in there}
         self.doubts: list[Doubt] = doubts(self.rows)
         self.scenes: list[str] = list(dict.fromkeys(row.group for row in self.rows))
-        self.lines: list[Line] = list(dict.fromkeys(contender.line for contender in self.contenders.values()))
+        #: The first contender of each line.
+        self.lines = [each for i, each in enumerate(there) if each.title not in {other.title for other in there[:i]}]
 
     @property
     def agreed(self) -> bool:
         """Whether every method that was run far enough finds the same answers; one of ours must reach an end."""
         return not any(
-            not doubt.excuse or (math.isinf(doubt.best) and self.contenders[doubt.method].line.side == OURS)
+            not doubt.excuse or (math.isinf(doubt.best) and self.contenders[doubt.method].side == OURS)
             for doubt in self.doubts
         )
 
     @functools.cache  # noqa: B019  lives as long as the report
-    def curve(self, scene: str, line: Line) -> Curve:
+    def curve(self, scene: str, line: Contender) -> Curve:
         """Of a line's runs of a scene, without methods that disagree."""
         out = {doubt.method for doubt in self.doubts if doubt.scene == scene and not doubt.excuse}
         own = [row for row in self.rows if row.group == scene and row.by not in out]
-        return Curve.of(row for row in own if self.contenders[row.by].line == line)
+        return Curve.of(row for row in own if self.contenders[row.by].title == line.title)
 
-    def time(self, scene: str, line: Line, error: float) -> float:
+    def time(self, scene: str, line: Contender, error: float) -> float:
         """Seconds for an error; NaN where the line does not get there."""
         return self.curve(scene, line).time_at(error)
 
-    def ranking(self, scene: str, error: float, lines: Sequence[Line] | None = None) -> list[tuple[float, Line]]:
+    def ranking(self, scene: str, error: float, lines: Iterable[Contender]) -> list[tuple[float, Contender]]:
         """Seconds and line of those that reach an error, the fastest first."""
-        times = [(self.time(scene, line, error), line) for line in (self.lines if lines is None else lines)]
+        times = [(self.time(scene, line, error), line) for line in lines]
         return sorted((each for each in times if math.isfinite(each[0])), key=lambda each: each[0])
 
-    def best(self, scene: str, error: float, side: Side) -> tuple[float, Line] | None:
+    def best(self, scene: str, error: float, side: Side) -> tuple[float, Contender] | None:
         """The fastest line of a side."""
         return next(iter(self.ranking(scene, error, [line for line in self.lines if line.side == side])), None)
 
-    def drawn(self, scene: str) -> list[Line]:
+    def drawn(self, scene: str) -> list[Contender]:
         """The lines of the scene's figure: those meant to be drawn, or all there are if none of them was run."""
-        there = [line for line in self.lines if self.curve(scene, line).rows]
+        there = [line for line in self.lines if self.curve(scene, line)]
         return [line for line in there if line.drawn] or there
+
+    # ---- for somebody who must choose
+
+    def advice(self, scenes: Iterable[str]) -> tuple[Contender, float, str, float] | None:
+        """The line whose worst ratio to the fastest is the best, of those to be had by calling a library; and where."""
+        lines, found = [line for line in self.lines if line.side.ready], []
+        best = {(s, e): ranking[0][0] for s in scenes for e in TARGETS if (ranking := self.ranking(s, e, lines))}
+        for line in lines if best else ():
+            ratios = [(self.time(scene, line, error) / least, scene, error) for (scene, error), least in best.items()]
+            if all(math.isfinite(ratio) for ratio, _, _ in ratios):
+                found.append((line, *max(ratios)))
+        return min(found, key=lambda each: each[1], default=None)
+
+    def winners(self, error: float) -> list[tuple[str, list[str]]]:
+        """Which line was the fastest on which scenes, the most successful first."""
+        firsts: dict[str, list[str]] = {}
+        for scene in self.scenes:
+            for _, line in self.ranking(scene, error, self.lines)[:1]:
+                firsts.setdefault(line.title, []).append(SCENES[scene].title)
+        return sorted(firsts.items(), key=lambda item: -len(item[1]))
+
+    def digits(self) -> list[tuple[str, float]]:
+        """By what one more digit multiplies the time."""
+        costs = {}
+        for line in (line for line in self.lines if line.side == OURS and line.drawn):
+            ratios = [self.time(s, line, TARGETS[1]) / self.time(s, line, TARGETS[0]) for s in self.scenes]
+            if known := [ratio for ratio in ratios if math.isfinite(ratio)]:
+                costs[line.title] = median(known) ** (1.0 / math.log10(TARGETS[0] / TARGETS[1]))
+        return sorted(costs.items(), key=lambda item: -item[1])
+
+    def ended_with(self, name: str, setting: float) -> list[float]:
+        """The errors of a method with one tolerance."""
+        rows = [row for row in self.rows if row.by == name and row.numbers["setting"] == setting and row.done]
+        return [_error(row) for row in rows]
+
+    def over(self, one: Contender, other: Contender) -> dict[str, float]:
+        """The time of a line over that of another by scene: the mean over both errors."""
+        ratios = {}
+        for scene in self.scenes:
+            both = [self.time(scene, one, error) / self.time(scene, other, error) for error in TARGETS]
+            if known := [ratio for ratio in both if math.isfinite(ratio)]:
+                ratios[SCENES[scene].title] = geometric_mean(known)
+        return ratios
+
+    def beside(self, side: Side) -> tuple[list[float], dict[float, list[str]]]:
+        """Our time over that of a side wherever it gets, and where it is faster, by error."""
+        ratios: list[float] = []
+        faster: dict[float, list[str]] = {}
+        for error, scene in itertools.product(TARGETS, self.scenes):
+            if theirs := self.best(scene, error, side):
+                ours = self.best(scene, error, OURS)
+                ratios.append(ours[0] / theirs[0] if ours else math.inf)
+                share = f"{1.0 / ratios[-1]:.2f} of our time" if ours else "none of ours got there"
+                if ratios[-1] > 1.0:
+                    faster.setdefault(error, []).append(f"{SCENES[scene].title} ({share})")
+        return ratios, faster
 
 
 # ---- bars: what we want to be true, said beforehand -----------------------------------------------------------------
@@ -179,7 +225,7 @@ _NAMED = dict.fromkeys(("euler-top", "heavy-top", "rocket", "low-orbit"), "dop85
 _RIVALS = {ONE_CALL: ("diffrax-tsit5-call", "diffrax-dopri8-call"), SHIPPED: ("diffrax-tsit5", "diffrax-dopri8")}
 
 
-def bar_rows(findings: Findings, scene: str, title: str) -> list[Row]:
+def bar_rows(findings: Findings, scene: str) -> list[Row]:
     """Times over the better of diffrax's Tsit5 and Dopri8, of the methods that were run, at every error."""
     if scene not in _NAMED or scene not in findings.scenes:
         return []
@@ -191,9 +237,9 @@ def bar_rows(findings: Findings, scene: str, title: str) -> list[Row]:
     }
     found = []
     for (method, against), limit in bars.items():
-        line, rivals = CONTENDERS[method].line, [CONTENDERS[name].line for name in _RIVALS[against]]
+        line, rivals = CONTENDERS[method], [CONTENDERS[name] for name in _RIVALS[against]]
         for error in TARGETS if method in findings.contenders else ():
             theirs = min((seconds for seconds, _ in findings.ranking(scene, error, rivals)), default=math.nan)
-            ratio, what = findings.time(scene, line, error) / theirs, f"{title}, error {plain(error)}"
+            ratio, what = findings.time(scene, line, error) / theirs, f"{SCENES[scene].title}, error {plain(error)}"
             found.append(judged(Row("bars", what, line.title, f"over {against.name}", ratio), at_most(limit)))
     return found

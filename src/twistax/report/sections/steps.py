@@ -45,19 +45,15 @@ def _start() -> dict[str, jax.Array]:
     return {"g": jnp.eye(4), "V": jnp.array([0.1, 0.2, 0.3, 1.0, 0.5, -0.3])}
 
 
-def _apart(ends: Any, others: Any) -> float:
+def apart(ends: Any, others: Any) -> float:
     """The largest difference of an entry; NaN if there is one."""
-    gaps = jax.tree.leaves(jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others))
-    return float(np.max(gaps))
+    # NumPy's maximum hands on NaN; Python's loses it.
+    return float(np.max(jax.tree.leaves(jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others))))
 
 
 @functools.cache
 def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
-    """A loop of steps as one small function, as `tx.integrate` has it where no kernel runs, and as XLA does it.
-
-    Raises:
-        RuntimeError: their ends are more than 1e-12 apart.
-    """
+    """A loop of steps as one small function, as `tx.integrate` has it where no kernel runs, and as XLA does it."""
     dynamics, dt = _body(), 1e-5
     local = method.coordinates(dynamics)
 
@@ -69,18 +65,16 @@ def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
 
     forms = {"small": lambda x, count: small_call(loop, x, count), "default": loop}
     timed = {name: compiled(form, _start(), jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
-    agree(_apart(timed["small"].result(), timed["default"].result()), 1e-12)
+    agree(apart(timed["small"].result(), timed["default"].result()), 1e-12)
     in_turn(list(timed.values()), _REPEATS)
     return timed
 
 
-def _of_chart(tableau: Any, chart: Chart) -> list[Check]:
-    what, method, us = f"{tableau.name}, {chart!r}", tx.RKMK(tableau, chart), between(unit="us")
-    return [
-        Check(what, "a step", lambda: 1e6 * looped(method)["small"].seconds, us, slow=True),
-        Check(what, "a step of the default loop", lambda: 1e6 * looped(method)["default"].seconds, us, slow=True),
-        Check(what, "compiling", lambda: looped(method)["small"].compile_seconds, at_most(2.0, "s"), slow=True),
-    ]
+_LOOPS = {
+    "a step": (between(unit="us"), lambda loops: 1e6 * loops["small"].seconds),
+    "a step of the default loop": (between(unit="us"), lambda loops: 1e6 * loops["default"].seconds),
+    "compiling": (at_most(2.0, "s"), lambda loops: loops["small"].compile_seconds),
+}
 
 
 def _charts(commutators: int) -> list[Chart]:
@@ -88,16 +82,19 @@ def _charts(commutators: int) -> list[Chart]:
     return [c.Exponential(commutators), c.Exponential(), c.SplitExponential(commutators), c.Ambient()]
 
 
-STEPS = Section(
-    "steps",
-    [
-        check
-        for tableau in (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
-        for chart in _charts(tableau.order - 2)
-        for check in _of_chart(tableau, chart)
-    ],
-    wide=True,
-)
+STEPS: Section = [
+    Check(
+        f"{tableau.name}, {chart!r}",
+        by,
+        expected,
+        lambda read, method: read(looped(method)),
+        *(read, tx.RKMK(tableau, chart)),
+        slow=True,
+    )
+    for tableau in (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
+    for chart in _charts(tableau.order - 2)
+    for by, (expected, read) in _LOOPS.items()
+]
 
 # ---- through diffrax ------------------------------------------------------------------------------------------------
 
@@ -106,9 +103,6 @@ def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000)
     """The time of a step of `LieSolver` over that of the same solver on quaternions.
 
     Adaptive ones measure errors but may take one length only, so that both take the same steps.
-
-    Raises:
-        RuntimeError: they take different steps, or their ends are more than 1e-9 apart.
     """
     dynamics, dt = _body(), 1e-3
     term, lie = bridge.ambient_term(dynamics), bridge.LieSolver(solver, dynamics, chart)
@@ -130,27 +124,24 @@ def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000)
     theirs = run(term, solver, plain, term.from_ambient, term.to_ambient)
     (ends, taken), (others, other_taken) = ours.result(), theirs.result()
     agree(float(abs(taken - other_taken)), 0.0)
-    agree(_apart(ends, others), 1e-9)
+    agree(apart(ends, others), 1e-9)
     in_turn([ours, theirs], _REPEATS)
     return ratio(ours, theirs)
 
 
-BRIDGE = Section(
-    "bridge",
-    [
-        Check(
-            f"{solver.__name__}, {chart!r}" if chart else f"{solver.__name__}, default chart",
-            "adaptive" if adaptive else "constant steps",
-            functools.partial(lambda solver, *rest: bridged(solver(), *rest), solver, chart, adaptive),
-            at_most(1.5),
-            slow=True,
-        )
-        for solver in (diffrax.Tsit5, diffrax.Dopri8)
-        for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
-        for adaptive in (False, True)
-    ],
-    wide=True,
-)
+BRIDGE: Section = [
+    Check(
+        f"{solver.__name__}, {repr(chart) if chart else 'default chart'}",
+        "adaptive" if adaptive else "constant steps",
+        at_most(1.5),
+        lambda solver, *how: bridged(solver(), *how),
+        *(solver, chart, adaptive),
+        slow=True,
+    )
+    for solver in (diffrax.Tsit5, diffrax.Dopri8)
+    for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
+    for adaptive in (False, True)
+]
 
 # ---- beside C -------------------------------------------------------------------------------------------------------
 
@@ -191,12 +182,7 @@ def _in_c(flags: tuple[str, ...], dt: float, steps: int) -> Timed:
 
 @functools.cache
 def beside_c(steps: int = 500_000) -> list[Timed]:
-    """RKMK4 by `tx.integrate` with its defaults, and by C with each of the flags.
-
-    Raises:
-        Absent: there is no gcc.
-        RuntimeError: the ends are more than 1e-10 apart.
-    """
+    """RKMK4 by `tx.integrate` with its defaults, and by C with each of the flags. Raises Absent without gcc."""
     dt, dynamics, x0 = 1e-5, c_body(), {"g": np.eye(4), "V": _VELOCITY}
     in_c = [_in_c(flags, dt, steps) for flags in _FLAGS]
     ours = Timed(lambda: tx.integrate(dynamics, x0, t1=steps * dt, steps=steps).xs, steps)
@@ -204,21 +190,19 @@ def beside_c(steps: int = 500_000) -> list[Timed]:
     for each in in_c:
         q, p, V = np.split(each.result(), (4, 7))
         pose = se3.transform(quaternions.to_rotation(jnp.asarray(q)), jnp.asarray(p))
-        agree(_apart(end, {"g": pose, "V": V}), 1e-10)
+        agree(apart(end, {"g": pose, "V": V}), 1e-10)
     in_turn([ours, *in_c], _REPEATS)
     return [ours, *in_c]
 
 
-def _beside(number: int) -> float:
-    return ratio(beside_c()[0], beside_c()[number])
-
-
-_WHAT = "a step: our time over that of C"
-
-BESIDE = Section(
-    "beside",
-    [
-        Check(_WHAT, f"gcc {' '.join(_FLAGS[0])}", lambda: _beside(1), at_most(2.0), slow=True),
-        Check(_WHAT, f"gcc {' '.join(_FLAGS[1])}", lambda: _beside(2), slow=True),
-    ],
-)
+BESIDE: Section = [
+    Check(
+        "a step: our time over that of C",
+        f"gcc {' '.join(flags)}",
+        expected,
+        lambda number: ratio(beside_c()[0], beside_c()[number]),
+        number,
+        slow=True,
+    )
+    for number, flags, expected in ((1, _FLAGS[0], at_most(2.0)), (2, _FLAGS[1], between()))
+]

@@ -1,1 +1,0 @@
-"""What docs/measured.md says, figure by figure: sections of checks."""

@@ -1,0 +1,41 @@
+"""The checks of `python -m twistax report --stability` and `--figures`, by section, in the order of their pages."""
+
+import functools
+
+from ..checks import Section
+from ..report import Checked
+from . import costs, derivatives, edges, identities, keeping, maps, scalars, steps, stiff
+
+STABILITY: dict[str, Section] = {
+    "stiff": stiff.STIFF,
+    "turning": stiff.TURNING,
+    "angles": maps.ANGLES,
+    "extremes": keeping.EXTREMES,
+    "long": keeping.LONG_RUNS,
+    "single": maps.PRECISION,
+    "events": edges.EVENTS,
+    "jumps": edges.JUMPS,
+    "inputs": edges.INPUTS,
+    "failures": edges.FAILURES,
+}
+
+FIGURES: dict[str, Section] = {
+    "identities": identities.IDENTITIES,
+    "keeping": keeping.KEEPING,
+    "maps": maps.LAST_PLACES,
+    "linearisation": derivatives.LINEARISATION,
+    "stiffness": stiff.STIFFNESS,
+    "long": keeping.LONG,
+    "races": costs.RACES,
+    "bridge": steps.BRIDGE,
+    "costs": costs.COSTS,
+    "steps": steps.STEPS,
+    "beside": steps.BESIDE,
+    "gradients": derivatives.GRADIENTS,
+    "operations": scalars.OPERATIONS,
+    "kernels": scalars.KERNELS,
+    "landings": costs.LANDINGS,
+}
+
+stability = functools.partial(Checked, "stability", STABILITY)
+figures = functools.partial(Checked, "figures", FIGURES)

@@ -1,0 +1,143 @@
+"""What lowering and importing cost, how often a landing is found, and the time at an error beside diffrax."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import twistax as tx
+
+from ...lowering.explain import count_equations
+from ...scenes import SCENES, heavy_top, powered_descent, touchdown
+from ..checks import Check, Section, at_least, at_most, between
+from ..rows import Origin, Store, plain
+from ..speed.cases import CASES
+from ..timing import empty_call_seconds, seconds_of
+from ..work_precision.contenders import CONTENDERS, FULL, Contender, equal_steps, measure_scene, ours, tolerances
+from ..work_precision.findings import Curve
+
+_NODES = 24
+
+
+@functools.cache
+def chain_equations() -> dict[str, int]:
+    """Equations of a chain of 24 nodes, each of which uses the one before twice or folds it by a sine.
+
+    As a lone expression and as the rate of a compiled system.
+    """
+    x = tx.State("x", shape=(3,))
+    node: tx.Expr = x
+    for i in range(_NODES):
+        node = tx.Sin(node) if i % 3 == 2 else node + node if i % 3 else node * node
+    dynamics = tx.compile(tx.System(rates={x: node}))
+    forms = {"tx.lower": lambda v: tx.lower(node)(0.0, v), "tx.compile": lambda v: dynamics(0.0, v)}
+    return {name: count_equations(jax.make_jaxpr(form)({"x": jnp.ones(3)}).jaxpr) for name, form in forms.items()}
+
+
+def import_seconds(runs: int = 7) -> float:
+    """Median over fresh processes of the time `import twistax` takes once JAX is imported."""
+    code = "import time, jax; t = time.perf_counter(); import twistax; print(time.perf_counter() - t)"
+    command = functools.partial(subprocess.run, capture_output=True, text=True, check=True)
+    return median(float(command([sys.executable, "-c", code]).stdout) for _ in range(runs))
+
+
+def compile_seconds() -> float:
+    """Seconds to build the free body of 13 states, lower it and compile one evaluation, the median of three."""
+    case = CASES["free-body"]
+    point = [jnp.asarray(each[0]) for each in case.points(1)]
+
+    def build() -> None:
+        dynamics = tx.compile(case.system())
+        jax.jit(lambda *point: dynamics(0.0, *case.inputs(*point))).lower(*point).compile()
+
+    return median(seconds_of(build) for _ in range(3))
+
+
+COSTS: Section = [
+    Check("equations of the chain", "tx.lower", at_most(30), lambda: chain_equations()["tx.lower"]),
+    Check("equations of the chain", "tx.compile", at_most(30), lambda: chain_equations()["tx.compile"]),
+    Check("free body: build, lower, compile", "tx.compile", at_most(0.6, "s"), compile_seconds),
+    Check("`import twistax` beyond `import jax`", "median of 7 processes", at_most(0.3, "s"), import_seconds),
+]
+
+# ---- landings -------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _landings() -> list[float]:
+    """The final mass, kg, of each of 8 perturbed guesses that lands: solved, integrated again within misses, limits."""
+    problem, masses = powered_descent.problem(tx.compile(powered_descent.system()), nodes=25), []
+    for seed in range(1, 9):
+        result = problem.solve(seed=seed)
+        descent = touchdown.replayed(result, tx.RKMK(tx.tableaus.RK4))
+        close = touchdown.Miss.of(descent).within(touchdown.ALLOWED)
+        if result.solved and close and all(r.holds for r in touchdown.reaches(descent, powered_descent.limits())):
+            masses.append(result.cost)
+    return masses
+
+
+LANDINGS: Section = [
+    Check("guesses that land", "of 8", at_least(7), lambda: len(_landings()), slow=True),
+    Check("final mass of those, least", "of 8", between(unit="kg"), lambda: min(_landings()), slow=True),
+    Check("final mass of those, most", "of 8", between(unit="kg"), lambda: max(_landings()), slow=True),
+]
+
+# ---- races ----------------------------------------------------------------------------------------------------------
+
+#: A finer ladder than that of the report: an order of 8 falls far between its rungs.
+_EFFORT = dataclasses.replace(FULL, tolerances=tolerances(-2, -12, 4), steps=equal_steps(100, 1.25), enough=1e-11)
+_RADAU5, _RADAU9, _KAHAN_LI8 = tx.tableaus.RADAU_IIA5, tx.tableaus.RADAU_IIA9, tx.compositions.KAHAN_LI8
+
+
+@functools.cache
+def _contenders(scene: str) -> list[Contender]:
+    """Ours first. Every run on the top is one small call: diffrax does not offer that, but is faster for it."""
+    if scene == "stiff-attitude":
+        radau = [ours(tableau.name, tx.ImplicitRKMK(tableau)) for tableau in (_RADAU5, _RADAU9)]
+        return [*radau, CONTENDERS["diffrax-kvaerno5-pi"]]
+    body = tx.FreeBody("R", "w", inertia=heavy_top.INERTIA)
+    names = (f"diffrax-{solver}-call{gains}" for solver in ("tsit5", "dopri8") for gains in ("", "-pi"))
+    splitting = ours(_KAHAN_LI8.name, tx.Splitting(_KAHAN_LI8, body), equal=True)
+    return [splitting, *(CONTENDERS[name] for name in names)]
+
+
+@functools.cache
+def race(scene: str) -> dict[str, Curve]:
+    """The curve of each method, by name, all timed in turn; what a call costs that does nothing is taken off."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder) / "rows.json", Origin.now({}))
+        measure_scene(SCENES[scene], _contenders(scene), _EFFORT, store)
+    empty = empty_call_seconds()
+    rows = [dataclasses.replace(row, value=row.value - empty) for row in store]
+    return {each.name: Curve.of(row for row in rows if row.by == each.name) for each in _contenders(scene)}
+
+
+def _ratio(scene: str, method: str, error: float) -> float:
+    """The time of a method at an error over that of the best of diffrax; NaN where it does not get there."""
+    times = {name: curve.time_at(error) for name, curve in race(scene).items()}
+    best = min(time for name, time in times.items() if name.startswith("diffrax") and math.isfinite(time))
+    return times[method] / best
+
+
+def _race(title: str, scene: str, method: Any, error: float, limit: float = math.inf) -> Check:
+    what = f"{title}, error {plain(error)}"
+    return Check(what, method.name, between(high=limit), _ratio, scene, method.name, error, slow=True)
+
+
+RACES: Section = [
+    _race("heavy top", "heavy-top", _KAHAN_LI8, 1e-9, 0.5),
+    _race("stiff attitude hold", "stiff-attitude", _RADAU5, 1e-6, 0.15),
+    _race("stiff attitude hold", "stiff-attitude", _RADAU9, 1e-6, 0.15),
+    _race("stiff attitude hold", "stiff-attitude", _RADAU5, 1e-9),
+    _race("stiff attitude hold", "stiff-attitude", _RADAU9, 1e-9, 0.05),
+]

@@ -1,0 +1,129 @@
+"""What is evaluated: a free body and chains, as systems of the package and in plain matrices."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+import twistax as tx
+
+from ...mechanics import Chain, SpatialInertia, chain_models, forward_dynamics, inverse_dynamics
+from . import by_hand
+
+Array = NDArray[np.float64]
+#: x, u and params of a call of the dynamics.
+Inputs = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Case:
+    """A function of three vectors to one. Derivatives are by the first two."""
+
+    name: str  # on the command line
+    title: str  # on the page
+    sizes: tuple[int, int, int]  # of the arguments
+    results: int  # length of the result
+    rates: tuple[str, ...]  # the states whose rates, one after the other, are the result
+    by: tuple[str, ...]  # what `dynamics.jacobian` takes derivatives by, in the order of the arguments
+    system: Callable[[], tx.System]  # with our own nodes; made anew on each call
+    inputs: Callable[[Any, Any, Any], Inputs]  # the three vectors as x, u and params of the system
+    #: The result in plain matrices of NumPy, or what is called alike, in as many vectors as `rates` has names.
+    by_hand: Callable[[Any, Any, Any, Any], list[Any]]
+    chain: Callable[[], Chain] | None = None  # and whether it gives forces, or accelerations
+    inverse: bool = False
+
+    @property
+    def columns(self) -> int:
+        """Of the Jacobian."""
+        return self.sizes[0] + self.sizes[1]
+
+    def points(self, count: int) -> tuple[Array, Array, Array]:
+        """Random arguments, (count, size) each; the first ones are the same for every count."""
+        drawn = np.random.default_rng(20240611).normal(size=(count, sum(self.sizes)))
+        a, b, c = np.split(drawn, np.cumsum(self.sizes)[:-1], axis=1)
+        if self.chain is None:
+            a[:, 3:] /= np.linalg.norm(a[:, 3:], axis=1, keepdims=True)
+        return a, b, c
+
+    def read(self, rates: Mapping[str, Any]) -> list[Any]:
+        """The result from the rates of the system."""
+        return [rates[name] for name in self.rates]
+
+
+def numbers(value: Any) -> Array:
+    """A constant expression as an array, also while something is traced."""
+    with jax.ensure_compile_time_eval():
+        return np.asarray(tx.lower(value)(0.0, {}), np.float64)
+
+
+#: Mass, kg, centre of mass, m, and inertia about it, kg m2, of the free body.
+MASS, CENTER = 2.3, np.array([0.05, -0.02, 0.08])
+_TENSOR = np.array([[0.05, 0.004, 0.002], [0.004, 0.04, 0.003], [0.002, 0.003, 0.03]])
+
+
+@functools.cache
+def _body() -> SpatialInertia:
+    return SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=_TENSOR)
+
+
+@functools.cache
+def inertia() -> Array:
+    """M (6, 6) of the free body."""
+    return numbers(_body().matrix)
+
+
+def _free_body() -> tx.System:
+    """Rates of position and quaternion (7,) and of the twist (6,), under weight and a wrench."""
+    y, V, F = tx.State("y", shape=(7,)), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
+    v, w, q = V[:3], V[3:], y[3:]
+    R = tx.spatial.QDCM(q)
+    pose = tx.Block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+    wrench = F + _body().weight(pose, np.array([0.0, 0.0, -9.81]))
+    moved = tx.Concat(R @ v, 0.5 * tx.spatial.SSMP(w) @ q)
+    return tx.System(rates={y: moved, V: _body().acceleration(V, wrench)})
+
+
+FREE_BODY = Case(
+    "free-body",
+    "free body, 13 states",
+    *((7, 6, 6), 13, ("y", "V"), ("x",)),
+    _free_body,
+    lambda a, b, c: ({"y": a, "V": b}, {"F": c}, {}),
+    lambda xp, a, b, c: by_hand.free_body(xp, inertia(), (MASS, MASS * CENTER), a, b, c),
+)
+
+
+def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> Case:
+    """Of positions, velocities and accelerations of a chain the forces of its motors, or the other way round."""
+    chain = functools.cache(model)  # made when first asked for: the command line only needs names
+    links = functools.cache(lambda: [(numbers(each.mount), numbers(each.body.matrix)) for each in chain().links])
+    ours: Any = inverse_dynamics if inverse else forward_dynamics
+    plain: Any = by_hand.inverse_dynamics if inverse else by_hand.forward_dynamics
+
+    def system() -> tx.System:
+        q, qd = tx.Control("q", shape=(n,)), tx.State("qd", shape=(n,))
+        third = tx.Parameter("third", shape=(n,), value=np.zeros(n))
+        return tx.System(rates={qd: ours(chain(), q, qd, third)}, parameters=[third])
+
+    return Case(
+        f"{name.lower()}-{n}",
+        f"{name}, {n} links",
+        *((n, n, n), n, ("qd",), ("u", "x")),
+        system,
+        lambda a, b, c: ({"qd": b}, {"q": a}, {"third": c}),
+        lambda xp, a, b, c: [plain(xp, links(), a, b, c)],
+        *(chain, inverse),
+    )
+
+
+_MODELS: dict[int, Callable[[], Chain]] = {7: chain_models.panda, 30: functools.partial(chain_models.equal_links, 30)}
+_CHAINS = [_of_chain(k, n, model, k == "RNEA") for n, model in _MODELS.items() for k in ("RNEA", "ABA")]
+
+#: By name.
+CASES: dict[str, Case] = {case.name: case for case in (FREE_BODY, *_CHAINS)}
