@@ -4,7 +4,7 @@ import functools
 
 from ..checks import Section
 from ..report import Checked
-from . import costs, derivatives, edges, identities, keeping, maps, scalars, steps, stiff
+from . import costs, derivatives, edges, identities, keeping, maps, scalars, small, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -34,6 +34,7 @@ FIGURES: dict[str, Section] = {
     "gradients": derivatives.GRADIENTS,
     "operations": scalars.OPERATIONS,
     "kernels": scalars.KERNELS,
+    "small": small.SMALL,
     "landings": costs.LANDINGS,
 }
 

@@ -147,7 +147,7 @@ BRIDGE: Section = [
 
 SOURCE = Path(__file__).with_name("rkmk4.c")
 #: What C is compiled with: the usual, and what is faster where the compiler's vectors of scalars do not pay.
-_FLAGS = (("-O3", "-march=native"), ("-O3", "-march=native", "-fno-tree-vectorize"))
+FLAGS = (("-O3", "-march=native"), ("-O3", "-march=native", "-fno-tree-vectorize"))
 _VELOCITY = np.array([1.0, 0.5, -0.3, 0.4, 1.2, -0.7])  # m/s, rad/s
 
 
@@ -160,15 +160,20 @@ def c_body(backend: Backend | Literal["auto"] = "auto") -> tx.Dynamics:
     return tx.compile(tx.System(rates={g: V, V: tx.Concat(acceleration, turning)}), backend=backend)
 
 
-def _in_c(flags: tuple[str, ...], dt: float, steps: int) -> Timed:
-    """The loop of `rkmk4.c`. Raises Absent without gcc."""
+def in_c(source: Path, *flags: str) -> ctypes.CDLL:
+    """C compiled by gcc. Raises Absent without it."""
     if shutil.which("gcc") is None:
         raise Absent("not run: there is no gcc on this machine")
     # What is loaded stays when its file is gone.
     with tempfile.TemporaryDirectory() as folder:
-        target = f"{folder}/rkmk4.so"
-        subprocess.run(["gcc", *flags, "-shared", "-fPIC", "-o", target, str(SOURCE)], check=True)
-        loop = ctypes.CDLL(target).integrate
+        target = f"{folder}/{source.stem}.so"
+        subprocess.run(["gcc", *flags, "-shared", "-fPIC", "-o", target, str(source)], check=True)
+        return ctypes.CDLL(target)
+
+
+def _in_c(flags: tuple[str, ...], dt: float, steps: int) -> Timed:
+    """The loop of `rkmk4.c`."""
+    loop = in_c(SOURCE, *flags).integrate
     loop.argtypes = [np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS"), ctypes.c_double, ctypes.c_long]
     loop.restype = None
 
@@ -184,15 +189,15 @@ def _in_c(flags: tuple[str, ...], dt: float, steps: int) -> Timed:
 def beside_c(steps: int = 500_000) -> list[Timed]:
     """RKMK4 by `tx.integrate` with its defaults, and by C with each of the flags. Raises Absent without gcc."""
     dt, dynamics, x0 = 1e-5, c_body(), {"g": np.eye(4), "V": _VELOCITY}
-    in_c = [_in_c(flags, dt, steps) for flags in _FLAGS]
+    theirs = [_in_c(flags, dt, steps) for flags in FLAGS]
     ours = Timed(lambda: tx.integrate(dynamics, x0, t1=steps * dt, steps=steps).xs, steps)
     end = {name: value[0] for name, value in ours.result().items()}
-    for each in in_c:
+    for each in theirs:
         q, p, V = np.split(each.result(), (4, 7))
         pose = se3.transform(quaternions.to_rotation(jnp.asarray(q)), jnp.asarray(p))
         agree(apart(end, {"g": pose, "V": V}), 1e-10)
-    in_turn([ours, *in_c], _REPEATS)
-    return [ours, *in_c]
+    in_turn([ours, *theirs], _REPEATS)
+    return [ours, *theirs]
 
 
 BESIDE: Section = [
@@ -204,5 +209,5 @@ BESIDE: Section = [
         number,
         slow=True,
     )
-    for number, flags, expected in ((1, _FLAGS[0], at_most(2.0)), (2, _FLAGS[1], between()))
+    for number, flags, expected in ((1, FLAGS[0], at_most(2.0)), (2, FLAGS[1], between()))
 ]
