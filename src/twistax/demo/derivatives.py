@@ -37,11 +37,8 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
     """Compare derivatives with respect to state, controls and length of an interval at several points.
 
     A state moves by x (+) d, and ends are compared by the tangent between them. Columns are measured in the scales that
-    the leaves declare. The finite differences are central with two steps (error of fourth order).
-
-    Args:
-        xs, us: points, by name, with a leading axis.
-        h: length of the interval, s.
+    the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us have a
+    leading axis; h is the length of the interval, s.
     """
     leaves: dict[str, tx.State | tx.Control] = {state.name: state for state in dynamics.states}
     leaves |= {control.name: control for control in dynamics.controls}

@@ -24,12 +24,8 @@ class NotPositiveDefinite(Exception):
 class BorderedBand:
     """Where the unknowns sit, and how to solve their symmetric positive definite equations.
 
-    An interval sees its unknowns as [left node (block), right node (block), the shared one].
-
-    Args:
-        nodes: number of nodes.
-        block: unknowns of a node.
-        free: which unknowns may move, shape (nodes * block + 1,); the others get a zero step.
+    An interval sees its unknowns as [left node (block), right node (block), the shared one]. Those not in `free`
+    (nodes * block + 1,) get a zero step.
     """
 
     def __init__(self, nodes: int, block: int, free: Array) -> None:

@@ -34,12 +34,8 @@ _LOCK = threading.Lock()
 
 
 class Kernel:
-    """A tile in machine code.
+    """A tile in machine code of a processor, for at most so many threads; all if None.
 
-    Args:
-        tile: what computes some rows.
-        processor: the one to write for.
-        threads: the most to use; all if None.
     Raises:
         ImportError: llvmlite is not installed.
         BuildError: no machine code came of it.

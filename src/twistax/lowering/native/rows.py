@@ -38,11 +38,7 @@ class Array:
 class Rows:
     """The rows of one array from a pointer on: as many as there are lanes, or fewer, and the last one fills the rest.
 
-    Args:
-        code: where instructions go.
-        array: what is read or written.
-        base: the pointer.
-        places: the number of the row of each lane.
+    `places` holds the number of the row of each lane.
     """
 
     def __init__(self, code: Code, array: Array, base: str, places: list[str]) -> None:

@@ -210,11 +210,8 @@ class Iterations(Tile):
     """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
 
     Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each body
-    iterates as long as it must. What stays the same is computed once.
-
-    Args:
-        program: takes (k, *fixed, *state), gives (*state) or (*state, more), all states of the program's precision.
-        state: how many arguments are the state.
+    iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives
+    (*state) or (*state, more), all states of its precision; `state` arguments are the state.
     """
 
     def __init__(self, program: ScalarProgram, lanes: int, state: int) -> None:
