@@ -8,7 +8,9 @@ from __future__ import annotations
 import difflib
 import inspect
 import numbers
+import os
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,7 +19,7 @@ import numpy as np
 
 from .errors import InputError, TwistaxError
 
-__all__ = ["callable_with", "listed", "number", "real_array", "reals", "short", "whole"]
+__all__ = ["callable_with", "listed", "number", "path_of", "real_array", "reals", "short", "whole"]
 
 
 def reals(place: str, value: Any, error: type[Exception], free: bool = False) -> np.ndarray:
@@ -113,6 +115,13 @@ def callable_with(place: str, function: Any, arguments: Sequence[str], error: ty
         signature.bind(*arguments)
     except TypeError:
         raise error(f"{wanted}, got one of {signature}") from None
+
+
+def path_of(place: str, value: Any) -> Path:
+    """A path, given as one or as text. Raises InputError."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise InputError(f"{place} expects a path, got {short(value)}")
+    return Path(value)
 
 
 def listed(names: Iterable[Any], name: Any = None) -> str:

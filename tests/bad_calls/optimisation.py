@@ -103,7 +103,7 @@ ROWS = [
     ),
     bad("a method by name", lambda: problem(method="RK4"), "method", "'RK4'", "tx.RKMK"),
     bad("a tableau as a method", lambda: problem(method=tx.tableaus.RK4), "method", "RK4", "tx.RKMK"),
-    bad("an implicit method", lambda: problem(method=tx.ImplicitRKMK(tx.tableaus.RADAU_IIA3)), "method", "RADAU"),
+    bad("an implicit method", lambda: problem(method=tx.ImplicitRKMK(tx.tableaus.RADAU_IIA3)), "method", "Radau"),
     bad("no guesses", lambda: easy().solve(guesses=0), "guesses", "0"),
     bad("guesses of text", lambda: easy().solve(guesses="many"), "guesses", "'many'"),
     bad("half an iteration", lambda: easy().solve(max_iterations=0.5), "max_iterations", "0.5"),
@@ -126,7 +126,7 @@ ROWS = [
     bad("a discretisation of text", lambda: discretized(dynamics="cart"), "discretize", "str"),
     bad("an interval of text", lambda: discretized(h="0.1"), "h", "'0.1'"),
     bad("an interval of NaN", lambda: discretized(h=np.nan), "h", "nan"),
-    bad("intervals", lambda: discretized(h=[0.1, 0.2]), "h", "(2,)"),
+    bad("intervals", lambda: discretized(h=[0.1, 0.2]), "h", "[0.1, 0.2]"),
     bad("half a substep", lambda: discretized(substeps=1.5), "substeps", "1.5"),
     bad("a discretisation by name", lambda: discretized(method="RK4"), "method", "'RK4'", "tx.RKMK"),
     bad(
@@ -141,7 +141,7 @@ ROWS = [
         "a discretisation by an implicit method",
         lambda: discretized(method=tx.ImplicitRKMK(tx.tableaus.RADAU_IIA3)),
         "method",
-        "RADAU",
+        "Radau",
     ),
 ]
 

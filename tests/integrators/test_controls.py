@@ -45,14 +45,35 @@ def test_a_held_table_holds_in_single_precision_and_far_from_zero() -> None:
     np.testing.assert_allclose(sol.xs["x"][0], 0.5 * ROWS.sum(axis=0), rtol=1e-11)
 
 
-def test_a_held_table_starts_before_and_ends_after_its_rows() -> None:
-    table = tx.ZeroOrderHold([0.5], [[1.0, 2.0]])
+def test_the_last_row_of_a_held_table_holds_on() -> None:
+    table = tx.ZeroOrderHold([0.0], [[1.0, 2.0]])
     np.testing.assert_allclose(end(integrator(), {"F": table}, t1=1.0), [1.0, 2.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("adaptive", [{"dt": 0.25}, {"rtol": 1e-6, "atol": 1e-6}])
+@pytest.mark.parametrize(
+    ("form", "ts"),
+    [(tx.ZeroOrderHold, [0.5, 1.0]), (tx.FirstOrderHold, [0.5, 2.0]), (tx.FirstOrderHold, [0.0, 0.5])],
+)
+def test_a_table_has_no_value_where_it_does_not_reach(form: type, ts: list[float], adaptive: dict[str, float]) -> None:
+    """Known times are refused before a step is taken; of traced ones the result says so, and the end is NaN."""
+    with pytest.raises(tx.InputError, match=r"u\['F'\] (begins|ends) at 0.5, but the integration at t[01] = "):
+        tx.integrate(integrator(), {"x": np.zeros(2)}, t1=1.0, u={"F": form(ts, ROWS[:2])}, **adaptive)
+
+    @jax.jit
+    def traced(ts: jax.Array) -> tx.Solution:
+        steps = {"steps": 4} if "dt" in adaptive else adaptive
+        return tx.integrate(integrator(), {"x": jnp.zeros(2)}, t1=1.0, u={"F": form(ts, ROWS[:2])}, **steps)
+
+    sol = traced(jnp.asarray(ts))
+    assert sol.result == tx.Result.NON_FINITE
+    assert traced(jnp.asarray([0.0, 1.0])).result == tx.Result.SUCCESS
 
 
 def test_a_linear_table_is_the_trapezoidal_rule() -> None:
     expected = 0.5 * (0.5 * ROWS[0] + ROWS[1] + ROWS[2] + 0.5 * ROWS[3]) + 0.5 * ROWS[3]
-    np.testing.assert_allclose(end(integrator(), {"F": tx.FirstOrderHold(TIMES, ROWS)}), expected, atol=1e-13)
+    table = tx.FirstOrderHold([*TIMES, 2.0], [*ROWS, ROWS[-1]])
+    np.testing.assert_allclose(end(integrator(), {"F": table}), expected, atol=1e-13)
 
 
 def test_a_function_is_called_at_stage_times() -> None:
@@ -122,13 +143,13 @@ def test_derivatives_with_respect_to_a_table() -> None:
         ({"G": np.zeros(2)}, "unknown key 'G' in u; expected: 'F'"),
         ({"F": np.zeros(3)}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
         ({"F": tx.ZeroOrderHold(TIMES, np.zeros((4, 3)))}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
-        (lambda t: {"F": np.zeros(3)}, r"u\['F'\] expects shape \(2,\), got \(3,\)"),
+        (lambda t: {"F": np.zeros(3)}, r"u\(t\)\['F'\] expects shape \(2,\), got \(3,\)"),
         (lambda t: {}, "Control 'F' is missing"),
         (lambda t: np.zeros(2), "the function u must return a dict by control name, got ndarray"),
         ({"F": lambda t: np.zeros(2)}, r"u\['F'\] is a function.\n  fix: give one function"),
         (tx.ZeroOrderHold(TIMES, ROWS), "u must be a dict, got a bare ZeroOrderHold"),
         (np.zeros(2), "u must be a dict of arrays or tables, or a function of t, got ndarray"),
-        ({"F": [np.nan, 0.0]}, r"u\['F'\] is not finite"),
+        ({"F": [np.nan, 0.0]}, r"u\['F'\] expects finite numbers"),
     ],
 )
 def test_wrong_controls_are_named(u: object, message: str) -> None:
@@ -159,7 +180,7 @@ def test_wrong_controls_are_named(u: object, message: str) -> None:
             [0.0, 1.0],
             ROWS[:2] + np.inf,
             tx.InputError,
-            "has values that are not finite",
+            "expects finite values",
         ),
         (
             tx.FirstOrderHold,

@@ -237,7 +237,7 @@ def test_other_methods(method: Any, how: dict) -> None:
 def test_refusals(unchecked: None) -> None:
     with pytest.raises(tx.ModelError, match=r"shape \(\), got \(3,\)"):
         tx.Event(V)
-    with pytest.raises(tx.ModelError, match="an expression or a function"):
+    with pytest.raises(tx.ModelError, match="Event, of no expression, expects a function"):
         tx.Event(1.0)
     for direction in ("up", 0, 2):
         with pytest.raises(tx.ModelError, match="direction must be"):

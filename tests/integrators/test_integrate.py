@@ -30,7 +30,7 @@ def test_without_save_at_only_the_end_comes_back() -> None:
     assert sol.stats.rhs_evaluations == 12
     assert sol.result is tx.Result.SUCCESS
     assert str(sol.result) == "SUCCESS: the end time was reached"
-    with pytest.raises(KeyError, match="the counts are steps, accepted"):
+    with pytest.raises(tx.InputError, match="the counts are: 'steps', 'accepted'"):
         _ = sol.stats["stages"]
 
 
@@ -116,7 +116,7 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     forms = {
         "held": lambda k: {"F": k},
         "table": lambda k: {"F": tx.ZeroOrderHold(ts, k * ts)},
-        "linear": lambda k: {"F": tx.FirstOrderHold(ts + k, k * ts)},
+        "linear": lambda k: {"F": tx.FirstOrderHold(4.0 * ts - 0.1 * k, k * ts)},
     }
     for form in forms.values():
         tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, u=form(1.0))
@@ -129,8 +129,8 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     [
         ({"dt": None}, "give either dt, the length of a step, or steps"),
         ({"steps": 3}, "give either dt, the length of a step, or steps"),
-        ({"dt": 0.0}, "dt must be positive, got 0"),
-        ({"dt": np.nan}, "dt must be a finite number"),
+        ({"dt": 0.0}, "dt must be a positive number of s, got 0.0"),
+        ({"dt": np.nan}, "dt must be a positive number of s, got nan"),
         ({"t1": -1.0}, "t1 = -1 lies before t0 = 0"),
         ({"t1": np.inf}, "t1 must be a finite number"),
         ({"dt": None, "steps": 2.5}, "steps must be a positive whole number, got 2.5"),
@@ -139,11 +139,11 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
         ({"save_at": [-0.1, 0.2]}, "got -0.1"),
         ({"save_at": []}, r"save_at expects times with shape \(n,\)"),
         ({"save_at": 0.5}, r"save_at expects times with shape \(n,\)"),
-        ({"save_at": [np.nan]}, "save_at has times that are not finite"),
+        ({"save_at": [np.nan]}, "save_at expects finite times"),
         ({"method": tx.tableaus.RK4}, r"method must be an object like tx.RKMK\(tx.tableaus.RK4\), got ButcherTableau"),
-        ({"x0": {"x": np.nan}}, r"x0\['x'\] is not finite: nan"),
-        ({"x0": {"y": 1.0}}, "unknown key 'y' in x"),
-        ({"params": {"a": np.inf}}, r"params\['a'\] is not finite: inf"),
+        ({"x0": {"x": np.nan}}, r"x0\['x'\] expects finite numbers, got nan"),
+        ({"x0": {"y": 1.0}}, "unknown key 'y' in x0"),
+        ({"params": {"a": np.inf}}, r"params\['a'\] expects finite numbers, got inf"),
         ({"params": {"k": 1.0}}, "unknown key 'k' in params"),
     ],
 )
@@ -232,3 +232,11 @@ def test_stages_that_count_for_nothing_are_not_evaluated() -> None:
     sol = tx.integrate(dynamics, {"x": 0.0}, t1=1.0, steps=4, method=tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3))
     assert sol.stats.rhs_evaluations == 4 * 3
     assert 1.5 < float(sol.xs["x"][0]) < 2.0
+
+
+@pytest.mark.parametrize("how", [{"steps": 4}, {"rtol": 1e-6}])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_traced_start_that_is_not_finite_is_told_by_the_result(how: dict[str, float], value: float) -> None:
+    solve = jax.jit(lambda x: tx.integrate(decay(), {"x": x}, t1=1.0, u={"F": 0.0}, **how))
+    assert solve(value).result == tx.Result.NON_FINITE
+    assert solve(1.0).result == tx.Result.SUCCESS

@@ -55,7 +55,7 @@ def inputs() -> Inputs:
     return {
         "d": jnp.asarray(0.1 * rng.normal(size=4)),
         "F": jnp.asarray(rng.normal(size=3)),
-        "switch": jnp.array([0.1, 0.47, 0.81]),
+        "switch": jnp.array([0.0, 0.47, 0.81]),
         "G": jnp.asarray(rng.normal(size=(3, 2))),
         "bend": jnp.array([0.05, 0.4, 1.35]),
         "k": jnp.asarray(0.9),

@@ -30,7 +30,10 @@ GOOD = {"name": "mine", "order": 2, "a": [[0, 0], [1, 0]], "b": [0.5, 0.5], "c":
     [
         ({"b": [0.5, 0.4]}, "'mine': b must sum to 1, it sums to 0.9"),
         ({"c": [0, 0.9]}, r"row 1 of a sums to 1, but c\[1\] is 0.9"),
-        ({"a": [[0, 0], [0.5, 0.5]]}, "row 1 of a has entries on or right of the diagonal: the method is not explicit"),
+        (
+            {"a": [[0, 0], [0.5, 0.5]]},
+            "row 1 of a must be zero on and right of the diagonal",
+        ),
         ({"a": [[0, 0]]}, r"a must have shape \(2, 2\), got \(1, 2\)"),
         ({"c": [0]}, r"c must have shape \(2,\)"),
         ({"b": [[0.5, 0.5]]}, "b must be a vector"),

@@ -78,7 +78,7 @@ def test_gravity_refuses_what_has_no_meaning() -> None:
         gravity.PointMass(gm=-1.0)
     with pytest.raises(ModelError, match="radius to be a positive number, got 0"):
         gravity.J2(gm=1.0, radius=0.0, j2=0.0)
-    with pytest.raises(ModelError, match="j2 to be a finite number, got nan"):
+    with pytest.raises(ModelError, match="j2 must be a finite number, got nan"):
         gravity.J2(gm=1.0, radius=1.0, j2=np.nan)
     with pytest.raises(ShapeError, match=r"position with shape \(3,\), got \(4, 4\)"):
         gravity.EARTH_J2.acceleration(tx.State("g", group=tx.SE3))
@@ -326,7 +326,7 @@ def test_geodetic_coordinates_follow_the_precision(geodetic: Callable[[Any], jax
 def test_the_earth_refuses_what_has_no_meaning() -> None:
     with pytest.raises(ModelError, match="radius to be a positive number of m, got -1"):
         earth.Ellipsoid(radius=-1.0, flattening=0.0, rate=0.0)
-    with pytest.raises(ModelError, match=r"flattening in \[0, 1\), got 298.257; 1/f was meant"):
+    with pytest.raises(ModelError, match=r"flattening must be in \[0, 1\), .*1/f, got 298.257"):
         earth.Ellipsoid(radius=1.0, flattening=298.257, rate=0.0)
     with pytest.raises(ModelError, match="rate to be a finite number"):
         earth.Ellipsoid(radius=1.0, flattening=0.0, rate=np.inf)

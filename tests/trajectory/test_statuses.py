@@ -129,7 +129,7 @@ def test_nonsense_is_one_clear_error(changes: dict[str, Any], error: type[Except
 def test_ends_outside_their_box_are_refused() -> None:
     p = tx.State("p", min=0.0, max=1.0)
     dynamics = tx.compile(tx.System(rates={p: tx.Control("u")}))
-    with pytest.raises(tx.TrajectoryError, match=r"initial value of p is 2, which violates its bound: 2 > 1"):
+    with pytest.raises(tx.TrajectoryError, match=r"initial value of p must keep its bound, but is 2: 2 > 1"):
         Problem(dynamics, tx.Minimize(p), final_time=1.0, initial={p: 2.0})
 
 

@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..checks import real_array
 from ..errors import InputError
+from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
 from ..lowering.small_call import small_call
@@ -20,7 +22,7 @@ from .controls import Signals
 from .kernels import kernel_tries
 from .method import Carry, Stepper
 from .step_control import Errors, StepControl, first_step
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite, check_saves, put, rows, span_of
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite, check_saves, put, rows
 from .tolerances import Tolerances
 
 #: A step that leaves less than this share of itself to the next stop goes there at once.
@@ -36,13 +38,15 @@ class Stops(NamedTuple):
     place: Any  # (n,) where the saved times stand in ts; None where there are none
 
     @classmethod
-    def given(cls, t0: jax.Array, t1: Any, dt: Any, save_at: Any, jumps: Any, signals: Signals) -> Stops:
+    def given(cls, t0: jax.Array, t1: Any, span: Any, save_at: Any, jumps: Any, signals: Signals) -> Stops:
         """The stops of what a user gave: saved times; the end, jumps and those of tables as limits."""
-        span = span_of(t0, t1, dt)
         if save_at is not None:
             check_saves(save_at, span)
-        if jumps is not None and (np.ndim(jumps) != 1 or not is_finite(jumps)):
-            raise InputError(f"jumps expects finite times with shape (n,), got {jumps!r}")
+        if jumps is not None:
+            given = real_array("jumps", jumps)
+            falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
+            if given.ndim != 1 or not is_finite(given) or falls:
+                raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
         t1 = jnp.asarray(t1, t0.dtype)
 
         def inside(ts: Any) -> jax.Array:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import callable_with, real_array, short
 from ..errors import InputError, ShapeError
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
@@ -33,12 +34,16 @@ class Table(ABC):
         InputError: times that do not increase, or a value that is not finite.
     """
 
-    #: The fewest rows that have a meaning.
+    #: The fewest rows that have a meaning; whether the last one holds on after its time.
     rows: int
+    holds_on: bool
 
     def __init__(self, ts: Any, values: Any) -> None:
         name = type(self).__name__
-        self.ts, self.values = jnp.asarray(ts), jnp.asarray(values)
+        self.ts, self.values = (
+            jnp.asarray(real_array(f"{name}: ts", ts)),
+            jnp.asarray(real_array(f"{name}: values", values)),
+        )
         if self.ts.ndim != 1 or self.ts.shape[0] < self.rows:
             raise ShapeError(f"{name} expects ts with shape (n,), n >= {self.rows}, got {self.ts.shape}")
         if self.values.shape[:1] != self.ts.shape:
@@ -50,7 +55,7 @@ class Table(ABC):
             raise InputError(f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} in row {i}")
         for field in ("ts", "values"):
             if not is_finite(getattr(self, field)):
-                raise InputError(f"{name} has {field} that are not finite")
+                raise InputError(f"{name} expects finite {field}, got {short(np.asarray(getattr(self, field)))}")
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -80,11 +85,28 @@ class Table(ABC):
         middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
         rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(h, float(jnp.finfo(t.dtype).tiny))
         hair = jax.lax.stop_gradient(jnp.clip(rounding, float(np.sqrt(eps)), 1.0))
-        return lambda time: self._value(time, time + hair * (middle - time))
+
+        def value(time: jax.Array) -> jax.Array:
+            inner = time + hair * (middle - time)
+            outside = inner < self.ts[0] if self.holds_on else (inner < self.ts[0]) | (inner > self.ts[-1])
+            return jnp.where(outside, jnp.nan, self._value(time, inner))
+
+        return value
 
     @abstractmethod
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         """The value at a time, read on the side of it where `inner` lies."""
+
+    def check_span(self, place: str, t0: float, t1: float) -> None:
+        """Raise InputError where a known table does not cover a span, up to round-off."""
+        if is_traced(self.ts):
+            return
+        room = 8.0 * float(jnp.finfo(self.ts.dtype).eps) * max(abs(t0), abs(t1))
+        first, last = float(self.ts[0]), float(self.ts[-1])
+        if first > t0 + room:
+            raise InputError(f"{place} begins at {first:g}, but the integration at t0 = {t0:g}.\n  fix: a row at t0")
+        if last < t1 - room and not self.holds_on:
+            raise InputError(f"{place} ends at {last:g}, but the integration at t1 = {t1:g}.\n  fix: a row at t1")
 
     def _row(self, t: jax.Array) -> jax.Array:
         """The last row whose time is not after t, of those that begin a piece."""
@@ -95,13 +117,16 @@ class Table(ABC):
 
 
 class ZeroOrderHold(Table):
-    """A zero-order hold: row i holds from ts[i] until ts[i + 1], the first also before, the last also after.
+    """A zero-order hold: row i holds from ts[i] until ts[i + 1], the last one from its time on.
+
+    Before ts[0] there is no value: an integration must not begin earlier.
 
     A step that starts or ends at a jump sees the value within the step at all its stages, so that steps which end at
     the jumps keep the method's order. A jump inside a step costs accuracy: choose dt so that jumps fall on steps.
     """
 
     rows = 1
+    holds_on = True
 
     @property
     def jumps(self) -> jax.Array:
@@ -112,9 +137,10 @@ class ZeroOrderHold(Table):
 
 
 class FirstOrderHold(Table):
-    """Linear interpolation between rows, held beyond the ends."""
+    """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration."""
 
     rows = 2
+    holds_on = False
 
     @property
     def jumps(self) -> jax.Array:
@@ -123,10 +149,7 @@ class FirstOrderHold(Table):
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         row = self._row(inner)
         start, end = self.ts[row], self.ts[row + 1]
-        share = (time - start) / (end - start)
-        # Not jnp.clip, whose derivative is halved where a step begins or ends with the table.
-        share = jnp.where(inner < self.ts[0], 0.0, jnp.where(inner >= self.ts[-1], 1.0, share))
-        return self.values[row] + share * (self.values[row + 1] - self.values[row])
+        return self.values[row] + (time - start) / (end - start) * (self.values[row + 1] - self.values[row])
 
 
 @jax.tree_util.register_dataclass
@@ -139,6 +162,12 @@ class ByName:
     def sample(self, t: Any) -> Mapping[str, Any]:
         """A value of every control, to check names and shapes with."""
         return {name: v.values[0] if isinstance(v, Table) else v for name, v in self.values.items()}
+
+    def check_span(self, t0: float, t1: float) -> None:
+        """Raise InputError where a known table does not cover a span."""
+        for name, value in self.values.items():
+            if isinstance(value, Table):
+                value.check_span(f"u[{name!r}]", t0, t1)
 
     @property
     def jumps(self) -> list[jax.Array]:
@@ -166,8 +195,14 @@ class OfTime:
         self.function, self.inputs = function, inputs
 
     def sample(self, t: Any) -> Mapping[str, Any]:
-        """The controls at a time. Raises InputError if the function does not return a dict."""
-        values = self.function(t, *self.inputs)
+        """The controls at a time. Raises InputError if the function does not return a dict, or needs a number."""
+        try:
+            values = self.function(t, *self.inputs)
+        except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
+            raise InputError(
+                f"the function u needs the number t, which is traced: {str(error).splitlines()[0]}\n"
+                "  fix: choose with jnp.where(t < ..., a, b), and call jax.numpy in place of NumPy and math"
+            ) from None
         if not isinstance(values, Mapping):
             raise InputError(f"the function u must return a dict by control name, got {type(values).__name__}")
         return values
@@ -213,5 +248,6 @@ def controls_of(u: Any) -> Signals:
     if isinstance(u, Table):
         raise InputError(f"u must be a dict, got a bare {type(u).__name__}.\n  fix: u={{'name of the control': table}}")
     if callable(u):
+        callable_with("u", u, ["t"], InputError)
         return OfTime(u)
     raise InputError(f"u must be a dict of arrays or tables, or a function of t, got {type(u).__name__}")

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..checks import callable_with, real_array
 from ..errors import InputError, ModelError
 from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_all, evaluate_all, leaves_of
 from ..jax_inside import is_traced
@@ -49,12 +50,15 @@ class Event:
     def __post_init__(self) -> None:
         if isinstance(self.condition, Expr):
             shape = self.condition.check_shape()
+            if self.condition.boolean:
+                raise ModelError(
+                    f"Event expects a number that becomes zero, got the condition {self.condition!r}.\n"
+                    "  fix: of a <= b give the difference, tx.Event(a - b)"
+                )
             if shape != ():
                 raise ModelError(f"Event expects a condition of shape (), got {shape}: {self.condition!r}")
-        elif not callable(self.condition):
-            raise ModelError(
-                f"Event expects an expression or a function f(t, x, u, params), got {type(self.condition).__name__}"
-            )
+        else:
+            callable_with("Event, of no expression,", self.condition, ["t", "x", "u", "params"], ModelError)
         if not (isinstance(self.direction, bool) or self.direction in (None, 1, -1)):
             raise ModelError(
                 f"Event: direction must be None (any), True (rising) or False (falling), got {self.direction!r}"
@@ -141,11 +145,12 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
                     )
             (expr,) = canonicalize_all([condition])
             condition = _OfExpression(expr.key(), expr)
-        value = condition(*arguments)
-        if jnp.shape(value) != () or not jnp.issubdtype(jnp.result_type(value), jnp.floating):
+        found = condition(*arguments)
+        value = jnp.asarray(real_array(f"the result of event {number}", found))
+        if value.shape != () or not jnp.issubdtype(jnp.result_type(found), jnp.floating):
             raise InputError(
-                f"the condition of event {number} must return one real number, got shape {jnp.shape(value)} of "
-                f"{jnp.result_type(value)}"
+                f"the condition of event {number} must return one real number, got shape {value.shape} of "
+                f"{jnp.result_type(found)}"
             )
         closed: tuple[Any, ...] = ()
         if not isinstance(condition, _OfExpression) and is_traced(value):

@@ -7,13 +7,14 @@ which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop ov
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import short
 from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Euclidean, Group
@@ -23,14 +24,14 @@ from ..lowering.dynamics import not_compiled
 from ..lowering.inputs import is_finite, precision
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
-from .controls import OfTime, controls_of
+from .controls import ByName, OfTime, controls_of
 from .events import watch_of
 from .method import Method, Stepper
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import Result, Steps, fixed_steps
+from .steps import Result, Steps, fixed_steps, span_of
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 
@@ -112,9 +113,19 @@ def integrate(
     if not isinstance(method, Method):
         raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
     method.check(dynamics)
+    for name, flag in (("dense", dense), ("throw", throw)):
+        if not isinstance(flag, bool):
+            raise InputError(f"{name} must be True or False, got {flag!r}")
+    if not isinstance(control, StepControl | None):
+        raise InputError(f"control must be tx.StepControl(...), got {short(control)}")
+    span = span_of(t0, t1, dt)
     controls = controls_of(u)
-    inputs = dynamics._functions.prepare(t0, x0, controls.sample(jnp.asarray(t0, precision(x0, params))), params)
-    _check_start(dynamics, inputs)
+    places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
+    now = controls.sample(jnp.asarray(t0, precision(x0, params)))
+    inputs = dynamics._functions.prepare(t0, x0, now, params, names=places)
+    _check_start(dynamics, inputs, places)
+    if span is not None and isinstance(controls, ByName):
+        controls.check_span(*span)
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
     watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
@@ -126,7 +137,7 @@ def integrate(
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
         _ = method.error_order  # a method without an error estimate says so here
-        stops = Stops.given(inputs.t, t1, dt, save_at, jumps, signals)
+        stops = Stops.given(inputs.t, t1, span, save_at, jumps, signals)
         first = jnp.asarray(0.0 if dt is None else dt, dtype)
         tolerances = tolerances_of(dynamics, rtol, atol, dtype)
         taken = AdaptiveSteps(inputs.t, first, stops, tolerances, control or StepControl(), dense, watch)
@@ -136,19 +147,18 @@ def integrate(
                 raise InputError(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
-        taken = fixed_steps(t0, t1, dt, steps, save_at, dtype, bounded=traced, dense=dense, watch=watch)
+        taken = fixed_steps(t0, t1, span, dt, steps, save_at, dtype, bounded=traced, dense=dense, watch=watch)
     found = rollout(taken, stepper, x)
     ts = jnp.asarray([t1] if save_at is None else save_at, dtype)
     return _solution(stepper, taken, found, ts, save_at is None, throw)
 
 
-def _check_start(dynamics: Dynamics, inputs: Inputs) -> None:
+def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> None:
     """What is known of the prepared start must be finite, rotations and poses in their groups. Raises InputError."""
-    for kind, values in (("x0", inputs.x), ("u", inputs.u), ("params", inputs.params), ("t0", {"t0": inputs.t})):
+    for place, values in zip(places[1:], (inputs.x, inputs.u, inputs.params), strict=True):
         for name, value in values.items():
             if not is_finite(value):
-                where = "t0" if kind == "t0" else f"{kind}[{name!r}]"
-                raise InputError(f"{where} is not finite: {value}")
+                raise InputError(f"{place}[{name!r}] expects finite numbers, got {np.asarray(value)}")
     tolerance = max(1e-6, 1e3 * float(jnp.finfo(inputs.dtype).eps))
     for name, group in dynamics.group.factors.items():
         value = inputs.x[name]

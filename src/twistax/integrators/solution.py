@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import listed, real_array
 from ..errors import InputError, IntegrationError
 from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..jax_inside import is_traced
@@ -38,7 +39,7 @@ class Stats:
 
     def __getitem__(self, name: str) -> Any:
         if name not in self.__dict__:
-            raise KeyError(f"{name!r}; the counts are {', '.join(self.__dict__)}")
+            raise InputError(f"stats has no {name!r}; the counts are: {listed(self.__dict__, name)}")
         return self.__dict__[name]
 
 
@@ -106,7 +107,7 @@ class Solution:
         if self.dense is None:
             raise InputError("this solution kept no dense output.\n  fix: tx.integrate(..., dense=True)")
         trail = self.dense.trail
-        ts = jnp.asarray(t, trail.t.dtype)
+        ts = jnp.asarray(real_array("evaluate: t", t), trail.t.dtype)
         if ts.ndim > 1:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, trail)):

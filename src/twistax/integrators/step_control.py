@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import number
 from ..errors import ModelError
 from ..lowering.small_call import held
 from .charts import Blocks
@@ -65,8 +66,8 @@ class StepControl:
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if value is not None and (isinstance(value, bool) or not np.isfinite(float(value))):
-                raise ModelError(f"StepControl: {field.name} must be a finite number, got {value!r}")
+            if value is not None:
+                number(f"StepControl: {field.name}", value, error=ModelError)
             if isinstance(value, np.floating):
                 # A Python number takes the precision of the state, a NumPy one does not.
                 object.__setattr__(self, field.name, float(value))

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..checks import number, real_array, short
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
-from ..lowering.inputs import is_finite
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .kernels import kernel_steps
@@ -295,11 +295,10 @@ def put(table: Any, row: Any, value: Any) -> Any:
 
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
     """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
-    for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
-        if value is not None and (np.shape(value) != () or not is_finite(value)):
-            raise InputError(f"{name} must be a finite number, got {value!r}")
-    if dt is not None and not is_traced(dt) and float(dt) <= 0.0:
-        raise InputError(f"dt must be positive, got {float(dt):g}")
+    for name, value in (("t0", t0), ("t1", t1)):
+        number(name, value, "a finite number of s")
+    if dt is not None:
+        number("dt", dt, "a positive number of s", lambda h: 0.0 < h < np.inf)
     if is_traced((t0, t1)):
         return None
     span = (float(t0), float(t1))
@@ -310,14 +309,15 @@ def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
 
 def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
     """Check saved times as far as they are known; returns whether they are. Raises InputError."""
-    if np.ndim(save_at) != 1 or np.shape(save_at)[0] == 0:
-        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {np.shape(save_at)}")
-    if span is None or is_traced(save_at):
+    given = real_array("save_at", save_at)
+    if given.ndim != 1 or given.size == 0:
+        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {given.shape}")
+    if span is None or is_traced(given):
         return False
-    times = np.asarray(save_at, float)
+    times = np.asarray(given, float)
     start, end = span
     if not np.isfinite(times).all():
-        raise InputError("save_at has times that are not finite")
+        raise InputError(f"save_at expects finite times, got {short(times)}")
     if (np.diff(times) < 0).any():
         i = int(np.argmax(np.diff(times) < 0))
         raise InputError(f"save_at must be sorted, got {times[i]:g} before {times[i + 1]:g}")
@@ -329,7 +329,17 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
 
 
 def fixed_steps(
-    t0: Any, t1: Any, dt: Any, steps: Any, save_at: Any, dtype: Any, *, bounded: bool, dense: bool, watch: Any
+    t0: Any,
+    t1: Any,
+    span: Any,
+    dt: Any,
+    steps: Any,
+    save_at: Any,
+    dtype: Any,
+    *,
+    bounded: bool,
+    dense: bool,
+    watch: Any,
 ) -> FixedSteps:
     """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
 
@@ -337,7 +347,6 @@ def fixed_steps(
     """
     if (dt is None) == (steps is None):
         raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
-    span = span_of(t0, t1, dt)
     if steps is None:
         if span is None or is_traced(dt):
             raise InputError(

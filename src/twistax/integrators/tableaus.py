@@ -57,7 +57,7 @@ class Coefficients:
         try:
             array = np.array(getattr(self, field), dtype=np.float64)
         except (TypeError, ValueError) as wrong:
-            raise self._error(f"{field} is not an array of numbers: {wrong}") from None
+            raise self._error(f"{field} is not an array of numbers, it must be: {wrong}") from None
         if not np.isfinite(array).all():
             raise self._error(f"{field} has entries that are not finite")
         if shape is not None and array.shape != shape:
@@ -131,7 +131,7 @@ class ButcherTableau(Coefficients):
         self._read("c", (s,))
         if np.triu(self.a).any():
             row = int(np.argmax(np.triu(self.a).any(axis=1)))
-            raise self._error(f"row {row} of a has entries on or right of the diagonal: the method is not explicit")
+            raise self._error(f"row {row} of a must be zero on and right of the diagonal: the method is not explicit")
         off = np.abs(self.a.sum(axis=1) - self.c)
         if off.max() > _TOLERANCE:
             row = int(np.argmax(off))
@@ -170,7 +170,10 @@ class ButcherTableau(Coefficients):
             ModelError: the method has no embedded solution.
         """
         if self.embedded_order is None:
-            raise self._error("the method has no embedded solution, so it cannot choose its own steps")
+            raise self._error(
+                "the method has no embedded solution, so it cannot choose its own steps.\n"
+                "  fix: give dt or steps in place of rtol, or take a pair, tx.tableaus.TSIT5"
+            )
         if self.second_embedded_order is None:
             return self.embedded_order + 1
         return 2 * (self.embedded_order + 1) - (self.second_embedded_order + 1)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..checks import listed, real_array
 from ..errors import InputError
 from ..expr import State
 from ..groups import Euclidean, SpecialEuclidean
@@ -67,9 +68,9 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
     """The tolerances a user gave, checked as far as they are known. Raises InputError."""
     if rtol is None:
         raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
-    if np.shape(rtol) != ():
-        raise InputError(f"rtol must be one number, got shape {np.shape(rtol)}; atol may be a dict by state")
     relative = _numbers("rtol", rtol, dtype)
+    if relative.shape != ():
+        raise InputError(f"rtol must be one number, got shape {relative.shape}; atol may be a dict by state")
     finest = _FINEST * float(jnp.finfo(dtype).eps)
     if not is_traced(rtol):
         if not 0.0 <= float(rtol) < np.inf:
@@ -89,7 +90,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
     given = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
     for name in given:
         if name not in names:
-            raise InputError(f"atol names {name!r}, which is no state; the states are: {', '.join(names)}")
+            raise InputError(f"atol names {name!r}, which is no state; the states are: {listed(names, name)}")
     for name in names:
         if name not in given:
             raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
@@ -125,10 +126,7 @@ def _held(state: State, array: jax.Array) -> jax.Array:
 
 
 def _numbers(place: str, value: Any, dtype: Any) -> jax.Array:
-    try:
-        array = jnp.asarray(value) if is_traced(value) else np.asarray(value)
-    except (TypeError, ValueError):
-        array = None
-    if array is None or not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
-        raise InputError(f"{place} expects numbers, got {value!r}")
+    array = real_array(place, value)
+    if array.dtype == bool:
+        raise InputError(f"{place} expects real numbers, got {value!r}")
     return jnp.asarray(array.astype(dtype))

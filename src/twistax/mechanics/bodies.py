@@ -153,7 +153,7 @@ class SpatialInertia:
         return self._derived(m, c, self.inertia + other.inertia + _steiner(reduced, apart))
 
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
-        return self.merge(other) if isinstance(other, SpatialInertia) else NotImplemented
+        return self.merge(other)
 
     @property
     def _centered(self) -> bool:

@@ -79,6 +79,8 @@ class Chain:
     gravity: Expr
 
     def __init__(self, links: Iterable[Link], gravity: ExprLike = (0.0, 0.0, -9.81)) -> None:
+        if not isinstance(links, Iterable):
+            raise ModelError(f"Chain expects links made by Link, got {links!r}")
         links = tuple(links)
         for link in links:
             if not isinstance(link, Link):
@@ -86,7 +88,10 @@ class Chain:
         if not links:
             raise ModelError("Chain expects at least one link, got none")
         object.__setattr__(self, "links", links)
-        object.__setattr__(self, "gravity", of_shape("Chain", "gravity", gravity, (3,), "a vector in the base's axes"))
+        g = of_shape("Chain", "gravity", gravity, (3,), "a vector in the base's axes")
+        if isinstance(g, Constant) and not np.isfinite(g.value).all():
+            raise ModelError(f"Chain expects gravity to be finite, got {g!r}")
+        object.__setattr__(self, "gravity", g)
 
     @property
     def dofs(self) -> int:

@@ -25,6 +25,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ModelError
 from ..expr import Block, Concat, Constant, Cos, Cross, Dot, Expr, Outer, Sin, Where
 from ..expr.fields import ExprLike
 from ..expr.lie import (
@@ -46,6 +47,12 @@ from .joints import complement
 _ZERO = Constant(np.zeros(3))
 
 
+def _coordinates(owner: str, chain: Chain, name: str, value: ExprLike) -> Expr:
+    if not isinstance(chain, Chain):
+        raise ModelError(f"{owner} expects a chain, tx.mechanics.Chain(links), got {type(chain).__name__}")
+    return chain.coordinates(owner, name, value)
+
+
 def inverse_dynamics(chain: Chain, q: ExprLike, qd: ExprLike, qdd: ExprLike) -> Expr:
     """The forces of the motors (n,) that give a chain the accelerations qdd: N for a slide, N m for a turn.
 
@@ -58,7 +65,7 @@ def inverse_dynamics(chain: Chain, q: ExprLike, qd: ExprLike, qdd: ExprLike) -> 
         q, qd, qdd: positions, velocities and accelerations (n,).
     Raises: ShapeError if an argument is not of shape (n,).
     """
-    qdd = chain.coordinates("inverse_dynamics", "qdd", qdd)
+    qdd = _coordinates("inverse_dynamics", chain, "qdd", qdd)
     moving = _motion("inverse_dynamics", chain, q, qd)
     B, needed = _acceleration_of_base(chain), []
     for i, link in enumerate(moving):
@@ -85,7 +92,7 @@ def forward_dynamics(chain: Chain, q: ExprLike, qd: ExprLike, tau: ExprLike) -> 
         tau: forces of the motors (n,), N for a slide, N m for a turn.
     Raises: ShapeError if an argument is not of shape (n,).
     """
-    tau = chain.coordinates("forward_dynamics", "tau", tau)
+    tau = _coordinates("forward_dynamics", chain, "tau", tau)
     moving = _motion("forward_dynamics", chain, q, qd)
     hinges = []
     I, b = moving[-1].inertia, moving[-1].gyroscopic
@@ -117,7 +124,7 @@ def mass_matrix(chain: Chain, q: ExprLike) -> Expr:
         q: positions (n,).
     Raises: ShapeError if q is not of shape (n,).
     """
-    q = chain.coordinates("mass_matrix", "q", q)
+    q = _coordinates("mass_matrix", chain, "q", q)
     T = chain.transforms(q)
     H = [link.joint.motion_subspace[:, 0] for link in chain.links]
     M = [[_ZERO[0]] * chain.dofs for _ in chain.links]
@@ -161,7 +168,7 @@ def _acceleration_of_base(chain: Chain) -> Expr:
 
 def _motion(owner: str, chain: Chain, q: ExprLike, qd: ExprLike) -> list[_Moving]:
     """From base to tip: the angular velocities and what follows from them."""
-    q, qd = chain.coordinates(owner, "q", q), chain.coordinates(owner, "qd", qd)
+    q, qd = _coordinates(owner, chain, "q", q), _coordinates(owner, chain, "qd", qd)
     w: Expr = _ZERO
     moving = []
     for i, link in enumerate(chain.links):

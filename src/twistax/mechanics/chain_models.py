@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import whole
 from ..errors import ModelError
 from .bodies import SpatialInertia
 from .chain import Chain, Link
@@ -23,6 +24,8 @@ def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
 
     Source: J. Craig, Introduction to Robotics, chapter 3.
     """
+    if not isinstance(quarter_turns, (int, np.integer)):
+        raise ModelError(f"modified_dh expects quarter_turns to be a whole number, got {quarter_turns!r}")
     cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter_turns % 4]
     T = np.eye(4)
     T[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
@@ -54,8 +57,7 @@ def equal_links(count: int) -> Chain:
 
     Raises: ModelError if count is no positive whole number.
     """
-    if not isinstance(count, int) or count < 1:
-        raise ModelError(f"equal_links expects a positive whole number of links, got {count!r}")
+    whole("equal_links: count", count, 1, ModelError)
     mass, length, radius = 1.0, 0.2, 0.02
     across = mass * (3.0 * radius**2 + length**2) / 12.0
     body = SpatialInertia(

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 import twistax as tx
 
+from ..checks import number
+
 Array = NDArray[Any]
 State = Mapping[str, Any]
 
@@ -60,8 +62,7 @@ class Scene:
     def __post_init__(self) -> None:
         for field in ("start", "reference", "params"):
             object.__setattr__(self, field, _frozen(getattr(self, field)))
-        if not (np.isfinite(self.duration) and self.duration > 0.0):
-            raise tx.InputError(f"scene {self.name!r}: duration must be a positive number of s, got {self.duration!r}")
+        number(f"scene {self.name!r}: duration", self.duration, "a positive number of s", lambda t: 0.0 < t < np.inf)
         if self.exact is not None and self.reference is not None:
             raise tx.InputError(
                 f"scene {self.name!r} has an exact solution and a reference.\n"

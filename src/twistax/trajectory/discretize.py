@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from ..checks import number, whole
 from ..errors import TrajectoryError
 from ..expr import Control
 from ..integrators import RKMK, VectorField
@@ -156,12 +156,12 @@ def discretize(
     """
     if not isinstance(dynamics, Dynamics):
         raise not_compiled("discretize", dynamics)
-    check_whole("substeps", substeps)
+    whole("substeps", substeps, 1, TrajectoryError)
     inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
-    length = jnp.asarray(h, inputs.dtype)
+    length = jnp.asarray(number("h", h), inputs.dtype)
     x, params = dict(inputs.x), dict(inputs.params)
-    path = rollout(dynamics, method or RKMK(RK4), inputs.t, x, flat, length, params, substeps)
+    path = rollout(dynamics, method_of(method), inputs.t, x, flat, length, params, substeps)
     n, m, last = dynamics.dimension, flat.shape[0], path.sensitivity[-1]
     x1 = {name: values[-1] for name, values in path.xs.items()}
     return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])
@@ -173,10 +173,11 @@ def value_and_jacobian(function: Callable[[jax.Array], jax.Array], z: jax.Array)
     return value, slopes
 
 
-def check_whole(name: str, value: object, least: int = 1) -> None:
-    """Raise TrajectoryError unless a value is a whole number, not less than the least."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise TrajectoryError(f"{name} must be a whole number of {least} or more, got {value!r}")
+def method_of(method: Any) -> RKMK:
+    """The method that was given, RK4 if none was. Raises TrajectoryError unless it gives derivatives of its steps."""
+    if method is not None and not isinstance(method, RKMK):
+        raise TrajectoryError(f"method must be an explicit one like tx.RKMK(tx.tableaus.RK4), got {method!r}")
+    return method or RKMK(RK4)
 
 
 def rollout(

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..checks import listed, reals, short
 from ..errors import ModelError, ShapeError
 from ..expr import Control, State
 from ..groups import Euclidean, Group, SpecialEuclidean
@@ -25,17 +26,19 @@ def user_guess(
 ) -> dict[str, Array]:
     """Checked guesses by name: one value, or one for each node (states) or interval (controls)."""
     found = {}
+    if guess is not None and not isinstance(guess, Mapping):
+        raise ModelError(f"guess must be a dict from names to values, got {type(guess).__name__}")
     for key, value in (guess or {}).items():
         name = name_of(key)
         if name not in leaves:
-            raise ModelError(f"guess names {name!r}; the system has: {', '.join(leaves)}")
-        array, leaf, length = np.asarray(value, float), leaves[name], lengths[name]
+            raise ModelError(f"guess names {name!r}; the system has: {listed(leaves, name)}")
+        array, leaf, length = reals(f"guess[{name!r}]", value, ModelError), leaves[name], lengths[name]
         if array.shape not in (leaf.shape, (length, *leaf.shape)):
             raise ShapeError(
                 f"guess[{name!r}] expects shape {leaf.shape} or {(length, *leaf.shape)}, got {array.shape}"
             )
         if not np.isfinite(array).all():
-            raise ModelError(f"guess[{name!r}] has entries that are not finite")
+            raise ModelError(f"guess[{name!r}] expects finite numbers, got {short(array)}")
         found[name] = array
     return found
 

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..errors import ModelError, TrajectoryError
+from ..checks import callable_with, number, reals, whole
+from ..errors import InputError, ModelError, TrajectoryError
 from ..expr import Control, State
 from ..integrators import RKMK
-from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import not_compiled
-from .discretize import check_whole
+from .discretize import method_of
 from .guess import Scales, column_scales, control_guess, state_guess, user_guess
 from .model import BorderedBand
 from .optimizer import Callback, Optimizer
@@ -83,8 +83,8 @@ class Problem:
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
             )
-        check_whole("nodes", nodes, 2)
-        check_whole("substeps", substeps)
+        whole("nodes", nodes, 2, TrajectoryError)
+        whole("substeps", substeps, 1, TrajectoryError)
         for place, expr in (("the objective", objective.final), ("the running cost", objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)
@@ -99,7 +99,7 @@ class Problem:
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self._guess = user_guess(guess, self._leaves, self._lengths)
-        self.method, self.substeps = method or RKMK(RK4), int(substeps)
+        self.method, self.substeps = method_of(method), int(substeps)
         self.transcription = Transcription(
             dynamics,
             objective,
@@ -141,8 +141,13 @@ class Problem:
             ModelError, ShapeError: a guess that does not fit.
             TrajectoryError: guesses, max_iterations or tolerance without meaning.
         """
-        if guesses < 1 or max_iterations < 1 or not tolerance > 0.0:
-            raise TrajectoryError("guesses and max_iterations must be 1 or more, tolerance above zero")
+        whole("guesses", guesses, 1, TrajectoryError)
+        whole("max_iterations", max_iterations, 1, TrajectoryError)
+        number("tolerance", tolerance, "above zero", lambda size: 0.0 < size < np.inf, TrajectoryError)
+        if seed is not None:
+            whole("seed", seed, 0, TrajectoryError)
+        if callback is not None:
+            callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
         with jax.enable_x64(True):
             begin = time.perf_counter()
             plain = self._start(self._guess | user_guess(guess, self._leaves, self._lengths))
@@ -153,11 +158,11 @@ class Problem:
             sign = self.objective.sign
             report: Callback | None = None
             if callback is not None:
-                report = lambda number, cost, violation: callback(number, sign * cost, violation)  # noqa: E731
-            for number in range(guesses):
+                report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+            for attempt in range(guesses):
                 start = plain
-                if seed is not None or number > 0:
-                    start = self._perturbed(evaluate, plain, np.random.default_rng([seed or 0, number]))
+                if seed is not None or attempt > 0:
+                    start = self._perturbed(evaluate, plain, np.random.default_rng([seed or 0, attempt]))
                 outcomes.append(optimizer.run(start, max_iterations, tolerance, report))
             done = time.perf_counter()
         return best_result(self, outcomes, tolerance, compiled - begin, done - compiled)
@@ -245,18 +250,21 @@ class Problem:
             zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
             families = ("rates", "constraints")
             inputs = self.dynamics._functions.prepare(0.0, zeros_x, zeros_u, params, reads=families)
-            return {name: np.asarray(value) for name, value in inputs.params.items()}
+            found = {name: np.asarray(value) for name, value in inputs.params.items()}
+        for name, value in found.items():
+            if not np.isfinite(value).all():
+                raise InputError(f"params[{name!r}] expects finite numbers, got {value}")
+        return found
 
 
 def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
     """The limits of the final time and where it starts."""
-    limits = np.asarray(final_time, float) if np.ndim(final_time) <= 1 else np.zeros(0)
+    limits = reals("final_time", final_time, TrajectoryError)
     if limits.shape not in ((), (2,)):
         raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
     low, high = np.broadcast_to(limits, 2).tolist()
     if not (0.0 < low <= high < np.inf):
         raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
     guess = 0.5 * (low + high) if guess is None else guess
-    if not low <= guess <= high:
-        raise TrajectoryError(f"final_time_guess {guess!r} is outside the limits of the final time, {(low, high)}")
+    number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
     return (low, high), float(guess)

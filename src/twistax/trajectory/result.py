@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..errors import InputError, IntegrationError
+from ..checks import whole
+from ..errors import InputError, IntegrationError, TrajectoryError
 from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
-from .discretize import check_whole
 from .optimizer import Outcome, Status
 from .statement import largest_by_name, violations
 
@@ -75,7 +75,7 @@ class TrajectoryResult:
             InputError: method is neither.
             IntegrationError: the rollout did not reach its end.
         """
-        check_whole("steps", steps)
+        whole("steps", steps, 1, TrajectoryError)
         method = RKMK(RK4) if method is None else method
         with jax.enable_x64(True):
             if isinstance(method, Method):

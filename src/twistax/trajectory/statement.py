@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..checks import listed, number
 from ..errors import ModelError, ShapeError, TrajectoryError
 from ..expr import (
     Constraint,
@@ -60,10 +61,14 @@ class Objective:
         kind = type(self).__name__
         if final is None and running is None:
             raise ModelError(f"{kind} needs an expression of the final state, or running=..., or both")
-        if not smoothing >= 0.0:
-            raise ModelError(f"{kind}: smoothing must be zero or positive, got {smoothing}")
+        number(f"{kind}: smoothing", smoothing, "zero or positive", lambda w: 0.0 <= w < np.inf, ModelError)
         for name, value in (("final", final), ("running", running)):
-            expr = None if value is None else to_expr(value)
+            try:
+                expr = None if value is None else to_expr(value)
+            except ModelError as error:
+                raise ModelError(f"{kind} expects an expression: {error}") from None
+            if expr is not None and expr.boolean:
+                raise ModelError(f"{kind} expects a number to optimise, got the condition {expr!r}")
             if expr is not None and expr.shape != ():
                 raise ShapeError(
                     f"{kind} expects a scalar {name} expression, got shape {expr.shape}",
@@ -220,7 +225,7 @@ def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
             constraints[free_name(repr(item), constraints)] = item
         else:
             raise ModelError(
-                f"final holds a {type(item).__name__}; it may hold values by name and constraints, "
+                f"final expects values by name and constraints, got a {type(item).__name__}; "
                 "e.g. final=[{'V': 0.0}, g[2, 3] == 0]"
             )
     return values, constraints
@@ -235,7 +240,7 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
     for key, value in (given or {}).items():
         name = name_of(key)
         if name not in leaves:
-            raise ModelError(f"{what} names {name!r}; the states are: {', '.join(leaves)}")
+            raise ModelError(f"{what} names {name!r}; the states are: {listed(leaves, name)}")
         values[name] = getattr(leaves[name].replace(**{what: value}), what)
     for bound in bounds_of(states):
         array = values[bound.leaf]
@@ -243,7 +248,7 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
         if bound.sign * (found - bound.limit) > 0.0:
             symbol = ">" if bound.sign > 0.0 else "<"
             raise TrajectoryError(
-                f"the {what} value of {bound.place} is {found:g}, which violates its bound: "
+                f"the {what} value of {bound.place} must keep its bound, but is {found:g}: "
                 f"{found:g} {symbol} {bound.limit:g}"
             )
     return values

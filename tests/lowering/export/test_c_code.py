@@ -251,7 +251,7 @@ def test_arguments_that_are_wrong(tmp_path: Path) -> None:
     with pytest.raises(tx.InputError, match="points expects at least one"):
         dynamics.to_c(tmp_path, points=[])
     for tolerance in (-1.0, np.nan, np.inf):
-        with pytest.raises(tx.InputError, match="tolerance expects"):
+        with pytest.raises(tx.InputError, match="tolerance must be"):
             dynamics.to_c(tmp_path, tolerance=tolerance)
     assert not list(tmp_path.iterdir())
 

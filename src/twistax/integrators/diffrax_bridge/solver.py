@@ -11,8 +11,10 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ...checks import number, real_array
 from ...errors import InputError, ModelError
 from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
@@ -394,8 +396,9 @@ def controller(
         dtmax=dtmax,
         force_dtmin=force_dtmin,
     )
+    number("rtol", rtol, "a number from 0 on", lambda value: 0.0 <= value < np.inf)
     allowed = rtol if atol is None else atol
-    smallest = functools.reduce(jnp.minimum, [jnp.min(jnp.asarray(leaf)) for leaf in jax.tree.leaves(allowed)])
+    smallest = functools.reduce(jnp.minimum, [jnp.min(real_array("atol", leaf)) for leaf in jax.tree.leaves(allowed)])
     found = LieController(rtol, smallest, pid.norm, allowed, pid)
     if step_ts is None and jump_ts is None:
         return found

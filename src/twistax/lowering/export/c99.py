@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import number, path_of
 from ...errors import InputError, ModelError
 from ...groups import Euclidean
 from ..functions import Functions
@@ -56,9 +57,8 @@ def write_c(
     if not given:
         raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
     allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
-    if not 0.0 <= allowed < np.inf:
-        raise InputError(f"tolerance expects a number that is not negative, got {allowed}")
-    folder, code = Path(directory), Code(name, exporter, functions, names, real)
+    number("tolerance", allowed, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
+    folder, code = path_of("directory", directory), Code(name, exporter, functions, names, real)
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
     texts = {files.header: code.header(), files.source: code.source(), files.test: _test_main(code, given, allowed)}
     _write(folder, texts)
@@ -66,7 +66,7 @@ def write_c(
 
 
 def _check_name(name: str) -> None:
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
     if name.lower() in _STANDARD.split():
         raise InputError(f"name expects another one than {name!r}: {name.lower()}.h is a header of C itself")
@@ -106,7 +106,9 @@ def _write(folder: Path, texts: dict[Path, str]) -> None:
         for path, text in texts.items():
             path.write_text(text, encoding="ascii")
     except OSError as error:
-        raise InputError(f"cannot write C code to {str(folder)!r}: {error}") from None
+        raise InputError(
+            f"cannot write C code to {str(folder)!r}: {error}.\n  fix: give a folder to write to"
+        ) from None
 
 
 # ---- the test main ---------------------------------------------------------------------------------------------------

@@ -25,14 +25,14 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
     exporter = Exporter(dynamics, np.float64, checked)
     if not casadi.Function.check_name(name):
         raise InputError(f"name expects what CasADi allows, letters, digits and single underscores, got {name!r}")
-    families = [families] if isinstance(families, str) else list(families)
-    for family in families:
+    named: list[Any] = list(families) if isinstance(families, (tuple, list)) else [families]
+    for family in named:
         if family not in dynamics.families:
             raise ModelError(f"to_casadi expects families among {', '.join(dynamics.families)}, got {family!r}")
     names = [_name(port) for port in exporter.arguments]
     symbols = [casadi.SX.sym(name, *_matrix(port.shape)) for name, port in zip(names, exporter.arguments, strict=True)]
     results, result_names = [], []
-    for function in map(exporter.family, families):
+    for function in map(exporter.family, named):
         results += _results(casadi, function, exporter.arguments, symbols)
         result_names += [_name(port) for port in function.results]
     everything = [*names, *result_names]

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import path_of
 from ...errors import InputError, ModelError, TwistaxError
 from ...expr import Constant, Expr, Leaf
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Group
@@ -67,7 +68,7 @@ def save(dynamics: Functions, path: str | Path) -> None:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, member in members.items():
             archive.writestr(zipfile.ZipInfo(name, _FIXED_TIME), member, zipfile.ZIP_DEFLATED)
-    target = Path(path)
+    target = path_of("save: path", path)
     beside = target.parent / f"{target.name}.{os.getpid()}.part"
     try:
         # Written beside, then moved: a file is whole or not there.
@@ -75,11 +76,14 @@ def save(dynamics: Functions, path: str | Path) -> None:
         beside.replace(target)
     except OSError as error:
         beside.unlink(missing_ok=True)
-        raise InputError(f"cannot save to {str(target)!r}: {error}") from None
+        raise InputError(
+            f"cannot save to {str(target)!r}: {error}.\n  fix: give a path in a folder that is there"
+        ) from None
 
 
 def read(path: str | Path) -> tuple[System, dict[str, Any]]:
     """The system of a file, and the options of `tx.compile`. Raises what `tx.load` raises."""
+    path = path_of("load: path", path)
     place = repr(str(path))
     try:
         with zipfile.ZipFile(path) as archive:
@@ -103,15 +107,17 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
                 f"{content['twistax']} saved them.\n  fix: load the file with that version"
             )
     except FileNotFoundError:
-        raise InputError(f"there is no file {place}") from None
+        raise InputError(f"there is no file {place}, load needs one that Dynamics.save wrote") from None
     except OSError as error:
-        raise InputError(f"cannot load {place}: {error}") from None
+        raise InputError(f"cannot load {place}: {error}.\n  fix: give a file that Dynamics.save wrote") from None
     except TwistaxError:
         raise
     except MemoryError:
         raise InputError(f"{place} is damaged, or too large for the memory there is") from None
     except (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError) as error:
-        raise InputError(f"{place} is not a whole file of a saved system: {error}") from None
+        raise InputError(
+            f"{place} is not a whole file of a saved system: {error}.\n  fix: give a file that Dynamics.save wrote"
+        ) from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, NotImplementedError, RuntimeError) as error:
         raise InputError(f"{place} is no saved system, or damaged: {type(error).__name__}: {error}") from None
     return system, options

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from ...checks import reals
 from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
 from ...expr.fields import ExprLike, Operand, positive
@@ -53,6 +54,8 @@ class LayeredAtmosphere:
     def __post_init__(self) -> None:
         for name in ("pressure_at_base", "gravity", "radius", "molar_mass", "gas_constant", "heat_ratio"):
             positive(self, name, getattr(self, name))
+        for each in (self.bases, self.lapses, self.temperature_at_base):
+            reals("LayeredAtmosphere: bases, lapses and temperatures", each, ModelError)
         if len(self.bases) != len(self.lapses) or not self.bases:
             raise ModelError(
                 f"LayeredAtmosphere expects a lapse for each base, got {len(self.bases)} bases "

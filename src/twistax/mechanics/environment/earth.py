@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from ...checks import number
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
 from ...expr.fields import ExprLike, Operand, positive
@@ -54,10 +54,9 @@ class Ellipsoid:
 
     def __post_init__(self) -> None:
         positive(self, "radius", self.radius, "m")
-        if not 0.0 <= self.flattening < 1.0:
-            raise ModelError(f"Ellipsoid expects flattening in [0, 1), got {self.flattening!r}; 1/f was meant?")
-        if not np.isfinite(self.rate):
-            raise ModelError(f"Ellipsoid expects rate to be a finite number of rad/s, got {self.rate!r}")
+        less = "in [0, 1), the f of which some give 1/f"
+        number("Ellipsoid: flattening", self.flattening, less, lambda f: 0.0 <= f < 1.0, ModelError)
+        number("Ellipsoid: rate", self.rate, "a finite number of rad/s", error=ModelError)
 
     @property
     def polar_radius(self) -> float:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
+from ...checks import number
 from ...errors import ModelError
 from ...expr import Constant, Dot, Expr, Sqrt
 from ...expr.fields import ExprLike, positive
@@ -58,8 +57,7 @@ class J2:
     def __post_init__(self) -> None:
         positive(self, "gm", self.gm)
         positive(self, "radius", self.radius)
-        if not np.isfinite(self.j2):
-            raise ModelError(f"J2 expects j2 to be a finite number, got {self.j2!r}")
+        number("J2: j2", self.j2, error=ModelError)
 
     def acceleration(self, position: ExprLike) -> Expr:
         """The gradient of U, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError.
