@@ -209,8 +209,10 @@ def test_two_processes(tmp_path: Path) -> None:
         ("count beside a function", {"members": draw}),
         ("arrays of 29 members, and count is 3", {"count": 3}),
         ("one length of the leading axis", {"members": {"a": np.zeros(2), "b": np.zeros(3)}}),
-        ("chunk of at least 1, got 0", {"chunk": 0}),
-        ("count of at least 1, got 0", {"members": draw, "count": 0}),
+        ("sweep: chunk must be a whole number of 1 or more, got 0", {"chunk": 0}),
+        ("sweep: count must be a whole number of 1 or more, got 2.5", {"members": draw, "count": 2.5}),
+        (r"sweep expects a function of \(member\), got 3", {"run": 3}),
+        (r"members expects a function of \(key\), got one of", {"members": lambda: 1, "count": 2}),
         ("gives nothing", {"run": lambda member: None}),
     ],
 )

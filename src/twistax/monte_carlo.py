@@ -20,6 +20,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from numpy.typing import NDArray
 
+from .checks import callable_with, whole
 from .errors import InputError
 from .integrators import Result, Solution
 
@@ -188,21 +189,22 @@ class _Plan:
         self.columns = len(self.shapes)
         if not self.columns:
             raise InputError("sweep expects run to give a Solution or arrays, and it gives nothing")
-        whole = jax.vmap(self._one)
+        mapped = jax.vmap(self._one)
         if len(devices) > 1:
             each = PartitionSpec("members")
             mesh = Mesh(np.array(devices), ("members",))
-            whole = jax.shard_map(whole, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
-        self._compiled = jax.jit(whole)
+            mapped = jax.shard_map(mapped, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
+        self._compiled = jax.jit(mapped)
 
     @classmethod
     def given(cls, run: Any, members: Any, count: int | None, seed: int, size: int, devices: list[Any]) -> _Plan:
-        for name, number in (("chunk", size), ("count", 1 if count is None else count)):
-            if number < 1:
-                raise InputError(f"sweep expects {name} of at least 1, got {number}")
+        callable_with("sweep", run, ["member"], InputError)
+        for name, value in (("chunk", size), ("count", 1 if count is None else count)):
+            whole(f"sweep: {name}", value)
         if callable(members):
             if count is None:
                 raise InputError("sweep expects a count beside a function that draws members: sweep(..., count=...)")
+            callable_with("sweep: members", members, ["key"], InputError)
             return cls(run, members, None, count, seed, size, devices)
         arrays = jax.tree.map(np.asarray, members)
         lengths = {np.shape(a)[:1] for a in jax.tree.leaves(arrays)}
