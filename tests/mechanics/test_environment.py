@@ -328,7 +328,7 @@ def test_the_earth_refuses_what_has_no_meaning() -> None:
         earth.Ellipsoid(radius=-1.0, flattening=0.0, rate=0.0)
     with pytest.raises(ModelError, match=r"flattening must be in \[0, 1\), .*1/f, got 298.257"):
         earth.Ellipsoid(radius=1.0, flattening=298.257, rate=0.0)
-    with pytest.raises(ModelError, match="rate to be a finite number"):
+    with pytest.raises(ModelError, match="rate must be a finite number"):
         earth.Ellipsoid(radius=1.0, flattening=0.0, rate=np.inf)
     with pytest.raises(ShapeError, match=r"geodetic expects position with shape \(3,\), got \(\)"):
         earth.WGS84.geodetic(tx.State("z"))
