@@ -310,3 +310,13 @@ def test_half_precision_is_computed_in_single_or_more() -> None:
         found = tx.lower(tx.Exp(s))(0.0, {"s": number})
         assert found.dtype == jnp.float64
         np.testing.assert_allclose(found, np.exp(float(number)), rtol=1e-15)
+
+
+def test_a_traced_attitude_that_is_none_is_nan() -> None:
+    rotation, quaternion = jax.jit(lambda R: tx.pose(rotation=R)), jax.jit(lambda q: tx.pose(quaternion=q))
+    np.testing.assert_array_equal(rotation(jnp.eye(3)), np.eye(4))
+    for pose in (rotation(2.0 * jnp.eye(3)), rotation(jnp.diag(jnp.array([1.0, 1.0, -1.0]))), quaternion(jnp.zeros(4))):
+        assert np.isnan(pose[:3, :3]).all()
+    for read in (tx.lie.euler, tx.lie.quaternion):
+        assert np.isnan(jax.jit(read)(jnp.zeros((3, 3)))).all()
+        np.testing.assert_array_equal(jax.jit(read)(jnp.eye(3)), read(jnp.eye(3)))

@@ -19,7 +19,7 @@ def _rotation_of(function: str, R: Input) -> Array:
 
 
 def _from_rotation(R: Array) -> Array:
-    return element("pose", "rotation", R, float(jnp.sqrt(jnp.finfo(R.dtype).eps)))
+    return element("pose", "rotation", R, float(np.sqrt(jnp.finfo(R.dtype).eps)))
 
 
 def _from_quaternion(q: Array) -> Array:
