@@ -291,6 +291,27 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/hessian.py",
+        (
+            "no second order of the group",
+            "sums[pair] = g.add(sums.get(pair, g.zero), g.mul(bend, slopes[place]))",
+            "pass",
+            "lowering/test_hessian.py",
+        ),
+        (
+            "rows that are left out",
+            "wanted[node] = wanted.get(node, 0) | self._partners[tangent]",
+            "wanted[node] = self._partners[tangent]",
+            "lowering/test_hessian.py",
+        ),
+        (
+            "weights in another order than their functions",
+            "return tuple(sorted(found, key=known.index))",
+            "return tuple(sorted(found, key=lambda each: -known.index(each)))",
+            "lowering/test_hessian.py",
+        ),
+    ),
+    *_at(
         "lowering/scalar/movement.py",
         (
             "inner padding",

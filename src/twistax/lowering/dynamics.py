@@ -9,6 +9,7 @@ from typing import Any, Literal, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..checks import real_array
 from ..errors import ModelError
@@ -19,6 +20,7 @@ from .backends import Backend, chosen
 from .explain import Dependence, Explanation, explain, explain_one
 from .export import CFiles
 from .functions import Arrays, Functions
+from .hessian import hessian, hessian_pattern
 from .inputs import Values
 from .native.backend import Auto
 
@@ -93,6 +95,55 @@ class Dynamics:
         """
         names = tuple(wrt) if isinstance(wrt, (tuple, list)) else (wrt,)
         return self._functions.jacobian(self._functions.prepare(t, x, u, params), names)
+
+    def hessian(
+        self,
+        t: Any,
+        x: Values,
+        u: Values | None,
+        params: Values | None,
+        weights: Values,
+        *,
+        wrt: str | Sequence[str] = ("x", "u"),
+    ) -> jax.Array:
+        """The second derivatives of sum_i w_i . f_i, f_i rates, outputs or constraints: a symmetric matrix (N, N).
+
+        Rows and columns follow `wrt`: right perturbations x (+) d of the states, entries of controls and parameters, as
+        the columns of `jacobian`. Entry (j, k) is the derivative of sum_i w_i . f_i(x (+) d, u + du, p + dp) by the
+        tangents j and k at zero, in exponential coordinates. With E_j the derivative along x Exp(s e_j) it is
+
+            H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2,
+
+        so symmetric: both entries are one number. It computes one of them, and nothing that is structurally zero. Other
+        values of the weights compile nothing. Traceable, batched by vmap and differentiable. Functions that the graph
+        of scalars does not hold are differentiated by JAX. Units are those of w . f over those of both tangents.
+
+        Args:
+            weights: by name of a state for its rate, of an output or of a constraint; or "inequality" and "equality"
+                for all constraints of a kind. Each has the shape of what it weighs; what is left out weighs zero.
+            wrt: which of "x", "u", "params", a tuple or one name.
+        Raises:
+            InputError: as a call of the dynamics; an unknown entry in wrt; a weight of nothing that the system has, of
+                two things at once, or of another shape.
+
+        Source: the Taylor series f(x Exp(d)) = sum_n (sum_j d_j E_j)^n f / n!; Helgason, Differential Geometry, Lie
+        Groups, and Symmetric Spaces (1978), ch. II.
+        """
+        names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+        return hessian(self._functions, t, x, u, params, weights, names)
+
+    def hessian_pattern(
+        self, weights: str | Iterable[str], *, wrt: str | Sequence[str] = ("x", "u")
+    ) -> NDArray[np.bool_]:
+        """Where `hessian` may differ from zero, (N, N), if all controls and parameters that are read are given.
+
+        Args:
+            weights: the names that have weights, as in `hessian`.
+        Raises:
+            InputError: as `hessian`.
+            ModelError: it takes too many scalars, or calls what only JAX can differentiate.
+        """
+        return hessian_pattern(self._functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""

@@ -132,7 +132,7 @@ class Dependence:
 
 def explain(functions: Functions) -> Explanation:
     """What `Dynamics.explain()` tells. JAX's default precision stands for that of the arguments."""
-    inputs = _inputs(functions)
+    inputs = functions.zeros()
     places, arrays = functions.flat(inputs)
     try:
         jacobian, _ = functions.rate_jacobian(inputs, ("x", "u", "params"))
@@ -177,7 +177,7 @@ def explain_one(functions: Functions, of: str) -> Dependence:
     if name not in families:
         known = [*functions.families["rates"], *functions.families["outputs"]]
         raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {listed(known, of)}")
-    places, arrays = functions.flat(_inputs(functions))
+    places, arrays = functions.flat(functions.zeros())
 
     def function(*values: jax.Array) -> list[jax.Array]:
         return [functions.as_written(families[name], *functions.by_kind(places, values))[name]]
@@ -202,18 +202,6 @@ def explain_one(functions: Functions, of: str) -> Dependence:
 def count_equations(jaxpr: Any) -> int:
     """Equations of a jaxpr, inner ones included and calls themselves not."""
     return sum(not inner_jaxprs(equation) for equation in all_equations(jaxpr))
-
-
-def _inputs(functions: Functions) -> Inputs:
-    """Zeros for all leaves that anything reads."""
-    read = set().union(*functions.reads.values())
-
-    x = {leaf.name: np.zeros(leaf.shape) for leaf in functions.states}
-    u, params = (
-        {leaf.name: np.zeros(leaf.shape) for leaf in own if leaf.name in read}
-        for own in (functions.controls, functions.parameters)
-    )
-    return functions.prepare(0.0, x, u, params, reads=())
 
 
 def _unused(functions: Functions) -> list[str]:

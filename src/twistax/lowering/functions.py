@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..checks import listed
 from ..errors import InputError, ModelError
@@ -34,7 +35,7 @@ from .inputs import Values, prepare
 from .jacobian import RateJacobian
 from .scalar.primitive import call_program
 
-__all__ = ["Arrays", "Functions", "Kept"]
+__all__ = ["Arrays", "Functions", "Kept", "Places", "check_kinds"]
 
 Arrays = dict[str, jax.Array]
 #: What the arguments of a flat function are: ("t", "t"), then "x", "u" or "params" with a name.
@@ -80,7 +81,9 @@ class Functions:
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
         families: the simplified expressions of "rates", "outputs" and "constraints", by name.
+        constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
+        hessians: likewise the programs of Hessians.
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
@@ -91,7 +94,7 @@ class Functions:
         self.parameters = tuple(p for p in system.parameters if p.name not in bake)
         residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
         equalities = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
-        self._constraints: dict[str, dict[str, Expr]] = {
+        self.constraints: dict[str, dict[str, Expr]] = {
             kind: {name: own for name, own in residuals.items() if (name in equalities) == (kind == "equality")}
             for kind in ("inequality", "equality")
         }
@@ -99,9 +102,9 @@ class Functions:
         self.families: dict[str, dict[str, list[Expr]]] = {
             "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
             "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
-            "constraints": {kind: list(own.values()) for kind, own in self._constraints.items()},
+            "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
         }
-        self.steps = Kept(32)
+        self.steps, self.hessians = Kept(32), Kept(32)
         self._made = Kept(64)
         self._jit()
 
@@ -140,6 +143,16 @@ class Functions:
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
         return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names)
 
+    def zeros(self) -> Inputs:
+        """Zeros for all leaves that anything reads, in JAX's default precision."""
+        read = set().union(*self.reads.values())
+        x = {leaf.name: np.zeros(leaf.shape) for leaf in self.states}
+        u, params = (
+            {leaf.name: np.zeros(leaf.shape) for leaf in own if leaf.name in read}
+            for own in (self.controls, self.parameters)
+        )
+        return self.prepare(0.0, x, u, params, reads=())
+
     @functools.cached_property
     def reads(self) -> dict[str, set[str]]:
         """The names of the leaves that each family reads."""
@@ -154,7 +167,7 @@ class Functions:
         """The name of every entry of the constraints, for messages."""
         return {
             kind: [f"{name}[{i}]" if e.shape else name for name, e in own.items() for i in range(math.prod(e.shape))]
-            for kind, own in self._constraints.items()
+            for kind, own in self.constraints.items()
         }
 
     # ---- values ------------------------------------------------------------------------------------------------------
@@ -204,14 +217,23 @@ class Functions:
 
     def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """Rates, outputs or constraints in arrays, node by node."""
-        roots = self.families[family]
+        return self.values(self.families[family], family == "constraints", t, x, u, params)
+
+    def values(
+        self, roots: Mapping[str, list[Expr]], joined: bool, t: jax.Array, x: Arrays, u: Arrays, params: Arrays
+    ) -> Arrays:
+        """Expressions by name, in arrays, node by node.
+
+        Args:
+            joined: give the entries of all expressions of a name as one vector; else there is one for each.
+        """
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
         values = iter(evaluate_all([e for own in roots.values() for e in own], lambda leaf: leaf.read(inputs)))
         result = {}
         for name, exprs in roots.items():
             parts = [next(values) for _ in exprs]
-            if family == "constraints":
+            if joined:
                 parts = [jnp.concatenate([jnp.zeros(0, dtype), *(part.reshape(-1) for part in parts)])]
             result[name] = parts[0]
         return result
@@ -231,11 +253,7 @@ class Functions:
             InputError: an entry of wrt that is none of "x", "u", "params", or that stands there twice.
             TooLarge: too many scalars.
         """
-        for kind in wrt:
-            if kind not in ("x", "u", "params"):
-                raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
-        if len(set(wrt)) < len(wrt):
-            raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
+        check_kinds(wrt)
         places, arrays = self.flat(inputs)
 
         def make() -> RateJacobian:
@@ -267,6 +285,15 @@ class Functions:
         for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
             values[kind][name] = array
         return arrays[0], values["x"], values["u"], values["params"]
+
+
+def check_kinds(wrt: tuple[str, ...]) -> None:
+    """Raise InputError unless all are "x", "u" or "params", each at most once."""
+    for kind in wrt:
+        if kind not in ("x", "u", "params"):
+            raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
+    if len(set(wrt)) < len(wrt):
+        raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
 
 
 def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:

@@ -31,9 +31,11 @@ def precision(*groups: Values | None) -> Any:
     return jax.dtypes.canonicalize_dtype(float)
 
 
-def read_values(kind: str, leaves: Iterable[Leaf], values: Values | None, dtype: Any) -> dict[str, jax.Array]:
+def read_values(kind: str, leaves: Iterable[Any], values: Values | None, dtype: Any) -> dict[str, jax.Array]:
     """Check names and shapes and cast. Missing names are left to the caller.
 
+    Args:
+        leaves: what there are values for, each with a name and a shape.
     Raises:
         InputError: an unknown key, a wrong shape, or not numbers.
     """

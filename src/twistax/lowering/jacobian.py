@@ -11,10 +11,10 @@ import numpy as np
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from .scalar.derivatives import columns_of
-from .scalar.entry import Nodes
+from .scalar.entry import Nodes, flat
 from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
 
-__all__ = ["RateJacobian"]
+__all__ = ["RateJacobian", "tangents_of"]
 
 
 class RateJacobian:
@@ -33,19 +33,9 @@ class RateJacobian:
         #: The rates alone.
         self.rates = program = scalarize(closed)
         g = program.graph
-        widths: dict[str, int] = {}
-        seeds: dict[int, dict[int, int]] = {}
-        offset = 0
-        for kind in wrt:
-            own = {name: program.inputs[k] for k, (of, name) in enumerate(places) if of == kind}
-            entries = [i for nodes in own.values() for i in nodes.reshape(-1).tolist()]
-            moved = _moved(program, own, group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
-            for entry, row in zip(entries, moved.tolist(), strict=True):
-                seeds[entry] = {offset + j: value for j, value in enumerate(row) if value != g.zero}
-            widths[kind] = moved.shape[1]
-            offset += moved.shape[1]
+        seeds, widths = tangents_of(program, places, group, wrt)
         found = columns_of(program, seeds)
-        dense = np.full((len(program.flat), offset), g.zero)
+        dense = np.full((len(program.flat), sum(widths.values())), g.zero)
         for (row, column), node in found.items():
             dense[row, column] = node
         ends = np.cumsum(list(widths.values()))
@@ -53,6 +43,25 @@ class RateJacobian:
         self.program = one_by_one(program.restricted(blocks))
         self.blocks: dict[str, Nodes] = dict(zip(widths, self.program.outputs, strict=True))
         self.pattern = {kind: block != g.zero for kind, block in zip(widths, blocks, strict=True)}
+
+
+def tangents_of(
+    program: ScalarProgram, places: Sequence[tuple[str, str]], group: Product, wrt: Sequence[str]
+) -> tuple[dict[int, dict[int, int]], dict[str, int]]:
+    """How the arguments of a program move: input node -> (tangent -> derivative); and how many tangents a kind has."""
+    g = program.graph
+    widths: dict[str, int] = {}
+    seeds: dict[int, dict[int, int]] = {}
+    offset = 0
+    for kind in wrt:
+        own = {name: program.inputs[k] for k, (of, name) in enumerate(places) if of == kind}
+        entries = flat(*own.values())
+        moved = _moved(program, own, group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
+        for entry, row in zip(entries, moved.tolist(), strict=True):
+            seeds[entry] = {offset + j: value for j, value in enumerate(row) if value != g.zero}
+        widths[kind] = moved.shape[1]
+        offset += moved.shape[1]
+    return seeds, widths
 
 
 def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> Nodes:

@@ -11,14 +11,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import number, whole
-from ..errors import TrajectoryError
-from ..expr import Control
+from ..checks import number, real_array, whole
+from ..errors import InputError, TrajectoryError
+from ..expr import Control, Inputs
 from ..integrators import RKMK, VectorField
+from ..integrators.method import Method
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays, not_compiled
 from ..lowering.inputs import Values
+from .second_order import second_order
 
 
 class Controls:
@@ -107,6 +109,8 @@ class Discretization:
         B: (n, m), columns in the order of declaration of the controls, each read row by row.
         h_derivative: (n,), with respect to the interval's length; what a free final time needs.
         t_derivative: (n,), with respect to the time of its start; zero where the rates do not contain time.
+        hessian: (N, N), N = n + m + 2, the second derivatives of weights . d1 by (d, du, dh, dt), symmetric; None where
+            no weights were given.
     """
 
     x1: Arrays
@@ -114,6 +118,7 @@ class Discretization:
     B: jax.Array
     h_derivative: jax.Array
     t_derivative: jax.Array
+    hessian: jax.Array | None = None
 
 
 class Rollout(NamedTuple):
@@ -132,8 +137,9 @@ def discretize(
     h: Any,
     params: Values | None = None,
     *,
-    method: RKMK | None = None,
+    method: Method | None = None,
     substeps: int = 1,
+    weights: Any = None,
 ) -> Discretization:
     """The end of an interval of length h under held controls, and its derivatives in the tangent space.
 
@@ -144,13 +150,18 @@ def discretize(
     in closed form, no logarithm; J_r is the right Jacobian. On a Euclidean part Ad and J_r are identities. Several
     substeps multiply by the chain rule. Traceable: jit, vmap and further derivatives apply.
 
+    With weights, value, Jacobian and Hessian are one program on the graph of scalars, of any explicit method:
+    d1 = Log(x1^-1 end) is differentiated as `Dynamics.hessian` does it, exponential coordinates at both ends. Other
+    weights compile nothing. What the graph does not hold is differentiated by JAX.
+
     Args:
         u: the controls, held over the interval.
         h: its length in s; may be traced.
-        method: RKMK with an explicit tableau; RK4 if left out.
+        method: RKMK with an explicit tableau; RK4 if left out. With weights any explicit method.
         substeps: steps of the method within the interval.
+        weights: (n,), multipliers of the tangent difference d1, for the Hessian.
     Raises:
-        InputError: as a call of the dynamics does.
+        InputError: as a call of the dynamics does; weights of another shape.
         TrajectoryError: substeps is no positive whole number.
         ModelError: the system is not compiled.
     """
@@ -160,6 +171,9 @@ def discretize(
     inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(number("h", h), inputs.dtype)
+    if weights is not None:
+        chosen = method if isinstance(method, Method) else method_of(method)
+        return _with_hessian(dynamics, chosen, inputs, length, substeps, weights)
     x, params = dict(inputs.x), dict(inputs.params)
     path = rollout(dynamics, method_of(method), inputs.t, x, flat, length, params, substeps)
     n, m, last = dynamics.dimension, flat.shape[0], path.sensitivity[-1]
@@ -180,8 +194,28 @@ def method_of(method: Any) -> RKMK:
     return method or RKMK(RK4)
 
 
+def _with_hessian(
+    dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: Any
+) -> Discretization:
+    n, controls = dynamics.dimension, Controls(dynamics.controls)
+    given = jnp.asarray(real_array("weights", weights), inputs.dtype)
+    if given.shape != (n,):
+        raise InputError(f"weights expects shape ({n},), one number for each tangent of the end, got {given.shape}")
+    held = controls.split(controls.join(inputs.u, inputs.dtype))
+    x1, slopes, hessian = second_order(dynamics, method, dataclasses.replace(inputs, u=held), h, substeps, given)
+    A, B, by_h, by_t = jnp.split(slopes, [n, n + controls.dimension, n + controls.dimension + 1], axis=1)
+    return Discretization(x1, A, B, by_h[:, 0], by_t[:, 0], hessian)
+
+
 def rollout(
-    dynamics: Dynamics, method: RKMK, t: jax.Array, x: Arrays, u: jax.Array, h: jax.Array, params: Arrays, substeps: int
+    dynamics: Dynamics,
+    method: Method,
+    t: jax.Array,
+    x: Arrays,
+    u: jax.Array,
+    h: jax.Array,
+    params: Arrays,
+    substeps: int,
 ) -> Rollout:
     """All substeps of an interval with their sensitivities. Arguments are prepared; u is flat."""
     n, m = dynamics.dimension, u.shape[0]
@@ -205,7 +239,7 @@ def rollout(
 
 
 def step_derivatives(
-    dynamics: Dynamics, method: RKMK, t: jax.Array, x: Arrays, u: jax.Array, h: jax.Array, params: Arrays
+    dynamics: Dynamics, method: Method, t: jax.Array, x: Arrays, u: jax.Array, h: jax.Array, params: Arrays
 ) -> tuple[Arrays, jax.Array, jax.Array, jax.Array, jax.Array]:
     """The end of one RKMK step and its derivatives with respect to state, controls, length and time of start."""
     group, controls = dynamics.group, Controls(dynamics.controls)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +15,16 @@ from .entry import Nodes, flat, nodes
 from .graph import Call, Graph
 from .program import Reader, ScalarProgram
 
-__all__ = ["columns_of", "cotangent_program", "is_real", "jacobian", "tangent_program"]
+__all__ = [
+    "columns_of",
+    "contracted_program",
+    "cotangent_program",
+    "is_real",
+    "jacobian",
+    "needed",
+    "reached",
+    "tangent_program",
+]
 
 
 def is_real(dtype: Any) -> bool:
@@ -52,6 +63,21 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
     return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype_of(program.inputs[k]) for k in active))
 
 
+def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
+    """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
+    g, inputs = program.graph, list(program.inputs)
+    columns, weights = flat(*(program.inputs[k] for k in active)), []
+    for own, dtype in zip(program.outputs, program.types, strict=True):
+        if is_real(dtype):
+            inputs.append(_new_inputs(g, len(inputs), own))
+        weights += flat(inputs[-1]) if is_real(dtype) else [g.zero] * own.size
+    found: dict[int, int] = {}
+    for (place, column), entry in jacobian(program, active).items():
+        _accumulate(g, found, columns[column], g.mul(entry, weights[place]))
+    outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype_of(program.inputs[k]) for k in active))
+
+
 def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
     """All derivatives that are not structurally zero: (place in the results, place in the arguments) -> node.
 
@@ -61,15 +87,18 @@ def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, i
     return columns_of(program, {node: {column: program.graph.one} for column, node in enumerate(columns)})
 
 
-def columns_of(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[tuple[int, int], int]:
+def columns_of(
+    program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
+) -> dict[tuple[int, int], int]:
     """The derivatives along several tangents at once, by sparse forward accumulation.
 
     Args:
         seeds: input node -> (tangent -> its entry there), zeros left out.
+        wanted: node -> the tangents it may carry, as `needed` gives them; all if None.
     Returns:
         (place in the results, tangent) -> node, zeros left out. Each node carries only tangents that reach it.
     """
-    carried = _carried(program, seeds)
+    carried = _carried(program, seeds, wanted)
     return {
         (place, column): node
         for place, output in enumerate(program.flat)
@@ -77,10 +106,31 @@ def columns_of(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -
     }
 
 
+def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, int]:
+    """node -> the tangents that it depends on, each a bit of a number; what may be zero all the same included."""
+    found = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
+    for i in program.live:
+        if i not in found:
+            found[i] = functools.reduce(operator.or_, (found.get(a, 0) for a in program.graph.sources(i)), 0)
+    return found
+
+
+def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
+    """node -> the tangents that it must carry, each a bit of a number, so that some nodes have those they want."""
+    found = dict(wanted)
+    for i in reversed(program.live):
+        if tangents := found.get(i, 0):
+            for a in program.graph.sources(i):
+                found[a] = found.get(a, 0) | tangents
+    return found
+
+
 # ---- forward ---------------------------------------------------------------------------------------------------------
 
 
-def _carried(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, dict[int, int]]:
+def _carried(
+    program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
+) -> dict[int, dict[int, int]]:
     """node -> (tangent -> its entry there), of all nodes that are needed, zeros left out."""
     g = program.graph
     carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
@@ -91,8 +141,8 @@ def _carried(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> 
         call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
         if call is not None and id(call) not in called:
             called.add(id(call))
-            _carry_call(g, call, carried)
-        touched = sorted({column for a in arguments for column in carried.get(a, ())})
+            _carry_call(g, call, carried, wanted)
+        touched = _allowed({column for a in arguments for column in carried.get(a, ())}, [i], wanted)
         if operation is None or not touched:
             continue
         rows = [carried.get(a, {}) for a in arguments]
@@ -103,10 +153,18 @@ def _carried(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> 
     return carried
 
 
-def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]]) -> None:
+def _allowed(columns: set[int], own: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
+    """Of columns those that some of the nodes may carry."""
+    if wanted is None:
+        return sorted(columns)
+    mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in own), 0)
+    return sorted(column for column in columns if mask >> column & 1)
+
+
+def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None) -> None:
     """The derivatives of the results of a call, column by column."""
     inputs = flat(*call.arguments)
-    for column in sorted({column for i in inputs for column in carried.get(i, ())}):
+    for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):
         found = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
         active = tuple(k for k, a in enumerate(call.arguments) if any(i in found for i in flat(a)))
         if active not in call.tangents:

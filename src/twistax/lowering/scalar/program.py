@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -309,17 +309,29 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     return _rebuilt(expanded, shared, whole=False, limits=limits) if shared else expanded
 
 
-def one_by_one(program: ScalarProgram) -> ScalarProgram:
+def one_by_one(
+    program: ScalarProgram, first: Iterable[int] = (), given: Mapping[int, Nodes] | None = None
+) -> ScalarProgram:
     """The program in another order: one result after the other, each with what is not there yet.
 
     Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
     of the program need fewer of one another.
+
+    Args:
+        first: nodes that come before the results, in their order.
+        given: arguments that are no inputs any more -> nodes that stand for them, which do not depend on them.
     """
-    return _rebuilt(program, set(), True, program.graph.limits, program.graph.one_by_one(program.flat))
+    order = program.graph.one_by_one([*first, *program.flat])
+    return _rebuilt(program, set(), True, program.graph.limits, order, given)
 
 
 def _rebuilt(
-    program: ScalarProgram, shared: set[int], whole: bool, limits: Limits, order: Sequence[int] | None = None
+    program: ScalarProgram,
+    shared: set[int],
+    whole: bool,
+    limits: Limits,
+    order: Sequence[int] | None = None,
+    given: Mapping[int, Nodes] | None = None,
 ) -> ScalarProgram:
     """The program in a graph of its own.
 
@@ -327,16 +339,22 @@ def _rebuilt(
         shared: divisors of which the reciprocal is taken once.
         whole: keep calls.
         order: of the nodes; as they are if None.
+        given: arguments that are no inputs any more -> nodes that stand for them, computed first.
     """
-    old = program.graph
+    old, given = program.graph, given or {}
     new = Graph(old.dtype, old.checked, old.largest, limits)
     inputs: list[Nodes] = []
     known: dict[int, int] = {}
-    for k, own in enumerate(program.inputs):
-        entries = [new.input(k, j, old.dtypes[i]) for j, i in enumerate(flat(own))]
+    for own in (a for k, a in enumerate(program.inputs) if k not in given):
+        entries = [new.input(len(inputs), j, old.dtypes[i]) for j, i in enumerate(flat(own))]
         known.update(zip(flat(own), entries, strict=True))
         inputs.append(nodes(entries, own.shape))
-    _copy(program, Reader(new, whole), known, shared, order)
+    reader = Reader(new, whole)
+    if given:
+        _copy(program.restricted(list(given.values())), reader, known, shared)
+    for k, own in given.items():
+        known.update(zip(flat(program.inputs[k]), (known[i] for i in flat(own)), strict=True))
+    _copy(program, reader, known, shared, order)
     outputs = tuple(_renamed(known, own) for own in program.outputs)
     return ScalarProgram(new, tuple(inputs), outputs, program.types)
 

@@ -1,0 +1,72 @@
+"""An interval with the second derivatives of its end: value, Jacobian and weighted Hessian as one program."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ..expr import Inputs
+from ..integrators import VectorField
+from ..integrators.method import Method
+from ..lowering import JAX, Dynamics
+from ..lowering.dynamics import Arrays
+from ..lowering.hessian import REFUSALS, WeightedHessian, along, hessian_in_arrays
+from ..lowering.scalar.primitive import Derived, call_program
+
+#: What the end is differentiated by: the start, the controls, the length, and the time of the start.
+_BY = ("x", "u", "h", "t")
+
+
+def second_order(
+    dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: jax.Array
+) -> tuple[Arrays, jax.Array, jax.Array]:
+    """The end of an interval, its Jacobian (n, N), and the Hessian (N, N) of its weighted tangent difference.
+
+    With e(z) = Log(x1^-1 end(z)), z the tangents of [start, controls, length, time of the start] and x1 = end(0), they
+    are de / dz and the second derivative of weights . e at z = 0, in exponential coordinates at both ends.
+
+    Args:
+        inputs: prepared, with every control.
+    """
+    functions = dynamics._functions
+    places, arrays = functions.flat(inputs)
+    arrays = [*arrays, h]
+    names = [state.name for state in dynamics.states]
+    plain = Dynamics(functions.run_by(JAX()))
+    count = len(arrays)
+
+    def end(*arrays: jax.Array) -> Arrays:
+        t, x, u, params = functions.by_kind(places, arrays[:-1])
+        field, step = VectorField(plain, lambda _: u, params), arrays[-1] / substeps
+        for number in range(substeps):
+            x = method.step(field, t + number * step, x, step)
+        return x
+
+    def gap(*arrays: jax.Array) -> list[jax.Array]:
+        """The tangent difference from an end that stays, and the end."""
+        found = end(*arrays[:count])
+        held = dict(zip(names, arrays[count:], strict=True))
+        return [dynamics.group.difference(held, found), *(found[name] for name in names)]
+
+    def make() -> Derived | None:
+        closed = jax.make_jaxpr(gap)(*arrays, *(inputs.x[name] for name in names))
+        all_places = [*places, ("h", "h"), *(("end", name) for name in names)]
+        try:
+            found = WeightedHessian(closed, all_places, dynamics.group, _BY, weighted=1)
+        except REFUSALS:
+            return None
+        program = found.beside_values({count + k: 1 + k for k in range(len(names))})
+        return functions.backend.derived(program)
+
+    key = (functions.backend, method, substeps, places, inputs.dtype)
+    derived = functions.hessians.get(key, make)
+    if derived is None:
+        size, moved = along(dynamics.group, [*places, ("h", "h")], _BY, arrays)
+        found, zero = end(*arrays), jnp.zeros(size, h.dtype)
+
+        def apart(z: jax.Array) -> jax.Array:
+            return gap(*moved(z), *(found[name] for name in names))[0]
+
+        return found, jax.jacfwd(apart)(zero), hessian_in_arrays(lambda z: weights @ apart(z), zero)
+    _, *ends, slopes, matrix = call_program(derived, *arrays, weights)
+    return dict(zip(names, ends, strict=True)), slopes, matrix
