@@ -716,10 +716,10 @@ def pytest(tree: Path, tests: tuple[str, ...], *options: str) -> tuple[int, str]
     return run.returncode, run.stdout + run.stderr
 
 
-def copy_to(folder: str) -> Path:
+def copy_to(folder: str, parts: tuple[str, ...] = PARTS) -> Path:
     """A copy of the tree, with the times of its files: what Python has compiled of them stays good."""
     tree = Path(folder)
-    for part in PARTS:
+    for part in parts:
         source = ROOT / part
         (shutil.copytree if source.is_dir() else shutil.copy2)(source, tree / part)
     return tree

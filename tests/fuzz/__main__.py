@@ -12,22 +12,14 @@ import gc
 import sys
 import time
 import warnings
-from random import Random
 
 import jax
-from grow import Grower
+from grow import TOGETHER, drawn
 from paths import check
 from shrink import smallest
-from term import Case
 
 #: Programs that JAX keeps are dropped after so many cases.
 KEPT = 100
-
-
-def drawn(seed: int, number: int) -> Case:
-    """One case of a run, the same whatever came before it."""
-    source = Random(f"{seed}:{number}")
-    return Grower(source, special=0.2 if number % 2 else 0.0).case(depth=1 + number % 4)
 
 
 def main() -> int:
@@ -36,17 +28,23 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="another one draws other cases")
     parser.add_argument("--case", type=int, help="this case of the seed alone")
     parser.add_argument("--most", type=int, default=20, help="stop after so many wrong cases")
+    parser.add_argument("--unshrunk", action="store_true", help="print wrong cases as they were drawn")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
-    end, number, found = time.monotonic() + arguments.seconds, arguments.case or 0, 0
+    begin = time.monotonic()
+    end, number, found = begin + arguments.seconds, arguments.case or 0, 0
     first, shown = number, 0.0
     while time.monotonic() < end and found < arguments.most:
         case = drawn(arguments.seed, number)
         if wrong := check(case):
             found += 1
-            small, said = smallest(case, check, wrong)
-            print(f"\n# case {number} of seed {arguments.seed}: {said}\n{small.as_code()}", flush=True)
+            after = time.monotonic() - begin
+            small, said = (case, wrong) if arguments.unshrunk else smallest(case, check, wrong)
+            print(
+                f"\n# case {number} of seed {arguments.seed}, after {after:.0f} s: {said}\n{small.as_code()}",
+                flush=True,
+            )
         number += 1
         if number % KEPT == 0:
             jax.clear_caches()
@@ -58,7 +56,7 @@ def main() -> int:
             )
         if arguments.case is not None:
             break
-    print(f"{number - first} cases of seed {arguments.seed}, {found} wrong")
+    print(f"{number - first} cases of {TOGETHER} terms of seed {arguments.seed}, {found} wrong")
     return 1 if found else 0
 
 

@@ -4,22 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from random import Random
 from typing import Any
 
 import numpy as np
+import scipy.interpolate
 import scipy.linalg
 from term import Shape
+
+import twistax as tx
+
+
+@dataclass(frozen=True)
+class Graded:
+    """Wanted as an operand: a leaf that is a matrix n x n of a large condition number."""
+
+    n: int
+
+    def matrix(self, source: Random) -> np.ndarray:
+        generator = np.random.default_rng(source.getrandbits(32))
+        left, right = (np.linalg.qr(generator.normal(size=(self.n, self.n)))[0] for _ in range(2))
+        return (left * np.geomspace(1.0, 10.0 ** -source.uniform(2.0, 10.0), self.n)) @ right
 
 
 @dataclass(frozen=True)
 class Plan:
-    """An operation that gives a wanted shape: code with a field for each operand, NumPy's function, their shapes."""
+    """An operation that gives a wanted shape: code with a field for each operand, NumPy's function, the operands.
+
+    An operand is wanted by its shape, or as a plan of the operands before it.
+    """
 
     code: str
     numpy: Callable[..., Any]
-    args: tuple[Shape, ...]
+    args: tuple[Operand, ...]
     setup: str = ""
+    shape: Shape = ()
+
+
+Operand = Shape | Graded | Plan
 
 
 Maker = Callable[[Random, Shape], Plan | None]
@@ -41,6 +64,14 @@ def positive(a: Any) -> Any:
 
 
 POSITIVE = "(tx.Tanh({0}) @ tx.Tanh({0}).T + 2.0 * np.eye(%d))"
+
+
+def soft(x: Any, c: float = 0.5) -> Any:
+    p = np.maximum(x, 0.0)
+    size = np.maximum(p, c)
+    root = np.sqrt((p / size) ** 2 + (c / size) ** 2)
+    return size * (p / size * (p / size) / (root + c / size))
+
 
 UNARY: dict[str, Callable[[Any], Any]] = {
     "tx.Sin({0})": np.sin,
@@ -64,11 +95,11 @@ UNARY: dict[str, Callable[[Any], Any]] = {
     "tx.PositivePart({0})": lambda a: np.maximum(a, 0.0),
     "tx.Huber({0})": lambda a: np.where(np.abs(a) <= 0.25, a * a / 2, 0.25 * (np.abs(a) - 0.125)),
     "tx.Huber({0}, delta=2.0)": lambda a: np.where(np.abs(a) <= 2.0, a * a / 2, 2.0 * (np.abs(a) - 1.0)),
-    "tx.SmoothReLU({0}, c=0.5)": lambda a: np.hypot(np.maximum(a, 0.0), 0.5) - 0.5,
+    "tx.SmoothReLU({0}, c=0.5)": soft,
     "(-{0})": np.negative,
     "(-(-{0}))": lambda a: a,
     "({0} - {0})": lambda a: a - a,
-    "({0} + (-{0}) + {0})": lambda a: a,
+    "({0} + (-{0}) + {0})": lambda a: a - a + a,
     "({0} ** 2)": lambda a: a**2,
     "({0} ** 3)": lambda a: a**3,
     "({0} ** 0)": lambda a: a**0,
@@ -100,6 +131,57 @@ BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "({0} * {1} / {1})": lambda a, b: a * b / b,
     "(np.float64(0.5) * {0} + {1})": lambda a, b: 0.5 * a + b,
 }
+
+#: What holds to the ends of the range and at NaN. What this package refuses to build is left out.
+EVERYWHERE: dict[str, Callable[..., Any]] = {
+    "tx.Max({0}, {1})": np.maximum,
+    "tx.Min({0}, {1})": np.minimum,
+    "tx.Max({0}, {1}, {2})": lambda a, b, c: np.maximum(np.maximum(a, b), c),
+    "tx.Where({0} <= {1}, {0}, {2})": lambda a, b, c: np.where(a <= b, a, c),
+    "tx.Where({0} >= {1}, {1}, {2})": lambda a, b, c: np.where(a >= b, b, c),
+    "tx.Where({0} == {1}, 1.0, {2})": lambda a, b, c: np.where(a == b, 1.0, c),
+    "tx.Abs({0})": np.abs,
+    "tx.Sign({0})": np.sign,
+    "tx.PositivePart({0})": lambda a: np.maximum(a, 0.0),
+    "tx.SmoothReLU({0}, c=0.5)": soft,
+    "tx.Atan({0})": np.arctan,
+    "tx.Tanh({0})": np.tanh,
+    "tx.Exp(-tx.Abs({0}))": lambda a: np.exp(-np.abs(a)),
+    "tx.Sqrt(tx.Abs({0}))": lambda a: np.sqrt(np.abs(a)),
+    "({0} + {1})": np.add,
+    "({0} - {1})": np.subtract,
+    "({0} * {1})": np.multiply,
+    "tx.LogSumExp({0}, {1})": np.logaddexp,
+    "tx.Stack({0}[0], {1}[1], {2}[2])": lambda a, b, c: np.stack([a[0], b[1], c[2]]),
+    **{f"np.{name}({{0}}, {{1}})": getattr(np, name) for name in (
+        "maximum", "minimum", "fmax", "fmin", "hypot", "logaddexp", "add", "copysign", "nextafter", "heaviside",
+    )},
+    **{f"np.{name}({{0}})": getattr(np, name) for name in (
+        "abs", "fabs", "sign", "tanh", "negative", "rint", "floor", "nan_to_num", "signbit", "isnan", "cbrt",
+    )},
+}  # fmt: skip
+
+
+@cache
+def refused(code: str, shapes: tuple[Shape, ...]) -> bool:
+    """Whether no such expression can be built."""
+    leaves = [tx.State(f"a{k}", shape=shape) for k, shape in enumerate(shapes)]
+    names = {f"a{k}": leaf for k, leaf in enumerate(leaves)}
+    try:
+        eval(code.format(*names), {"tx": tx, "np": np, **names})
+    except (TypeError, ValueError):
+        return True
+    return False
+
+
+def extreme(source: Random, shape: Shape) -> Plan:
+    """An operation that holds everywhere."""
+    while True:
+        code, numpy = source.choice(list(EVERYWHERE.items()))
+        args = (shape,) * (1 + max(k for k in range(3) if f"{{{k}}}" in code))
+        if not refused(code, args):
+            return Plan(code, numpy, args)
+
 
 CONDITIONS: dict[str, Callable[..., Any]] = {
     "{0} <= {1}": np.less_equal,
@@ -166,9 +248,13 @@ def reduction(source: Random, shape: Shape) -> Plan | None:
         ('tx.linalg.Norm({0}, "inf")', lambda a: np.linalg.norm(a, np.inf), (2, 3)),
         ("tx.linalg.Trace({0})", np.trace, source.choice([(2, 2), (3, 3)])),
         ("np.sum({0})", np.sum, whole),
+        ("tx.linalg.Norm({0})", np.linalg.norm, whole if len(whole) < 3 else (6,)),
         ("tx.Linterp({0}, [-1, 0.5, 3], [2.0, -1, 0.5])", lambda a: np.interp(a, [-1, 0.5, 3], [2, -1, 0.5]), ()),
     ]  # fmt: skip
     code, numpy, arg = source.choice(found)
+    if source.random() < 0.1:
+        two = ("tx.linalg.Sum(np.dot({0}, {1}))", lambda a, b: np.sum(np.dot(a, b)), ((2, 2, 3), (2, 3, 2)))
+        return None if refused(two[0], two[2]) else Plan(*two)
     return Plan(code, numpy, (arg,))
 
 
@@ -213,6 +299,15 @@ def solve(source: Random, shape: Shape) -> Plan | None:
             ((n, n), shape),
         ),
     ]
+    graded = Graded(n)
+    if n < 5:
+        # A right-hand side of a solution of size one: there the error of an algorithm shows.
+        right = Plan("({0} @ {1})", np.matmul, (), shape=shape)
+        found += 2 * [Plan("tx.linalg.Solve({0}, {2})", lambda a, x, b: np.linalg.solve(a, b), (graded, shape, right))]
+        if shape == (n,):
+            found.append(
+                Plan("(tx.linalg.Inv({0}) @ {2})", lambda a, x, b: np.linalg.solve(a, b), (graded, shape, right))
+            )
     if shape == (n, n):
         found.append(Plan(f"tx.linalg.Inv({spd})", lambda a: np.linalg.inv(positive(a)), ((n, n),)))
         found.append(Plan(f"tx.linalg.Inv({rough})", lambda a: np.linalg.inv(a + 0.25 * np.eye(n)), ((n, n),)))
@@ -320,11 +415,62 @@ def batch(source: Random, shape: Shape) -> Plan | None:
     if not shape:
         return None
     n = source.choice([2, 3])
+    found = [Plan("tx.Vmap(lambda row: row * row + {1}, batch={0})", lambda a, b: a * a + b, (shape, ()))]
+    if len(shape) == 1:
+        m = shape[0]
+        found += [
+            Plan("tx.Vmap(lambda row: tx.linalg.Sum(row), batch={0})", lambda a: a.sum(axis=-1), ((*shape, n),)),
+            Plan("tx.Vmap(lambda c: c @ {1}, batch={0}, axis=1)", lambda a, b: a.T @ b, ((n, m), (n,))),
+            Plan("tx.Vmap(lambda c: c[0] - c[1], batch={0}, axis=1)", lambda a: a[0] - a[1], ((max(m, 2), m),)),
+            Plan("tx.Vmap(lambda a, b: a @ b, batch=[{0}, {1}])", lambda a, b: np.sum(a * b, axis=1), ((m, n), (m, n))),
+            Plan("tx.Vmap(lambda a: tx.Linterp(a, [-1, 0.5, 3], [2.0, -1, 0.5]), batch={0})",
+                 lambda a: np.interp(a, [-1, 0.5, 3], [2, -1, 0.5]), (shape,)),
+        ]  # fmt: skip
+    if len(shape) == 2:
+        m, k = shape
+        found += [
+            Plan("tx.Vmap(lambda a: tx.Vmap(lambda b: a - 2.0 * b, batch={1}), batch={0})",
+                 lambda a, b: a[:, None] - 2.0 * b[None], ((m,), (k,))),
+            Plan("tx.Vmap(lambda c: c * {1}, batch={0}, axis=1)", lambda a, b: a.T * b, ((k, m), (k,))),
+        ]  # fmt: skip
+    return source.choice(found)
+
+
+_KNOTS, _LINES = [-1.0, 0.25, 1.0, 3.0], [-2.0, 0.0, 1.5]
+_TABLE = (np.arange(12.0).reshape(4, 3) ** 1.5 % 5.0).round(2).tolist()
+
+
+def _cubic(method: str) -> Any:
+    kind = {"cubic": scipy.interpolate.CubicSpline, "pchip": scipy.interpolate.PchipInterpolator}[method]
+    return kind(_KNOTS, np.array(_TABLE)[:, 0])
+
+
+def _bilinear(x: Any, y: Any) -> Any:
+    points = np.stack(np.broadcast_arrays(np.clip(x, -1.0, 3.0), np.clip(y, -2.0, 1.5)), axis=-1)
+    return scipy.interpolate.RegularGridInterpolator((_KNOTS, _LINES), _TABLE)(points).reshape(points.shape[:-1])
+
+
+@maker
+def table(source: Random, shape: Shape) -> Plan | None:
     found = [
-        Plan("tx.Vmap(lambda row: row * row + {1}, batch={0})", lambda a, b: a * a + b, (shape, ())),
-        Plan("tx.Vmap(lambda row: tx.linalg.Sum(row), batch={0})", lambda a: a.sum(axis=-1), ((*shape, n),)),
-    ]
-    return source.choice(found[: 2 if len(shape) == 1 else 1])
+        Plan(f"tx.Linterp({{0}}, {_KNOTS}, np.array({_TABLE})[:, 1])",
+             lambda a: np.interp(a, _KNOTS, np.array(_TABLE)[:, 1]), (shape,)),
+        Plan(f"tx.Bilerp({{0}}, {{1}}, {_KNOTS}, {_LINES}, {_TABLE})", _bilinear, (shape, ())),
+        *(
+            Plan(f'tx.Cinterp(tx.Tanh({{0}}), {_KNOTS}, np.array({_TABLE})[:, 0], "{method}")',
+                 lambda a, method=method: _cubic(method)(np.tanh(a)), (shape,))
+            for method in ("cubic", "pchip")
+        ),
+    ]  # fmt: skip
+    if shape and shape[-1] == 3:
+        found.append(
+            Plan(
+                f"tx.Linterp({{0}}, {_KNOTS}, {_TABLE})",
+                lambda a: np.stack([np.interp(a, _KNOTS, column) for column in np.transpose(_TABLE)], axis=-1),
+                (shape[:-1],),
+            )
+        )
+    return source.choice(found)
 
 
 def _hat(xi: Any) -> Any:
@@ -343,6 +489,13 @@ def _exp(xi: Any) -> Any:
 
 def _big_adjoint(xi: Any) -> Any:
     return scipy.linalg.expm(np.asarray(_adjoint(xi), float))
+
+
+def _phi(A: Any) -> Any:
+    """sum A^k / (k + 1)!, by the exponential of a larger matrix."""
+    n = len(A)
+    whole = np.block([[np.asarray(A, float), np.eye(n)], [np.zeros((n, 2 * n))]])
+    return scipy.linalg.expm(whole)[:n, n:]
 
 
 @maker
@@ -365,6 +518,26 @@ def lie(source: Random, shape: Shape) -> Plan | None:
                 ((6,), (6,)),
             ),
             Plan(f"tx.lie.SE3Log(tx.lie.SE3Exp({small}))", lambda a: tanh(a), ((6,),)),
+            *(
+                Plan(
+                    f"tx.lie.{name}(tx.lie.twist(linear=np.zeros(3), angular={{0}}, order={order}), "
+                    f"{{1}}, order={order})",
+                    lambda a, b, matrix=matrix, roll=roll: np.roll(
+                        matrix(np.append(np.zeros(3), a)) @ np.roll(b, roll), roll
+                    ),
+                    ((3,), (6,)),
+                )
+                for name, matrix in (("Adjoint", _adjoint), ("AdjointDual", lambda a: -_adjoint(a).T))
+                for order, roll in (("tx.LINEAR_FIRST", 0), ("tx.ANGULAR_FIRST", 3))
+            ),
+            *(
+                Plan(
+                    f"tx.lie.{name}({{0}}, {{1}}, order=tx.ANGULAR_FIRST)",
+                    lambda a, b, matrix=matrix: np.roll(matrix(np.roll(a, 3)) @ np.roll(b, 3), 3),
+                    ((6,), (6,)),
+                )
+                for name, matrix in (("Adjoint", _adjoint), ("AdjointDual", lambda a: -_adjoint(a).T))
+            ),
             Plan(
                 f"tx.linalg.Solve(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})), {{1}})",
                 lambda a, b: np.linalg.solve(_big_adjoint(tanh(a)), b),
@@ -400,6 +573,18 @@ def lie(source: Random, shape: Shape) -> Plan | None:
             ),
             Plan("tx.lie.Hat({0})", _hat, ((6,),)),
         ],
-        (6, 6): [Plan(f"tx.lie.SE3Adjoint(tx.lie.SE3Exp({small}))", lambda a: _big_adjoint(tanh(a)), ((6,),))],
+        (6, 6): [
+            Plan(
+                f"(tx.lie.LeftJacobian({small}) @ tx.lie.LeftJacobianInverse({small}))",
+                lambda a: np.eye(6),
+                ((6,),),
+            ),
+            Plan(f"tx.lie.RightJacobian({small})", lambda a: _phi(-_adjoint(tanh(a))), ((6,),)),
+            Plan(f"tx.lie.LeftJacobian({small})", lambda a: _phi(_adjoint(tanh(a))), ((6,),)),
+            Plan(f"tx.lie.SE3Adjoint(tx.lie.SE3Exp({small}))", lambda a: _big_adjoint(tanh(a)), ((6,),)),
+        ],
     }
     return source.choice(found[shape]) if shape in found else None
+
+
+MAKERS.extend([lie, lie])  # of the shapes that it gives few come

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from term import Case
+from term import Case, Term
 
 import twistax as tx
 
 #: Noise is put on each operation, so many times that of rounding, and a result may be off by so many of its spreads.
 NOISE, SPREADS, SAMPLES = 2.0, 100.0, 6
 #: Sizes beyond which ranges end: a quotient may be a product with a reciprocal, and XLA drops subnormal numbers.
-LARGEST, SMALLEST = 1e150, 1e-150
+RANGE = {np.float64: (1e-150, 1e150), np.float32: (1e-15, 1e15)}
+#: Of the difference quotients that stand for derivatives of NumPy's values.
+STEP = 1e-5
 
 #: The same system by each backend; small programs too become scalars.
 BACKENDS = {
@@ -30,14 +33,10 @@ class Wrong(Exception):
     """What is no number, and wrong all the same."""
 
 
-def precision(case: Case) -> float:
-    return float(np.finfo(np.float32 if case.single else np.float64).eps)
-
-
-def oracle(case: Case) -> tuple[np.ndarray, np.ndarray] | None:
+def oracle(case: Case, term: Term) -> tuple[np.ndarray, np.ndarray] | None:
     """NumPy's value and how far rounding may move it, by noise on each operation. None where that says nothing."""
     generator = np.random.default_rng(0)
-    eps = precision(case)
+    eps = float(np.finfo(case.dtype).eps)
 
     def noisy(value: Any) -> Any:
         value = np.asarray(value)
@@ -47,136 +46,198 @@ def oracle(case: Case) -> tuple[np.ndarray, np.ndarray] | None:
 
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        if case.extreme:
+            rounded = {name: value.astype(case.dtype) for name, value in case.leaves.items()}
+            value = np.asarray(term.value(rounded)[0], case.dtype)
+            return value, 2000 * eps * np.where(np.isfinite(value), np.abs(value), 0.0)
+        # Matrices that single precision rounds are other ones where they are nearly singular.
+        leaves = {name: value.astype(case.dtype).astype(float) for name, value in case.leaves.items()}
         try:
-            value, met = case.term.value(case.leaves)
-            samples = [np.asarray(case.term.value(case.leaves, noisy)[0], float) for _ in range(SAMPLES)]
+            value, met = term.value(leaves)
+            samples = [np.asarray(term.value(leaves, noisy)[0], float) for _ in range(SAMPLES)]
         except (np.linalg.LinAlgError, ValueError):
             return None
         value = np.asarray(value, float)
         sizes = np.abs(np.concatenate([np.ravel(np.asarray(part, float)) for part in met]))
+        least, largest = RANGE[case.dtype]
         # Zero times infinity is zero where the zero is known, as docs/lowering.md says: NumPy shows these as NaN.
-        if np.any(np.isnan(sizes)) or np.any((sizes > LARGEST) & np.isfinite(sizes)):
+        if np.any(np.isnan(sizes)) or np.any((sizes > largest) & np.isfinite(sizes)):
             return None
-        if np.any((sizes < SMALLEST) & (sizes > 0.0)):
+        if np.any((sizes < least) & (sizes > 0.0)):
             return None
         spread = np.max([np.where(sample == value, 0.0, np.abs(sample - value)) for sample in samples], axis=0)
     finite = np.isfinite(value)
     if not np.all(np.isfinite(spread)) or np.any(spread[finite] > 1e-3 * (1.0 + np.abs(value[finite]))):
         return None
-    largest = float(np.max(sizes[np.isfinite(sizes)], initial=0.0))
-    return value, SPREADS * spread + 8 * eps * (1.0 + largest) + 2000 * eps * np.where(finite, np.abs(value), 0.0)
+    met_at_most = float(np.max(sizes[np.isfinite(sizes)], initial=0.0))
+    return value, SPREADS * spread + 8 * eps * (1.0 + met_at_most) + 2000 * eps * np.where(finite, np.abs(value), 0.0)
 
 
-def given(case: Case, tree: tx.Expr) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """States, controls and parameters of this tree."""
-    nodes = list(tx.expr.postorder(tree))
-    dtype = np.float32 if case.single else np.float64
+def given(case: Case, *trees: tx.Expr) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """States, controls and parameters of these trees."""
+    nodes = list(tx.expr.postorder(*trees))
     kinds = (tx.State, tx.Control, tx.Parameter)
-    x, u, p = ({n.name: case.leaves[n.name].astype(dtype) for n in nodes if isinstance(n, kind)} for kind in kinds)
+    x, u, p = ({n.name: case.given(n.name) for n in nodes if isinstance(n, kind)} for kind in kinds)
     return x, u, p
 
 
-def functions(case: Case, expression: tx.Expr) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
-    """The output of a system by each backend: its name, a function, and the arguments."""
-    leaves = [node for node in tx.expr.postorder(expression) if isinstance(node, tx.State)]
-    clock = tx.State("clock")
-    whole = tx.System(rates={leaf: 0.0 * leaf for leaf in (clock, *leaves)}, outputs={"y": expression})
-    x, u, p = given(case, expression)
-    x["clock"] = np.zeros((), np.float32 if case.single else np.float64)
-    bake = {name: np.asarray(p.pop(name), float) for name in case.baked if name in p}
+def functions(case: Case) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
+    """The outputs of a system by each backend: its name, a function, and the arguments."""
+    expressions = case.expressions()
+    leaves = {node.name: node for node in tx.expr.postorder(*expressions) if isinstance(node, tx.State)}
+    leaves["clock"] = tx.State("clock")
+    outputs = {f"y{k}": expression for k, expression in enumerate(expressions)}
+    whole = tx.System(rates={leaf: 0.0 * leaf for leaf in leaves.values()}, outputs=outputs)
+    x, u, p = given(case, *expressions)
+    x["clock"] = np.zeros((), case.dtype)
+    bake = {name: np.asarray(case.leaves[name], float) for name in case.baked if p.pop(name, None) is not None}
     for name, backend in BACKENDS.items():
         dynamics = tx.compile(whole, backend=backend, bake=bake)
-        yield name, lambda x, u, p, dynamics=dynamics: dynamics.outputs(0.0, x, u, p)["y"], (x, u, p)
+
+        def run(x: Any, u: Any, p: Any, own: tx.Dynamics = dynamics) -> list[Any]:
+            found = own.outputs(0.0, x, u, p)
+            return [found[name] for name in outputs]
+
+        yield name, run, (x, u, p)
 
 
-def values(case: Case) -> Iterator[tuple[str, Any]]:
-    """The value on each path, with the path's name."""
-    expression = case.term.expression()
-    canonical = expression.canonicalize()
-    if canonical.canonicalize().key() != canonical.key():
+def values(case: Case) -> Iterator[tuple[str, list[Any]]]:
+    """The values on each path, with the path's name."""
+    expressions = case.expressions()
+    canonical = [expression.canonicalize() for expression in expressions]
+    if any(tree.canonicalize().key() != tree.key() for tree in canonical):
         raise Wrong("canonicalize: a canonical tree does not stay as it is")
-    for name, tree in {"tx.lower": expression, "canonicalize": canonical}.items():
-        yield name, jax.jit(tx.lower(tree))(0.0, *given(case, tree))
-    for name, outputs, arguments in functions(case, expression):
+    by_jit = {} if case.whole else {"tx.lower": expressions, "canonicalize": canonical}  # jit itself cuts long integers
+    for name, trees in by_jit.items():
+        yield name, jax.jit(tx.lower(tuple(trees)))(0.0, *given(case, *trees))
+    for name, outputs, arguments in functions(case):
         if case.batched:
-            batch = jax.tree.map(lambda leaf: jnp.stack([jnp.zeros_like(leaf), leaf]), arguments)
-            yield f"{name}, vmap", jax.jit(jax.vmap(outputs))(*batch)[1]
+            axis = -(len(case.used()) % 2)  # along the first or the last one
+            batch = jax.tree.map(lambda leaf, axis=axis: jnp.stack([jnp.zeros_like(leaf), leaf], axis), arguments)
+            yield f"{name}, vmap", [value[1] for value in jax.jit(jax.vmap(outputs, in_axes=axis))(*batch)]
         else:
             yield name, outputs(*arguments)
 
 
-def wrong_derivatives(case: Case) -> str:
-    """Whether gradients of scalars and kernels are those on arrays, and forward ones are reverse ones."""
-    generator = np.random.default_rng(1)
-    weights = generator.normal(size=case.term.shape)
-    expected = spread = None
-    for name, outputs, arguments in functions(case, case.term.expression()):
+# ---- derivatives -----------------------------------------------------------------------------------------------------
 
-        def total(*arguments: Any, outputs: Callable[..., Any] = outputs) -> Any:
-            value = outputs(*arguments)
-            return jnp.sum(jnp.asarray(weights, value.dtype) * value)
 
-        gradient = jax.jit(jax.grad(total, (0, 1, 2)))
+def slope(case: Case, term: Term, weights: np.ndarray, along: dict[str, np.ndarray]) -> float | None:
+    """The derivative of NumPy's value along leaves by difference quotients; None at kinks, and for nodes of users."""
+    if any(part.setup for part in term.walk()):
+        return None
+
+    def at(distance: float) -> float:
+        leaves = {name: value + distance * along.get(name, 0.0) for name, value in case.leaves.items()}
+        return float(np.sum(weights * np.asarray(term.value(leaves)[0], float)))
+
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         try:
-            found = flat(gradient(*arguments))
+            ahead, behind, here, near, far = (at(k * STEP) for k in (1.0, -1.0, 0.0, 0.5, -0.5))
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+    wide, close, one_side, other_side = ahead - behind, 2.0 * (near - far), 2.0 * (ahead - here), 2.0 * (here - behind)
+    found = wide / (2.0 * STEP)
+    apart = max(abs(wide - close), 1e-3 * abs(one_side - other_side)) / (2.0 * STEP)
+    return found if apart <= 1e-6 * (1.0 + abs(found)) and abs(here) < 1e3 * (1.0 + abs(found)) else None
+
+
+def wrong_derivatives(case: Case) -> str:
+    """Whether derivatives of scalars and kernels are those on arrays, forward ones reverse ones, and NumPy's slopes."""
+    generator = np.random.default_rng(1)
+    weights = [generator.normal(size=term.shape) for term in case.terms]
+    expected = spread = None
+    for name, outputs, arguments in functions(case):
+
+        def totals(*arguments: Any, outputs: Callable[..., Any] = outputs) -> Any:
+            """One number of each term."""
+            return jnp.stack([jnp.sum(w * value) for w, value in zip(weights, outputs(*arguments), strict=True)])
+
+        def both(arguments: Any, along: Any, totals: Callable[..., Any] = totals) -> Any:
+            """By reverse mode, a row for each term, and by forward mode."""
+            one = len(weights) == 1
+            back = jax.grad(lambda *a: totals(*a)[0], (0, 1, 2)) if one else jax.jacrev(totals, (0, 1, 2))
+            return back(*arguments), jax.jvp(totals, arguments, along)[1]
+
+        tangent = jax.tree.map(lambda leaf: np.cos(1.0 + np.arange(leaf.size)).reshape(leaf.shape), arguments)
+        derivatives = jax.jit(both)
+        try:
+            gradient, along = derivatives(arguments, tangent)
         except (ValueError, NotImplementedError):
             if expected is None:  # JAX itself has no such derivative
                 return ""
             raise
+        found, along = rows(gradient, len(weights)), np.asarray(along)
         if expected is None or spread is None:
-            samples = [
-                flat(gradient(*jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal()), arguments)))
-                for _ in range(SAMPLES)
-            ]
             expected = found
+            nearby = [
+                jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal()), arguments) for _ in range(SAMPLES)
+            ]
+            samples = [rows(derivatives(point, tangent)[0], len(weights)) for point in nearby]
             spread = np.max([np.abs(sample - found) for sample in samples], axis=0)
-            if not np.all(np.isfinite(expected)) or not np.all(np.isfinite(spread)):
-                return ""
-            size = 1.0 + np.max(np.abs(expected), initial=0.0)
-            if size > 1e8 or np.any(spread > 1e-4 * size):
-                return ""
-            spread = 10.0 * spread + 1e-9 * size
-        if not np.all(np.abs(found - expected) <= spread):
+            sizes = 1.0 + np.max(np.abs(expected), axis=1, initial=0.0, keepdims=True)
+            good = np.all(np.isfinite(expected) & (spread <= 1e-4 * sizes), axis=1) & (sizes[:, 0] < 1e8)
+            spread = 10.0 * spread + 1e-9 * sizes
+            flat, named = rows(tangent, 1)[0], tangent[0] | tangent[1] | tangent[2]
+            each = zip(case.terms, weights, good, strict=True)
+            slopes = [slope(case, term, w, named) if ok else None for term, w, ok in each]
+        off = np.abs(found - expected)[good] > spread[good]
+        if np.any(off | np.isnan(found[good])):
             return f"{name}, grad: {found.tolist()} for {expected.tolist()}"
-        tangent = jax.tree.map(lambda leaf: generator.normal(size=leaf.shape), arguments)
-        along = jax.jit(lambda a, d, total=total: jax.jvp(total, a, d)[1])(arguments, tangent)
-        if (
-            not abs(float(along) - float(flat(tangent) @ expected))
-            <= np.sum(np.abs(flat(tangent)) * spread) + 1e-9 * size
-        ):
-            return f"{name}, jvp: {float(along)} for {float(flat(tangent) @ expected)}"
+        allowed = spread @ np.abs(flat) + 1e-9 * sizes[:, 0]
+        if not np.all((np.abs(along - expected @ flat) <= allowed)[good]):
+            return f"{name}, jvp: {along.tolist()} for {(expected @ flat).tolist()}"
+        for k, by_differences in enumerate(slopes):
+            if by_differences is not None and not abs(along[k] - by_differences) <= allowed[k] + 1e-4 * (
+                1.0 + abs(by_differences)
+            ):
+                return f"{name}, slope: {along[k]} for {by_differences} of term {k}"
     return ""
 
 
-def flat(tree: Any) -> np.ndarray:
-    leaves = jax.tree.leaves(tree)
-    return np.concatenate([np.ravel(np.asarray(leaf, float)) for leaf in leaves]) if leaves else np.zeros(0)
+def rows(tree: Any, count: int) -> np.ndarray:
+    """The derivatives of `count` numbers, a row each."""
+    leaves = [np.reshape(np.asarray(leaf, float), (count, -1)) for leaf in jax.tree.leaves(tree)]
+    return np.concatenate(leaves, axis=1) if leaves else np.zeros((count, 0))
+
+
+# ---- all of it -------------------------------------------------------------------------------------------------------
 
 
 def check(case: Case) -> str:
     """What is wrong, in a line; nothing if nothing is."""
-    found = oracle(case)
-    if found is None:
+    judged = [(term, found) for term in case.terms if (found := oracle(case, term)) is not None]
+    if not judged:
         return ""
-    expected, tolerance = found
+    case = replace(case, terms=tuple(term for term, _ in judged))
     path = "build"
     try:
-        # Constants alone have the precision that JAX gives them.
-        leaves_left = any(given(case, case.term.expression().canonicalize()))
-        for path, value in values(case):
-            value = np.asarray(value)
-            if value.shape != expected.shape:
-                return f"{path}: shape {value.shape} for {expected.shape}"
-            if value.dtype != (np.float32 if case.single else np.float64) and leaves_left:
-                return f"{path}: {value.dtype} for {'float32' if case.single else 'float64'}"
-            with np.errstate(all="ignore"):
-                off = np.where(value == expected, 0.0, np.abs(value - expected))
-            if not np.all(off <= tolerance):
-                return f"{path}: {value.tolist()} for {expected.tolist()}, off by {np.max(off):.2g}"
-        rounded = any("float32" in term.setup or "reduce_precision" in term.setup for term in case.term.walk())
-        if case.differentiated and not case.single and not rounded and np.all(np.isfinite(expected)):
-            path = "values"
-            return wrong_derivatives(case)
+        with jax.enable_x64(not case.narrow):
+            for path, found in values(case):
+                for (_, (expected, tolerance)), value, tree in zip(judged, found, case.expressions(), strict=True):
+                    if wrong := _apart(case, tree, np.asarray(value), expected, tolerance):
+                        return f"{path}: {wrong}"
+            if case.differentiated and not (case.single or case.whole or case.narrow):
+                path = "values"
+                smooth = [term for term, (value, _) in judged if np.all(np.isfinite(value)) and not _rounds(term)]
+                return wrong_derivatives(replace(case, terms=tuple(smooth))) if smooth else ""
     except Exception as error:
         return f"after {path}: {type(error).__name__}: {str(error)[:300]}"
     return ""
+
+
+def _apart(case: Case, tree: tx.Expr, value: np.ndarray, expected: np.ndarray, tolerance: np.ndarray) -> str:
+    if value.shape != expected.shape:
+        return f"shape {value.shape} for {expected.shape}"
+    # Constants alone have the precision that JAX gives them.
+    if value.dtype != case.dtype and any(given(case, tree.canonicalize())) and not case.whole:
+        return f"{value.dtype} for {np.dtype(case.dtype)}"
+    with np.errstate(all="ignore"):
+        off = np.where((value == expected) | (np.isnan(value) & np.isnan(expected)), 0.0, np.abs(value - expected))
+    return "" if np.all(off <= tolerance) else f"{value.tolist()} for {expected.tolist()}, off by {np.max(off):.2g}"
+
+
+def _rounds(term: Term) -> bool:
+    """Whether it rounds to fewer digits on the way, which no noise stands for."""
+    return any("float32" in part.setup or "reduce_precision" in part.setup for part in term.walk())

@@ -52,24 +52,6 @@ class Term:
     def size(self) -> int:
         return sum(1 for _ in self.walk())
 
-    def lines(self) -> list[str]:
-        """The code: a line for each operation, the last one is the whole."""
-        names: dict[int, str] = {}
-        lines: list[str] = []
-        for term in self.walk():
-            text = term.code.format(*(names[id(arg)] for arg in term.args))
-            if term.setup and term.setup not in lines:
-                lines.append(term.setup)
-            names[id(term)] = term.leaf or f"e{len(names)}"
-            lines.append(f"{names[id(term)]} = {text}")
-        return [*lines, f"e = {names[id(self)]}"]
-
-    def expression(self) -> tx.Expr:
-        """What a user's code builds."""
-        scope: dict[str, Any] = dict(SCOPE)
-        exec("\n".join(self.lines()), scope)
-        return tx.Constant(scope["e"]) if not isinstance(scope["e"], tx.Expr) else scope["e"]
-
     def value(
         self, leaves: Mapping[str, Any], noise: Callable[[Any], Any] = lambda value: value
     ) -> tuple[Any, list[Any]]:
@@ -98,41 +80,85 @@ class Term:
         return made[id(self)]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Case:
-    """A term, the leaves' values, and how the system is to be compiled.
+    """Terms, the leaves' values, and how the system of them is to be compiled.
 
     Attributes:
-        term: what is computed.
+        terms: what is computed.
         leaves: value of each leaf.
         baked: parameters given as constants to `tx.compile`.
         batched: whether it is one of a batch.
         single: whether the leaves are given in single precision.
         differentiated: whether derivatives are compared too.
+        whole: whether leaves of whole numbers are given as integers.
+        narrow: whether JAX works in 32 bits.
+        extreme: whether results count at the ends of the range and at NaN too.
     """
 
-    term: Term
+    terms: tuple[Term, ...]
     leaves: dict[str, np.ndarray]
     baked: tuple[str, ...] = ()
     batched: bool = False
     single: bool = False
     differentiated: bool = False
+    whole: bool = False
+    narrow: bool = False
+    extreme: bool = False
+
+    def walk(self) -> Iterator[Term]:
+        """All terms, each once, operands first."""
+        return iter({id(part): part for term in self.terms for part in term.walk()}.values())
 
     def used(self) -> dict[str, np.ndarray]:
-        names = {term.leaf for term in self.term.walk() if term.leaf}
+        names = {term.leaf for term in self.walk() if term.leaf}
         return {name: value for name, value in self.leaves.items() if name in names}
 
+    @property
+    def settings(self) -> tuple[str, ...]:
+        names = ("batched", "single", "differentiated", "whole", "narrow", "extreme")
+        return tuple(name for name in names if getattr(self, name))
+
+    @property
+    def dtype(self) -> Any:
+        """That of the results."""
+        return np.float32 if self.single or self.narrow else np.float64
+
+    def given(self, name: str) -> Any:
+        """A leaf's value as it is given: an array, or whole numbers as Python has them."""
+        value = self.leaves[name]
+        if self.whole and np.all(np.isfinite(value)) and np.array_equal(value, np.round(value)):
+            return value.astype(np.int64).tolist()
+        return value.astype(self.dtype)
+
+    def lines(self) -> list[str]:
+        """The code: a line for each operation; the last one, `e`, is a tuple of all terms."""
+        names: dict[int, str] = {}
+        lines: list[str] = []
+        for term in self.walk():
+            text = term.code.format(*(names[id(arg)] for arg in term.args))
+            if term.setup and term.setup not in lines:
+                lines.append(term.setup)
+            names[id(term)] = term.leaf or f"e{len(names)}"
+            lines.append(f"{names[id(term)]} = {text}")
+        return [*lines, f"e = ({', '.join(names[id(term)] for term in self.terms)},)"]
+
+    def expressions(self) -> list[tx.Expr]:
+        """What a user's code builds."""
+        scope: dict[str, Any] = dict(SCOPE)
+        exec("\n".join(self.lines()), scope)
+        return [tx.expr.to_expr(each) for each in scope["e"]]
+
     def as_code(self) -> str:
-        """A script that builds the expression and prints its value."""
+        """A script that builds the expressions and prints their values."""
         lines = ["import jax", "import jax.numpy as jnp", "import numpy as np", "import twistax as tx"]
-        lines += ['jax.config.update("jax_enable_x64", True)', *self.term.lines()]
+        lines += [f'jax.config.update("jax_enable_x64", {not self.narrow})', *self.lines()]
         for kind in "scp":  # states, controls, parameters
-            own = {name: value.tolist() for name, value in self.used().items() if name[0] == kind}
+            own = {name: np.asarray(self.given(name)).tolist() for name in self.used() if name[0] == kind}
             entries = re.sub(r"\b(nan|inf)\b", r"np.\1", repr(own))
             lines.append(f"{kind} = {entries}")
-        lines.append("print(tx.lower(tx.expr.to_expr(e))(0.0, s, c, p))")
-        how = [f"baked: {', '.join(self.baked)}"] * bool(self.baked)
-        how += [name for name in ("batched", "single", "differentiated") if getattr(self, name)]
+        lines.append("print(*tx.lower(tuple(map(tx.expr.to_expr, e)))(0.0, s, c, p))")
+        how = [f"baked: {', '.join(self.baked)}"] * bool(self.baked) + list(self.settings)
         return "\n".join([*lines, f"# {'; '.join(how)}" if how else "# as it is"])
 
 

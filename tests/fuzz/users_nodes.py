@@ -7,7 +7,7 @@ from random import Random
 import jax
 import jax.numpy as jnp
 import numpy as np
-from operations import Plan, maker
+from operations import Plan, maker, positive
 from term import Shape
 
 #: Of an array of any shape, one a line.
@@ -39,6 +39,8 @@ jax.lax.fori_loop(0, 3, lambda i, b: b * 0.5 + i, a)
 jnp.where(jnp.isfinite(a), a, 0.0)
 jnp.nan_to_num(a)
 jnp.trunc(a).astype(int).astype(a.dtype)
+(1.7 * a).astype(int).astype(a.dtype)
+jnp.clip(jnp.rint(a * 3.0), -9, 9).astype(jnp.int32).astype(a.dtype)
 jax.lax.while_loop(lambda b: jnp.max(b) > 1.0, lambda b: 0.5 * b, a)
 jax.lax.stop_gradient(a) + a
 jax.checkpoint(jnp.sin)(a)
@@ -64,6 +66,9 @@ a.at[0].min(0.25)
 a.at[0].max(0.25)
 jnp.take(a, jnp.array([7] * a.shape[0]), axis=0, mode='clip')
 jnp.take(a, jnp.array([-1] * a.shape[0]), axis=0, mode='wrap')
+jnp.take(a, jnp.array([7] + [0] * (a.shape[0] - 1)), axis=0, mode='fill', fill_value=7.0)
+a.at[jnp.array([9, 0])].set(0.5, mode='drop')
+a.at[jnp.array([9, 0])].add(0.5, mode='clip')
 jnp.where(jnp.arange(a.shape[-1]) < 1, a, 2 * a)
 jax.lax.cummax(a)
 jax.lax.dynamic_update_slice(a, a[:1], (5,) + (0,) * (a.ndim - 1))
@@ -96,7 +101,10 @@ jnp.std(a) + a
 @maker
 def users_node(source: Random, shape: Shape) -> Plan:
     """A node of one's own around jax.numpy. Plain JAX, without this package, is the oracle."""
-    body = source.choice(ANY + (AXIS if shape else []))
+    return around(source.choice(ANY + (AXIS if shape else [])), shape)
+
+
+def around(body: str, shape: Shape) -> Plan:
     name = f"User{(ANY + AXIS).index(body)}"
     setup = (
         f"class {name}(tx.Expr):\n"
@@ -107,3 +115,51 @@ def users_node(source: Random, shape: Shape) -> Plan:
     )
     evaluate = eval(f"lambda a: {body}", {"jnp": jnp, "jax": jax})
     return Plan(f"{name}({{0}})", lambda a: np.asarray(evaluate(jnp.asarray(a, float))), (shape,), setup)
+
+
+@maker
+def pair_of_weights(source: Random, shape: Shape) -> Plan:
+    """Two nodes of one class with long static arrays that differ in one entry."""
+    place, kind = source.randrange(2000), source.choice(["np.asarray", "jnp.asarray", "tuple"])
+    setup = (
+        "class Weighted(tx.Expr):\n"
+        '    """Scaled by the sum of weights."""\n'
+        "    a: tx.expr.fields.Operand\n"
+        "    w: object\n"
+        "    def infer_shape(self, a): return a\n"
+        "    def evaluate(self, a): return a * jnp.sum(jnp.asarray(self.w, a.dtype))"
+    )
+    two, five = (f"Weighted({{0}}, w={kind}({by} * (np.arange(2000) == {place})))" for by in (2.0, 5.0))
+    return Plan(f"({two} - {five})", lambda a: 2.0 * a - 5.0 * a, (shape,), setup)
+
+
+@maker
+def factorised(source: Random, shape: Shape) -> Plan | None:
+    """Linear algebra of jax.numpy inside a node of the user."""
+    if len(shape) != 2 or shape[0] != shape[1]:
+        return None
+    n = shape[0]
+    body, numpy = source.choice(
+        [
+            ("jnp.linalg.cholesky(S)", np.linalg.cholesky),
+            ("jnp.linalg.inv(S)", np.linalg.inv),
+            ("jnp.linalg.solve(a + 0.25 * jnp.eye(n, dtype=a.dtype), S)", None),
+            ("jnp.broadcast_to(jnp.linalg.det(S), a.shape)", lambda S: np.full(S.shape, np.linalg.det(S))),
+        ]
+    )
+    setup = (
+        f"class Factorised{len(body)}(tx.Expr):\n"
+        '    """A node of the user."""\n'
+        "    a: tx.expr.fields.Operand\n"
+        "    def infer_shape(self, a): return a\n"
+        "    def evaluate(self, a):\n"
+        f"        n = {n}\n"
+        "        S = jnp.tanh(a) @ jnp.tanh(a).T + 2.0 * jnp.eye(n, dtype=a.dtype)\n"
+        f"        return {body}"
+    )
+    expected = (
+        (lambda a: np.linalg.solve(a + 0.25 * np.eye(n), positive(a)))
+        if numpy is None
+        else lambda a: numpy(positive(a))
+    )
+    return Plan(f"{setup.split('(')[0].split()[1]}({{0}})", expected, (shape,), setup)

@@ -17,11 +17,12 @@ from table_examples import EXAMPLES
 
 from test_architecture import SOURCE, imported_modules
 from twistax import jax_inside
-from twistax.jax_inside import Unread, all_equations
+from twistax.jax_inside import Literal, Unread, all_equations
 from twistax.lowering.backends import array_operations
-from twistax.lowering.scalar.entry import Entry
-from twistax.lowering.scalar.program import emitted_form, scalarize
-from twistax.lowering.scalar.table import TABLE
+from twistax.lowering.scalar.entry import Entry, nodes
+from twistax.lowering.scalar.graph import Graph
+from twistax.lowering.scalar.program import Reader, emitted_form, scalarize
+from twistax.lowering.scalar.table import OPERATIONS, TABLE
 from twistax.lowering.small_call import known_inside, small_call
 
 
@@ -97,6 +98,54 @@ def test_a_parameter_more_is_not_known() -> None:
         TABLE["transpose"].understands(eqn.replace(params={**eqn.params, "mystery": 1}))
 
 
+#: Parameters that change no number: where arrays lie, and how they are kept; promises of the caller; how derivatives
+#: are made, which are made of the scalars here; the number that is taken beyond the end, where gathers are left to JAX;
+#: what complex numbers and results of another type have, which are not read.
+IDLE = """
+sharding out_sharding in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars
+weak_type indices_are_sorted unique_indices is_stable unroll prevent_cse differentiated policy symbolic_zeros
+jvp_jaxpr_fun fwd_jaxpr_thunk bwd num_consts out_trees ft_out fill_value conjugate_a preferred_element_type
+update_consts
+"""
+#: The sum and the product, by the names of their primitives.
+NAMED = {"scatter-add": {"update_jaxpr"}, "scatter-mul": {"update_jaxpr"}}
+
+
+class Watched(dict[str, Any]):
+    """Parameters that know which of them were read."""
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        super().__init__(params)
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        self.read.add(name)
+        return super().get(name, default)
+
+
+@pytest.mark.parametrize("name", [name for name in EXAMPLES if TABLE[name].read is not None or name in OPERATIONS])
+def test_a_rule_reads_all_parameters(name: str) -> None:
+    """But for those without effect: what is taken and not read would be wrong in silence."""
+    eqn = next(eqn for eqn in all_equations(traced(name).jaxpr) if eqn.primitive.name == name)
+    watched = Watched(eqn.params)
+    eqn = eqn.replace(params=watched)
+    entry, graph = TABLE[name], Graph(np.float64)
+    assert watched is eqn.params
+    assert entry.understands(eqn)
+    arrays = [
+        graph.array(np.asarray(v.val, v.aval.dtype))
+        if isinstance(v, Literal)
+        else nodes([graph.input(k, j, np.dtype(v.aval.dtype)) for j in range(v.aval.size)], v.aval.shape)
+        for k, v in enumerate(eqn.invars)
+    ]
+    entry.scalars(Reader(graph, whole=False), eqn, *arrays)
+    assert set(watched) - watched.read <= set(IDLE.split()) | NAMED.get(name, set())
+
+
 # ---- values of parameters that are not read --------------------------------------------------------------------------
 
 V, M = np.arange(1.0, 6.0) / 3.0, np.arange(1.0, 13.0).reshape(3, 4) / 5.0
@@ -115,6 +164,12 @@ CASES = [
     Case("as exactly as can be", lambda a: lax.exp(a, accuracy=lax.AccuracyMode.HIGHEST), (V,), **WITHIN),
     Case("sorted by two keys", lambda a, b: lax.sort((a, b), num_keys=2), (PLACES, PLACES[::-1]), **WITHIN),
     Case("by platform", lambda a: lax.platform_dependent(a, cpu=jnp.sin, default=jnp.cos), (V,), **WITHIN),
+    Case(
+        "by an algorithm that rounds",
+        lambda a: lax.dot(a, a.T, precision=lax.DotAlgorithmPreset.BF16_BF16_F32, preferred_element_type=np.float32),
+        (M.astype(np.float32),),
+        **WITHIN,
+    ),
     Case(
         "filled with a number", lambda a, k: a.at[k].get(mode="fill", fill_value=7.0), (V, np.array([9, 1])), **WITHIN
     ),

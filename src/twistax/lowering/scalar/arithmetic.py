@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .entry import ALWAYS, NEVER, SMALL, Entry, Nodes, Operation, convert, default, each, gathered, nodes, up_to
 from .operations import LARGEST, OPERATIONS, SMALLEST, on
@@ -140,6 +141,13 @@ def _dot_general(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | 
     return [nodes(found, (*batch, *rows, *columns))]
 
 
+def _full_precision(p: Mapping[str, Any]) -> bool:
+    """Whether the processor's own products are meant: an algorithm may round the factors."""
+    given = p["precision"]
+    each = given if isinstance(given, tuple) else (given,)
+    return all(one is None or isinstance(one, lax.Precision) for one in each)
+
+
 def _product_work(eqn: Any) -> Mapping[str, int]:
     (contracted, _), _ = eqn.params["dimension_numbers"]
     depth, out = math.prod(eqn.invars[0].aval.shape[i] for i in contracted), eqn.outvars[0].aval.size
@@ -219,6 +227,7 @@ CONTRACTION = [
         "dot_general",
         _dot_general,
         "dimension_numbers precision preferred_element_type out_sharding",
+        when=_full_precision,
         inside=up_to(64),  # larger ones call a library
         work=_product_work,
     ),

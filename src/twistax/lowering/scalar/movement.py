@@ -100,7 +100,13 @@ MOVEMENT = [
     _moving("tile", "reps", lambda p, a: np.tile(a, p["reps"])),
     moving("iota", _iota, "dtype shape dimension sharding", inside=SMALL),
     moving("pad", _pad, "padding_config", inside=SMALL),
-    Entry("sort", _sort, "dimension is_stable num_keys", when=lambda p: p["num_keys"] == 1, any_type=True),
+    Entry(
+        "sort",
+        _sort,
+        "dimension is_stable num_keys",
+        when=lambda p: (p["num_keys"], p["dimension"]) == (1, 0),
+        any_type=True,
+    ),
 ]
 
 

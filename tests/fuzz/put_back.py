@@ -1,0 +1,193 @@
+"""Silent errors of one place, put into a copy of the tree one at a time: the fuzzer must find each.
+
+    python tests/fuzz/put_back.py [--seconds N] [--seed S] [--only NAME ...] [--list]
+
+The table says after how many seconds, and by which case. What is about calls that are refused is not here: bad calls
+have tests of their own. The exit status is 0 if each error was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from mutations import ROOT, Mutation, copy_to
+
+#: XLA optimises nothing: it takes half of the time, and the errors are none of its own.
+QUICK = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+
+ADJUGATE = """n = A.shape[-1]
+    if n == 3:
+        rows = [A[..., i, :] for i in range(3)]
+        sides = jnp.stack([jnp.cross(rows[i - 2], rows[i - 1]) for i in range(3)], axis=-1)
+        return sides @ b / jnp.sum(rows[0] * sides[..., 0], axis=-1)[..., None, None]"""
+
+#: name, file below src/twistax, what stands there, what stands there instead.
+TABLE = [
+    ("3x3 by the adjugate", "expr/solve.py", "n = A.shape[-1]\n    left", f"{ADJUGATE}\n    left"),
+    (
+        "integers wrap without x64",
+        "lowering/inputs.py",
+        "return reals(place, value, InputError)",
+        "return np.asarray(jnp.asarray(np.asarray(value)), float)",
+    ),
+    (
+        "index of mixed kinds through Stack",
+        "expr/array.py",
+        "isinstance(first, int) and not lists",
+        "isinstance(first, int)",
+    ),
+    ("long arrays have one key", "expr/fields.py", "_digest(array.tobytes())", "str(array)"),
+    (
+        "update function of a scatter",
+        "lowering/scalar/movement.py",
+        'p["update_jaxpr"] is None and _scattered(p)',
+        "_scattered(p)",
+    ),
+    ("take beyond the end", "lowering/scalar/movement.py", 'p["mode"] == _FILL and not', 'p["mode"] is None and not'),
+    ("scatter beyond the end", "lowering/scalar/movement.py", 'eqn.params["mode"] != _CLIP', "True"),
+    (
+        "baked numbers are rounded",
+        "lowering/functions.py",
+        "Constant(known[name].replace(value=value).value)",
+        'Constant(known[name].replace(value=value).value.astype("float32"))',
+    ),
+    (
+        "constants are float32 under x64",
+        "expr/leaves.py",
+        "jax.numpy.asarray(self.value, bool if self.value.dtype == bool else inputs.dtype)",
+        "jax.numpy.asarray(self.value, bool if self.value.dtype == bool else np.float32).astype(inputs.dtype)",
+    ),
+    (
+        "x <= y as x - y <= 0",
+        "expr/arithmetic.py",
+        "function = operator.le",
+        "function = lambda a, b: a - b <= 0.0  # noqa: E731",
+    ),
+    (
+        "scalars merged whose arguments differ",
+        "lowering/scalar/graph.py",
+        "return self._intern((operation, *arguments), dtype)",
+        "return self._intern((operation, *arguments[:1] * len(arguments)), dtype)"
+        ' if operation.name == "tanh" else self._intern((operation, *arguments), dtype)',
+    ),
+    (
+        "np.dot of stacks",
+        "expr/operators.py",
+        'if a.ndim > 2 or b.ndim > 2:\n        raise TypeError("np.dot',
+        'if a.ndim > 9 or b.ndim > 9:\n        raise TypeError("np.dot',
+    ),
+    ("np.fmax is Max", "expr/operators.py", "maximum Max    minimum Min", "maximum Max    minimum Min  fmax Max"),
+    (
+        "np.hypot overflows",
+        "expr/operators.py",
+        '"reciprocal": lambda',
+        '"hypot": lambda x, y: (x * x + y * y) ** 0.5,\n    "reciprocal": lambda',
+    ),
+    (
+        "SmoothReLU overflows",
+        "expr/elementwise.py",
+        "jax.lax.stop_gradient(jnp.maximum(part, self.c))",
+        "jnp.ones_like(part)",
+    ),
+    (
+        "order of what ad* becomes",
+        "expr/lie/adjoint.py",
+        "halves(self.momentum, self.order)\n        return",
+        "halves(self.momentum, LINEAR_FIRST)\n        return",
+    ),
+    (
+        "order of what nodes of twists give",
+        "expr/lie/base.py",
+        "return self._swapped(type(self).function(*map(self._swapped, values)))",
+        "return type(self).function(*map(self._swapped, values))",
+    ),
+    (
+        "derivative of the Stumpff functions",
+        "groups/series.py",
+        "0.5 * (k * stumpff(k + 2, x) - stumpff(k + 1, x)) * dx",
+        "0.5 * (k * stumpff(k + 2, x) + stumpff(k + 1, x)) * dx",
+    ),
+    (
+        "derivative of atan2 in scalars",
+        "lowering/scalar/operations.py",
+        "return [g.mul(a[1], inverse), g.neg(g.mul(a[0], inverse))]",
+        "return [g.mul(a[1], inverse), g.mul(a[0], inverse)]",
+    ),
+    (
+        "gradient of ties",
+        "lowering/scalar/operations.py",
+        'g.select(on(g, "eq", *a), g.constant(0.5), g.zero)',
+        "g.zero",
+    ),
+    ("axis of Vmap", "expr/vmap.py", "in_axes=self.axis", "in_axes=0"),
+    (
+        "batches along another axis",
+        "lowering/scalar/primitive.py",
+        "batching.bdim_at_front(a, d, size)",
+        "batching.bdim_at_front(a, None if d is None else 0, size)",
+    ),
+    (
+        "integers are rounded",
+        "lowering/native/code.py",
+        "(self.vector(kind), x))\n        if target in",
+        '(self.vector(kind), self.intrinsic("rint", kind, x)))\n        if target in',
+    ),
+    (
+        "NaN is lost by max in kernels",
+        "lowering/native/code.py",
+        'self.instruction("fcmp uno", kind, a, a), a, first)',
+        'self.instruction("fcmp uno", kind, b, b), a, first)',
+    ),
+    (
+        "pivots of LU",
+        "lowering/scalar/arithmetic.py",
+        'better = on(g, "gt", size, best)',
+        'better = on(g, "gt", best, size)',
+    ),
+]
+
+
+def found(mutation: Mutation, seconds: float, seed: int) -> str:
+    """What the fuzzer says of a tree with the error: its first wrong case; empty if it finds none."""
+    with tempfile.TemporaryDirectory(prefix="put_back_") as folder:
+        tree = copy_to(folder, ("src", "tests"))
+        path = tree / "src" / "twistax" / mutation.file
+        path.write_text(mutation.applied(path.read_text()))
+        command = [sys.executable, "tests/fuzz", "--seconds", str(seconds), "--seed", str(seed)]
+        command += ["--most", "1", "--unshrunk"]
+        own = {"PYTHONPATH": str(tree / "src"), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": QUICK}
+        run = subprocess.run(command, cwd=tree, env=os.environ | own, capture_output=True, text=True)
+    said = re.search(r"^# (case .*)$", run.stdout, re.MULTILINE)
+    if run.returncode not in (0, 1) or (run.returncode == 1 and said is None):
+        raise RuntimeError(f"{mutation.name}: {run.stdout[-1000:]}{run.stderr[-2000:]}")
+    return said[1] if said else ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=600.0, help="how long to look for each")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", help="names of errors")
+    parser.add_argument("--list", action="store_true", help="check that each error can be made, and run nothing")
+    arguments = parser.parse_args()
+    chosen = [Mutation(*row, ()) for row in TABLE if not arguments.only or row[0] in arguments.only]
+    for mutation in chosen:
+        mutation.applied((ROOT / "src" / "twistax" / mutation.file).read_text())
+    missed = 0
+    for mutation in [] if arguments.list else chosen:
+        said = found(mutation, arguments.seconds, arguments.seed)
+        missed += not said
+        print(f"{mutation.name:40}  {said[:120] or 'NOT FOUND'}", flush=True)
+    print(f"{len(chosen) - missed} of {len(chosen)} errors {'can be made' if arguments.list else 'are found'}")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
