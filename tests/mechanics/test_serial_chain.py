@@ -247,7 +247,7 @@ def test_what_is_no_chain_is_refused(unchecked: None) -> None:
         Chain([hinge])
     with pytest.raises(tx.ShapeError, match=r"Chain expects gravity with shape \(3,\), got \(\)"):
         Chain([Link(hinge, rod, np.eye(4))], gravity=9.81)
-    with pytest.raises(tx.ModelError, match="positive whole number of links, got 0"):
+    with pytest.raises(tx.ModelError, match="count must be a whole number of 1 or more, got 0"):
         chain_models.equal_links(0)
 
 

@@ -114,7 +114,7 @@ def integrate(
         raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
     method.check(dynamics)
     for name, flag in (("dense", dense), ("throw", throw)):
-        if not isinstance(flag, bool):
+        if not isinstance(flag, (bool, np.bool_)):
             raise InputError(f"{name} must be True or False, got {flag!r}")
     if not isinstance(control, StepControl | None):
         raise InputError(f"control must be tx.StepControl(...), got {short(control)}")
