@@ -19,7 +19,7 @@ from twistax.report.rows import Origin, Row, Store
 from twistax.report.speed import page
 from twistax.report.speed.cases import CASES, FREE_BODY, Case
 from twistax.report.speed.contenders import CASADI, PLAIN, SCALARS, Contender
-from twistax.report.speed.measure import QUICK, apart, measure
+from twistax.report.speed.page import QUICK, apart, measure
 from twistax.report.speed.programs import JACOBIAN, LOOP, SINGLE, VALUE, Lacks, Quantity, Task, batch, values
 from twistax.report.timing import Repeats, Timed
 
@@ -52,7 +52,7 @@ def pretender(name: str, factor: float = 1.0, seconds: float = 0.1, refuses: str
     def task(case: Case, quantity: Quantity) -> Task:
         return Pretending(quantity.shape(case), factor, seconds, refuses)
 
-    return Contender(name, "C0", "pretends", task, tool=needs)
+    return Contender(name, "C0", task, tool=needs)
 
 
 def run(folder: Path, *contenders: Contender) -> int:
@@ -171,7 +171,7 @@ def test_a_failure_of_a_peer_ends_its_row_alone(tmp_path: Path) -> None:
     def task(case: Case, quantity: Quantity) -> Task:
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nand more")
 
-    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [pretender("ours"), Contender("peer", "C1", "fails", task)])
+    rows = measured(Store(tmp_path / "rows.json", ORIGIN), [pretender("ours"), Contender("peer", "C1", task)])
     assert rows["peer", "in a loop"].note == "failed: RESOURCE_EXHAUSTED: Out of memory"
     assert rows["ours", "in a loop"].done
 

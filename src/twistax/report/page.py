@@ -42,7 +42,7 @@ def render(name: str, context: Mapping[str, Any]) -> tuple[str, str]:
     folder = jinja2.FileSystemLoader(_TEMPLATES)
     # Text is escaped by the filters, as Markdown is no HTML.
     engine = jinja2.Environment(loader=folder, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    engine.filters |= {"flat": _flat, "cell": lambda text: text.replace("|", "\\|"), "inline": _inline}
+    engine.filters |= {"flat": _flat, "cell": lambda text: _flat(text).replace("|", "\\|"), "inline": _inline}
     engine.filters |= {"duration": duration, "plain": plain, "listed": _listed, "span": _span, "bar_table": bar_table}
     page = engine.get_template(f"{name}.j2")
     markdown, body = (page.render(context, form=form) for form in ("markdown.j2", "html.j2"))

@@ -4,7 +4,7 @@ import functools
 
 from ..checks import Section
 from ..report import Checked
-from . import costs, derivatives, edges, identities, keeping, maps, scalars, small, steps, stiff
+from . import costs, edges, identities, keeping, maps, scalars, small, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -23,7 +23,7 @@ FIGURES: dict[str, Section] = {
     "identities": identities.IDENTITIES,
     "keeping": keeping.KEEPING,
     "maps": maps.LAST_PLACES,
-    "linearisation": derivatives.LINEARISATION,
+    "linearisation": steps.LINEARISATION,
     "stiffness": stiff.STIFFNESS,
     "long": keeping.LONG,
     "races": costs.RACES,
@@ -31,7 +31,7 @@ FIGURES: dict[str, Section] = {
     "costs": costs.COSTS,
     "steps": steps.STEPS,
     "beside": steps.BESIDE,
-    "gradients": derivatives.GRADIENTS,
+    "gradients": steps.GRADIENTS,
     "operations": scalars.OPERATIONS,
     "kernels": scalars.KERNELS,
     "small": small.SMALL,

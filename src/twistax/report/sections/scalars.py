@@ -21,7 +21,7 @@ from ...lowering.scalar.primitive import Derived, call_program
 from ...lowering.scalar.program import ScalarProgram, one_by_one, scalarize
 from ..checks import Absent, Check, Section, agree, at_most, between
 from ..speed.cases import CASES, Case
-from ..speed.measure import apart as relative
+from ..speed.page import apart as relative
 from ..timing import Repeats, Timed, compiled, in_turn, seconds_of
 from .maps import mpmath
 from .steps import apart, c_body

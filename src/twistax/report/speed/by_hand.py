@@ -12,20 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 #: Of each link: where its joint sits, T (4, 4), and its inertia (6, 6). All joints turn about z.
-Links = Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
+Links = Sequence[tuple[Array, Array]]
 
 _AXIS = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
-def free_body(
-    xp: Any, M: NDArray[np.float64], mass_moment: tuple[float, NDArray[np.float64]], y: Any, V: Any, F: Any
-) -> list[Any]:
+def free_body(xp: Any, M: Array, mass: float, moment: Array, y: Any, V: Any, F: Any) -> list[Any]:
     """The rates of position and quaternion y (7,), of any length, and of the twist V (6,), with weight and a wrench F.
 
-    M is the inertia (6, 6); with it come the mass m, and m c with the centre of mass c.
+    M is the inertia (6, 6), the moment the mass times the centre of mass.
     """
-    mass, moment = mass_moment
     w, x, z = y[3], (y[4], y[5], y[6]), V[3:6]
     d = 2 / (w * w + x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
     R = xp.array(
@@ -97,7 +95,7 @@ def forward_dynamics(xp: Any, links: Links, q: Any, qd: Any, tau: Any) -> Any:
     return xp.stack(qdd)
 
 
-def _to_link(xp: Any, mount: NDArray[np.float64], q: Any) -> Any:
+def _to_link(xp: Any, mount: Array, q: Any) -> Any:
     """X (6, 6): twists in the frame of a link, of twists in that of the link before."""
     s, c = xp.sin(q), xp.cos(q)
     turn = xp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

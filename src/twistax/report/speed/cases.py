@@ -95,7 +95,7 @@ FREE_BODY = Case(
     *((7, 6, 6), 13, ("y", "V"), ("x",)),
     _free_body,
     lambda a, b, c: ({"y": a, "V": b}, {"F": c}, {}),
-    lambda xp, a, b, c: by_hand.free_body(xp, inertia(), (MASS, MASS * CENTER), a, b, c),
+    lambda xp, a, b, c: by_hand.free_body(xp, inertia(), MASS, MASS * CENTER, a, b, c),
 )
 
 

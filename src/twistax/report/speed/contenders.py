@@ -30,11 +30,10 @@ from .programs import CALLS, JACOBIAN, TINY, VALUE, Function, JaxTask, Lacks, Qu
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contender:
-    """A way to have dynamics evaluated."""
+    """A way to have dynamics evaluated. What is done, a sentence for the page, stands in `sections.toml`."""
 
     name: str  # in tables
     colour: str  # in figures
-    how: str  # what is done, a sentence for the page
     task: Callable[[Case, Quantity], Task]  # raises `Lacks` where there is none
     package: str = ""  # needed, as pip calls it
     module: str = ""  # and as Python does, if another name
@@ -78,30 +77,16 @@ def _unrolls(dynamics: tx.Dynamics, case: Case) -> bool:
     return found.program.operations <= tx.XLA().largest
 
 
-def _own(name: str, colour: str, backend: Backend, how: str, package: str = "") -> Contender:
-    how = f"`tx.compile(system, backend=tx.{type(backend).__name__}())`: {how}"
-    return Contender(name, colour, how, functools.partial(_twistax, backend), package)
+SCALARS = Contender("twistax XLA", "C0", functools.partial(_twistax, tx.XLA()))
+NATIVE = Contender("twistax native", "C3", functools.partial(_twistax, tx.Native()), package="llvmlite")
+ARRAYS = Contender("twistax arrays", "C9", functools.partial(_twistax, tx.JAX()))
 
 
-SCALARS = _own(
-    "twistax XLA",
-    "C0",
-    tx.XLA(),
-    "scalars where it unrolls functions, arrays below. Jacobians by `dynamics.jacobian` up to 30,000 operations, by "
-    "`jax.jacfwd` beyond; gradients by `jax.grad`.",
-)
-NATIVE = _own(
-    "twistax native", "C3", tx.Native(), "kernels compiled in process. Derivatives as with XLA.", package="llvmlite"
-)
-ARRAYS = _own("twistax arrays", "C9", tx.JAX(), "small arrays as they are written. Derivatives by JAX.")
+def _plain(case: Case, quantity: Quantity) -> Task:
+    return JaxTask(case, lambda: quantity.by_jax(functools.partial(case.by_hand, jnp)))
 
-PLAIN = Contender(
-    "plain JAX",
-    "C7",
-    "jax.numpy as one writes it by hand, in 6x6 matrices, lists and Python loops (`by_hand.py`). Derivatives by "
-    "`jax.jacfwd` and `jax.grad`.",
-    lambda case, quantity: JaxTask(case, lambda: quantity.by_jax(functools.partial(case.by_hand, jnp))),
-)
+
+PLAIN = Contender("plain JAX", "C7", _plain)
 
 
 def _openscvx(case: Case, quantity: Quantity) -> Task:
@@ -130,13 +115,7 @@ def _openscvx_body() -> Function:
     return lambda a, b, c: [lowered(jnp.concatenate([a, b]), c, 0, {})]
 
 
-OPENSCVX = Contender(
-    "OpenSCvx",
-    "C2",
-    "`openscvx.symbolic.lower.lower_to_jax` of its own nodes. Derivatives by JAX.",
-    _openscvx,
-    "openscvx",
-)
+OPENSCVX = Contender("OpenSCvx", "C2", _openscvx, package="openscvx")
 
 # ---- Pinocchio ------------------------------------------------------------------------------------------------------
 
@@ -207,14 +186,7 @@ def _pinocchio(case: Case, quantity: Quantity) -> Task:
     return _Called(case, quantity, seconds, functools.partial(repeated, CALLS, call), loop, batch)
 
 
-PINOCCHIO = Contender(
-    "Pinocchio",
-    "C4",
-    "`pin.rnea`, `pin.aba` and their analytic derivatives, called from Python in a loop, point by point, also for "
-    "loops and batches: what a call costs is part of every time and is not subtracted. A loop in C++ is faster.",
-    _pinocchio,
-    *("pin", "pinocchio"),
-)
+PINOCCHIO = Contender("Pinocchio", "C4", _pinocchio, package="pin", module="pinocchio")
 
 # ---- CasADi: a function of SX symbols, C written from it, compiled with gcc and called in a C loop ------------------
 
@@ -273,13 +245,4 @@ def _casadi(case: Case, quantity: Quantity) -> Task:
     return _Called(case, quantity, seconds, calls, library.twistax_loop, library.twistax_batch, wrap=ca.DM)
 
 
-CASADI = Contender(
-    "CasADi C",
-    "C1",
-    "the same plain matrices as SX symbols, C written by `Function.generate`, compiled with "
-    f"`gcc {' '.join(_FLAGS[:2])}`; loop and batch are loops in C on one core, a single call goes through its "
-    "Python interface (`casadi.external`). Derivatives are its own, `jacobian` and `gradient`.",
-    _casadi,
-    package="casadi",
-    tool="gcc",
-)
+CASADI = Contender("CasADi C", "C1", _casadi, package="casadi", tool="gcc")
