@@ -122,11 +122,6 @@ def keep(pairs: Sequence[tuple[Row, Timed | None]], repeats: Repeats, store: Sto
     )
 
 
-def ratio(one: Timed, other: Timed) -> float:
-    """The median time of an evaluation over that of another."""
-    return one.seconds / other.seconds
-
-
 def seconds_of(call: Callable[[], Any]) -> float:
     """Of one call, its results waited for."""
     begin = time.perf_counter()

@@ -28,7 +28,7 @@ from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
 from ..checks import Absent, Check, Section, agree, at_most, between
-from ..timing import Repeats, Timed, compiled, in_turn, ratio
+from ..timing import Repeats, Timed, compiled, in_turn
 from .stiff import fourth_order
 
 _REPEATS = Repeats(7, 5)
@@ -130,7 +130,7 @@ def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000)
     agree(float(abs(taken - other_taken)), 0.0)
     agree(apart(ends, others), 1e-9)
     in_turn([ours, theirs], _REPEATS)
-    return ratio(ours, theirs)
+    return ours.seconds / theirs.seconds
 
 
 BRIDGE: Section = [
@@ -209,7 +209,7 @@ BESIDE: Section = [
         "a step: our time over that of C",
         f"gcc {' '.join(flags)}",
         expected,
-        lambda number: ratio(beside_c()[0], beside_c()[number]),
+        lambda number: beside_c()[0].seconds / beside_c()[number].seconds,
         number,
         slow=True,
     )

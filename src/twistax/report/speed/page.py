@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import json
 import math
 import os
 import subprocess
 from collections.abc import Callable, Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from ..rows import Row, Store, first_line, now
 from ..timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet
 from .cases import CASES, Case
 from .contenders import ARRAYS, CASADI, NATIVE, OPENSCVX, PINOCCHIO, PLAIN, SCALARS, Contender
-from .programs import JACOBIAN, LOOP, QUANTITIES, USES, VALUE, Lacks, Quantity, Task, Use, batch, values
+from .programs import QUANTITIES, USES, Lacks, Quantity, Task, Use, values
 
 #: The largest difference from the reference with which a contender is timed.
 AGREEMENT = 1e-9
@@ -125,38 +127,24 @@ _CONTENDERS = (SCALARS, NATIVE, ARRAYS, PLAIN, OPENSCVX, CASADI, PINOCCHIO)
 #: Ratios are to these.
 _BASES = (PLAIN.name, CASADI.name)
 
-_MANY = batch(4096)
 #: What we want to be true, said beforehand: of a case, quantity and use the median time of a contender over that of
 #: another is at most so much; seconds to compile if there is no other.
-_BARS = (
-    ("aba-7", VALUE, LOOP, SCALARS, PLAIN, 0.2),
-    ("aba-7", VALUE, _MANY, SCALARS, PLAIN, 0.5),
-    ("free-body", VALUE, LOOP, SCALARS, OPENSCVX, 1.0),
-    ("aba-7", VALUE, LOOP, SCALARS, None, 1.0),
-    ("aba-30", VALUE, LOOP, SCALARS, None, 7.0),
-    ("aba-7", VALUE, _MANY, NATIVE, CASADI, 0.15),
-    ("aba-7", VALUE, _MANY, NATIVE, PLAIN, 0.03),
-    ("rnea-7", VALUE, _MANY, NATIVE, CASADI, 0.15),
-    ("free-body", VALUE, _MANY, NATIVE, CASADI, 0.4),
-    ("aba-7", JACOBIAN, _MANY, NATIVE, CASADI, 0.2),
-    ("aba-7", VALUE, LOOP, NATIVE, CASADI, 1.2),
-)
+_BARS = json.loads(Path(__file__).with_name("bars.json").read_text())
 
 
 def bar_rows(rows: Sequence[Row], case: str) -> list[Row]:
     """Every bar of a case that was run with its quantity and use."""
     found = {row.key: row for row in rows if row.done}
     result = []
-    for place, quantity, use, contender, against, limit in _BARS:
-        if place != case or not any((*key[:2], key[3]) == (case, quantity.name, use.name) for key in found):
+    for place, quantity, use, name, against, limit in _BARS:
+        if place != case or not any((*key[:2], key[3]) == (case, quantity, use) for key in found):
             continue
-        own = found.get((case, quantity.name, contender.name, use.name))
+        own, other = (found.get((case, quantity, each, use)) for each in (name, against))
         if against is None:
             value, setting, unit = own.numbers["compile_seconds"] if own else math.nan, "compiling", "s"
         else:
-            other = found.get((case, quantity.name, against.name, use.name))
-            value, setting, unit = own.value / other.value if own and other else math.nan, f"over {against.name}", ""
-        row = Row("bars", f"{CASES[case].title}, {quantity.name}, {use.name}", contender.name, setting, value)
+            value, setting, unit = own.value / other.value if own and other else math.nan, f"over {against}", ""
+        row = Row("bars", f"{CASES[case].title}, {quantity}, {use}", name, setting, value)
         result.append(judged(row, at_most(limit, unit)))
     return result
 

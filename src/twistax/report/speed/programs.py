@@ -49,11 +49,7 @@ class Quantity(NamedTuple):
 
 
 def _jacobian(function: Function) -> Function:
-    def joined(a: Any, b: Any, c: Any) -> Any:
-        parts = function(a, b, c)
-        return jnp.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]
-
-    slopes = jax.jacfwd(joined, argnums=(0, 1))
+    slopes = jax.jacfwd(lambda a, b, c: jnp.concatenate(function(a, b, c), axis=-1), argnums=(0, 1))
     return lambda a, b, c: list(slopes(a, b, c))
 
 

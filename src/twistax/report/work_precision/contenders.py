@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -182,35 +184,17 @@ def _diffrax(
 
 # ---- all of them ----------------------------------------------------------------------------------------------------
 
-_QUATERNION, _CLOSED, _RADAU = "tx.charts.Ambient()", "tx.charts.Exponential()", "tx.tableaus.RADAU_IIA5"
 #: Ours: name, title, how a program writes it, style, whether it is drawn.
-_OURS = (
-    ("rk4", "RK4, equal steps", "tx.RKMK(tx.tableaus.RK4)", "gray - s", True),
-    ("cf4", "CF4, equal steps", "tx.CommutatorFree()", "gray -- s", False),
-    ("magnus6", "Magnus 6, equal steps", "tx.Magnus(6)", "gray : s", False),
-    ("bs3", "Bogacki-Shampine 3", "tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3)", "olive - v", False),
-    ("dopri5", "Dormand-Prince 5", "tx.RKMK(tx.tableaus.DORMAND_PRINCE5)", "pink - <", False),
-    ("tsit5", "Tsit5", "tx.RKMK(tx.tableaus.TSIT5)", "cyan - o", True),
-    ("tsit5-quaternion", "Tsit5, quaternion", f"tx.RKMK(tx.tableaus.TSIT5, {_QUATERNION})", "cyan -- o", True),
-    ("dop853", "DOP853", "tx.RKMK(tx.tableaus.DOP853)", "blue - D", True),
-    ("dop853-closed", "DOP853, closed form", f"tx.RKMK(tx.tableaus.DOP853, {_CLOSED})", "purple - P", False),
-    ("dop853-split", "DOP853, split", "tx.RKMK(tx.tableaus.DOP853, tx.charts.SplitExponential(6))", "green - ^", True),
-    ("dop853-quaternion", "DOP853, quaternion", f"tx.RKMK(tx.tableaus.DOP853, {_QUATERNION})", "blue -- D", True),
-    ("dopri8", "Dormand-Prince 8", "tx.RKMK(tx.tableaus.DORMAND_PRINCE8)", "brown - >", False),
-    ("radau5", "Radau IIA 5", f"tx.ImplicitRKMK({_RADAU})", "blue - X", True),
-    ("radau5-quaternion", "Radau IIA 5, quaternion", f"tx.ImplicitRKMK({_RADAU}, {_QUATERNION})", "blue -- X", True),
-)
-
-
+_OURS = json.loads(Path(__file__).with_name("ours.json").read_text())
 _PI = (0.4, 0.3)
 
 
 def _all() -> list[Contender]:
     found = []
-    for name, title, code, style, drawn in _OURS:
+    for each in _OURS:
         # What the page shows is what is run.
-        own: dict[str, Any] = {"title": title, "code": code, "style": tuple(f"tab:{style}".split()), "drawn": drawn}
-        found.append(ours(name, eval(code, {"tx": tx}), "equal steps" in title, **own))
+        method, style = eval(each["code"], {"tx": tx}), tuple(f"tab:{each['style']}".split())
+        found.append(ours(method=method, equal="equal steps" in each["title"], **each | {"style": style}))
     looks = {"Tsit5": ("tab:orange", "o"), "Dopri5": ("goldenrod", "<"), "Dopri8": ("tab:red", "D")}
     # Two controllers on one line: diffrax's default, and proportional-integral control, which rejects fewer steps on
     # some scenes.
@@ -244,30 +228,26 @@ def measure_scene(
     sitting = now()
     for number, contender in enumerate(contenders):
         tell(f"compiling {contender.name}", 0.5 * number / len(contenders))
-        try:
-            runs += _climb(scene, contender, effort, store, sitting)
-        except tx.TwistaxError as error:
-            refused[contender.name] = first_line(error)
+        unit, enough = ("steps", effort.enough) if contender.equal else ("tolerance", 0.0)
+        first: Any = None
+        # From coarse to fine, one run each, except for rows that are there.
+        for setting in effort.steps if contender.equal else effort.tolerances:
+            row = Row(scene.name, WHAT, contender.name, f"{unit} {setting:g}", unit="s", sitting=sitting)
+            if found := store.get(*row.key):
+                row, seconds = found, found.value
+            else:
+                try:
+                    first = first or _first_run(scene, contender)
+                    row, timed = first(dataclasses.replace(row, numbers={"setting": setting}))
+                except tx.TwistaxError as error:
+                    refused[contender.name] = first_line(error)
+                    break
+                runs.append((row, timed))
+                seconds = timed.rough if timed else 0.0
+            if seconds > effort.longest or row.numbers.get("error", math.nan) < enough:
+                break
     keep(runs, effort.repeats, store, tell)
     return refused
-
-
-def _climb(
-    scene: Scene, contender: Contender, effort: Effort, store: Store, sitting: str
-) -> Iterator[tuple[Row, Timed | None]]:
-    """From coarse to fine, one run each, except for rows that are there."""
-    unit, enough = ("steps", effort.enough) if contender.equal else ("tolerance", 0.0)
-    first = functools.cache(lambda: _first_run(scene, contender))
-    for setting in effort.steps if contender.equal else effort.tolerances:
-        row = Row(scene.name, WHAT, contender.name, f"{unit} {setting:g}", unit="s", sitting=sitting)
-        if found := store.get(*row.key):
-            row, seconds = found, found.value
-        else:
-            row, timed = first()(dataclasses.replace(row, numbers={"setting": setting}))
-            yield row, timed
-            seconds = timed.rough if timed else 0.0
-        if seconds > effort.longest or row.numbers.get("error", math.nan) < enough:
-            return
 
 
 def _first_run(scene: Scene, contender: Contender) -> Callable[[Row], tuple[Row, Timed | None]]:
