@@ -24,6 +24,8 @@ def quiet(what: str, share: float) -> None:
 
 #: Timed calls in a row on each visit, after one that is not timed; what is longer (s) is called once.
 _CALLS, _SHORT = 3, 5e-3
+#: What takes longer, s, is not called twice to see how long it takes.
+_LONG = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,12 +54,12 @@ class Timed:
     samples: list[float] = dataclasses.field(default_factory=list)  # of a call, s
 
     def result(self) -> Any:
-        """Of a call; again where it was short, as the first call of a program takes longer."""
+        """Of a call; of a second one unless that takes long, as the first call of a program takes some ms more."""
         for _ in range(2):
             begin = time.perf_counter()
             found = jax.block_until_ready(self.call())
             self.rough = min(self.rough, time.perf_counter() - begin)
-            if self.rough > _SHORT:
+            if self.rough > _LONG:
                 break
         return found
 

@@ -32,19 +32,13 @@ _RK4, _DOP853 = tx.RKMK(tx.tableaus.RK4), tx.RKMK(tx.tableaus.DOP853)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
-    """A body that moves.
-
-    Attributes:
-        inertia: (6, 6), order [v; w]; None where nothing but the group is of interest.
-        moment: of a weight on its third axis, N m.
-        bodies: its free motion, for splittings.
-    """
+    """A body that moves."""
 
     dynamics: tx.Dynamics
     start: Mapping[str, Any]
-    inertia: Array | None = None
-    moment: float = 0.0
-    bodies: Any = None
+    inertia: Array | None = None  # (6, 6), order [v; w]; None where nothing but the group is of interest
+    moment: float = 0.0  # of a weight on its third axis, N m
+    bodies: Any = None  # its free motion, for splittings
 
     def kept(self, xs: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
         """What a true motion keeps of states with a leading axis, (n, ...), and its size (n,), by name.

@@ -105,21 +105,16 @@ def twists(count: int, largest: float, dtype: Any, below: bool = False) -> Array
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """A map of twists, and how far it is asked for.
-
-    Attributes:
-        blocks: by name, the place of a block in the result, its exact value, and what its size is that of.
-        sign: of the twist whose exact values count.
-        of_poses: whether it maps the poses of the twists.
-    """
+    """A map of twists, and how far it is asked for."""
 
     name: str
     function: Callable[..., jax.Array]
+    #: By name, the place of a block in the result, its exact value, and what its size is that of.
     blocks: Mapping[str, tuple[Any, str, str]]
     largest: float
     angles: str
-    sign: float = 1.0
-    of_poses: bool = False
+    sign: float = 1.0  # of the twist whose exact values count
+    of_poses: bool = False  # whether it maps the poses of the twists
 
 
 _EXP = {"rotation": (np.s_[:3, :3], "rotation", "rotation"), "position": (np.s_[:3, 3:], "position", "v")}
