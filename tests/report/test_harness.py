@@ -34,7 +34,7 @@ from twistax.report.checks import (
 from twistax.report.command import Progress, run_report
 from twistax.report.page import Picture, duration, render, renew, table_of
 from twistax.report.report import Checked, draw
-from twistax.report.rows import Origin, Row, Store, number, plain
+from twistax.report.rows import Origin, Row, Store, number, plain, save_csv
 from twistax.report.timing import Repeats, Timed, compiled, in_turn
 
 LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
@@ -70,6 +70,15 @@ def test_rows_come_back_from_disk_until_something_else_is_measured(tmp_path: Pat
         assert (len(other), other.dropped) == (0, 1)
     path.write_text(path.read_text()[:60])
     assert len(Store(path, ORIGIN)) == 0
+
+
+def test_a_table_has_each_column_once(tmp_path: Path) -> None:
+    save_csv(
+        tmp_path / "rows.csv", [Row("scene", "one call", "RK4", "steps 8", 1.0, numbers={"setting": 8.0, "error": 2.0})]
+    )
+    head, row = (line.split(",") for line in (tmp_path / "rows.csv").read_text().splitlines())
+    assert len(set(head)) == len(head)
+    assert (row[head.index("setting")], row[head.index("error")]) == ("steps 8", "2")
 
 
 # ---- timing ----------------------------------------------------------------------------------------------------------

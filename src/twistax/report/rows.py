@@ -112,13 +112,13 @@ def _short(text: str) -> str:
 def save_csv(path: Path, rows: Iterable[Row]) -> None:
     """One row a line; further numbers are columns of their own."""
     records = [row.record() for row in rows]
-    numbers = dict.fromkeys(name for record in records for name in record["numbers"])
     columns = [field.name for field in dataclasses.fields(Row) if field.name != "numbers"]
+    numbers = dict.fromkeys(name for record in records for name in record["numbers"] if name not in columns)
     with path.open("w", newline="") as file:
         table = csv.DictWriter(file, [*columns, *numbers], lineterminator="\n")
         table.writeheader()
         for record in records:
-            values = record | record.pop("numbers")
+            values = record.pop("numbers") | record
             table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in values.items()})
 
 
