@@ -13,7 +13,7 @@ import numpy as np
 import twistax as tx
 
 from ..checks import Check, Section, agree, at_most, between
-from ..timing import Repeats, Timed, in_turn, ratio
+from ..timing import Repeats, Timed, in_turn
 from .steps import FLAGS, apart, in_c
 
 _REPEATS = Repeats(9, 5)
@@ -64,7 +64,7 @@ def solves() -> dict[str, Timed]:
 
 
 def _over_c(n: int, by: str) -> float:
-    return ratio(loops(n)[by], loops(n)["C"])
+    return loops(n)[by].seconds / loops(n)["C"].seconds
 
 
 SMALL: Section = [
@@ -77,6 +77,6 @@ SMALL: Section = [
         "10,000 solves of 3x3: time over `jax.vmap`",
         "tx.fast",
         at_most(0.2),
-        lambda: ratio(solves()["tx.fast"], solves()["JAX"]),
+        lambda: solves()["tx.fast"].seconds / solves()["JAX"].seconds,
     ),
 ]
