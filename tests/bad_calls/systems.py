@@ -134,6 +134,15 @@ ROWS = [
     bad("an explanation of what is not there", lambda: cart().explain("velocty"), "'velocty'", "velocity"),
     bad("an explanation of an entry it has not", lambda: decay().explain("v[3]"), "v[3]", "v[0] to v[2]"),
     bad("an explanation of a number", lambda: cart().explain(3), "explain", "3"),
+    bad("a Hessian without weights", lambda: cart().hessian(0.0, X, U, None, None), "weights", "NoneType"),
+    bad("a Hessian weighed by text", lambda: cart().hessian(0.0, X, U, None, "w"), "weights", "str"),
+    bad("weights of another shape", lambda: cart().hessian(0.0, X, U, None, {"position": [1.0]}), "weights", "(1,)"),
+    bad(
+        "weights of what it has not", lambda: cart().hessian(0.0, X, U, None, {"positn": 1.0}), "'positn'", "'position'"
+    ),
+    bad("text made fast", lambda: tx.fast("f"), "fast", "str"),
+    bad("a system made fast", lambda: tx.fast(cart().system), "fast", "System"),
+    bad("a sweep of text", lambda: tx.sweep("f", {}), "sweep", "'f'"),
     # lower
     bad("nothing to lower", lambda: tx.lower({}), "lower", "{}"),
     bad("a lowering of text", lambda: tx.lower("s"), "'s'", "expression"),
