@@ -62,6 +62,9 @@ class Processor:
         return [bits for bits in (128, 256, 512) if bits <= cls.host().bits]
 
 
+#: How much LLVM does for the speed of what it writes; 0 is for what runs once.
+OPTIMISATION = 2
+
 _LOCK = threading.Lock()
 
 #: What was compiled stays in memory for as long as the process: XLA may call it at any time.
@@ -81,7 +84,7 @@ def target_machine(processor: Processor) -> Any:
     import llvmlite.binding as llvm
 
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="jitdefault", jit=True
+        cpu=processor.name, features=processor.features, opt=OPTIMISATION, reloc="pic", codemodel="jitdefault", jit=True
     )
 
 
