@@ -638,6 +638,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/second_order.py",
+        (
+            "Hessian of steps that all start at once",
+            "method.step(field, t + number * step, x, step)",
+            "method.step(field, t, x, step)",
+            "trajectory/test_second_order.py",
+        ),
+        (
+            "differences from the start in place of the end",
+            "return [dynamics.group.difference(held, found), *(found[name] for name in names)]",
+            "return [dynamics.group.difference(dict(inputs.x), found), *(found[name] for name in names)]",
+            "trajectory/test_second_order.py",
+        ),
+    ),
+    *_at(
         "trajectory/transcription.py",
         (
             "left Jacobian of the defect",
