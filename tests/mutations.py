@@ -196,6 +196,21 @@ MUTATIONS: list[Mutation] = [
         ("nested maps share placeholders", "Placeholder(len(around), i", "Placeholder(0, i", "expr/test_vmap.py"),
     ),
     *_at(
+        "expr/graph.py",
+        (
+            "what both branches need computed in each",
+            "functools.reduce(operator.and_, alternatives)",
+            "0",
+            "expr/test_large_graphs.py",
+        ),
+        (
+            "what one branch needs computed for both",
+            "functools.reduce(operator.and_, alternatives)",
+            "functools.reduce(operator.or_, alternatives)",
+            "expr/test_large_graphs.py",
+        ),
+    ),
+    *_at(
         "expr/node.py",
         (
             "a key without the static fields",
@@ -380,6 +395,12 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "lowering/native/kernel.py",
+        (
+            "kernels that stay",
+            "weakref.finalize(code, _vacate, place, address)",
+            "_HANDLERS.append(code)",
+            "lowering/test_lifetimes.py",
+        ),
         (
             "one name for every kernel",
             "parts = (text, processor.name,",

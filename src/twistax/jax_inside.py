@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
@@ -20,6 +20,11 @@ try:
     from jax.experimental.xla_metadata import set_xla_metadata as _set_xla_metadata
 except ImportError:  # a later JAX may have moved it
     _set_xla_metadata = None  # type: ignore[assignment]
+
+try:
+    from jax._src.util import weakref_cache_key_types as _weak_types
+except ImportError:
+    _weak_types = set()
 
 __all__ = [
     "ClosedJaxpr",
@@ -46,9 +51,12 @@ __all__ = [
     "shaped_array",
     "small_calls_exist",
     "source_of",
+    "weakly_kept",
     "wrapped_terms",
     "xla_metadata",
 ]
+
+T = TypeVar("T")
 
 #: Messages that were given, each once for a process.
 _SAID: set[str] = set()
@@ -205,6 +213,12 @@ def scan_parts(eqn: Any) -> tuple[int, int]:
 def is_traced(tree: Any) -> bool:
     """Whether JAX is tracing any leaf: its numbers are not known."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def weakly_kept(cls: type[T]) -> type[T]:
+    """Tell JAX's caches of traces not to keep what they know alive: parameters of equations, of this class."""
+    _weak_types.add(cls)
+    return cls
 
 
 def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:

@@ -34,6 +34,7 @@ from .expr import (
     to_expr,
 )
 from .expr.fields import ExprLike, freeze
+from .expr.packing import pack, unpack
 from .expr.vmap import no_elements
 from .groups import Euclidean, Product
 
@@ -104,6 +105,12 @@ class System:
     def __repr__(self) -> str:
         kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
         return f"System({', '.join(f'{kind}={[leaf.name for leaf in leaves]}' for kind, leaves in kinds)})"
+
+    def __getstate__(self) -> Any:
+        return pack(self.__dict__)
+
+    def __setstate__(self, state: Any) -> None:
+        self.__dict__.update(unpack(*state))
 
     def _place(self, leaf: Leaf) -> str:
         """Where a leaf is first used."""

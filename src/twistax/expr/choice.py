@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any as Anything
 from typing import ClassVar
 
@@ -262,14 +262,12 @@ class Cond(Expr):
         return [self.predicate]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        predicate, *branches = values
-        return self.evaluate_on_demand([predicate], lambda branch: branches[branch is self.false_branch])
+        predicate, true_value, false_value = values
+        return self.evaluate_on_demand([predicate], [lambda: true_value, lambda: false_value])
 
-    def evaluate_on_demand(self, values: list[jax.Array], value_of: Callable[[Expr], jax.Array]) -> jax.Array:
-        def branch(expr: Expr) -> Callable[[], jax.Array]:
-            return lambda: jnp.broadcast_to(value_of(expr), self.shape)
-
-        return jax.lax.cond(values[0], branch(self.true_branch), branch(self.false_branch))
+    def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
+        on_true, on_false = (lambda own=own: jnp.broadcast_to(own(), self.shape) for own in branches)
+        return jax.lax.cond(values[0], on_true, on_false)
 
     def simplify(self) -> Expr:
         """A constant predicate decides; equal branches need no predicate."""

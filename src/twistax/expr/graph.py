@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import functools
+import operator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..checks import callable_with, short
 from ..errors import OperationError
@@ -14,23 +16,31 @@ if TYPE_CHECKING:
     from .leaves import Leaf
     from .node import Expr
 
+N = TypeVar("N")
+
+
+def walk(roots: Iterable[N], below: Callable[[N], Sequence[N]], name: Callable[[N], Hashable] = id) -> Iterator[N]:
+    """Every node below the roots once, after all that stand below it.
+
+    Args:
+        below: what must come before a node; asked once, when the node is met.
+        name: equal for nodes that count as one.
+    """
+    seen: set[Hashable] = set()
+    stack = [(root, False) for root in reversed(list(roots))]
+    while stack:
+        node, ready = stack.pop()
+        if ready:
+            yield node
+        elif (own := name(node)) not in seen:
+            seen.add(own)
+            stack.append((node, True))
+            stack.extend((other, False) for other in reversed(below(node)))
+
 
 def postorder(*roots: Expr) -> list[Expr]:
     """Every node below the roots once (by identity), children before parents."""
-    seen: set[int] = set()
-    order: list[Expr] = []
-    stack: list[tuple[Expr, bool]] = [(root, False) for root in reversed(roots)]
-    while stack:
-        node, done = stack.pop()
-        if done:
-            order.append(node)
-            continue
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        stack.append((node, True))
-        stack.extend((child, False) for child in reversed(node.children()) if id(child) not in seen)
-    return order
+    return list(walk(roots, lambda node: node.children()))
 
 
 def traverse(expr: Expr, visit: Callable[[Expr], None]) -> None:
@@ -86,50 +96,99 @@ def find_path(root: Expr, target: Expr) -> str:
 
 
 def bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
-    """Compute a cached property for every node below `root`, children first, without recursion."""
+    """Compute a cached property for every node below `root`, children first."""
     if slot not in root.__dict__:
-        stack = [root]
-        while stack:
-            node = stack[-1]
-            if slot in node.__dict__:
-                stack.pop()
-                continue
-            waiting = [child for child in node.children() if slot not in child.__dict__]
-            if waiting:
-                stack.extend(waiting)
-            else:
-                node.__dict__[slot] = compute(node)
-                stack.pop()
+        for node in walk([root], lambda node: [child for child in node.children() if slot not in child.__dict__]):
+            node.__dict__[slot] = compute(node)
     return root.__dict__[slot]
+
+
+# ---- values ----------------------------------------------------------------------------------------------------------
 
 
 def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> list[jax.Array]:
     """The value of every root. Equal subtrees (by structure, not identity) are evaluated once.
 
+    What all branches of a node need is evaluated before it, so that it is not evaluated in each of them.
+
     `read` gives the value of a leaf. Nothing is kept between calls: the function is pure.
     """
     memo: dict[str, jax.Array] = {}
-    return [_value(root, read, memo) for root in roots]
+    shared, needs = _shared_by_branches(roots)
+
+    def values(roots: Sequence[Expr], scope: Hashable, known: int) -> list[jax.Array]:
+        """The values of roots in a scope; bit k of `known` says whether shared node k was evaluated around it."""
+        fresh, known = needs.get(scope, 0) & ~known, needs.get(scope, 0) | known
+        first = []
+        while fresh:
+            first.append(shared[(fresh & -fresh).bit_length() - 1])
+            fresh &= fresh - 1
+        for node in walk([*first, *roots], waiting, _key):
+            if node.key() not in memo:
+                memo[node.key()] = read(node) if node.is_leaf else value(node, known)  # type: ignore[arg-type]
+        return [memo[root.key()] for root in roots]
+
+    def waiting(node: Expr) -> list[Expr]:
+        return [child for child in node.eager_children() if child.key() not in memo]
+
+    def value(node: Expr, known: int) -> jax.Array:
+        eager = node.eager_children()
+        branches = [
+            functools.partial(branch, root, (node.key(), k), known)
+            for k, root in enumerate(node.children()[len(eager) :])
+        ]
+        return node.evaluate_on_demand([memo[child.key()] for child in eager], branches)
+
+    def branch(root: Expr, scope: Hashable, known: int) -> jax.Array:
+        before = len(memo)
+        (found,) = values([root], scope, known)
+        while len(memo) > before:  # what was evaluated here exists in the branch only
+            memo.popitem()
+        return found
+
+    return values(roots, None, 0)
 
 
-def _value(root: Expr, read: Callable[[Leaf], jax.Array], memo: dict[str, jax.Array]) -> jax.Array:
-    """The value of `root`; what is computed on the way is added to `memo`."""
+def _key(node: Expr) -> str:
+    return node.key()
 
-    def value_of(branch: Expr) -> jax.Array:
-        # A branch sees what is known already. What it computes may exist in the branch only, so it keeps its own memo.
-        return _value(branch, read, dict(memo))
 
-    stack = [root]
-    while stack:
-        node = stack[-1]
-        key = node.key()
-        waiting = [] if key in memo else [c for c in node.eager_children() if c.key() not in memo]
-        if waiting:
-            stack.extend(reversed(waiting))
-            continue
-        stack.pop()
-        if key not in memo and node.is_leaf:
-            memo[key] = read(node)  # type: ignore[arg-type]
-        elif key not in memo:
-            memo[key] = node.evaluate_on_demand([memo[c.key()] for c in node.eager_children()], value_of)
-    return memo[root.key()]
+def _shared_by_branches(roots: Sequence[Expr]) -> tuple[list[Expr], dict[Hashable, int]]:
+    """The nodes that stand in more than one scope, operands first, and which of them each scope needs for certain.
+
+    A branch is a scope, (key of the node, place), and so is what is outside of all, None. Bit k of a number is node k.
+    """
+    order = list(walk(roots, lambda node: node.children(), _key))
+    if all(len(node.eager_children()) == len(node.children()) for node in order):
+        return [], {}
+    # Scopes from the roots down. What stands in several is a scope of its own, by its key.
+    scopes: dict[str, Hashable] = {root.key(): None for root in roots}
+    for node in reversed(order):
+        eager = len(node.eager_children())
+        for k, child in enumerate(node.children()):
+            own = scopes[node.key()] if k < eager else (node.key(), k - eager)
+            if not child.is_leaf and scopes.setdefault(child.key(), own) != own:
+                scopes[child.key()] = child.key()
+    shared: list[Expr] = []
+    needs: dict[Hashable, int] = {}
+
+    def need(scope: Hashable, child: Expr) -> None:
+        if scopes.get(child.key()) == child.key():
+            needs[scope] = needs.get(scope, 0) | needs[child.key()]
+
+    for node in order:
+        scope, eager = scopes.get(node.key()), len(node.eager_children())
+        for child in node.children()[:eager]:
+            need(scope, child)
+        alternatives = []
+        for k, child in enumerate(node.children()[eager:]):
+            need((node.key(), k), child)
+            alternatives.append(needs.get((node.key(), k), 0))
+        if alternatives:
+            needs[scope] = needs.get(scope, 0) | functools.reduce(operator.and_, alternatives)
+        if scope == node.key():
+            needs[scope] = needs.get(scope, 0) | 1 << len(shared)
+            shared.append(node)
+    for root in roots:
+        need(None, root)
+    return shared, needs

@@ -179,11 +179,11 @@ class Expr(Operators):
         return type(self).function(*values)
 
     def eager_children(self) -> list[Expr]:
-        """The children whose values `evaluate_on_demand` gets; all, unless a node asks for some only when needed."""
+        """The children that are evaluated in any case: all, or the first ones, and the rest are branches."""
         return self.children()
 
-    def evaluate_on_demand(self, values: list[jax.Array], value_of: Callable[[Expr], jax.Array]) -> jax.Array:
-        """Value from the eager children's values; `value_of` computes another child where it is called."""
+    def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
+        """Value from those of the eager children; a branch is evaluated where it is called."""
         return self.evaluate(*values)
 
     def simplify(self) -> Expr:
@@ -369,6 +369,17 @@ class Expr(Operators):
 
     def __hash__(self) -> int:
         return id(self)
+
+    def __copy__(self: E) -> E:
+        return self
+
+    def __deepcopy__(self: E, memo: Any) -> E:
+        return self
+
+    def __reduce__(self) -> Any:
+        from .packing import pack, unpack
+
+        return unpack, pack(self)
 
     def __repr__(self) -> str:
         return printing.render(self, "to_text", "...")

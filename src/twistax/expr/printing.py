@@ -12,8 +12,11 @@ from .graph import postorder
 if TYPE_CHECKING:
     from .node import Expr
 
-#: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed.
+#: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed, and of
+#: a node with more operands only the first ones.
 _LONGEST = 400
+#: A tree is printed to this depth, and so many lines of it.
+_DEEPEST, _MOST_LINES = 60, 2000
 
 
 def wrap(node: Expr, text: str, level: int) -> str:
@@ -52,7 +55,8 @@ def render(root: Expr, method: str, ellipsis: str) -> str:
     for node in postorder(root):
         below = node.children()
         sizes[id(node)] = 1 + sum(sizes[id(child)] for child in below)
-        texts = [done[id(child)] if sizes[id(child)] <= _LONGEST else ellipsis for child in below]
+        texts = [done[id(child)] if sizes[id(child)] <= _LONGEST else ellipsis for child in below[:_LONGEST]]
+        texts += [ellipsis] * (len(below) > _LONGEST)
         done[id(node)] = getattr(node, method)(*texts)
     return done[id(root)]
 
@@ -62,7 +66,7 @@ def tree(root: Expr) -> str:
     lines: list[str] = []
     numbers: dict[int, int] = {}
     stack: list[tuple[Expr, str, str, str]] = [(root, "", "", "")]
-    while stack:
+    while stack and len(lines) < _MOST_LINES:
         node, field, lead, indent = stack.pop()
         name = f"{field}: " if field else ""
         if id(node) in numbers and node.children():
@@ -75,7 +79,10 @@ def tree(root: Expr) -> str:
         except ValueError:
             lines.append(f"{lead}{name}{head} (shape does not fit)")
         below = node.outline()
+        if len(indent) >= 3 * _DEEPEST and below:
+            lines[-1] += " ..."
+            continue
         for i, (child_name, child) in reversed(list(enumerate(below))):
             last = i == len(below) - 1
             stack.append((child, child_name, indent + ("└─ " if last else "├─ "), indent + ("   " if last else "│  ")))
-    return "\n".join(lines)
+    return "\n".join([*lines, f"... ({len(postorder(root)):,} nodes in all)"] if stack else lines)

@@ -86,10 +86,8 @@ class Vmap(Expr):
         (lambda cls, points: cls(lambda p: cls(lambda q: p @ q, points), points), {"points": _POINTS}),
     )
 
-    def __new__(cls, fn: Callable[..., Any] | None = None, batch: Any = None, axis: int = 0) -> Any:
+    def __new__(cls, fn: Callable[..., Any], batch: Any, axis: int = 0) -> Any:
         node = object.__new__(cls)
-        if fn is None:  # copying and unpickling fill an empty node
-            return node
         batches = tuple(to_expr(b) for b in (batch if isinstance(batch, (list, tuple)) else [batch]))
         around = _around.get()
         elements = enumerate(_element_shapes([b.check_shape() for b in batches], axis))

@@ -6,14 +6,15 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
+from typing import Literal as OneOf
 
 import jax
 import jax.numpy as jnp
 
 from ..checks import whole
 from ..errors import ModelError
-from ..jax_inside import ClosedJaxpr, Jaxpr, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
+from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.primitive import Derived, Repeated, Ring, Rows, call_program
 from .scalar.program import ScalarProgram, emitted_form, scalarize
@@ -41,6 +42,8 @@ Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]
 _LARGEST_STEP = 10_000
 #: Numbers that a step closes over become scalars one by one: reading a longer table takes minutes.
 _MOST_CONSTANTS = 1000
+#: XLA recurses into operations that wait for each other; at three times as many its stack overflows.
+_LONGEST_CHAIN = 30_000
 #: A step has derivatives of any order, and nothing else to fall back on.
 ANY_SIZE = 10**9
 
@@ -184,7 +187,7 @@ class XLA(Backend):
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
 
 
-def chosen(backend: Backend | Literal["auto"], auto: Backend) -> Backend:
+def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
     """The backend that a user asked for, `auto` for "auto".
 
     Raises:
@@ -236,6 +239,16 @@ def _variables(jaxpr: Jaxpr) -> list[Any]:
 
 
 def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
+    depth: dict[Any, int] = {}
+    for eqn in closed.jaxpr.eqns if len(closed.jaxpr.eqns) > _LONGEST_CHAIN else ():
+        length = 1 + max((depth.get(v, 0) for v in eqn.invars if not isinstance(v, Literal)), default=0)
+        depth.update(dict.fromkeys(eqn.outvars, length))
+        if length > _LONGEST_CHAIN:
+            raise TooLarge(
+                f"the function is a chain of more than {_LONGEST_CHAIN:,} array operations that wait for each other: "
+                "XLA ends the process on such functions.\n"
+                "  fix: write what repeats as a node of your own whose evaluate is a jax.lax.scan"
+            )
     run = jaxpr_as_fun(closed)
     # An output that is a number in the jaxpr comes back as NumPy's.
     return lambda *leaves: [jnp.asarray(value) for value in run(*leaves)]

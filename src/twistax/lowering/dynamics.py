@@ -52,6 +52,9 @@ class Dynamics:
         self.backend = functions.backend
         self.baked = functions.baked
 
+    def __reduce__(self) -> Any:
+        return Dynamics, (self._functions,)
+
     def __repr__(self) -> str:
         kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
         shown = [f"{kind}: {', '.join(map(_with_shape, own))}" for kind, own in kinds.items() if own]

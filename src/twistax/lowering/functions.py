@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
 import threading
@@ -112,10 +111,13 @@ class Functions:
 
     def run_by(self, backend: Backend) -> Functions:
         """The same, run by another backend."""
-        found = copy.copy(self)
-        found.backend = backend
+        found = object.__new__(Functions)
+        found.__dict__.update(self.__dict__, backend=backend)
         found._jit()
         return found
+
+    def __reduce__(self) -> Any:
+        return Functions, (self.system, list(self.families["outputs"]), self.baked, self.backend)
 
     def _jit(self) -> None:
         self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
@@ -243,8 +245,13 @@ class Functions:
     def jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> Arrays:
         """The blocks of `Dynamics.jacobian`."""
         found, arrays = self.rate_jacobian(inputs, wrt)
-        derived = self._made.get((self.backend, found), lambda: self.backend.derived(found.program))
-        return dict(zip(found.blocks, call_program(derived, *arrays), strict=True))
+
+        def make() -> tuple[Callable[..., list[jax.Array]], Any]:
+            run = functools.partial(call_program, self.backend.derived(found.program))
+            return run, jax.jit(run)
+
+        traceable, jitted = self._made.get((self.backend, found), make)
+        return dict(zip(found.blocks, (traceable if is_traced(arrays) else jitted)(*arrays), strict=True))
 
     def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
         """The program of the Jacobian for arguments of these types, and the arguments.

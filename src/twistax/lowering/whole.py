@@ -25,6 +25,7 @@ from ..jax_inside import (
     parameters,
     part,
     scan_parts,
+    weakly_kept,
 )
 from .backends import Backend, array_operations
 from .scalar.primitive import Differentiable, Looped, Ring, Rows, Shapes, differentiable, loop
@@ -58,6 +59,7 @@ class Part:
     reasons: list[str]
 
 
+@weakly_kept
 class Whole(Differentiable):
     """A function of arrays, run in parts. Its derivatives are taken before it is parted.
 

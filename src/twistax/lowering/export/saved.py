@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from ...checks import path_of
 from ...errors import InputError, ModelError, TwistaxError
 from ...expr import Constant, Expr, Leaf
+from ...expr.graph import walk
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Group
 from ...system import System
 from ..backends import Backend
@@ -179,20 +180,11 @@ def write_nodes(roots: Iterable[Expr], arrays: list[NDArray[Any]]) -> tuple[list
     """
     places: dict[int, int] = {}
     written: list[Any] = []
-    stack = list(roots)[::-1]
-    while stack:  # without recursion, for trees of any depth
-        node = stack[-1]
-        fields = {} if id(node) in places else _fields(node)
-        waiting = [part for part in _expressions(list(fields.values())) if id(part) not in places]
-        if waiting:
-            stack += waiting[::-1]
-            continue
-        stack.pop()
-        if id(node) not in places:
-            name = type(node).__name__
-            plain = {key: _written(value, f"{name}.{key}", arrays, places) for key, value in fields.items()}
-            places[id(node)] = len(written)
-            written.append([_reference(type(node)), plain])
+    for node in walk(roots, lambda node: list(_expressions(list(_fields(node).values())))):
+        name = type(node).__name__
+        plain = {key: _written(value, f"{name}.{key}", arrays, places) for key, value in _fields(node).items()}
+        places[id(node)] = len(written)
+        written.append([_reference(type(node)), plain])
     return written, places
 
 

@@ -6,6 +6,7 @@ import ctypes
 import functools
 import hashlib
 import threading
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from string import Template
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .code import Module, addressed
-from .machine_code import BuildError, Processor, load
+from .machine_code import BuildError, MachineCode, Processor, load
 from .rows import Array
 from .tile import Tile
 
@@ -26,8 +27,17 @@ __all__ = ["Kernel", "check_kernel"]
 #: "As many threads as there are".
 _ALL = 2**31
 
-#: The kernels that XLA knows, by the name of their target.
-_REGISTERED: dict[str, dict[str, int]] = {}
+#: How many places for kernels are made together.
+_PLACES_AT_ONCE = 64
+
+#: The code of the kernels that are in use, by the name of their target.
+_CODE: weakref.WeakValueDictionary[str, MachineCode] = weakref.WeakValueDictionary()
+
+#: The address of the place where the handler of a target finds its kernel. XLA keeps targets as long as the process
+#: lives, so what it keeps are small handlers that look there.
+_PLACES: dict[str, int] = {}
+_FREE: list[tuple[int, int]] = []
+_HANDLERS: list[MachineCode] = []
 
 #: XLA takes a name once: threads that make the same kernel wait for the first.
 _LOCK = threading.Lock()
@@ -52,12 +62,11 @@ class Kernel:
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)
         with _LOCK:
-            if self.target not in _REGISTERED:
+            found = _CODE.get(self.target)
+            if found is None:
                 found = load(text, module.library, processor, ("run", "handler"))
-                handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(found["handler"])
-                jax.ffi.register_ffi_target(self.target, jax.ffi.pycapsule(handler), platform="cpu")
-                _REGISTERED[self.target] = found
-        self._run = _REGISTERED[self.target]["run"]
+                _register(self.target, found, processor)
+        self._code = found
 
     def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:
         """The results for rows of arguments, (rows, *shape) each; traceable."""
@@ -76,9 +85,36 @@ class Kernel:
         results = [np.zeros((rows, array.size), array.dtype) for array in self._written]
         table = (ctypes.c_void_p * (len(given) + len(results)))(*(a.ctypes.data for a in (*given, *results)))
         if rows:
-            call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._run)
+            call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._code.addresses["run"])
             call(ctypes.addressof(table), 0, rows)
         return results
+
+
+def _register(target: str, code: MachineCode, processor: Processor) -> None:
+    """Make the code what XLA calls by the name of a target, for as long as it lives."""
+    address, fresh = code.addresses["handler"], target not in _PLACES
+    if fresh:
+        if not _FREE:
+            module = Module(processor)
+            names = _write_places(module, _PLACES_AT_ONCE)
+            handlers = load(module.text(), (), processor, [*names, "places"])
+            _HANDLERS.append(handlers)
+            first = handlers.addresses["places"]
+            _FREE.extend((first + 8 * k, handlers.addresses[name]) for k, name in enumerate(names))
+        _PLACES[target], handler = _FREE.pop()
+    place = ctypes.c_void_p.from_address(_PLACES[target])
+    place.value = address
+    if fresh:
+        capsule = jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(handler))
+        jax.ffi.register_ffi_target(target, capsule, platform="cpu")
+    _CODE[target] = code
+    weakref.finalize(code, _vacate, place, address)
+
+
+def _vacate(place: ctypes.c_void_p, address: int) -> None:
+    """Before code goes: the same kernel may have been made anew since."""
+    if place.value == address:
+        place.value = None
 
 
 def _name(text: str, processor: Processor) -> str:
@@ -165,6 +201,36 @@ def _write_handler(module: Module, tile: Tile, threads: int) -> None:
     module.declarations |= _DECLARED
     module.library |= {"malloc", "free", "sched_yield"}
     module.functions["handler"] = addressed(text)
+
+
+_PLACE = """define ptr @place.{k}(ptr %frame) #0 {{
+%at = getelementptr ptr, ptr @places, i64 {k}
+%kernel = load ptr, ptr %at
+%gone = icmp eq ptr %kernel, null
+br i1 %gone, label %none, label %there
+there:
+%found = tail call ptr %kernel(ptr %frame)
+ret ptr %found
+none:
+%api = load ptr, ptr %frame + 16
+%error = call ptr @failed(ptr %api, ptr @message)
+ret ptr %error
+}}"""
+
+
+def _write_places(module: Module, count: int) -> list[str]:
+    """Adds handlers that call the kernel whose address stands in the variable `places`, and gives their names."""
+    message = "a kernel of twistax is called, and what it was compiled for is gone"
+    failed = _template().template.partition("define internal ptr @failed")
+    module.functions["places"] = "\n".join(
+        [
+            f"@places = global [{count} x ptr] zeroinitializer",
+            f'@message = private constant [{len(message) + 1} x i8] c"{message}\\00"',
+            addressed("".join(failed[1:]).partition("}")[0] + "}"),
+            *(addressed(_PLACE.format(k=k)) for k in range(count)),
+        ]
+    )
+    return [f"place.{k}" for k in range(count)]
 
 
 # ---- asked once, before anything relies on it ------------------------------------------------------------------------

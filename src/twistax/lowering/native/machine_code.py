@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import ModelError
 
-__all__ = ["BuildError", "Processor", "load", "target_machine"]
+__all__ = ["BuildError", "MachineCode", "Processor", "load", "target_machine"]
 
 #: The levels of x86-64 that are narrower than a processor may be: bits of a vector -> LLVM's name, and whether a b + c
 #: is one instruction: SSE2, and AVX2.
@@ -67,12 +67,23 @@ OPTIMISATION = 2
 
 _LOCK = threading.Lock()
 
-#: What was compiled stays in memory for as long as the process: XLA may call it at any time.
-_ENGINES: list[Any] = []
-
 
 class BuildError(Exception):
     """No machine code came of it; the message says why."""
+
+
+class MachineCode:
+    """Functions in memory, for as long as this object lives.
+
+    Attributes:
+        addresses: of functions and variables, by name.
+    """
+
+    def __init__(self, engine: Any, names: Collection[str]) -> None:
+        self._engine = engine
+        self.addresses: dict[str, int] = {
+            name: engine.get_function_address(name) or engine.get_global_value_address(name) for name in names
+        }
 
 
 def target_machine(processor: Processor) -> Any:
@@ -88,8 +99,8 @@ def target_machine(processor: Processor) -> Any:
     )
 
 
-def load(text: str, library: Collection[str], processor: Processor, names: Collection[str]) -> dict[str, int]:
-    """The addresses of functions; `library` are those of the C library that are called.
+def load(text: str, library: Collection[str], processor: Processor, names: Collection[str]) -> MachineCode:
+    """The functions and variables of these names; `library` are the functions of the C library that are called.
 
     Raises:
         ImportError: llvmlite is not installed.
@@ -109,8 +120,7 @@ def load(text: str, library: Collection[str], processor: Processor, names: Colle
             engine.finalize_object()
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
-        _ENGINES.append(engine)
-        found = {name: engine.get_function_address(name) for name in names}
+        found = MachineCode(engine, names)
         # The code stays; what it was made from takes several times its room.
         engine.remove_module(parsed)
         return found

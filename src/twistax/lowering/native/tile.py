@@ -83,9 +83,9 @@ class Scalars:
 
     def compute(self, nodes: Sequence[int]) -> list[str]:
         """The values of nodes; sines and cosines that do not wait for one another together."""
-        g, values, live = self._graph, self._values, self._graph.live(nodes)
+        g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
         for angles in self._angles(live):
-            self._in_order(g.live(angles))
+            self._in_order(g.live(angles, values))
             found = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
             self._code.sines.update(zip((values[i] for i in angles), found, strict=True))
         self._in_order(live)

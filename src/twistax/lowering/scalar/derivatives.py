@@ -37,6 +37,11 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
 
     Results that are no floating-point numbers have none and are left out.
     """
+    with program.graph.lock:
+        return _tangents_of(program, active)
+
+
+def _tangents_of(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     g, inputs = program.graph, list(program.inputs)
     seeds: dict[int, dict[int, int]] = {}
     for k in active:
@@ -51,6 +56,11 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
 
 def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
+    with program.graph.lock:
+        return _cotangents_of(program, active)
+
+
+def _cotangents_of(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     g, inputs = program.graph, list(program.inputs)
     found: dict[int, int] = {}
     for own, dtype in zip(program.outputs, program.types, strict=True):

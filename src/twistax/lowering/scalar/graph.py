@@ -7,13 +7,15 @@ results, so that the list is in an order in which nodes can be computed.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Container, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
+from ...expr.graph import walk
 from ...jax_inside import ClosedJaxpr
 from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
@@ -88,6 +90,8 @@ class Graph:
         self.checked = checked
         self.largest = largest
         self.limits = limits
+        #: Held while derivatives are added, which several threads may ask for.
+        self.lock = threading.RLock()
         self.nodes: list[tuple[Any, ...]] = []
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.
@@ -291,20 +295,17 @@ class Graph:
         """The type of an array of nodes, that of the program where it is empty."""
         return self.dtypes[int(array.reshape(-1)[0])] if array.size else self.dtype
 
-    def live(self, outputs: Iterable[int]) -> list[int]:
-        """All nodes that the outputs need, arguments first."""
-        return sorted(self.one_by_one(outputs))
+    def live(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
+        """All nodes that the outputs need and that are not known, arguments first."""
+        return sorted(self.one_by_one(outputs, known))
 
-    def one_by_one(self, outputs: Iterable[int]) -> list[int]:
+    def one_by_one(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
         """The same, each output with what only it and later ones need: few numbers are waiting at any time."""
-        found: dict[int, None] = {}
-        todo = [int(i) for i in outputs][::-1]
-        while todo:
-            needed = [j for j in self.sources(todo[-1]) if j not in found]
-            todo += needed
-            if not needed:
-                found[todo.pop()] = None
-        return list(found)
+
+        def needed(node: int) -> list[int]:
+            return [] if node in known else self.sources(node)[::-1]
+
+        return [node for node in walk(map(int, outputs), needed, int) if node not in known]
 
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
         found = self._known.get(key)

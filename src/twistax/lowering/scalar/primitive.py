@@ -12,12 +12,13 @@ from typing import Any, Protocol, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental import jet
 
-from ...jax_inside import Primitive, ad, batching, mlir, shaped_array
+from ...jax_inside import Primitive, ad, batching, mlir, shaped_array, weakly_kept
 from ..small_call import apart, inside_small_call, small_call
 from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
-from .program import ScalarProgram
+from .program import ScalarProgram, emitted_form
 
 __all__ = [
     "Derived",
@@ -113,6 +114,7 @@ class Differentiable(ABC):
         return self._cotangents[active]
 
 
+@weakly_kept
 class Derived(Differentiable):
     """A program with its derivatives.
 
@@ -187,6 +189,7 @@ class Derived(Differentiable):
         return Derived(cotangent_program(self.program, active), None, self.runner)
 
 
+@weakly_kept
 class Repeated:
     """A step and the kernels that take it again and again. Compared and hashed by identity.
 
@@ -403,12 +406,26 @@ def _transpose(
 
 def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
     """Tell JAX how an equation runs, for one body or for batches of them."""
-    compiled = jax.jit(primitive.bind, static_argnames=("program", "depth", "inside"))
+
+    @functools.lru_cache(32)  # what is jitted keeps its program
+    def compiled(**own: Any) -> Any:
+        return jax.jit(functools.partial(primitive.bind, **own))
 
     def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
         # As every operation of JAX: compiled also where functions are not.
         with jax.disable_jit(False):
-            return compiled(*arguments, **own)
+            found: list[jax.Array] = compiled(**own)(*arguments)
+        return found
+
+    def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
+        def lowered(context: Any, *arguments: Any, **own: Any) -> Any:
+            # A kernel goes with its program, and what is compiled here calls it.
+            context.module_context.add_keepalive(own["program"])
+            # JAX keeps what it traced as long as the function: a new one each time.
+            here = mlir.lower_fun(lambda *a: function(*a, **own), multiple_results=True)
+            return here(context, *arguments)
+
+        return lowered
 
     def batch(arguments: Sequence[Any], axes: Sequence[Any], **own: Any) -> tuple[list[Any], list[int]]:
         size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
@@ -420,8 +437,32 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
     primitive.def_impl(evaluate)
     primitive.def_abstract_eval(_abstract)
     batching.primitive_batchers[primitive] = batch
-    mlir.register_lowering(primitive, mlir.lower_fun(_elsewhere, multiple_results=True))
-    mlir.register_lowering(primitive, mlir.lower_fun(on_cpu, multiple_results=True), platform="cpu")
+    mlir.register_lowering(primitive, lower(_elsewhere))
+    mlir.register_lowering(primitive, lower(on_cpu), platform="cpu")
+
+
+def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, depth: int, inside: bool) -> Any:
+    """Taylor series: those of the operations on scalars, `as_function` has barriers, which have none."""
+    form = emitted_form(program.program)
+    if form.calls:
+        names = ", ".join(sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns}))
+        raise NotImplementedError(f"jet: no Taylor series of {names} in a compiled system; use backend=tx.JAX()")
+
+    def function(*arguments: jax.Array) -> list[jax.Array]:
+        values = form.computed(
+            lambda argument, place: jnp.reshape(arguments[argument], -1)[place],
+            lambda value, dtype: jnp.asarray(value, dtype),
+            lambda operation, _, *own: operation.array(*own),
+        )
+        flat = [[values[i] for i in nodes.reshape(-1).tolist()] for nodes in form.outputs]
+        return [jnp.stack(own).reshape(nodes.shape) for own, nodes in zip(flat, form.outputs, strict=True)]
+
+    for _ in range(depth):
+        function = jax.vmap(function)
+    return jet.jet(function, tuple(primals), tuple(series), factorial_scaled=False)
+
+
+_taylor_rules: dict[Any, Any] = jet.jet_rules
 
 
 def differentiable(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]] | None = None) -> None:
@@ -433,4 +474,6 @@ def differentiable(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]] 
 
 differentiable(_program_p, _by_xla)
 differentiable(_native_p)
+for _primitive in (_program_p, _native_p):
+    _taylor_rules[_primitive] = _jet
 _define(_repeat_p, _by_kernel)

@@ -1,0 +1,74 @@
+"""Nodes as a flat table, so that pickle does not recurse into them."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from .graph import walk
+from .node import Expr
+
+
+class _Place(int):
+    """Stands for a node in a table."""
+
+
+def pack(value: Any) -> tuple[list[tuple[type[Expr], dict[str, Any]]], Any]:
+    """Nodes, or tuples, lists and dicts of them, as a table of nodes, operands first, that pickle reads flatly.
+
+    Raises:
+        pickle.PicklingError: a node holds what cannot be pickled.
+    """
+    nodes = list(walk(_nodes_in(value), lambda node: list(_nodes_in(node.__dict__))))
+    places = {id(node): _Place(k) for k, node in enumerate(nodes)}
+    table = []
+    for node in nodes:
+        # A key may count objects of this process.
+        own = {name: value for name, value in node.__dict__.items() if name != "_key"}
+        _check_pickles(node, own)
+        table.append((type(node), _exchanged(own, lambda node: places[id(node)])))
+    return table, _exchanged(value, lambda node: places[id(node)])
+
+
+def unpack(table: list[tuple[type[Expr], dict[str, Any]]], value: Any) -> Any:
+    """What was packed."""
+    nodes: list[Any] = []
+    for cls, own in table:
+        node = object.__new__(cls)
+        node.__dict__.update(_exchanged(own, nodes.__getitem__))
+        nodes.append(node)
+    return _exchanged(value, nodes.__getitem__)
+
+
+def _nodes_in(value: Any) -> Iterator[Expr]:
+    if isinstance(value, Expr):
+        yield value
+    elif type(value) in (tuple, list, dict):
+        for entry in value.values() if type(value) is dict else value:
+            yield from _nodes_in(entry)
+
+
+def _exchanged(value: Any, other: Callable[[Any], Any]) -> Any:
+    """The same with what stands for each node or place in it."""
+    if isinstance(value, (_Place, Expr)):
+        return other(value)
+    if type(value) in (tuple, list):
+        return type(value)(_exchanged(entry, other) for entry in value)
+    return {name: _exchanged(entry, other) for name, entry in value.items()} if type(value) is dict else value
+
+
+def _check_pickles(node: Expr, own: Mapping[str, Any]) -> None:
+    """Name the node that holds what pickle refuses; cloudpickle takes more."""
+    held = {"class": type(node)} | {name: value for name, value in own.items() if callable(value)}
+    for name, value in held.items():
+        try:
+            if not isinstance(value, Expr):
+                pickle.dumps(value)
+        except Exception as error:  # of whatever kind its class raises
+            if "cloudpickle" not in sys.modules:
+                raise pickle.PicklingError(
+                    f"the node {node!r} cannot be pickled for its {name} {value!r}: {error}.\n"
+                    "  fix: define it at the top level of a module that can be imported"
+                ) from error

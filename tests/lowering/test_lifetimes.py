@@ -1,0 +1,164 @@
+"""What is compiled goes when nothing uses it; several threads may compile and differentiate at once; Taylor series."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from jax.experimental import jet
+
+import twistax as tx
+
+pytest.importorskip("llvmlite")
+
+x, v = tx.State("x", shape=(3,)), tx.State("v", shape=(3,))
+POINT = {"x": np.array([0.1, 0.2, 0.3]), "v": np.array([1.0, -0.5, 0.4])}
+
+
+def _system(k: int) -> tx.System:
+    J = np.diag([1.0, 2.0, 3.0 + k / 500])
+    rate = tx.linalg.Solve(J, tx.linalg.Cross(v, J @ v) + (1.0 + k / 500) * x)
+    for _ in range(4):
+        rate = tx.linalg.Cross(rate, v) + tx.Sin(rate) * (k / 500 + 1.5)
+    return tx.System({x: v, v: rate})
+
+
+def _used(k: int) -> list[weakref.ref[Any]]:
+    """A system compiled, called and differentiated, then dropped: its functions and its kernels."""
+    from twistax.lowering.native import kernel
+
+    before = set(kernel._CODE)
+    dynamics = tx.compile(_system(k), backend=tx.Native(least=0))
+    jax.block_until_ready(dynamics(0.0, POINT))
+    dynamics.jacobian(0.0, POINT)
+    jax.grad(lambda x: dynamics(0.0, {**POINT, "x": x})["v"].sum())(POINT["x"])
+    made = [code for name, code in kernel._CODE.items() if name not in before]
+    assert len(made) >= 3
+    return [weakref.ref(dynamics._functions), *map(weakref.ref, made)]
+
+
+def _resident() -> float:
+    """MiB of memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
+
+
+def _left(refs: list[weakref.ref[Any]]) -> int:
+    gc.collect()
+    return sum(ref() is not None for ref in refs)
+
+
+def test_kernels_go_with_what_they_were_compiled_for() -> None:
+    refs = [ref for k in range(3) for ref in _used(k)]
+    assert _left(refs) == 0
+    # The same kernels again, under the names that XLA knows.
+    refs = _used(0)
+    assert _left(refs) == 0
+
+
+def test_a_kernel_stays_while_something_compiled_calls_it() -> None:
+    dynamics = tx.compile(_system(7), backend=tx.Native(least=0))
+    expected = np.asarray(dynamics(0.0, POINT)["v"])
+    compiled = jax.jit(lambda x: dynamics(0.0, {**POINT, "x": x})["v"]).lower(POINT["x"]).compile()
+    del dynamics
+    gc.collect()
+    np.testing.assert_array_equal(np.asarray(compiled(POINT["x"])), expected)
+
+
+@pytest.mark.slow
+def test_integrated_systems_go_when_the_caches_of_jax_are_cleared() -> None:
+    dynamics = tx.compile(_system(8), backend=tx.Native(least=0))
+    tx.integrate(dynamics, POINT, t0=0.0, t1=0.002, dt=0.001)
+    ref = weakref.ref(dynamics._functions)
+    del dynamics
+    jax.clear_caches()
+    assert _left([ref]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc")
+def test_500_systems_leave_no_memory_behind() -> None:
+    _left([ref for k in range(10) for ref in _used(k)])
+    before = _resident()
+    for k in range(500):
+        _used(k)
+    assert _left([]) == 0
+    assert _resident() - before < 50.0
+
+
+def _at_once(function: Callable[[], Any], count: int = 8) -> list[Any]:
+    """What a function gives in so many threads that start together and are interrupted often."""
+    barrier, found, interval = threading.Barrier(count), [None] * count, sys.getswitchinterval()
+
+    def run(k: int) -> None:
+        barrier.wait()
+        found[k] = function()
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in range(count)]
+    sys.setswitchinterval(1e-6)
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(interval)
+    return found
+
+
+def test_threads_derive_one_program_as_one_thread_does() -> None:
+    from twistax.lowering.scalar.derivatives import cotangent_program, tangent_program
+    from twistax.lowering.scalar.program import ScalarProgram, scalarize
+
+    def made() -> ScalarProgram:
+        f = tx.lower(_system(1).rates["v"])
+        return scalarize(lambda x, v: [f(0.0, {"x": x, "v": v})], *POINT.values())
+
+    def derivatives(program: ScalarProgram) -> list[Any]:
+        arguments = [np.array([value]).reshape(-1) for value in POINT.values()]
+        found = []
+        for derived in (tangent_program(program, (0, 1)), cotangent_program(program, (0, 1))):
+            own = [*arguments, *(np.ones(nodes.size) for nodes in derived.inputs[2:])]
+            values = derived.computed(lambda k, j: own[k][j], lambda n, dtype: n, lambda o, i, *a: o.number(*a))  # noqa: B023
+            found += [values[i] for i in derived.flat]
+        return found
+
+    alone, shared = derivatives(made()), made()
+    for found in _at_once(lambda: derivatives(shared)):
+        np.testing.assert_allclose(found, alone, rtol=1e-13)
+
+
+def test_threads_compile_and_call_one_system() -> None:
+    dynamics = tx.compile(_system(2), backend=tx.XLA(least=0))
+    again = tx.compile(_system(2), backend=tx.XLA(least=0))
+
+    def work() -> Any:
+        slope = jax.grad(lambda x: dynamics(0.0, {**POINT, "x": x})["v"].sum())(POINT["x"])
+        return np.concatenate([slope, dynamics.jacobian(0.0, POINT)["x"].reshape(-1)])
+
+    expected = np.concatenate(
+        [
+            jax.grad(lambda x: again(0.0, {**POINT, "x": x})["v"].sum())(POINT["x"]),
+            again.jacobian(0.0, POINT)["x"].reshape(-1),
+        ]
+    )
+    for found in _at_once(work):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("backend", [tx.XLA(least=0), tx.Native(least=0)], ids=str)
+def test_taylor_series_of_a_compiled_system(backend: Any) -> None:
+    point, series = (np.ones(2),), ((np.array([1.0, 0.5]), np.array([0.2, 0.0]), np.zeros(2)),)
+    y = tx.State("y", shape=(2,))
+    dynamics = tx.compile(tx.System({y: tx.Sin(y) * y + tx.Exp(y)}), backend=backend)
+    found = jet.jet(lambda v: dynamics(0.0, {"y": v})["y"], point, series)
+    expected = jet.jet(lambda v: jax.numpy.sin(v) * v + jax.numpy.exp(v), point, series)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12)
