@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
+from jax.experimental import jet
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
@@ -41,6 +42,7 @@ __all__ = [
     "expansion",
     "inner_jaxprs",
     "is_traced",
+    "jet",
     "jaxpr_as_fun",
     "mlir",
     "opened",

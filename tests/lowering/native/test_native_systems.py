@@ -217,7 +217,8 @@ def _kernel() -> Kernel:
     ],
 )
 def test_wrong_types_and_shapes_are_refused(shapes: Any, results: Any, message: str) -> None:
-    call = jax.ffi.ffi_call(_kernel().target, [jax.ShapeDtypeStruct(*r) for r in results])
+    kernel = _kernel()
+    call = jax.ffi.ffi_call(kernel.target, [jax.ShapeDtypeStruct(*r) for r in results])
     with pytest.raises(jax.errors.JaxRuntimeError, match=message):
         jax.block_until_ready(jax.jit(call)(*(np.zeros(s) for s in shapes)))
 

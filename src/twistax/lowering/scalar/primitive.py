@@ -12,9 +12,8 @@ from typing import Any, Protocol, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental import jet
 
-from ...jax_inside import Primitive, ad, batching, mlir, shaped_array, weakly_kept
+from ...jax_inside import Primitive, ad, batching, jet, mlir, shaped_array, weakly_kept
 from ..small_call import apart, inside_small_call, small_call
 from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
@@ -419,8 +418,10 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
 
     def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
         def lowered(context: Any, *arguments: Any, **own: Any) -> Any:
-            # A kernel goes with its program, and what is compiled here calls it.
-            context.module_context.add_keepalive(own["program"])
+            # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
+            module = context.module_context
+            if not module.lowering_parameters.for_export:
+                module.add_keepalive(own["program"])
             # JAX keeps what it traced as long as the function: a new one each time.
             here = mlir.lower_fun(lambda *a: function(*a, **own), multiple_results=True)
             return here(context, *arguments)
