@@ -11,6 +11,7 @@ import twistax
 
 SOURCE = Path(twistax.__file__).parent
 LAYERS = [
+    "walk",
     "errors",
     "jax_inside",
     "checks",

@@ -64,7 +64,7 @@ ROWS = [
         "moments",
     ),
     bad("a body joined with a number", lambda: body().merge(3.0), "merge", "3.0"),
-    bad("a body plus a number", lambda: body() + 3.0, "merge", "3.0"),
+    bad("a body plus a number", lambda: body() + 3.0, "SpatialInertia", "3.0"),
     bad("a frame that is no pose", lambda: body().in_frame(2.0 * np.eye(4)), "in_frame", "T"),
     bad("a frame that is a rotation", lambda: body().in_frame(UNIT), "in_frame", "T", "(3, 3)"),
     bad("a momentum of three", lambda: body().momentum(np.zeros(3)), "momentum", "V", "(3,)"),

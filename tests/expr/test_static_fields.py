@@ -49,8 +49,8 @@ FIELDS = [(node, f.name) for node in NODES for f in node._fields if not (f.opera
 
 def changed(node: Expr, name: str, value: Any) -> Expr:
     """The same node with another value of a field, whatever its constructor would say."""
-    other = copy.copy(node)
-    other.__dict__.update({name: value})
+    other = object.__new__(type(node))
+    other.__dict__.update(node.__dict__ | {name: value})
     other.__dict__.pop("_key", None)
     return other
 

@@ -4,38 +4,18 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from ..checks import callable_with, short
 from ..errors import OperationError
+from ..walk import walk
 
 if TYPE_CHECKING:
     import jax
 
     from .leaves import Leaf
     from .node import Expr
-
-N = TypeVar("N")
-
-
-def walk(roots: Iterable[N], below: Callable[[N], Sequence[N]], name: Callable[[N], Hashable] = id) -> Iterator[N]:
-    """Every node below the roots once, after all that stand below it.
-
-    Args:
-        below: what must come before a node; asked once, when the node is met.
-        name: equal for nodes that count as one.
-    """
-    seen: set[Hashable] = set()
-    stack = [(root, False) for root in reversed(list(roots))]
-    while stack:
-        node, ready = stack.pop()
-        if ready:
-            yield node
-        elif (own := name(node)) not in seen:
-            seen.add(own)
-            stack.append((node, True))
-            stack.extend((other, False) for other in reversed(below(node)))
 
 
 def postorder(*roots: Expr) -> list[Expr]:

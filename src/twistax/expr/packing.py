@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from .graph import walk
+from ..walk import walk
 from .node import Expr
 
 

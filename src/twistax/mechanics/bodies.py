@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ModelError
+from ..errors import ModelError, OperationError
 from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, canonicalize_all
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, Hat, angular, linear, wrench
@@ -153,6 +153,8 @@ class SpatialInertia:
         return self._derived(m, c, self.inertia + other.inertia + _steiner(reduced, apart))
 
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
+        if not isinstance(other, SpatialInertia):
+            raise OperationError(f"a SpatialInertia is joined by + with another one, got {other!r}")
         return self.merge(other)
 
     @property

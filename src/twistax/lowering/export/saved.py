@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from ...checks import path_of
 from ...errors import InputError, ModelError, TwistaxError
 from ...expr import Constant, Expr, Leaf
-from ...expr.graph import walk
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Group
 from ...system import System
+from ...walk import walk
 from ..backends import Backend
 from ..functions import Functions
 from . import version
