@@ -1,5 +1,7 @@
 """Building and reading poses, against SciPy's rotations."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from twistax.errors import InputError, ShapeError
-from twistax.groups import euler, pose, quaternion, quaternion_product, rotation_from_quaternion
+from twistax.groups import SE3, euler, pose, quaternion, quaternion_product, rotation_from_quaternion, so3
 
 ROTATIONS = Rotation.random(30, np.random.default_rng(2))
 HALF_TURNS = [np.diag(d) for d in ([1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0])]
@@ -33,6 +35,23 @@ def test_attitudes():
             close(T[:3, :3], R)
             close(T[:3, 3], p, 0.0)
             close(T[3], [0.0, 0.0, 0.0, 1.0], 0.0)
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_arrays_of_numpy_take_the_precision_that_jax_has_silently(double):
+    w, T = np.array([0.1, -0.2, 0.3]), np.eye(4)
+    with jax.enable_x64(double), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = (
+            pose(position=np.ones(3)),
+            so3.exp(w),
+            so3.log(T[:3, :3]),
+            SE3.compose(T, T),
+            SE3.exp(np.ones(6)),
+            SE3.Ad(T),
+        )
+        assert {a.dtype.name for a in found} == {"float64" if double else "float32"}
+        assert so3.exp(w.astype(np.float32)).dtype == np.float32
 
 
 def test_one_angle_at_a_time():

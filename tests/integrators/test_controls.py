@@ -70,6 +70,34 @@ def test_a_table_has_no_value_where_it_does_not_reach(form: type, ts: list[float
     assert traced(jnp.asarray([0.0, 1.0])).result == tx.Result.SUCCESS
 
 
+@pytest.mark.parametrize("adaptive", [{"steps": 4}, {"rtol": 1e-6, "atol": 1e-6}])
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("form", [tx.ZeroOrderHold, tx.FirstOrderHold])
+def test_a_table_whose_times_are_known_in_a_traced_integration(
+    form: type, inside: bool, adaptive: dict[str, float]
+) -> None:
+    """A table made before jit, vmap or grad, or in the traced function, covers the span or is refused."""
+    dynamics, times, rows = integrator(), [0.0, 0.5, 1.0], ROWS[:3]
+    held = {times[-1]: form(times, rows), 0.5: form(times[:2], rows[:2])}
+
+    def at(start: jax.Array, last: float = 1.0, first: float = 0.0) -> jax.Array:
+        known = form([time for time in times if time <= last], rows[: 3 if last == 1.0 else 2])
+        u = {"F": known if inside else held[last]}
+        return tx.integrate(dynamics, {"x": start}, t0=first, t1=1.0, u=u, **adaptive).xs["x"][-1]
+
+    start = np.array([0.3, -0.2])
+    expected = at(start)
+    np.testing.assert_allclose(jax.jit(at)(start), expected, rtol=1e-14)
+    np.testing.assert_allclose(jax.jit(jax.vmap(at))(np.stack([start, start + 1.0]))[1], expected + 1.0, rtol=1e-13)
+    np.testing.assert_allclose(jax.jit(jax.grad(lambda x: at(x).sum()))(start), np.ones(2), rtol=1e-14)
+    np.testing.assert_allclose(jax.grad(lambda x: at(x).sum())(start), np.ones(2), rtol=1e-14)
+    if form is tx.FirstOrderHold:
+        with pytest.raises(tx.InputError, match=r"u\['F'\] ends at 0.5, but the integration at t1 = 1"):
+            jax.jit(lambda x: at(x, 0.5))(start)
+    with pytest.raises(tx.InputError, match=r"u\['F'\] begins at 0, but the integration at t0 = -1"):
+        jax.jit(lambda x: at(x, first=-1.0))(start)
+
+
 def test_a_linear_table_is_the_trapezoidal_rule() -> None:
     expected = 0.5 * (0.5 * ROWS[0] + ROWS[1] + ROWS[2] + 0.5 * ROWS[3]) + 0.5 * ROWS[3]
     table = tx.FirstOrderHold([*TIMES, 2.0], [*ROWS, ROWS[-1]])
@@ -195,6 +223,18 @@ def test_wrong_controls_are_named(u: object, message: str) -> None:
 def test_wrong_tables_are_named(form: type, ts: object, values: object, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         form(ts, values)
+
+    @jax.jit
+    def made_inside(start: jax.Array) -> jax.Array:
+        return start + form(ts, values).values.sum()
+
+    with pytest.raises(error, match=message):
+        made_inside(0.0)
+
+
+@pytest.mark.parametrize("ts", [[0, 1], [False, True], jnp.arange(2)])
+def test_whole_numbers_are_times(ts: object) -> None:
+    np.testing.assert_allclose(end(integrator(), {"F": tx.FirstOrderHold(ts, [[0, 0], [1, 2]])}, 1.0), [0.5, 1.0])
 
 
 @pytest.mark.parametrize("width", [1e-6, 1e-9, 1e-12])

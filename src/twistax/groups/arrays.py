@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -33,8 +34,9 @@ def floats(*values: Input, names: Sequence[str] = ()) -> tuple[Array, ...]:
         value if isinstance(value, Array) and jnp.issubdtype(value.dtype, jnp.floating) else real_array(name, value)
         for name, value in zip(names or ["a group's map"] * len(values), values, strict=True)
     ]
+    canonical = jax.dtypes.canonicalize_dtype  # of float64 without x64: float32, which JAX would warn of
     own = [
-        value.dtype if isinstance(value, _TYPED) and jnp.issubdtype(value.dtype, jnp.floating) else None
+        canonical(value.dtype) if isinstance(value, _TYPED) and jnp.issubdtype(value.dtype, jnp.floating) else None
         for value in values
     ]
     kinds = [dtype for dtype in own if dtype is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,14 @@ from ..lowering.inputs import is_finite, read_values
 _SHORT = 64
 
 
+def _floats(place: str, value: Any) -> jax.Array:
+    """The value as a floating point array; what is known stays known inside jit, so that it can be checked."""
+    given = real_array(place, value)
+    dtype = given.dtype if jnp.issubdtype(given.dtype, jnp.floating) else float
+    with contextlib.nullcontext() if is_traced(given) else jax.ensure_compile_time_eval():
+        return jnp.asarray(given, jax.dtypes.canonicalize_dtype(dtype))
+
+
 class Table(ABC):
     """Values over time for one control. A pytree: new numbers in a table of the same size do not compile again.
 
@@ -40,19 +49,17 @@ class Table(ABC):
 
     def __init__(self, ts: Any, values: Any) -> None:
         name = type(self).__name__
-        self.ts, self.values = (
-            jnp.asarray(real_array(f"{name}: ts", ts)),
-            jnp.asarray(real_array(f"{name}: values", values)),
-        )
+        self.ts, self.values = _floats(f"{name}: ts", ts), _floats(f"{name}: values", values)
         if self.ts.ndim != 1 or self.ts.shape[0] < self.rows:
             raise ShapeError(f"{name} expects ts with shape (n,), n >= {self.rows}, got {self.ts.shape}")
         if self.values.shape[:1] != self.ts.shape:
             raise ShapeError(
                 f"{name} expects values with a row for each of the {self.ts.shape[0]} times, got {self.values.shape}"
             )
-        if not is_traced(self.ts) and not (np.diff(np.asarray(self.ts)) > 0).all():
-            i = int(np.argmin(np.diff(np.asarray(self.ts)) > 0))
-            raise InputError(f"{name} expects increasing ts, got {self.ts[i]} before {self.ts[i + 1]} in row {i}")
+        known = None if is_traced(self.ts) else np.asarray(self.ts)
+        if known is not None and not (np.diff(known) > 0).all():
+            i = int(np.argmin(np.diff(known) > 0))
+            raise InputError(f"{name} expects increasing ts, got {known[i]} before {known[i + 1]} in row {i}")
         for field in ("ts", "values"):
             if not is_finite(getattr(self, field)):
                 raise InputError(f"{name} expects finite {field}, got {short(np.asarray(getattr(self, field)))}")
@@ -102,7 +109,7 @@ class Table(ABC):
         if is_traced(self.ts):
             return
         room = 8.0 * float(jnp.finfo(self.ts.dtype).eps) * max(abs(t0), abs(t1))
-        first, last = float(self.ts[0]), float(self.ts[-1])
+        first, last = np.asarray(self.ts)[[0, -1]].tolist()  # NumPy's: inside jit JAX's indexing traces
         if first > t0 + room:
             raise InputError(f"{place} begins at {first:g}, but the integration at t0 = {t0:g}.\n  fix: a row at t0")
         if last < t1 - room and not self.holds_on:
