@@ -154,7 +154,7 @@ class SpatialInertia:
 
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
         if not isinstance(other, SpatialInertia):
-            raise OperationError(f"a SpatialInertia is joined by + with another one, got {other!r}")
+            raise OperationError(f"+ expects another SpatialInertia, got {other!r}")
         return self.merge(other)
 
     @property
