@@ -193,6 +193,26 @@ def test_forward_is_reverse_is_numeric() -> None:
     check_grads(tx.fast(lambda x: counted(A, x)), (X,), order=2, modes=("fwd", "rev"), rtol=1e-6, eps=1e-4)
 
 
+def test_derivatives_of_complex_results() -> None:
+    def turned(x: jax.Array) -> jax.Array:
+        def body(c: jax.Array, row: jax.Array) -> tuple[jax.Array, None]:
+            return c * jnp.exp(1j * row.astype(complex)) * 0.999, None
+
+        return jax.lax.scan(body, x.astype(complex), MANY)[0]
+
+    def turned_at_once(x: jax.Array) -> jax.Array:
+        for _ in range(200):
+            x = jnp.sin(x) + 0.1 * x
+        return x.astype(complex) * jnp.exp(1j * x.astype(complex))
+
+    for function in (turned, turned_at_once):
+        own, plain = (
+            lambda x, f=f: jnp.sum(jnp.abs(f(x)) ** 2 + jnp.real(f(x))) for f in (tx.fast(function), function)
+        )
+        close(jax.grad(own)(X), jax.grad(plain)(X), 1e-11)
+        close(jax.jvp(own, (X,), (X,)), jax.jvp(plain, (X,), (X,)), 1e-11)
+
+
 # ---- what stands around it -------------------------------------------------------------------------------------------
 
 
@@ -327,6 +347,69 @@ def test_a_compiled_system_in_a_loop_is_part_of_its_kernel(backend: Any) -> None
     close(tx.fast(rollout)(x, u), jax.jit(rollout)(x, u))
     gradients = (jax.grad(lambda u, f=f: jnp.sum(f(x, u)[0]["w"] ** 2))(u) for f in (tx.fast(rollout), rollout))
     close(*gradients, 1e-11)
+
+
+def _long(x: jax.Array) -> jax.Array:
+    """Enough of it to become scalars."""
+    for _ in range(200):
+        x = jnp.sin(x) + 0.1 * x
+    return x
+
+
+@pytest.mark.parametrize("backend", [tx.XLA(), tx.Native()], ids=str)
+def test_integers_that_are_known_are_as_xla_has_them(backend: Any) -> None:
+    big = jnp.asarray([2**53 + 1, 2**62 + 1, -(2**60) - 1, -7, 7])
+    reals = jnp.asarray([1e300, -1e300, jnp.nan, jnp.inf, -2.7, 200.5])
+
+    def function(x: jax.Array) -> Any:
+        # At run time by XLA; behind the barrier nothing is known.
+        kinds = (jnp.int8, jnp.uint8, jnp.int32, jnp.int64, jnp.uint32)
+        divisors = jnp.asarray([1, 3, -1, -2, 2])
+        quotients = [jax.lax.div(big, divisors), jax.lax.rem(big, divisors), big // divisors, big % divisors]
+        return _long(x), quotients, [reals.astype(kind) for kind in kinds]
+
+    def later(x: jax.Array) -> Any:
+        numbers = jax.lax.optimization_barrier((big, reals, jnp.asarray([1, 3, -1, -2, 2])))
+        a, r, d = numbers
+        kinds = (jnp.int8, jnp.uint8, jnp.int32, jnp.int64, jnp.uint32)
+        return _long(x), [jax.lax.div(a, d), jax.lax.rem(a, d), a // d, a % d], [r.astype(kind) for kind in kinds]
+
+    close(tx.fast(function, backend=backend)(X), jax.jit(later)(X))
+
+
+def test_signs_of_unsigned_integers() -> None:
+    def function(x: jax.Array, u: jax.Array) -> Any:
+        return _long(x), jax.lax.sign(-u), jnp.abs(-u)
+
+    u = jnp.asarray([0, 3, 2**32 - 1], jnp.uint32)
+    close(tx.fast(function)(X, u), jax.jit(function)(X, u))
+
+
+def test_a_large_state_stays_an_array() -> None:
+    def function(a: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 300, lambda k, c: jnp.tanh(a @ c), a)
+
+    a = jnp.asarray(0.2 * RANDOM.normal(size=(12, 12)))
+    assert "one kernel" not in tx.fast(function).explain(a)
+    close(tx.fast(function)(a), jax.jit(function)(a))
+
+
+def test_a_fast_function_in_a_loop_is_part_of_its_kernel() -> None:
+    inner = tx.fast(lambda x: jax.lax.fori_loop(0, 300, lambda k, c: jnp.sin(A @ c) * x + 0.1, x))
+
+    def outer(x: jax.Array) -> jax.Array:
+        return jax.lax.scan(lambda c, _: (inner(c), c), x, None, length=20)[1]
+
+    assert "one kernel" in tx.fast(outer).explain(X)
+    close(tx.fast(outer)(X), jax.jit(outer)(X), 1e-11)
+
+
+def test_without_jit_and_looking_for_nan() -> None:
+    with jax.disable_jit():
+        close(tx.fast(lambda x: x if x[0] > 100 else -x)(X), -X)
+    with jax.debug_nans(True), pytest.raises(FloatingPointError):
+        tx.fast(counted)(A, X * jnp.nan)
+    assert "stablehlo" in tx.fast(counted).lower(A, X).as_text()
 
 
 # ---- what is said ----------------------------------------------------------------------------------------------------

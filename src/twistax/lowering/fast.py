@@ -36,6 +36,12 @@ class Fast(Generic[P, R]):
         found: R = self._jitted(*args, **kwargs)
         return found
 
+    def __getattr__(self, name: str) -> Any:
+        """`lower`, `trace` and `eval_shape` of the jitted function."""
+        if name in ("lower", "trace", "eval_shape"):
+            return getattr(self._jitted, name)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
     def __get__(self, owner: Any, kind: Any = None) -> Any:
         return self if owner is None else functools.partial(self, owner)
 
@@ -69,8 +75,10 @@ class Fast(Generic[P, R]):
             shapes.append(shape)
             return results
 
+        if not places:
+            return self._function(*args, **kwargs), ["as written: no argument is an array"]
         values = [leaves[i] for i in places]
-        closed = jax.make_jaxpr(flat)(*values)
+        closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*values)
         run, held = opened(closed)
         if held:
             closed = jax.make_jaxpr(run)(*held, *values)

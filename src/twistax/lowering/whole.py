@@ -77,6 +77,11 @@ class Whole(Differentiable):
     def results(self) -> Shapes:
         return [(v.aval.shape, np.dtype(v.aval.dtype)) for v in self.program.jaxpr.outvars]
 
+    @property
+    def real(self) -> list[int]:
+        """Complex results too: the derivatives are JAX's own."""
+        return [k for k, (_, dtype) in enumerate(self.results) if jnp.issubdtype(dtype, jnp.inexact)]
+
     @functools.cached_property
     def function(self) -> Callable[..., list[jax.Array]]:
         """As JAX has it."""
@@ -180,7 +185,10 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
+        if name == _whole_p.name and not eqn.params["depth"]:
+            inside: ClosedJaxpr | None = eqn.params["program"].program
+        else:
+            inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
         if inside is None:
             own = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
             found = jaxpr_as_fun(alone(jaxpr, eqn, own))(*map(value, own))
@@ -194,7 +202,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 def _loops(eqn: Any) -> bool:
     """Whether an equation is a loop that is not unrolled, or has one in its branches."""
     inside = [each.primitive.name for inner in inner_jaxprs(eqn) for each in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or "while" in inside:
+    if eqn.primitive.name == "while" or {"while", _whole_p.name} & set(inside):
         return eqn.primitive.name in (*_LOOPS, "cond")
     if eqn.primitive.name == "cond":
         return any(_loops(each) for inner in inner_jaxprs(eqn) for each in inner.jaxpr.eqns)
@@ -330,7 +338,8 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     if ring.length is None:
         reasons = [f"{name}, as JAX has it"]
         return Part(inputs, eqn.outvars, lambda *values: small_call(as_it_is, *joined(known, values)), reasons)
-    body, reasons = emit_whole(jax.make_jaxpr(step)(*shapes), backend.in_loops())
+    inside = jax.make_jaxpr(step)(*shapes)
+    body, reasons = emit_whole(inside, backend if has_loops(inside) else backend.in_loops())
 
     def rolled(*values: Any) -> list[jax.Array]:
         constants, state, rows = values[: own.fixed], values[own.fixed :][: own.state], values[own.fixed + own.state :]

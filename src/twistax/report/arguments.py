@@ -43,7 +43,7 @@ def _load(module: str) -> Any:
 
 
 def _sections() -> list[str]:
-    return [*_load(".sections").FIGURES, *_load(".sections").STABILITY]
+    return list(_load(".sections").FIGURES | _load(".sections").STABILITY)
 
 
 def _one_of(what: str, names: Callable[[], Iterable[str]]) -> Callable[[str], str]:

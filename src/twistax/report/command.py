@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the report that the options ask for, as `add_options` declares them.
 
     Returns the exit status: 0 done; 1 something disagrees, or a check is not what was asked for; 2 the folder cannot be
-    written, --renew would write partial tables, or jinja2 is missing.
+    written, --renew would write partial tables, --only names a section of another report, or jinja2 is missing.
     """
     if importlib.util.find_spec("jinja2") is None:
         print(f"twistax report: {MISSING}", file=sys.stderr)
@@ -45,6 +45,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.renew and partial:
         print(f"twistax report: --renew writes whole tables; leave out {', '.join(partial)}", file=sys.stderr)
         return 2
+    kind = next((kind for kind in ("stability", "figures") if getattr(arguments, kind)), None)
+    if arguments.only:
+        known = getattr(importlib.import_module(".sections", __package__), kind.upper()) if kind else {}
+        strangers = [name for name in arguments.only if name not in known]
+        if strangers:
+            there = f"--{kind} has {', '.join(known)}" if kind else "it goes with --stability or --figures"
+            print(f"twistax report: --only {strangers[0]}: {there}", file=sys.stderr)
+            return 2
     module, name = _REPORTS[next((name for name in _REPORTS if getattr(arguments, name, False)), "report")]
     return run_report(getattr(importlib.import_module(module, __package__), name)(arguments), arguments)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.metadata
 import importlib.util
+import math
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -96,6 +97,8 @@ class Native(Backend):
         return Derived(program, None, self)
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+        if max((math.prod(own.shape) for own in shapes), default=0) > self.scalars.widest:
+            return None
         program = self._whole_step(step, shapes)
         if program is None:
             return None

@@ -269,13 +269,23 @@ def convert(dtype: np.dtype[Any]) -> Operation:
     }
     return Convert(
         name=f"to {dtype.name}",
-        number=lambda x: (x if np.issubdtype(dtype, np.complexfloating) else np.real(x)).astype(dtype),
+        number=functools.partial(_converted, dtype),
         array=lambda x: lax.convert_element_type(x, dtype),
         result=dtype,
         llvm=everywhere(code("converted", dtype)),
         c=c,
         casadi=casadi.get(dtype.kind, Forms(whole, lambda casadi, a: a, lambda casadi, a: a)),
     )
+
+
+def _converted(dtype: np.dtype[Any], x: Any) -> Any:
+    if dtype.kind in "iu" and np.asarray(x).dtype.kind == "f":
+        ends = np.iinfo(dtype)
+        within = (x > ends.min) & (x < ends.max)
+        return np.where(
+            np.isnan(x), 0, np.where(within, np.where(within, x, 0).astype(dtype), np.where(x > 0, ends.max, ends.min))
+        ).astype(dtype)
+    return (x if np.issubdtype(dtype, np.complexfloating) else np.real(x)).astype(dtype)
 
 
 def whole(casadi: Any, a: Any) -> Any:

@@ -144,7 +144,7 @@ class Graph:
             with np.errstate(all="ignore"):
                 typed = [self.dtypes[a].type(n) for a, n in zip(arguments, numbers, strict=True)]
                 return self.constant(operation.number(*typed), dtype)
-        if operation.parity and self.nodes[arguments[0]][0] is _NEG:
+        if operation.parity and self.nodes[arguments[0]][0] is _NEG and dtype.kind != "u":
             inner = self.node(operation, self.nodes[arguments[0]][1])
             return inner if operation.parity > 0 else self.neg(inner)
         if operation.symmetric and arguments[0] > arguments[1]:

@@ -215,6 +215,26 @@ def _pair(name: str, absorbing: bool, g: Graph, a: int, b: int) -> int:
     return a if a == b else on(g, name, a, b)
 
 
+def _quotient(a: Any, b: Any) -> Any:
+    """As XLA divides: integers towards zero, by zero to all bits set, the least one by -1 to itself."""
+    if np.asarray(a).dtype.kind not in "iu":
+        return np.divide(a, b)
+    zero, one = b == 0, np.abs(b) == 1
+    safe = np.where(zero | one, np.ones_like(b), b)
+    found = np.floor_divide(a, safe)
+    found = found + ((found * safe != a) & ((a < 0) != (safe < 0))).astype(found.dtype)
+    return np.where(zero, ~np.zeros_like(a), np.where(b == 1, a, np.where(one, np.negative(a), found))).astype(
+        found.dtype
+    )
+
+
+def _rest(a: Any, b: Any) -> Any:
+    """As XLA has it: with the sign of the dividend; by zero the dividend."""
+    if np.asarray(a).dtype.kind not in "iu":
+        return np.fmod(a, b)
+    return np.where(b == 0, a, np.fmod(a, np.where(b == 0, np.ones_like(b), b)))
+
+
 def _made(function: Any, *first: Any) -> Any:
     """A maker of nodes by function(*first, graph, *arguments)."""
     return lambda g: functools.partial(function, *first, g)
@@ -228,7 +248,7 @@ _ROWS = [
     _ring("*", "mul", np.multiply, lambda g, a, y: [a[1], a[0]], takes="out_dtype", when=default("out_dtype")),
     _named(
         "div",
-        np.divide,
+        _quotient,
         2,
         partials=lambda g, a, y: [_inverse(g, a[1]), g.neg(g.mul(y, _inverse(g, a[1])))],
         maker=operator.attrgetter("div"),
@@ -269,7 +289,7 @@ _ROWS = [
     _named("ceil", np.ceil, llvm=Forms(_intrinsic("ceil"))),
     _named(
         "rem",
-        np.fmod,
+        _rest,
         2,
         partials=_remainder,
         llvm=Forms(code("library", "fmod")),

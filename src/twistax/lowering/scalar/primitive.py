@@ -411,6 +411,9 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
         return jax.jit(functools.partial(primitive.bind, **own))
 
     def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
+        debugging: Any = jax.config
+        if debugging.jax_debug_nans and debugging.jax_disable_jit:  # JAX looks for the operation that made a NaN
+            return _at_once(own["program"], arguments, own["depth"])
         # As every operation of JAX: compiled also where functions are not.
         with jax.disable_jit(False):
             found: list[jax.Array] = compiled(**own)(*arguments)
