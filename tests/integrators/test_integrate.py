@@ -132,8 +132,8 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
         ({"dt": 0.0}, "dt must be a positive number of s, got 0.0"),
         ({"dt": np.nan}, "dt must be a positive number of s, got nan"),
         ({"t1": -1.0}, "t1 = -1 lies before t0 = 0"),
-        ({"t1": np.inf}, "t1 must be a finite number"),
-        ({"dt": None, "steps": 2.5}, "steps must be a positive whole number, got 2.5"),
+        ({"t1": np.inf}, "t1 must be a finite time in s"),
+        ({"dt": None, "steps": 2.5}, "steps must be a whole number of 1 or more, got 2.5"),
         ({"save_at": [0.5, 0.2]}, "save_at must be sorted, got 0.5 before 0.2"),
         ({"save_at": [0.5, 1.2]}, r"save_at must lie inside \[t0, t1\] = \[0, 1\], got 1.2"),
         ({"save_at": [-0.1, 0.2]}, "got -0.1"),
@@ -218,6 +218,60 @@ def test_throw_false_keeps_the_good_part() -> None:
     assert 1.0 <= float(alone.ts[0]) < 1.1
     assert np.isfinite(alone.xs["x"]).all()
     assert alone.stats.steps == round(float(alone.ts[0]) / 0.01)
+
+
+@pytest.mark.parametrize("how", [{"steps": 200}, {"rtol": 1e-6}])
+def test_a_traced_end_that_was_not_reached_is_nan_and_derivatives_of_one_that_was_are_right(how: dict) -> None:
+    dynamics = blow_up()
+
+    def end(x: jax.Array) -> tx.Solution:
+        return tx.integrate(dynamics, {"x": x, "y": 1.0}, t1=0.5, **how)
+
+    sols = jax.jit(jax.vmap(end))(jnp.array([1.0, 5.0, 1.2]))
+    assert [code == tx.Result.SUCCESS for code in sols.code] == [True, False, True]
+    for value in sols.xs.values():
+        np.testing.assert_array_equal(np.isnan(value[:, 0]), [False, True, False])
+    np.testing.assert_array_equal(sols.ts[:, 0], 0.5)
+    for derivative in (jax.grad, jax.jacfwd):
+        slopes = jax.jit(jax.vmap(derivative(lambda x: end(x).xs["x"][0])))(jnp.array([1.0, 5.0, 1.2]))
+        np.testing.assert_allclose(slopes[jnp.array([0, 2])], [4.0, 1.0 / (1.0 - 0.6) ** 2], rtol=1e-4)
+
+
+@pytest.mark.parametrize("how", [{"steps": 200}, {"rtol": 1e-6}, {"steps": 200, "save_at": [0.1, 0.5]}])
+def test_a_failure_under_grad_outside_of_jit_is_raised(how: dict) -> None:
+    with pytest.raises(tx.IntegrationError, match="state 'x'"):
+        jax.grad(lambda x: tx.integrate(blow_up(), {"x": x, "y": 1.0}, t1=0.5, **how).xs["x"][-1])(5.0)
+
+
+@pytest.mark.parametrize("how", [{"steps": 4}, {"rtol": 1e-6}])
+def test_traced_times_that_make_no_sense_give_nan(how: dict) -> None:
+    dynamics = decay()
+
+    @jax.jit
+    def saved(save_at: jax.Array, t1: float = 1.0) -> tx.Solution:
+        return tx.integrate(dynamics, {"x": 1.0}, t1=t1, u={"F": 0.0}, save_at=save_at, **how)
+
+    def missing(sol: tx.Solution) -> list[bool]:
+        assert (sol.result == tx.Result.NON_FINITE) == bool(np.isnan(sol.xs["x"]).any())
+        return np.isnan(sol.xs["x"]).tolist()
+
+    assert missing(saved(jnp.array([0.0, 0.5, 1.0]))) == [False, False, False]
+    assert missing(saved(jnp.array([0.5, 2.0]))) == [False, True]
+    assert missing(saved(jnp.array([-0.5, 0.5]))) == [True, False]
+    assert missing(saved(jnp.array([0.5, 0.2]))) == [True, True]
+    assert missing(saved(jnp.array([0.0]), -1.0)) == [True]
+    ends = jax.jit(lambda t1: tx.integrate(dynamics, {"x": 1.0}, t1=t1, u={"F": 0.0}, **how))
+    assert missing(ends(-1.0)) == [True]
+    assert missing(ends(np.nan)) == [True]
+    assert missing(ends(0.0)) == [False]
+
+
+def test_whole_numbers_of_numpy_are_numbers_of_steps(unchecked: None) -> None:
+    sol = tx.integrate(decay(), {"x": 1.0}, t1=1.0, u={"F": 0.0}, steps=np.int64(10))
+    assert sol.stats.steps == 10
+    control = tx.StepControl(max_steps=np.int64(50), factormax=np.int32(5))
+    assert control == tx.StepControl(max_steps=50, factormax=5)
+    assert tx.integrate(decay(), {"x": 1.0}, t1=1.0, u={"F": 0.0}, rtol=1e-4, control=control).result == 0
 
 
 def test_the_last_saved_time_lies_before_a_failure() -> None:

@@ -134,3 +134,5 @@ def test_batches_precision_and_what_is_too_large(monkeypatch: pytest.MonkeyPatch
 def test_wrong_weights() -> None:
     with pytest.raises(tx.InputError, match=r"weights expects shape \(7,\), one number for each tangent.*got \(3,\)"):
         discretize(TURNING, 0.2, X, U, 0.3, weights=np.ones(3))
+    with pytest.raises(tx.InputError, match=r"weights expects finite numbers, got .*nan"):
+        discretize(TURNING, 0.2, X, U, 0.3, weights=np.full(7, np.nan))

@@ -150,6 +150,8 @@ def integrate(
         taken = fixed_steps(t0, t1, span, dt, steps, save_at, dtype, bounded=traced, dense=dense, watch=watch)
     found = rollout(taken, stepper, x)
     ts = jnp.asarray([t1] if save_at is None else save_at, dtype)
+    if is_traced((t0, t1, save_at)):
+        found = _inside(found, inputs.t, jnp.asarray(t1, dtype), ts)
     return _solution(stepper, taken, found, ts, save_at is None, throw)
 
 
@@ -180,6 +182,25 @@ def _defect(group: Group, value: jax.Array) -> jax.Array:
     return group.defect(value)
 
 
+def _inside(found: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> Rollout:
+    """NON_FINITE for traced times that would be refused if they were known, and NaN for the states there."""
+    room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
+    ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
+    inside = ordered & (ts >= start - room) & (ts <= end + room)
+    code = found.outcome.code
+    code = jnp.where(_ended_well(code) & ~inside.all(), Result.NON_FINITE.value, code)
+    xs = {name: jax.vmap(_or_nan)(inside, value) for name, value in found.xs.items()}
+    return found._replace(xs=xs, outcome=found.outcome._replace(code=code))
+
+
+def _ended_well(code: jax.Array) -> jax.Array:
+    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
+
+
+def _or_nan(good: jax.Array, value: jax.Array) -> jax.Array:
+    return jnp.where(good, value, jnp.nan)
+
+
 def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: jax.Array, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
     outcome, watching, known = found.outcome, steps.watch is not None, not is_traced(found.outcome)
@@ -187,8 +208,10 @@ def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: jax.Array, end
     stats = Stats(*(int(count) for count in counts)) if known else Stats(*counts)
     result = Result(int(outcome.code)) if known else outcome.code
     if known and throw and result not in (Result.SUCCESS, Result.EVENT):
-        raise failure(stepper, steps, outcome, found.end)
+        raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, found.end)))
     end = {name: value[None] for name, value in found.end.items()}
+    if not known:
+        end = {name: _or_nan(_ended_well(outcome.code), value) for name, value in end.items()}
     if end_only:
         xs = end
         if known:

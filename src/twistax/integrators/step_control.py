@@ -68,9 +68,9 @@ class StepControl:
             value = getattr(self, field.name)
             if value is not None:
                 number(f"StepControl: {field.name}", value, error=ModelError)
-            if isinstance(value, np.floating):
+            if isinstance(value, np.generic):
                 # A Python number takes the precision of the state, a NumPy one does not.
-                object.__setattr__(self, field.name, float(value))
+                object.__setattr__(self, field.name, value.item())
         self._need(0.0 < self.safety < 1.0, "safety", "between 0 and 1")
         self._need(0.0 < self.factormin < 1.0, "factormin", "between 0 and 1")
         self._need(self.factormax > 1.0, "factormax", "above 1")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import number, real_array, short
+from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
@@ -296,7 +296,7 @@ def put(table: Any, row: Any, value: Any) -> Any:
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
     """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
     for name, value in (("t0", t0), ("t1", t1)):
-        number(name, value, "a finite number of s")
+        number(name, value, "a finite time in s")
     if dt is not None:
         number("dt", dt, "a positive number of s", lambda h: 0.0 < h < np.inf)
     if is_traced((t0, t1)):
@@ -355,8 +355,8 @@ def fixed_steps(
             )
         length = span[1] - span[0]
         steps = max(1, round(length / float(dt))) if length else 0
-    elif isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-        raise InputError(f"steps must be a positive whole number, got {steps!r}")
+    else:
+        steps = whole("steps", steps)
     start, end = jnp.asarray(t0, dtype), jnp.asarray(t1, dtype)
     h = jnp.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
     at = None

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import number, real_array, whole
+from ..checks import number, real_array, short, whole
 from ..errors import InputError, TrajectoryError
 from ..expr import Control, Inputs
 from ..integrators import RKMK, VectorField
@@ -19,7 +19,7 @@ from ..integrators.method import Method
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays, not_compiled
-from ..lowering.inputs import Values
+from ..lowering.inputs import Values, is_finite
 from .second_order import second_order
 
 
@@ -161,7 +161,7 @@ def discretize(
         substeps: steps of the method within the interval.
         weights: (n,), multipliers of the tangent difference d1, for the Hessian.
     Raises:
-        InputError: as a call of the dynamics does; weights of another shape.
+        InputError: as a call of the dynamics does; weights of another shape, or not finite.
         TrajectoryError: substeps is no positive whole number.
         ModelError: the system is not compiled.
     """
@@ -198,11 +198,15 @@ def _with_hessian(
     dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: Any
 ) -> Discretization:
     n, controls = dynamics.dimension, Controls(dynamics.controls)
-    given = jnp.asarray(real_array("weights", weights), inputs.dtype)
+    given = real_array("weights", weights)
     if given.shape != (n,):
         raise InputError(f"weights expects shape ({n},), one number for each tangent of the end, got {given.shape}")
+    if not is_finite(given):
+        raise InputError(f"weights expects finite numbers, got {short(given)}")
     held = controls.split(controls.join(inputs.u, inputs.dtype))
-    x1, slopes, hessian = second_order(dynamics, method, dataclasses.replace(inputs, u=held), h, substeps, given)
+    x1, slopes, hessian = second_order(
+        dynamics, method, dataclasses.replace(inputs, u=held), h, substeps, jnp.asarray(given, inputs.dtype)
+    )
     A, B, by_h, by_t = jnp.split(slopes, [n, n + controls.dimension, n + controls.dimension + 1], axis=1)
     return Discretization(x1, A, B, by_h[:, 0], by_t[:, 0], hessian)
 
