@@ -93,6 +93,27 @@ def test_solutions_and_plain_arrays() -> None:
     assert none.statistics.count == 0
 
 
+def test_integers_and_truth_values() -> None:
+    members = {"a": np.array([127, -128], np.int8), "b": np.array([2**31 - 1, -(2**31)], np.int32)}
+    found = tx.sweep(lambda m: {**m, "c": m["a"] > 0}, members)
+    assert found.percentiles(50) == {"a": -0.5, "b": -0.5, "c": 0.5}
+    assert found.statistics.mean == {"a": -0.5, "b": -0.5, "c": 0.5}
+    assert np.isnan(tx.sweep(lambda x: x, np.ones(1)).statistics.std)
+
+
+def test_a_failure_within_the_results_is_seen() -> None:
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: x * x}))
+
+    def end(x0: jax.Array) -> Any:
+        return tx.integrate(dynamics, {"x": x0}, t1=2.0, rtol=1e-6, throw=False)
+
+    starts = np.array([0.1, 2.0])
+    assert list(tx.sweep(lambda x0: end(x0).xs["x"][-1], starts).failed) == [1]
+    with pytest.raises(tx.InputError, match="a Solution within its results"):
+        tx.sweep(lambda x0: {"end": end(x0)}, starts)
+
+
 # ---- on disk ---------------------------------------------------------------------------------------------------------
 
 
@@ -119,6 +140,21 @@ def test_a_sweep_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytes
     again = tx.sweep(run, MEMBERS, chunk=4, directory=tmp_path)
     assert calls[10:] == [0]
     np.testing.assert_array_equal(again.values["all"], found.values["all"])
+
+
+def test_another_number_of_devices_goes_on(tmp_path: Path) -> None:
+    """Chunks are those that were asked for, whatever batch the devices share."""
+    plan = _Plan(run, None, MEMBERS, COUNT, 0, 4, jax.local_devices())
+    assert plan.setup()["chunk"] == 4
+    assert [len(plan.compute(k)[-1]) for k in range(plan.chunks)] == [4] * 7 + [1]
+
+
+def test_what_is_not_finite_hides_no_other_function(tmp_path: Path) -> None:
+    members = np.array([1.0, 2.0, 3.0])
+    tx.sweep(lambda m: jnp.stack([jnp.where(m > 2.5, jnp.inf, 1e7 * m), m]), members, directory=tmp_path)
+    tx.sweep(lambda m: jnp.stack([jnp.where(m > 2.5, jnp.inf, 1e7 * m), m]), members, directory=tmp_path)
+    with pytest.raises(tx.InputError, match="another function"):
+        tx.sweep(lambda m: jnp.stack([jnp.where(m > 2.5, jnp.inf, 1e7 * m), -m]), members, directory=tmp_path)
 
 
 def test_a_directory_of_another_sweep_is_refused(tmp_path: Path) -> None:
@@ -214,6 +250,15 @@ def test_two_processes(tmp_path: Path) -> None:
         (r"sweep expects a function of \(member\), got 3", {"run": 3}),
         (r"members expects a function of \(key\), got one of", {"members": lambda: 1, "count": 2}),
         ("gives nothing", {"run": lambda member: None}),
+        ("the same member for every key", {"members": lambda key: {"x": np.ones(3), "gain": 1.0}, "count": 3}),
+        ("complex numbers", {"run": lambda member: jax.lax.complex(member["x"], member["x"])}),
+        ("seed must be less than 2", {"members": draw, "count": 2, "seed": 2**32}),
+        ("seed must be a whole number", {"members": draw, "count": 2, "seed": 1.5}),
+        ("at least 1, got shapes", {"members": np.zeros((0, 3))}),
+        ("at least 1, got shapes", {"members": [1.0, 2.0]}),
+        ("devices must be a list", {"devices": []}),
+        ("devices must be a list", {"devices": "cpu"}),
+        ("sweep", {"directory": 3}),
     ],
 )
 def test_nonsense_is_refused(message: str, own: dict[str, Any]) -> None:

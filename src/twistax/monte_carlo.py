@@ -20,7 +20,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from numpy.typing import NDArray
 
-from .checks import callable_with, whole
+from .checks import callable_with, path_of, short, whole
 from .errors import InputError
 from .integrators import Result, Solution
 
@@ -102,7 +102,7 @@ class Sweep:
             raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
 
         def column(place: int) -> NDArray[Any]:
-            return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good]
+            return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)
 
         return self._plan.tree([np.percentile(column(i), asked, axis=0) for i in range(self._plan.columns)])
 
@@ -112,7 +112,7 @@ class Sweep:
         Raises:
             InputError: there is no such member.
         """
-        if not 0 <= number < self.count:
+        if whole("member: number", number, 0) >= self.count:
             raise InputError(f"member expects a number from 0 to {self.count - 1}, got {number}")
         return self._plan.member(number)
 
@@ -157,10 +157,15 @@ def sweep(
         InputError: axes of different lengths, a count that is missing or given twice, several processes without a
             directory; a directory with a sweep of something else.
     """
-    plan = _Plan.given(run, members, count, seed, chunk, list(devices or jax.local_devices()))
+    own_devices = (
+        list(jax.local_devices() if devices is None else devices) if np.iterable(devices) or devices is None else []
+    )
+    if not own_devices or not all(isinstance(device, jax.Device) for device in own_devices):
+        raise InputError(f"sweep: devices must be a list of devices of this process, got {short(devices)}")
+    plan = _Plan.given(run, members, count, seed, chunk, own_devices)
     if directory is None and jax.process_count() > 1:
         raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
-    chunks: _Chunks = _InMemory() if directory is None else _OnDisk(Path(directory), plan)
+    chunks: _Chunks = _InMemory() if directory is None else _OnDisk(path_of("sweep", directory), plan)
     line = _Line(plan, (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0)
     own = range(jax.process_index(), plan.chunks, jax.process_count())
     for k in own:
@@ -181,8 +186,9 @@ class _Plan:
 
     def __init__(self, run: Any, draw: Any, arrays: Any, count: int, seed: int, size: int, devices: list[Any]) -> None:
         self._run, self._draw, self._arrays, self._seed = run, draw, arrays, seed
-        self.count, self.size = count, -(-min(size, count) // len(devices)) * len(devices)
+        self.count, self.size = count, min(size, count)
         self.chunks = -(-count // self.size)
+        self._batch = -(-self.size // len(devices)) * len(devices)
         shape = jax.eval_shape(self._one, self._given(np.zeros(1, int), one=True))
         self._structure = jax.tree.structure(shape[0])
         self.shapes = [(leaf.shape, np.dtype(leaf.dtype).str) for leaf in jax.tree.leaves(shape[0])]
@@ -199,17 +205,28 @@ class _Plan:
     @classmethod
     def given(cls, run: Any, members: Any, count: int | None, seed: int, size: int, devices: list[Any]) -> _Plan:
         callable_with("sweep", run, ["member"], InputError)
-        for name, value in (("chunk", size), ("count", 1 if count is None else count)):
-            whole(f"sweep: {name}", value)
+        size, count = whole("sweep: chunk", size), None if count is None else whole("sweep: count", count)
+        if (seed := whole("sweep: seed", seed, 0)) >= 2**32:
+            raise InputError(f"sweep: seed must be less than 2^32, got {seed}")
         if callable(members):
             if count is None:
                 raise InputError("sweep expects a count beside a function that draws members: sweep(..., count=...)")
             callable_with("sweep: members", members, ["key"], InputError)
+            drawn = jax.make_jaxpr(members)(jax.random.key(0)).jaxpr
+            if drawn.invars[0] not in [*drawn.outvars, *(v for eqn in drawn.eqns for v in eqn.invars)]:
+                raise InputError(
+                    "sweep: members gives the same member for every key.\n"
+                    "  fix: draw with the key, as jax.random.normal(key) does"
+                )
             return cls(run, members, None, count, seed, size, devices)
-        arrays = jax.tree.map(np.asarray, members)
-        lengths = {np.shape(a)[:1] for a in jax.tree.leaves(arrays)}
-        if len(lengths) != 1 or () in lengths:
-            raise InputError(f"sweep expects arrays with one length of the leading axis, got {sorted(lengths)}")
+        arrays = jax.tree.map(_as_jax_has_it, members)
+        shapes = [np.shape(a) for a in jax.tree.leaves(arrays)]
+        lengths = {shape[:1] for shape in shapes}
+        if len(lengths) != 1 or lengths & {(), (0,)}:
+            raise InputError(
+                f"sweep expects arrays with one length of the leading axis, at least 1, got shapes {shapes}.\n"
+                "  fix: give arrays, np.array([...]); the entries of a list are arrays of their own"
+            )
         ((length,),) = lengths
         if count is not None and count != length:
             raise InputError(f"sweep has arrays of {length} members, and count is {count}.\n  fix: leave count out")
@@ -224,17 +241,20 @@ class _Plan:
 
     def compute(self, k: int) -> Columns:
         """The results of a chunk."""
-        numbers = np.arange(k * self.size, (k + 1) * self.size)
-        results, codes = self._compiled(self._given(np.minimum(numbers, self.count - 1)))
-        kept = numbers < self.count  # the last chunk is filled up with its last member
+        numbers = k * self.size + np.arange(self._batch)
+        last = min(self.count, (k + 1) * self.size) - 1
+        results, codes = self._compiled(self._given(np.minimum(numbers, last)))
+        kept = numbers <= last  # the rest fills up the batch
         return [np.asarray(column)[kept] for column in (*jax.tree.leaves(results), codes)]
 
     def setup(self) -> dict[str, Any]:
         """What says whether chunks on disk are of this sweep."""
         digest = hashlib.sha256()
-        for leaf in jax.tree.leaves(self._arrays):
-            digest.update(np.ascontiguousarray(leaf).tobytes())
-        results = [[list(shape), dtype] for shape, dtype in self.shapes]
+        leaves, structure = jax.tree.flatten(self._arrays)
+        digest.update(str(structure).encode())
+        for leaf in leaves:
+            digest.update(f"{leaf.shape} {leaf.dtype}".encode() + np.ascontiguousarray(leaf).tobytes())
+        results = [str(self._structure), *([list(shape), dtype] for shape, dtype in self.shapes)]
         members = "drawn" if self._draw else digest.hexdigest()
         return {"count": self.count, "chunk": self.size, "seed": self._seed, "members": members, "results": results}
 
@@ -248,18 +268,35 @@ class _Plan:
 
     def _one(self, given: Any) -> tuple[Any, jax.Array]:
         """The results of one member, and the number of its `Result`."""
-        found = self._run(self._member(given))
-        solution, results = found if isinstance(found, tuple) and len(found) == 2 else (found, found)
+        found, code = self._run(self._member(given)), jnp.asarray(Result.SUCCESS.value, jnp.int32)
+        pair = isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Solution)
+        solution, results = found if pair else (found, found)
         if isinstance(solution, Solution):
-            results = solution.xs if results is solution else results
-            code = jnp.asarray(solution.code, jnp.int32)
-        else:
-            results, code = found, jnp.asarray(Result.SUCCESS.value, jnp.int32)
+            results, code = results if pair else solution.xs, jnp.asarray(solution.code, jnp.int32)
+        is_solution = lambda part: isinstance(part, Solution)  # noqa: E731
+        if any(map(is_solution, jax.tree.leaves(results, is_leaf=is_solution))):
+            raise InputError(
+                "sweep: run gives a Solution within its results, whose failure would not be seen.\n"
+                "  fix: return (solution, results), or solution.xs of the others"
+            )
         results = jax.tree.map(jnp.asarray, results)
+        if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(results)):
+            raise InputError("sweep: run gives complex numbers.\n  fix: return their real and imaginary parts")
         real = [leaf for leaf in jax.tree.leaves(results) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
         finite = functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in real], jnp.asarray(True))
         fine = (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
         return results, jnp.where(fine & ~finite, jnp.int32(Result.NON_FINITE.value), code)
+
+
+def _as_jax_has_it(value: Any) -> NDArray[Any]:
+    """An array in the type that JAX gives it. Raises InputError for integers that do not fit, as without x64."""
+    array = np.asarray(value)
+    found = array.astype(jax.dtypes.canonicalize_dtype(array.dtype))
+    if array.dtype.kind in "iu" and not np.array_equal(found, array):
+        raise InputError(
+            f"sweep has members that {found.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
+        )
+    return found
 
 
 def _good(codes: NDArray[Any]) -> NDArray[Any]:
@@ -294,6 +331,8 @@ class _OnDisk:
             if not path.exists():
                 _whole(path, lambda file: file.write(json.dumps(setup, indent=2).encode()))
             found = json.loads(path.read_text())
+            if not isinstance(found, dict):
+                raise ValueError(f"{_SETUP} is damaged")
         except (OSError, ValueError) as error:
             raise InputError(f"sweep cannot use the directory {folder}: {error}") from error
         different = [name for name in setup if found.get(name) != setup[name]]
@@ -308,7 +347,9 @@ class _OnDisk:
         if first is None:
             return
         for own, new in zip(self.read(first), plan.compute(first), strict=True):
-            if not np.allclose(own, new, rtol=_AGREE, atol=_AGREE * np.max(np.abs(new), initial=0.0), equal_nan=True):
+            own, new = own.astype(float), new.astype(float)
+            scale = np.max(np.abs(np.where(np.isfinite(new), new, 0.0)), axis=0)
+            if not np.isclose(own, new, rtol=_AGREE, atol=_AGREE * scale, equal_nan=True).all():
                 raise InputError(
                     f"{self._folder} holds results of another function: chunk {first} computed again differs.\n"
                     "  fix: give another directory, or remove that one"
@@ -384,7 +425,10 @@ class _Moments:
         """Means, standard deviations, least and most; NaN where there are no members."""
         found = self._columns if self.count else [(np.full(shape, np.nan),) * 4 for shape, _ in self._shapes]
         for which, own in enumerate(zip(*found, strict=True)):
-            yield [np.sqrt(a / max(self.count - 1, 1)) for a in own] if which == 1 else list(own)
+            # Of one member there is no deviation.
+            yield (
+                [np.sqrt(a / (self.count - 1 if self.count > 1 else np.nan)) for a in own] if which == 1 else list(own)
+            )
 
 
 class _Line:
