@@ -47,12 +47,6 @@ def checked_modules() -> list[str]:
 install_import_hook(checked_modules(), "beartype.beartype")
 
 
-from twistax.lowering.native import machine_code  # noqa: E402  only now
-
-if os.environ["XLA_FLAGS"]:
-    machine_code.OPTIMISATION = 0  # LLVM's work on a kernel, three times as long, as XLA's above
-
-
 @pytest.fixture
 def unchecked() -> Iterator[None]:
     """Users run without the type checker, which would speak before the package where an argument has a wrong type."""
@@ -97,7 +91,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 #: Megabytes that a worker may hold before what JAX keeps of earlier tests is dropped, and those it gets after that.
-MEMORY, ROOM = 1400, 450
+MEMORY, ROOM = 1100, 350
 
 _limit = float(MEMORY)
 

@@ -62,9 +62,6 @@ class Processor:
         return [bits for bits in (128, 256, 512) if bits <= cls.host().bits]
 
 
-#: How much LLVM does for the speed of what it writes; 0 is for what runs once.
-OPTIMISATION = 2
-
 _LOCK = threading.Lock()
 
 
@@ -95,7 +92,7 @@ def target_machine(processor: Processor) -> Any:
     import llvmlite.binding as llvm
 
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=processor.name, features=processor.features, opt=OPTIMISATION, reloc="pic", codemodel="jitdefault", jit=True
+        cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="jitdefault", jit=True
     )
 
 
