@@ -397,8 +397,8 @@ MUTATIONS: list[Mutation] = [
         "lowering/native/kernel.py",
         (
             "kernels that stay",
-            "weakref.finalize(code, _vacate, place, address)",
-            "_HANDLERS.append(code)",
+            "weakref.finalize(lease, _rest, place, lease.code)",
+            "_RESTING.append((1e99, place, lease.code))",
             "lowering/test_lifetimes.py",
         ),
         (

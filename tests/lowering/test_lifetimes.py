@@ -64,6 +64,23 @@ def test_kernels_go_with_what_they_were_compiled_for() -> None:
     assert _left(refs) == 0
 
 
+def test_code_rests_before_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call that nobody waits for may still be under way when the last kernel goes."""
+    from twistax.lowering.native import kernel
+
+    monkeypatch.setattr(kernel, "_REST", 1e9)
+    dynamics = tx.compile(_system(11), backend=tx.Native(least=0))
+    before = set(map(id, kernel._CODE.values()))
+    jax.block_until_ready(dynamics(0.0, POINT))
+    codes = [weakref.ref(lease.code) for lease in kernel._CODE.values() if id(lease) not in before]
+    del dynamics
+    assert _left(codes) == len(codes) > 0
+    monkeypatch.setattr(kernel, "_REST", 0.0)
+    kept = tx.compile(_system(12), backend=tx.Native(least=0))
+    jax.block_until_ready(kept(0.0, POINT))
+    assert _left(codes) == 0
+
+
 def test_a_kernel_stays_while_something_compiled_calls_it() -> None:
     dynamics = tx.compile(_system(7), backend=tx.Native(least=0))
     expected = np.asarray(dynamics(0.0, POINT)["v"])

@@ -6,6 +6,7 @@ import ctypes
 import functools
 import hashlib
 import threading
+import time
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,8 +31,20 @@ _ALL = 2**31
 #: How many places for kernels are made together.
 _PLACES_AT_ONCE = 64
 
-#: The code of the kernels that are in use, by the name of their target.
-_CODE: weakref.WeakValueDictionary[str, MachineCode] = weakref.WeakValueDictionary()
+#: Seconds for which code stays after its last kernel: XLA may be in the middle of a call that nobody waits for.
+_REST = 30.0
+
+
+class _Lease:
+    """What kernels of one target hold of their code."""
+
+    def __init__(self, code: MachineCode) -> None:
+        self.code = code
+
+
+#: The kernels that are in use, by the name of their target; and code that is not, with the time since when.
+_CODE: weakref.WeakValueDictionary[str, _Lease] = weakref.WeakValueDictionary()
+_RESTING: list[tuple[float, ctypes.c_void_p, MachineCode]] = []
 
 #: The address of the place where the handler of a target finds its kernel. XLA keeps targets as long as the process
 #: lives, so what it keeps are small handlers that look there.
@@ -62,11 +75,12 @@ class Kernel:
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)
         with _LOCK:
+            _free()
             found = _CODE.get(self.target)
             if found is None:
-                found = load(text, module.library, processor, ("run", "handler"))
+                found = _Lease(load(text, module.library, processor, ("run", "handler")))
                 _register(self.target, found, processor)
-        self._code = found
+        self._lease = found
 
     def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:
         """The results for rows of arguments, (rows, *shape) each; traceable."""
@@ -85,14 +99,16 @@ class Kernel:
         results = [np.zeros((rows, array.size), array.dtype) for array in self._written]
         table = (ctypes.c_void_p * (len(given) + len(results)))(*(a.ctypes.data for a in (*given, *results)))
         if rows:
-            call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._code.addresses["run"])
+            call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
+                self._lease.code.addresses["run"]
+            )
             call(ctypes.addressof(table), 0, rows)
         return results
 
 
-def _register(target: str, code: MachineCode, processor: Processor) -> None:
-    """Make the code what XLA calls by the name of a target, for as long as it lives."""
-    address, fresh = code.addresses["handler"], target not in _PLACES
+def _register(target: str, lease: _Lease, processor: Processor) -> None:
+    """Make the code what XLA calls by the name of a target, for as long as it is there."""
+    address, fresh = lease.code.addresses["handler"], target not in _PLACES
     if fresh:
         if not _FREE:
             module = Module(processor)
@@ -107,14 +123,21 @@ def _register(target: str, code: MachineCode, processor: Processor) -> None:
     if fresh:
         capsule = jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(handler))
         jax.ffi.register_ffi_target(target, capsule, platform="cpu")
-    _CODE[target] = code
-    weakref.finalize(code, _vacate, place, address)
+    _CODE[target] = lease
+    weakref.finalize(lease, _rest, place, lease.code)
 
 
-def _vacate(place: ctypes.c_void_p, address: int) -> None:
-    """Before code goes: the same kernel may have been made anew since."""
-    if place.value == address:
-        place.value = None
+def _rest(place: ctypes.c_void_p, code: MachineCode) -> None:
+    """Its last kernel is gone."""
+    _RESTING.append((time.monotonic(), place, code))
+
+
+def _free() -> None:
+    """Let code go that has rested for long enough; the same kernel may have been made anew since."""
+    while _RESTING and time.monotonic() - _RESTING[0][0] > _REST:
+        _, place, code = _RESTING.pop(0)
+        if place.value == code.addresses["handler"]:
+            place.value = None
 
 
 def _name(text: str, processor: Processor) -> str:
