@@ -736,7 +736,7 @@ MUTATIONS: list[Mutation] = [
             "moments.add(columns)",
             "test_sweep.py",
         ),
-        ("a last chunk with members twice", "kept = numbers < self.count", "kept = numbers >= 0", "test_sweep.py"),
+        ("a last chunk with members twice", "kept = numbers <= last", "kept = numbers >= 0", "test_sweep.py"),
     ),
 ]
 
