@@ -30,11 +30,11 @@ def recursion(a: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         c = jnp.sin(a @ c) + u
         return c, jnp.stack([c.sum(), c[0] * u[1]])
 
-    return jax.lax.scan(body, x, MANY)
+    return jax.lax.scan(body, x, MANY.astype(x.dtype))
 
 
 def backwards(a: jax.Array, x: jax.Array) -> Any:
-    return jax.lax.scan(lambda c, u: (0.9 * c + u, c @ a), x, MANY, reverse=True)
+    return jax.lax.scan(lambda c, u: (0.9 * c + u, c @ a), x, MANY.astype(x.dtype), reverse=True)
 
 
 def counted(a: jax.Array, x: jax.Array) -> jax.Array:
@@ -53,7 +53,7 @@ def until(a: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def mixed(a: jax.Array, x: jax.Array) -> dict[str, Any]:
     """Integers, truth values and tuples are carried; constants are folded; what is before and after is straight."""
-    zeros = jnp.zeros((2, 3)).at[0, 1].set(2.0)
+    zeros, many = jnp.zeros((2, 3), x.dtype).at[0, 1].set(2.0), MANY.astype(x.dtype)
 
     def body(state: Any, row: Any) -> Any:
         count, flag, (c, d) = state
@@ -61,8 +61,8 @@ def mixed(a: jax.Array, x: jax.Array) -> dict[str, Any]:
         new = (count + jnp.where(c[0] > 0, 2, 1), ~flag | (c[1] > 0.1), (c, zeros @ c + d * 0.1))
         return new, {"count": count, "flag": flag, "c": jnp.outer(c, c)}
 
-    start = (3, x[0] > 0, (jnp.tanh(a) @ x, jnp.zeros(2)))
-    end, rows = jax.lax.scan(body, start, {"u": MANY, "k": jnp.arange(len(MANY))})
+    start = (3, x[0] > 0, (jnp.tanh(a) @ x, jnp.zeros(2, x.dtype)))
+    end, rows = jax.lax.scan(body, start, {"u": many, "k": jnp.arange(len(many))})
     return {"end": end, "rows": rows, "after": jnp.linalg.det(a) * end[2][0], "none": None}
 
 
@@ -78,7 +78,7 @@ def nested(a: jax.Array, x: jax.Array) -> jax.Array:
     def outer(c: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.lax.fori_loop(0, 100, lambda k, d: jnp.sin(a @ d) + 0.1 * u, c), c.sum()
 
-    return jax.lax.scan(outer, x, MANY[:40])[1]
+    return jax.lax.scan(outer, x, MANY[:40].astype(x.dtype))[1]
 
 
 def straight(a: jax.Array, x: jax.Array) -> jax.Array:
@@ -90,7 +90,7 @@ def straight(a: jax.Array, x: jax.Array) -> jax.Array:
 
 def small_loop(a: jax.Array, x: jax.Array) -> jax.Array:
     """A loop that is unrolled."""
-    return jax.lax.scan(lambda c, u: (jnp.sin(a @ c) + u, c[0]), x, MANY[:7])[1]
+    return jax.lax.scan(lambda c, u: (jnp.sin(a @ c) + u, c[0]), x, MANY[:7].astype(x.dtype))[1]
 
 
 FUNCTIONS = [recursion, backwards, counted, until, mixed, two_in_a_row, nested, straight, small_loop]
@@ -155,8 +155,6 @@ def test_batches_of_batches() -> None:
 
 @every
 def test_single_precision(function: Callable[..., Any]) -> None:
-    if function in (mixed, recursion, backwards, two_in_a_row, nested, small_loop):
-        pytest.skip("it holds a table of float64")
     a, x = A.astype(jnp.float32), X.astype(jnp.float32)
     close(tx.fast(function)(a, x), jax.jit(function)(a, x), 1e-4 if function is not until else 1e-2)
 

@@ -194,7 +194,7 @@ def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
     """The backend that a user asked for, `auto` for "auto".
 
     Raises:
-        ModelError: it is none.
+        ModelError: it is not a backend.
     """
     found = auto if isinstance(backend, str) and backend == "auto" else backend
     if not isinstance(found, Backend):
