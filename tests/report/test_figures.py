@@ -10,9 +10,8 @@ import pytest
 import twistax as tx
 from twistax.lowering.native.backend import installed
 from twistax.mechanics import joints
-from twistax.report.checks import Absent, Check
+from twistax.report.checks import Absent, Check, explained
 from twistax.report.page import texts
-from twistax.report.report import explained
 from twistax.report.sections import FIGURES, identities, keeping, scalars, steps
 from twistax.report.speed.cases import CASES
 from twistax.scenes import SCENES

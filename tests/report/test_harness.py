@@ -21,11 +21,13 @@ from twistax.__main__ import main
 from twistax.report.checks import (
     Absent,
     Check,
+    Checked,
     Ended,
     agree,
     at_least,
     at_most,
     between,
+    draw,
     either,
     ends,
     refused,
@@ -33,7 +35,6 @@ from twistax.report.checks import (
 )
 from twistax.report.command import Progress, run_report
 from twistax.report.page import Picture, duration, render, renew, table_of
-from twistax.report.report import Checked, draw
 from twistax.report.rows import Origin, Row, Store, number, plain, save_csv
 from twistax.report.timing import Repeats, Timed, compiled, in_turn
 
@@ -326,7 +327,7 @@ def test_the_progress_bar_is_for_terminals(terminal: bool, shown: bool) -> None:
     stream.isatty = lambda: terminal  # type: ignore[method-assign]
     progress = Progress(stream, ["euler-top", "rocket"], shown)
     progress.tell("euler-top", "timing", 0.5)
-    progress.clear()
+    progress.show()
     assert (" 25% " in stream.getvalue() and "euler-top  timing" in stream.getvalue()) == (terminal and shown)
 
 

@@ -18,9 +18,22 @@ from twistax.report.command import run_report
 from twistax.report.rows import Origin, Row, Store
 from twistax.report.speed import page
 from twistax.report.speed.cases import CASES, FREE_BODY, Case
-from twistax.report.speed.contenders import CASADI, PLAIN, SCALARS, Contender
+from twistax.report.speed.contenders import (
+    CASADI,
+    JACOBIAN,
+    LOOP,
+    PLAIN,
+    SCALARS,
+    SINGLE,
+    VALUE,
+    Contender,
+    Lacks,
+    Quantity,
+    Task,
+    batch,
+    values,
+)
 from twistax.report.speed.page import QUICK, apart, measure
-from twistax.report.speed.programs import JACOBIAN, LOOP, SINGLE, VALUE, Lacks, Quantity, Task, batch, values
 from twistax.report.timing import Repeats, Timed
 
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})

@@ -2,9 +2,8 @@
 
 import pytest
 
-from twistax.report.checks import Check
+from twistax.report.checks import Check, explained
 from twistax.report.page import texts
-from twistax.report.report import explained
 from twistax.report.sections import STABILITY
 
 #: Sections that take long to compile, beside the rows that take long to run.

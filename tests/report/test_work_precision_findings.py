@@ -9,8 +9,16 @@ import pytest
 from twistax.report.page import render
 from twistax.report.rows import Origin, Row
 from twistax.report.work_precision.contenders import CONTENDERS, OURS, QUICK, WHAT, equal_steps, tolerances
-from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
-from twistax.report.work_precision.page import LONG, STIFF, context, suited
+from twistax.report.work_precision.page import (
+    LONG,
+    STIFF,
+    Curve,
+    Findings,
+    bar_rows,
+    context,
+    doubts,
+    suited,
+)
 from twistax.scenes import SCENES
 
 
@@ -76,7 +84,7 @@ def test_runs_that_are_slower_and_worse_do_not_count() -> None:
 
 def test_nothing_is_extrapolated() -> None:
     curve = Curve.of([row(1e-7, 1e-4), row(1e-8, 2e-4)])
-    assert curve.time_at(1e-6) == 1e-4
+    assert curve.time_at(1e-6) == pytest.approx(1e-4)
     assert math.isnan(curve.time_at(1e-9))
     assert curve.row_at(1e-9) is None
 

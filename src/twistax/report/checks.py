@@ -1,16 +1,64 @@
-"""Checks: one case each, what is asked of it, and what came."""
+"""What all reports have in common, and those made of checks: one case each, what is asked of it, and what came."""
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import twistax as tx
 
-from .rows import DONE, Row, first_line, now, number
+from .page import as_svg, panels, table_of, texts
+from .rows import DONE, Row, Store, first_line, now, number
+from .timing import Tell
+
+
+class Report(ABC):
+    """Measures part by part, and says what came of it."""
+
+    name: str  # of its files
+    template: ClassVar[str]  # of its page
+    title: str
+    #: Whether every call runs in the caller's thread (`jax_cpu_enable_async_dispatch` off), so that short programs are
+    #: timed alike whether or not XLA counts them as cheap.
+    one_thread: ClassVar[bool] = True
+    effort: Mapping[str, Any] = MappingProxyType({})  # what is run, and how often it is repeated
+    parts: Sequence[str]  # what is measured one after the other
+    missing: Mapping[str, str] = MappingProxyType({})  # who cannot take part on this machine, and why
+    versions: Mapping[str, str] = MappingProxyType({})  # of packages that take part beside the usual ones
+    store: Store  # of its rows, once it runs
+
+    @abstractmethod
+    def measure(self, part: str, tell: Tell) -> None:
+        """Put into the store what is not there yet."""
+
+    def rows(self) -> list[Row]:
+        """What this run is about, in order."""
+        return [row for part in self.parts for row in self.store if row.group == part]
+
+    @abstractmethod
+    def bars(self, part: str) -> list[Row]:
+        """What a part says of what was asked for: printed, and shown in documents by groups."""
+
+    @abstractmethod
+    def problems(self) -> list[str]:
+        """What makes the run fail, a line each."""
+
+    @abstractmethod
+    def drawings(self) -> dict[str, Callable[[], bytes]]:
+        """What draws the figures as SVG, by the name of the file; ImportError without matplotlib."""
+
+    @abstractmethod
+    def context(self) -> dict[str, Any]:
+        """What the template needs beside what `run_report` gives to all."""
+
+
+# ---- checks ----------------------------------------------------------------------------------------------------------
 
 #: What a check gives: a number, or what was raised in place of one.
 Outcome = float | Exception
@@ -142,3 +190,102 @@ _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 #: The checks of a section, those that need it after a plain sentence that explains what comes of them. Its title, and
 #: what its page says of it, stand in `sections.toml`.
 Section = list[str | Check]
+
+
+# ---- a report made of checks -----------------------------------------------------------------------------------------
+
+#: Tables longer than this are folded up, unless something is wrong.
+_SHOWN = 14
+#: Numbers of zero are drawn here.
+_FLOOR = 1e-17
+
+
+def explained(section: Section) -> Iterator[tuple[str, Check]]:
+    """Each check after its sentence."""
+    why = ""
+    for each in section:
+        if isinstance(each, str):
+            why = each
+        else:
+            yield why, each
+
+
+class Checked(Report):
+    """Runs all checks of sections, or the fast ones. What its page says beside rows stands in `sections.toml`."""
+
+    template = "checks"
+
+    def __init__(self, name: str, sections: Mapping[str, Section], arguments: argparse.Namespace) -> None:
+        self.name, self._quick, self._texts = name, arguments.quick, texts(name)
+        self.title = self._texts["title"]
+        self.parts = [each for each in sections if each in (arguments.only or sections)]
+        self._checks = {part: list(explained(sections[part])) for part in self.parts}
+
+    def measure(self, part: str, tell: Tell) -> None:
+        checks = [check for _, check in self._checks[part] if not (self._quick and check.slow)]
+        for i, check in enumerate(checks):
+            row = self.store.get(part, check.what, check.by)
+            # What was not run for want of something is tried again.
+            if row is None or (row.holds is None and not row.done):
+                tell(f"{check.what}, {check.by}", i / len(checks))
+                self.store.add([check.run(part)])
+
+    def _found(self, part: str) -> list[tuple[Row, str, Check]]:
+        """The rows there are, each with its sentence and its check."""
+        found = [(self.store.get(part, check.what, check.by), why, check) for why, check in self._checks[part]]
+        return [(row, why, check) for row, why, check in found if row]
+
+    def rows(self) -> list[Row]:
+        return [row for part in self.parts for row in self.bars(part)]
+
+    def bars(self, part: str) -> list[Row]:
+        return [row for row, _, _ in self._found(part)]
+
+    def problems(self) -> list[str]:
+        return [f"{r.what} ({r.by}): {r.came}; asked for: {r.bar}" for r in self.rows() if r.holds is False]
+
+    def drawings(self) -> dict[str, Callable[[], bytes]]:
+        said = self._texts["sections"]
+        placed = {part: [(row, check.place) for row, _, check in self._found(part)] for part in self.parts}
+        return {
+            f"{self.name}-{part}": functools.partial(draw, rows, said[part])
+            for part, rows in placed.items()
+            if rows and "axes" in said[part]
+        }
+
+    def context(self) -> dict[str, Any]:
+        sections = [self._section(part) for part in self.parts if self._found(part)]
+        return {"about": self._texts["about"], "note": self._texts["note"], "sections": sections}
+
+    def _section(self, part: str) -> dict[str, Any]:
+        said, rows = self._texts["sections"][part], self.bars(part)
+        whys, wide = [why for _, why, _ in self._found(part)], said.get("wide", False)
+        head, table, words = table_of(rows, wide)
+        if any(whys) and not wide:
+            head, words = [*head, "why"], words + 1
+            table = [[*cells, why] for cells, why in zip(table, whys, strict=True)]
+        folded = len(table) > _SHOWN and not any(row.holds is False for row in rows)
+        found = {"name": f"{self.name}-{part}", "table": (head, table, words), "count": len(rows), "folded": folded}
+        return {**said, **found, "reasons": list(filter(None, dict.fromkeys(whys))) if wide else []}
+
+
+def draw(rows: Sequence[tuple[Row, tuple[str, float] | None]], said: Mapping[str, Any]) -> bytes:
+    """The figure of a section as SVG, of rows with line and x; a cross at the upper edge where it ended early."""
+    figure = panels(said["title"], said["axes"])
+    axes = figure.axes[0]
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for row, place in rows:
+        if place:
+            lines.setdefault(place[0], []).append((place[1], row.value))
+    top = 10.0 * max(value for value in (_FLOOR, *(row.value for row, _ in rows)) if math.isfinite(value))
+    for i, (line, points) in enumerate(lines.items()):
+        style: dict[str, Any] = {"color": f"C{i % 10}", "label": line}
+        good = [(x, max(value, _FLOOR)) for x, value in points if math.isfinite(value)]
+        ended = [x for x, value in points if not math.isfinite(value)]
+        if good:
+            axes.loglog(*zip(*good, strict=True), marker="osD^vP<>X*"[i % 10], ms=4.5, lw=1.5, **style)
+            style.pop("label")
+        if ended:
+            axes.loglog(ended, [top] * len(ended), marker="x", ms=8, ls="", **style)
+            axes.text(0.01, 0.985, "x: ends by name", transform=axes.transAxes, ha="left", va="top", fontsize=9)
+    return as_svg(figure)

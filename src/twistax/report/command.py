@@ -15,8 +15,8 @@ from typing import Any
 
 import jax
 
-from .page import MISSING, Picture, Table, render, renew, table_of
-from .report import Report
+from .checks import Report
+from .page import Picture, Table, render, renew, table_of
 from .rows import Origin, Row, Store, save_csv
 
 #: Where each report is made of the options, by the name of its files. Loaded where it is run: each brings much of the
@@ -39,22 +39,23 @@ def run(arguments: argparse.Namespace) -> int:
     written, --renew would write partial tables, --only names a section of another report, or jinja2 is missing.
     """
     if importlib.util.find_spec("jinja2") is None:
-        print(f"twistax report: {MISSING}", file=sys.stderr)
-        return 2
+        return _refuse("the report needs jinja2, which is not installed; fix: pip install 'twistax[report]'")
     partial = [f"--{name}" for name in _PARTIAL if getattr(arguments, name)]
     if arguments.renew and partial:
-        print(f"twistax report: --renew writes whole tables; leave out {', '.join(partial)}", file=sys.stderr)
-        return 2
-    kind = next((kind for kind in ("stability", "figures") if getattr(arguments, kind)), None)
+        return _refuse(f"--renew writes whole tables; leave out {', '.join(partial)}")
+    kind = next((name for name in _REPORTS if getattr(arguments, name, False)), "report")
+    module, name = _REPORTS[kind]
     if arguments.only:
-        known = getattr(importlib.import_module(".sections", __package__), kind.upper()) if kind else {}
-        strangers = [name for name in arguments.only if name not in known]
-        if strangers:
-            there = f"--{kind} has {', '.join(known)}" if kind else "it goes with --stability or --figures"
-            print(f"twistax report: --only {strangers[0]}: {there}", file=sys.stderr)
-            return 2
-    module, name = _REPORTS[next((name for name in _REPORTS if getattr(arguments, name, False)), "report")]
+        known = getattr(importlib.import_module(module, __package__), kind.upper(), {})
+        if strangers := [name for name in arguments.only if name not in known]:
+            there = f"--{kind} has {', '.join(known)}" if known else "it goes with --stability or --figures"
+            return _refuse(f"--only {strangers[0]}: {there}")
     return run_report(getattr(importlib.import_module(module, __package__), name)(arguments), arguments)
+
+
+def _refuse(why: str) -> int:
+    print(f"twistax report: {why}", file=sys.stderr)
+    return 2
 
 
 def run_report(report: Report, arguments: argparse.Namespace) -> int:
@@ -64,8 +65,7 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
     try:
         (folder / "figures").mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        print(f"twistax report: cannot write to --out {folder}: {error.strerror}", file=sys.stderr)
-        return 2
+        return _refuse(f"cannot write to --out {folder}: {error.strerror}")
     if report.one_thread:
         jax.config.update("jax_cpu_enable_async_dispatch", False)
     report.store = Store(folder / f"{report.name}.json", Origin.now(report.effort, report.versions))
@@ -80,7 +80,7 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
             report.store.forget(part)
         lap, before = time.perf_counter(), len(report.store)
         report.measure(part, functools.partial(progress.tell, part))
-        progress.clear()
+        progress.show()
         print(f"{part:<18} {len(report.store) - before:4d} rows in {time.perf_counter() - lap:5.1f} s", flush=True)
         for row in report.bars(part):
             what = f"{row.what}, {row.by} {row.setting}".rstrip()
@@ -107,13 +107,10 @@ class Progress:
         """Show what is going on, and how much of a part is done; parts are of equal weight."""
         whole = (self._parts.index(part) + share) / len(self._parts)
         bar, seconds = "=" * round(_WIDTH * whole), time.perf_counter() - self._begin
-        self._write(f"[{bar:<{_WIDTH}}] {whole:4.0%} {seconds:4.0f} s  {part}  {what}"[:150])
+        self.show(f"[{bar:<{_WIDTH}}] {whole:4.0%} {seconds:4.0f} s  {part}  {what}"[:150])
 
-    def clear(self) -> None:
-        """Make room for what is printed."""
-        self._write("")
-
-    def _write(self, text: str) -> None:
+    def show(self, text: str = "") -> None:
+        """The line, or nothing: that makes room for what is printed."""
         if self._shown:
             self._stream.write(f"\r\033[K{text}")
             self._stream.flush()

@@ -14,9 +14,6 @@ from typing import Any
 
 from .rows import Row, plain
 
-#: Said where the template engine is not installed.
-MISSING = "the report needs jinja2, which is not installed; fix: pip install 'twistax[report]'"
-
 _TEMPLATES = Path(__file__).with_name("templates")
 
 #: Head, rows, and how many columns are words.
@@ -35,20 +32,16 @@ def render(name: str, context: Mapping[str, Any]) -> tuple[str, str]:
 
     Text may hold `code` and **strong** words.
     """
-    try:
-        import jinja2
-    except ImportError as error:
-        raise ImportError(MISSING) from error
+    import jinja2
+
     folder = jinja2.FileSystemLoader(_TEMPLATES)
     # Text is escaped by the filters, as Markdown is no HTML.
     engine = jinja2.Environment(loader=folder, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
     engine.filters |= {"flat": _flat, "cell": lambda text: _flat(text).replace("|", "\\|"), "inline": _inline}
     engine.filters |= {"duration": duration, "plain": plain, "listed": _listed, "span": _span, "bar_table": bar_table}
-    page = engine.get_template(f"{name}.j2")
+    page, frame = engine.get_template(f"{name}.j2"), engine.get_template("frame.html.j2")
     markdown, body = (page.render(context, form=form) for form in ("markdown.j2", "html.j2"))
-    framed = engine.get_template("frame.html.j2").render(
-        title=context["title"], body=re.sub(r"\n{2,}", "\n", body).strip()
-    )
+    framed = frame.render(title=context["title"], body=re.sub(r"\n{2,}", "\n", body).strip())
     return re.sub(r"\n{3,}", "\n\n", markdown).strip() + "\n", framed
 
 
@@ -73,10 +66,8 @@ def duration(seconds: float) -> str:
     """Three digits with a unit."""
     if not math.isfinite(seconds):
         return "-"
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} us"
+    unit, size = ("s", 1.0) if seconds >= 1.0 else ("ms", 1e-3) if seconds >= 1e-3 else ("us", 1e-6)
+    return f"{seconds / size:.3g} {unit}"
 
 
 def _listed(words: Iterable[str]) -> str:

@@ -69,18 +69,14 @@ class Row:
 
     def record(self) -> dict[str, Any]:
         """Plain values by name, None in place of what is not finite."""
-        numbers = {name: _finite(value) for name, value in self.numbers.items()}
-        return dataclasses.asdict(self) | {"value": _finite(self.value), "numbers": numbers}
+        value, *numbers = (float(v) if math.isfinite(v) else None for v in (self.value, *self.numbers.values()))
+        return dataclasses.asdict(self) | {"value": value, "numbers": dict(zip(self.numbers, numbers, strict=True))}
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Row:
         """The row of a record. Raises KeyError or TypeError for what is none."""
         value, *numbers = (math.nan if v is None else float(v) for v in (record["value"], *record["numbers"].values()))
         return cls(**{**record, "value": value, "numbers": dict(zip(record["numbers"], numbers, strict=True))})
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def now() -> str:
@@ -138,7 +134,10 @@ class Origin:
     def now(cls, effort: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> Origin:
         """Of rows measured now; versions are of other packages in use."""
         found = {name: _version(name) for name in _VERSIONED} | dict(versions or {})
-        return cls(found, _code(), _machine(), dict(effort))
+        root = Path(twistax.__file__).parent
+        left_out = {*(root / "demo").rglob("*"), Path(__file__).with_name("page.py")}
+        files = [path for path in sorted({*root.rglob("*")} - left_out) if path.suffix in (".py", ".c", ".json", ".ll")]
+        return cls(found, _digest(b"".join(path.read_bytes() for path in files)), _machine(), dict(effort))
 
     @property
     def digest(self) -> str:
@@ -151,13 +150,6 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return ABSENT
-
-
-def _code() -> str:
-    root = Path(twistax.__file__).parent
-    files = [path for path in sorted(root.rglob("*")) if path.suffix in (".py", ".c", ".json", ".ll")]
-    left_out = {*(root / "demo").rglob("*"), Path(__file__).with_name("page.py")}
-    return _digest(b"".join(path.read_bytes() for path in files if path not in left_out))
 
 
 def _digest(content: bytes) -> str:

@@ -17,12 +17,12 @@ from .free_rotation import SymmetricBody, TriaxialBody
 from .scene import Scene, about
 
 
-def system(inertia: Sequence[float]) -> tx.System:
+def system(inertia: Sequence[float] | tx.Parameter) -> tx.System:
     """R' = R [w]x and J w' = (J w) x w with J = diag(inertia), kg m2. States R and w (3,), rad/s.
 
     Outputs, constant in the true motion: energy, J; momentum (3,), in world axes, N m s.
     """
-    J = np.array(inertia, dtype=float)
+    J: Any = inertia if isinstance(inertia, tx.Parameter) else np.array(inertia, dtype=float)
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     L = J * w
     return tx.System(

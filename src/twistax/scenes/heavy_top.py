@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,13 @@ INERTIA = (1.0, 1.0, 0.5)
 MOMENT = 2.0
 
 
-def system() -> tx.System:
+def system(inertia: Sequence[float] = INERTIA) -> tx.System:
     """R' = R [w]x and J w' = (J w) x w + (R' e_z) x (MOMENT e_z). States R (body to world, z up) and w (3,), rad/s.
 
-    Outputs, constant in the true motion: energy, J; vertical_momentum and axial_momentum, N m s.
+    J = diag(inertia), kg m2, about the fixed point. Outputs, constant in the true motion of a symmetric one: energy, J;
+    vertical_momentum and axial_momentum, N m s.
     """
-    J = np.array(INERTIA)
+    J = np.array(inertia)
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     L, up = J * w, R[2]
     return tx.System(

@@ -23,14 +23,17 @@ _PRINCIPAL = about((1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0), 0.8)
 INERTIA = _PRINCIPAL @ np.diag(_MOMENTS) @ _PRINCIPAL.T
 
 
-def system() -> tx.System:
+#: The inertia (6, 6) of the body, order [v; w].
+BODY = SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=0.5 * (INERTIA + INERTIA.T)).matrix
+
+
+def system(M: Any = BODY) -> tx.System:
     """g' = g V^ and M V' = -ad*_V(M V). States g (pose, body to world) and V (body twist of the frame's origin).
 
     Outputs, constant in the true motion: energy, J; linear_momentum (3,), N s, and angular_momentum (3,) about the
     world's origin, N m s, in world axes.
     """
     g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
-    M = SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=0.5 * (INERTIA + INERTIA.T)).matrix
     return tx.System(
         rates={g: V, V: tx.linalg.Solve(M, -tx.lie.AdjointDual(V, M @ V))},
         outputs={"energy": 0.5 * tx.linalg.Dot(V, M @ V), **total_momentum([g], [M @ V])},

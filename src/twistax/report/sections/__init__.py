@@ -2,9 +2,8 @@
 
 import functools
 
-from ..checks import Section
-from ..report import Checked
-from . import costs, edges, identities, keeping, maps, scalars, small, steps, stiff
+from ..checks import Checked, Section
+from . import costs, edges, identities, keeping, maps, scalars, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -34,7 +33,7 @@ FIGURES: dict[str, Section] = {
     "gradients": steps.GRADIENTS,
     "operations": scalars.OPERATIONS,
     "kernels": scalars.KERNELS,
-    "small": small.SMALL,
+    "small": scalars.SMALL,
     "landings": costs.LANDINGS,
 }
 

@@ -24,7 +24,7 @@ from ..rows import Origin, Store, plain
 from ..speed.cases import CASES
 from ..timing import empty_call_seconds, seconds_of
 from ..work_precision.contenders import CONTENDERS, FULL, Contender, equal_steps, measure_scene, ours, tolerances
-from ..work_precision.findings import Curve
+from ..work_precision.page import Curve
 
 _NODES = 24
 

@@ -8,6 +8,7 @@ Beyond 1 rad the figure is divided by the angle, because rounding the angle itse
 from __future__ import annotations
 
 import functools
+import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import ModuleType, SimpleNamespace
@@ -35,20 +36,17 @@ Array = np.ndarray
 
 def mpmath() -> ModuleType:
     """The module. Raises Absent where it is not installed."""
-    try:
-        import mpmath
-    except ImportError as error:
-        raise Absent("not run: mpmath is not installed; pip install mpmath") from error
-    return mpmath
+    if importlib.util.find_spec("mpmath") is None:
+        raise Absent("not run: mpmath is not installed; pip install mpmath")
+    return importlib.import_module("mpmath")
 
 
 def exact(xi: Array) -> SimpleNamespace:
     """The maps of one twist with fifty digits and more: textbook closed forms, and Taylor sums where those cancel.
 
-    Returns:
-        v, w, V, W: parts of the twist (3, 1), and the matrices of their cross products; rotation, position: of Exp;
-        jacobian, coupling: the blocks of the left Jacobian, that of SO(3) and the upper right one, its derivative in
-        the direction v; jacobian_inv, coupling_inv: those of its inverse.
+    v, w: parts of the twist (3, 1), with the matrices V, W of their cross products; rotation, position: of Exp;
+    jacobian, coupling: the blocks of the left Jacobian, that of SO(3) and the upper right one, its derivative in the
+    direction v; jacobian_inv, coupling_inv: those of its inverse.
     """
     mp = mpmath()
     v, w = (mp.matrix([float(entry) for entry in part]) for part in (xi[:3], xi[3:]))
@@ -165,19 +163,12 @@ def _units(got: Array, wanted: Any, sized: Any) -> float:
 
 
 @functools.cache
-def _of_twists(each: Map, precision: str, count: int) -> dict[str, float]:
+def _of_twists(each: Map, precision: str, count: int = 600) -> dict[str, float]:
     """Double precision needs JAX's x64 switch."""
     return worst_units(each, twists(count, each.largest, np.dtype(precision).type, below=each.of_poses))
 
 
-def _of_block(each: Map, precision: str, block: str) -> float:
-    return _of_twists(each, precision, 600)[block]
-
-
-def _worst_of(each: Map, precision: str, count: int) -> float:
-    return max(_of_twists(each, precision, count).values())
-
-
+_of_block = lambda each, precision, block: _of_twists(each, precision)[block]  # noqa: E731
 _ULP = at_most(BAR, "ulp")
 
 LAST_PLACES: Section = [
@@ -202,20 +193,20 @@ def _accuracy(each: Map) -> Check:
     return Check(what, "tx.lie.se3", _ULP, lambda: max(worst_units(each, xis).values()))
 
 
-@functools.cache
-def _there_and_back() -> Any:
-    """log(Exp(w)) and its derivative, forward and backward, compiled once."""
+@jax.jit
+@jax.vmap
+def _there_and_back(w: jax.Array) -> tuple[jax.Array, ...]:
+    """log(Exp(w)) and its derivative, forward and backward."""
     turned = lambda w: so3.log(so3.exp(w))  # noqa: E731
-    return jax.jit(jax.vmap(lambda w: (turned(w), jax.jacfwd(turned)(w), jax.jacrev(turned)(w))))
+    return turned(w), jax.jacfwd(turned)(w), jax.jacrev(turned)(w)
 
 
 def _back(angle: float, derivative: bool, bar: float) -> Check:
     def measure() -> float:
-        w = angle * _AXIS
-        back, *slopes = (np.asarray(value)[0] for value in _there_and_back()(jnp.asarray(w[None])))
+        back, *slopes = (np.asarray(value)[0] for value in _there_and_back(jnp.asarray(angle * _AXIS[None])))
         if derivative:
             return float(np.max(np.abs(np.stack(slopes) - np.eye(3))))
-        return float(np.max(np.abs(back - w)) / angle)
+        return float(np.max(np.abs(back - angle * _AXIS)) / angle)
 
     what = f"{'derivative of ' if derivative else ''}log(Exp(w)), |w| = {plain(angle)} rad"
     return Check(what, "tx.lie.so3", at_most(bar), measure)
@@ -288,6 +279,7 @@ def _single_round_trip() -> float:
     return float(np.max(np.abs(np.asarray(so3.log(so3.exp(jnp.asarray(w)))) - w)) / 1e-30) / _EPS
 
 
+_single_units = lambda each: max(_of_twists(each, "float32", 60).values())  # noqa: E731
 _TOO_FINE = refused(tx.InputError, "ten times the round-off of float32")
 
 PRECISION: Section = [
@@ -302,8 +294,5 @@ PRECISION: Section = [
     "The squares underflow; the series never sees them.",
     Check("log(Exp(w)), |w| = 3e-30 rad", "tx.lie.so3", at_most(4.0, "eps"), _single_round_trip),
     "Single precision has switch points of its own between series and closed forms.",
-    *[
-        Check(f"{each.name} of SE(3), 60 twists", "tx.lie.se3", _ULP, _worst_of, each, "float32", 60, slow=True)
-        for each in MAPS
-    ],
+    *(Check(f"{m.name} of SE(3), 60 twists", "tx.lie.se3", _ULP, _single_units, m, slow=True) for m in MAPS),
 ]

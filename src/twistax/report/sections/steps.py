@@ -29,9 +29,10 @@ from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
 from ..checks import Absent, Check, Section, agree, at_most, between
 from ..timing import Repeats, Timed, compiled, in_turn
-from .stiff import fourth_order
+from .stiff import fourth_order, weighted_end
 
-_REPEATS = Repeats(7, 5)
+_REPEATS, _FEW = Repeats(7, 5), Repeats(5, 5)
+_RK4 = tx.RKMK(tx.tableaus.RK4)
 
 # ---- tableaus and charts --------------------------------------------------------------------------------------------
 
@@ -86,15 +87,10 @@ def _charts(commutators: int) -> list[Chart]:
     return [c.Exponential(commutators), c.Exponential(), c.SplitExponential(commutators), c.Ambient()]
 
 
+_of_loops = lambda read, method: read(looped(method))  # noqa: E731
+
 STEPS: Section = [
-    Check(
-        f"{tableau.name}, {chart!r}",
-        by,
-        expected,
-        lambda read, method: read(looped(method)),
-        *(read, tx.RKMK(tableau, chart)),
-        slow=True,
-    )
+    Check(f"{tableau.name}, {chart!r}", by, expected, _of_loops, read, tx.RKMK(tableau, chart), slow=True)
     for tableau in (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
     for chart in _charts(tableau.order - 2)
     for by, (expected, read) in _LOOPS.items()
@@ -164,22 +160,24 @@ def c_body(backend: Backend | Literal["auto"] = "auto") -> tx.Dynamics:
     return tx.compile(tx.System(rates={g: V, V: tx.Concat(acceleration, turning)}), backend=backend)
 
 
-def in_c(source: Path, *flags: str) -> ctypes.CDLL:
-    """C compiled by gcc. Raises Absent without it."""
+C_ARRAY = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
+
+
+def c_loop(source: Path, name: str, arguments: list[Any], *flags: str) -> Any:
+    """A function of a C file, which returns nothing, compiled by gcc. Raises Absent without it."""
     if shutil.which("gcc") is None:
         raise Absent("not run: there is no gcc on this machine")
     # What is loaded stays when its file is gone.
     with tempfile.TemporaryDirectory() as folder:
         target = f"{folder}/{source.stem}.so"
         subprocess.run(["gcc", *flags, "-shared", "-fPIC", "-o", target, str(source)], check=True)
-        return ctypes.CDLL(target)
+        loop = getattr(ctypes.CDLL(target), name)
+    loop.argtypes, loop.restype = arguments, None
+    return loop
 
 
 def _in_c(flags: tuple[str, ...], dt: float, steps: int) -> Timed:
-    """The loop of `rkmk4.c`."""
-    loop = in_c(SOURCE, *flags).integrate
-    loop.argtypes = [np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS"), ctypes.c_double, ctypes.c_long]
-    loop.restype = None
+    loop = c_loop(SOURCE, "integrate", [C_ARRAY, ctypes.c_double, ctypes.c_long], *flags)
 
     def call() -> Any:
         y = np.concatenate([[1.0], np.zeros(6), _VELOCITY])
@@ -204,21 +202,12 @@ def beside_c(steps: int = 500_000) -> list[Timed]:
     return [ours, *theirs]
 
 
+_over_c = lambda number: beside_c()[0].seconds / beside_c()[number].seconds  # noqa: E731
+
 BESIDE: Section = [
-    Check(
-        "a step: our time over that of C",
-        f"gcc {' '.join(flags)}",
-        expected,
-        lambda number: beside_c()[0].seconds / beside_c()[number].seconds,
-        number,
-        slow=True,
-    )
+    Check("a step: our time over that of C", f"gcc {' '.join(flags)}", expected, _over_c, number, slow=True)
     for number, flags, expected in ((1, FLAGS[0], at_most(2.0)), (2, FLAGS[1], between()))
 ]
-
-
-_RK4 = tx.RKMK(tx.tableaus.RK4)
-_FEW = Repeats(5, 5)
 
 # ---- the derivative of a step ---------------------------------------------------------------------------------------
 
@@ -306,16 +295,8 @@ _H = 2e-3
 @functools.cache
 def _gradient(way: str) -> dict[str, float]:
     """The gradient of a weighted sum of the rocket scene's end by the start, in the tangent space, and the end time."""
-    dynamics, options = ROCKET.dynamics, _WAYS[way]
-    start = {name: jnp.asarray(value) for name, value in ROCKET.start.items()}
-    n = dynamics.dimension
-    weights, z = jnp.asarray(np.random.default_rng(0).normal(size=n)), jnp.zeros(n + 1)
-
-    def function(z: jax.Array) -> jax.Array:
-        x = dynamics.retract(start, z[:n])
-        sol = tx.integrate(dynamics, x, t1=ROCKET.duration + z[n], u=ROCKET.u, params=ROCKET.params, **options)
-        return weights @ dynamics.difference(start, {name: value[-1] for name, value in sol.xs.items()})
-
+    n = ROCKET.dynamics.dimension
+    z, function = jnp.zeros(n + 1), lambda z: weighted_end(ROCKET, z[:n], t1=ROCKET.duration + z[n], **_WAYS[way])
     run = jax.jit(function)
     gradient, solution = compiled(jax.grad(function), z), Timed(lambda: run(z))
     reverse, forward = gradient.result(), jax.jit(jax.jacfwd(function))(z)

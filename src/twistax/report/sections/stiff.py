@@ -34,26 +34,31 @@ def _error(scene: Scene, of: Scene, **options: Any) -> float:
     return scene.error(_end(scene, of, **options))
 
 
-def held(rate: float, method: Method = _RADAU, **steps: Any) -> float:
+def _held(rate: float, what: str, method: Method, expected: Expected, **how: Any) -> Check:
     """The error of the attitude hold at a rate, rad; one system, so that every rate is the same compiled program."""
-    return _error(stiff_attitude.scene(rate), _HOLD, method=method, **steps)
-
-
-def _held(
-    rate: float, what: str, method: Method, expected: Expected, slow: bool = True, place: Any = None, **steps: Any
-) -> Check:
-    what = f"rate {plain(rate)}/s, {what}"
-    return Check(what, _NAMES[method], expected, held, rate, method, slow=slow, place=place, **steps)
+    what, scene = f"rate {plain(rate)}/s, {what}", stiff_attitude.scene(rate)
+    return Check(what, _NAMES[method], expected, _error, scene, _HOLD, method=method, **how)
 
 
 def _long(rate: float, dt: float, method: Method, expected: Expected, slow: bool = False) -> Check:
     what, line = f"steps of {dt:g} s: step x rate {plain(rate * dt)}", f"{_NAMES[method]}, steps of {dt:g} s"
-    return _held(rate, what, method, expected, slow, (line, rate * dt), dt=dt)
+    return _held(rate, what, method, expected, slow=slow, place=(line, rate * dt), dt=dt)
 
+
+def _order_at(rate: float) -> float:
+    scene = stiff_attitude.scene(rate)
+    return float(np.log2(_error(scene, _HOLD, dt=0.1) / _error(scene, _HOLD, dt=0.05)))
+
+
+def _slow(what: str, expected: Expected, *how: Any, **options: Any) -> Check:
+    return Check(what, "Radau IIA 5", expected, *how, slow=True, **options)
+
+
+_FINE, _MANY_STEPS = "rtol 1e-8", {"rtol": 1e-8, "control": tx.StepControl(max_steps=10**6)}
 
 STIFF: Section = [
     "An L-stable method steps over what has died out: its steps follow the slow motion, however fast the rest.",
-    *(_held(rate, "rtol 1e-8", _RADAU, at_most(1e-8), False, rtol=1e-8) for rate in stiff_attitude.RATES),
+    *(_held(rate, "rtol 1e-8", _RADAU, at_most(1e-8), rtol=1e-8) for rate in stiff_attitude.RATES),
     "The error is that of the slow motion; it does not grow with the rate.",
     *(_long(rate, 0.05, _RADAU, at_most(1e-7), slow=True) for rate in stiff_attitude.RATES),
     *(_long(rate, 1.0, _RADAU, at_most(1e-3), slow=True) for rate in stiff_attitude.RATES),
@@ -62,39 +67,18 @@ STIFF: Section = [
     "Outside of its region of stability every step multiplies what should die out, until it overflows.",
     *(_long(rate, 5e-3, _DOP853, ends(tx.Result.NON_FINITE)) for rate in (1e4, 1e8)),
     "An explicit method that chooses its steps stays right, with steps of 1e-8 s, and runs out of them.",
-    _held(1e8, "rtol 1e-8", _DOP853, ends(tx.Result.MAX_STEPS), rtol=1e-8),
+    _held(1e8, "rtol 1e-8", _DOP853, ends(tx.Result.MAX_STEPS), slow=True, rtol=1e-8),
     "Stiffness may lower the order to that of the stages, 3; on this one it stays at 5.",
-    Check(
-        "rate 1e8/s, order seen between steps of 0.1 and 0.05 s",
-        "Radau IIA 5",
-        at_least(4.0),
-        lambda: np.log2(held(1e8, dt=0.1) / held(1e8, dt=0.05)),
-        slow=True,
-    ),
+    _slow("rate 1e8/s, order seen between steps of 0.1 and 0.05 s", at_least(4.0), _order_at, 1e8),
     "Gauss methods are A-stable but do not damp: what should die out stays as large as it was, and no larger.",
-    _held(1e8, "steps of 0.05 s", _GAUSS, at_most(1.0), dt=0.05),
+    _held(1e8, "steps of 0.05 s", _GAUSS, at_most(1.0), slow=True, dt=0.05),
     "A pose with lags of its own: the same L-stable steps.",
     *(
-        Check(
-            f"actuators with a lag of {plain(lag)} s, rtol 1e-8",
-            "Radau IIA 5",
-            at_most(1e-7),
-            *(_error, actuator_lag.scene(lag), _LAG),
-            slow=True,
-            rtol=1e-8,
-        )
-        for lag in actuator_lag.LAGS
+        _slow(f"actuators with a lag of {plain(lag)} s, {_FINE}", at_most(1e-7), _error, scene, _LAG, rtol=1e-8)
+        for lag, scene in ((lag, actuator_lag.scene(lag)) for lag in actuator_lag.LAGS)
     ),
     "Every error of 1e-8 in a position is a pull of 1 N: the hardest of these, and the error says so.",
-    Check(
-        "two bodies on a joint of 1e8 N/m, rtol 1e-8",
-        "Radau IIA 5",
-        at_most(1e-5),
-        *(_error, _JOINT, _JOINT),
-        slow=True,
-        rtol=1e-8,
-        control=tx.StepControl(max_steps=10**6),
-    ),
+    _slow(f"two bodies on a joint of 1e8 N/m, {_FINE}", at_most(1e-5), _error, _JOINT, _JOINT, **_MANY_STEPS),
 ]
 
 # ---- the order, and the gradient -------------------------------------------------------------------------------------
@@ -109,7 +93,6 @@ def _off(rate: float, reference: Any = None, **steps: Any) -> float:
     return max(float(np.abs(np.asarray(end[name]) - value).max()) for name, value in wanted.items())
 
 
-@functools.cache
 def order_seen(rate: float) -> float:
     """The slope of log error over log step with some numbers of equal steps."""
     counts, scene = (32, 45, 64, 90) if rate == 1.0 else (40, 80, 160), stiff_attitude.scene(rate)
@@ -124,20 +107,21 @@ def fourth_order(run: Callable[[jax.Array], jax.Array], size: int, h: float) -> 
     return jnp.stack(four) / (12.0 * h)
 
 
-def _gradient() -> float:
-    """Reverse mode against differences of fourth order, relative to the largest entry, the worst of all rates.
+def weighted_end(scene: Scene, moved: jax.Array, **options: Any) -> jax.Array:
+    """A weighted sum of the end of a scene whose start is moved by a tangent."""
+    dynamics, start = scene.dynamics, {name: jnp.asarray(value) for name, value in scene.start.items()}
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=dynamics.dimension))
+    options = {"u": scene.u, "params": scene.params} | options
+    sol = tx.integrate(dynamics, dynamics.retract(start, moved), **options)
+    return weights @ dynamics.difference(start, {name: value[-1] for name, value in sol.xs.items()})
 
-    Of a weighted sum of the end with respect to the start, in the tangent space, and log k.
-    """
-    dynamics = _HOLD.dynamics
-    start = {name: jnp.asarray(value) for name, value in _HOLD.start.items()}
-    weights = jnp.asarray(np.random.default_rng(0).normal(size=6))
+
+def _gradient() -> float:
+    """Reverse mode, by the start and log k, against differences, relative to the largest entry, the worst of all."""
     options: dict[str, Any] = {"rtol": 1e-11, "atol": 1e-11, "control": tx.StepControl(max_steps=2048)}
 
     def cost(z: jax.Array, rate: jax.Array) -> jax.Array:
-        x, params = dynamics.retract(start, z[:6]), {"k": rate * jnp.exp(z[6])}
-        sol = tx.integrate(dynamics, x, t1=1.0, method=_RADAU, params=params, **options)
-        return weights @ dynamics.difference(start, {name: value[-1] for name, value in sol.xs.items()})
+        return weighted_end(_HOLD, z[:6], t1=1.0, method=_RADAU, params={"k": rate * jnp.exp(z[6])}, **options)
 
     run, gradient, worst = jax.jit(cost), jax.jit(jax.grad(cost)), []
     for rate in map(jnp.asarray, stiff_attitude.RATES):
@@ -150,15 +134,12 @@ _ALL = "rates 1e2 to 1e8, rtol 1e-4 to 1e-10, 28 runs: error over tolerance, wor
 _SLOPES = "gradient against differences, rates 1e2 to 1e8: worst"
 
 STIFFNESS: Section = [
-    Check(_ALL, "Radau IIA 5", at_most(1.0), lambda: max(_off(rate, rtol=tol) / tol for rate, tol in _RUNS), slow=True),
+    _slow(_ALL, at_most(1.0), lambda: max(_off(rate, rtol=tol) / tol for rate, tol in _RUNS)),
     Check("five steps of 1 s at rate 1e8: error", "Radau IIA 5", at_most(0.05), _off, 1e8, steps=5),
-    Check("order at rate 1, equal steps", "Radau IIA 5", between(4.8, 5.2), order_seen, 1.0, slow=True),
-    Check(_SLOPES, "Radau IIA 5", at_most(1e-6), _gradient, slow=True),
+    _slow("order at rate 1, equal steps", between(4.8, 5.2), order_seen, 1.0),
+    _slow(_SLOPES, at_most(1e-6), _gradient),
     "Where the rate times the step is neither small nor large the order is lower, as that of the stages is 3.",
-    *(
-        Check(f"order at rate {plain(rate)}", "Radau IIA 5", between(), order_seen, rate, slow=True)
-        for rate in (1e2, 1e3, 1e4, 1e5)
-    ),
+    *(_slow(f"order at rate {plain(rate)}", between(), order_seen, rate) for rate in (1e2, 1e3, 1e4, 1e5)),
 ]
 
 # ---- rotation in a step ---------------------------------------------------------------------------------------------

@@ -76,26 +76,14 @@ def body_by_hand(xp: Any, M: Array, mass: float, moment: Array, y: Any, V: Any, 
 
     M is the inertia (6, 6), the moment the mass times the centre of mass.
     """
-    w, x, z = y[3], (y[4], y[5], y[6]), V[3:6]
-    d = 2 / (w * w + x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-    R = xp.array(
-        [
-            [1 - d * (x[1] * x[1] + x[2] * x[2]), d * (x[0] * x[1] - w * x[2]), d * (x[0] * x[2] + w * x[1])],
-            [d * (x[0] * x[1] + w * x[2]), 1 - d * (x[0] * x[0] + x[2] * x[2]), d * (x[1] * x[2] - w * x[0])],
-            [d * (x[0] * x[2] - w * x[1]), d * (x[1] * x[2] + w * x[0]), 1 - d * (x[0] * x[0] + x[1] * x[1])],
-        ]
-    )
-    turned = [
-        -0.5 * (x[0] * z[0] + x[1] * z[1] + x[2] * z[2]),
-        0.5 * (w * z[0] + x[1] * z[2] - x[2] * z[1]),
-        0.5 * (w * z[1] + x[2] * z[0] - x[0] * z[2]),
-        0.5 * (w * z[2] + x[0] * z[1] - x[1] * z[0]),
-    ]
+    w, x, z, X = y[3], y[4:7], V[3:6], _hat(xp, y[4:7])
+    R = xp.asarray(np.eye(3)) + 2 / (w * w + xp.dot(x, x)) * (w * X + X @ X)
+    turned = [-0.5 * xp.stack([xp.dot(x, z)]), 0.5 * (w * z + X @ z)]
     down = R.T @ xp.asarray([0.0, 0.0, -9.81])
     weight = xp.concatenate([mass * down, _hat(xp, xp.asarray(moment)) @ down])
     inertia, inverse = xp.asarray(M), xp.asarray(np.linalg.inv(M))
     net = F + weight + _ad(xp, V).T @ (inertia @ V)
-    return [xp.concatenate([R @ V[:3], xp.stack(turned)]), inverse @ net]
+    return [xp.concatenate([R @ V[:3], *turned]), inverse @ net]
 
 
 def rnea_by_hand(xp: Any, links: Links, q: Any, qd: Any, qdd: Any) -> Any:
@@ -110,12 +98,9 @@ def rnea_by_hand(xp: Any, links: Links, q: Any, qd: Any, qdd: Any) -> Any:
         ad = _ad(xp, V)
         A = X[i] @ A + S * qdd[i] + ad @ (S * qd[i])
         f.append(inertia @ A - ad.T @ (inertia @ V))
-    tau = []
-    for i in reversed(range(len(links))):
-        tau.append(xp.dot(S, f[i]))
-        if i:
-            f[i - 1] = f[i - 1] + X[i].T @ f[i]
-    return xp.stack(tau[::-1])
+    for i in reversed(range(1, len(links))):
+        f[i - 1] = f[i - 1] + X[i].T @ f[i]
+    return xp.stack([xp.dot(S, force) for force in f])
 
 
 def aba_by_hand(xp: Any, links: Links, q: Any, qd: Any, tau: Any) -> Any:
@@ -172,17 +157,13 @@ def _hat(xp: Any, w: Any) -> Any:
 #: Mass, kg, centre of mass, m, and inertia about it, kg m2, of the free body.
 MASS, CENTER = 2.3, np.array([0.05, -0.02, 0.08])
 _TENSOR = np.array([[0.05, 0.004, 0.002], [0.004, 0.04, 0.003], [0.002, 0.003, 0.03]])
-
-
-@functools.cache
-def _body() -> SpatialInertia:
-    return SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=_TENSOR)
+_BODY = SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=_TENSOR)
 
 
 @functools.cache
 def inertia() -> Array:
     """M (6, 6) of the free body."""
-    return numbers(_body().matrix)
+    return numbers(_BODY.matrix)
 
 
 def _free_body() -> tx.System:
@@ -191,9 +172,9 @@ def _free_body() -> tx.System:
     v, w, q = V[:3], V[3:], y[3:]
     R = tx.spatial.QDCM(q)
     pose = tx.Block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
-    wrench = F + _body().weight(pose, np.array([0.0, 0.0, -9.81]))
+    wrench = F + _BODY.weight(pose, np.array([0.0, 0.0, -9.81]))
     moved = tx.Concat(R @ v, 0.5 * tx.spatial.SSMP(w) @ q)
-    return tx.System(rates={y: moved, V: _body().acceleration(V, wrench)})
+    return tx.System(rates={y: moved, V: _BODY.acceleration(V, wrench)})
 
 
 FREE_BODY = Case(

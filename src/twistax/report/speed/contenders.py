@@ -1,4 +1,4 @@
-"""Who takes part: this package with each of its backends, plain jax.numpy, and peers."""
+"""What is timed, a quantity of a case in one of its uses, and who takes part: this package, plain JAX, and peers."""
 
 from __future__ import annotations
 
@@ -13,19 +13,145 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 import twistax as tx
 
 from ...lowering.backends import Backend
 from ...lowering.scalar.graph import TooLarge
-from ..timing import Timed, repeated
+from ...scenes.scene import cross_matrix
+from ..timing import Timed, compiled, repeated
 from .cases import CENTER, MASS, Case, inertia, numbers
-from .programs import CALLS, JACOBIAN, TINY, VALUE, Function, JaxTask, Lacks, Quantity, Task
+
+#: Calls from Python that are timed together.
+CALLS = 20
+#: What a loop feeds back is multiplied by this: it changes nothing, and no compiler can know.
+TINY = 1e-200
+#: Bytes that a program may need beside its arguments and results.
+_MEMORY = 8e9
+
+#: Three vectors to arrays, traceable; one after the other along the last axis they are the result.
+Function = Callable[[Any, Any, Any], list[Any]]
+
+
+class Lacks(Exception):
+    """A contender has no such task; the message says why."""
+
+
+def values(timed: Timed) -> NDArray[np.float64]:
+    """The results of a call as one array: what comes in parts is joined here, where nothing is timed."""
+    parts = jax.tree.leaves(timed.result())
+    return np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1)
+
+
+# ---- quantities -----------------------------------------------------------------------------------------------------
+
+
+class Quantity(NamedTuple):
+    """Of a function."""
+
+    name: str  # for tables
+    title: str  # for the page
+    shape: Callable[[Case], tuple[int, ...]]  # of the result of a case
+    by_jax: Callable[[Function], Function]  # of a traceable function
+
+
+def _jacobian(function: Function) -> Function:
+    slopes = jax.jacfwd(lambda a, b, c: jnp.concatenate(function(a, b, c), axis=-1), argnums=(0, 1))
+    return lambda a, b, c: list(slopes(a, b, c))
+
+
+def _gradient(function: Function) -> Function:
+    slopes = jax.grad(lambda a, b, c: sum(map(jnp.sum, function(a, b, c))), argnums=(0, 1))
+    return lambda a, b, c: list(slopes(a, b, c))
+
+
+_SLOPES, _TOTAL = "Jacobian by the first two arguments", "gradient of the sum of the results by the first two arguments"
+VALUE = Quantity("value", "value", lambda case: (case.results,), lambda function: function)
+JACOBIAN = Quantity("jacobian", _SLOPES, lambda case: (case.results, case.columns), _jacobian)
+GRADIENT = Quantity("gradient", _TOTAL, lambda case: (case.columns,), _gradient)
+QUANTITIES = (VALUE, JACOBIAN, GRADIENT)
+
+# ---- uses and tasks -------------------------------------------------------------------------------------------------
+
+#: A quantity of a case by a contender: `single()`, `loop(steps)` and `batch(count)`, or they raise `Lacks`.
+Task = Any
+
+
+@dataclasses.dataclass(frozen=True)
+class Use:
+    """What a task is asked for."""
+
+    name: str
+    of: Callable[[Task], Timed]
+    count: int = 0  # of points at once; zero if it is no batch
+
+
+def batch(count: int) -> Use:
+    """For many points at once."""
+    return Use(f"batch of {count:,}", lambda task: task.batch(count), count)
+
+
+SINGLE = Use("single call", lambda task: task.single())
+LOOP = Use("in a loop", lambda task: task.loop(1000))
+USES: tuple[Use, ...] = (SINGLE, LOOP, *map(batch, (64, 4096, 65536)))
+
+
+class JaxTask:
+    """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives the parts of the result.
+
+    It is made anew for each use, so that what is found when it is traced counts as compiling.
+    """
+
+    def __init__(self, case: Case, make: Callable[[], Function]) -> None:
+        self._case, self._make = case, make
+
+    def single(self) -> Timed:
+        """`CALLS` calls from Python, one after the other, each waited for."""
+        return self._compiled(lambda function: function, calls=CALLS)
+
+    def loop(self, steps: int) -> Timed:
+        """A compiled loop in which each evaluation waits for the one before."""
+
+        def looped(function: Function) -> Callable[..., Any]:
+            def step(carry: tuple[Any, Any], _: None) -> tuple[Any, None]:
+                arguments, _before = carry
+                result = function(*arguments)
+                # The first part is as long as any argument.
+                fed = result[0].reshape(-1)
+                return (tuple(a + TINY * fed[: a.size] for a in arguments), result), None
+
+            def run(*point: Any) -> Any:
+                first = jax.tree.map(lambda r: jnp.zeros(r.shape, r.dtype), jax.eval_shape(function, *point))
+                return jax.lax.scan(step, (point, first), None, length=steps)[0][1]
+
+            return run
+
+        return self._compiled(looped, evaluations=steps)
+
+    def batch(self, count: int) -> Timed:
+        """Many points at once."""
+        return self._compiled(jax.vmap, count, evaluations=count)
+
+    def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
+        """For one point, or for a batch of them."""
+        arguments = [jnp.asarray(each if points else each[0]) for each in self._case.points(points or 1)]
+        begin = time.perf_counter()
+        function = use(self._make())
+        made = time.perf_counter() - begin
+        timed = compiled(function, *arguments, **counts)
+        timed.compile_seconds += made
+        if timed.memory > _MEMORY:
+            raise Lacks(f"it would need {timed.memory / 1e9:.0f} GB")
+        return timed
+
+
+# ---- contenders ------------------------------------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -90,29 +216,27 @@ PLAIN = Contender("plain JAX", "C7", _plain)
 
 
 def _openscvx(case: Case, quantity: Quantity) -> Task:
-    if case.chain is not None:
-        raise Lacks("its lowering writes a shared part out again at each use, so a recursion grows with each link")
-    return JaxTask(case, lambda: quantity.by_jax(_openscvx_body()))
-
-
-def _openscvx_body() -> Function:
     import openscvx as ox
     from openscvx.symbolic.lower import lower_to_jax
 
+    if case.chain is not None:
+        raise Lacks("its lowering writes a shared part out again at each use, so a recursion grows with each link")
     p, q, V = ox.State("p", shape=(3,)), ox.State("q", shape=(4,)), ox.State("V", shape=(6,))
     F = ox.Control("F", shape=(6,))
     for leaf, place in ((p, slice(0, 3)), (q, slice(3, 7)), (V, slice(7, 13)), (F, slice(0, 6))):
         leaf._slice = place
-    x, y, z = MASS * CENTER
-    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    R = ox.spatial.QDCM(q)
+    arm, R = cross_matrix(MASS * CENTER), ox.spatial.QDCM(q)
     down = R.T @ np.array([0.0, 0.0, -9.81])
     # Its coadjoint operator is right for a momentum ordered [L; p].
     coriolis = ox.lie.AdjointDual(V, np.roll(inertia(), 3, axis=0) @ V)
     wrench = ox.Concat(F[:3] + MASS * down - coriolis[3:], F[3:] + arm @ down - coriolis[:3])
     rates = ox.Concat(R @ V[:3], 0.5 * ox.spatial.SSMP(V[3:]) @ q, np.linalg.inv(inertia()) @ wrench)
-    lowered = lower_to_jax(rates)
-    return lambda a, b, c: [lowered(jnp.concatenate([a, b]), c, 0, {})]
+
+    def make() -> Function:
+        lowered = lower_to_jax(rates)
+        return quantity.by_jax(lambda a, b, c: [lowered(jnp.concatenate([a, b]), c, 0, {})])
+
+    return JaxTask(case, make)
 
 
 OPENSCVX = Contender("OpenSCvx", "C2", _openscvx, package="openscvx")
@@ -173,10 +297,9 @@ def _pinocchio(case: Case, quantity: Quantity) -> Task:
     def loop(steps: int, tiny: float, *arguments: Any) -> None:
         *fed, out = arguments
         for _ in range(steps):
-            result = call(*fed)
+            out[...] = call(*fed)
             for each in fed:
-                each += tiny * result.reshape(-1)[: each.size]
-        out[...] = result
+                each += tiny * out.reshape(-1)[: each.size]
 
     def batch(count: int, a: Any, b: Any, c: Any, out: Any) -> None:
         for i in range(count):
@@ -201,12 +324,19 @@ _VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 
 def _as_numpy(ca: Any) -> Any:
     """SX symbols under the names of NumPy, with structural zeros."""
-    asarray = lambda value: ca.SX(ca.sparsify(ca.DM(np.asarray(value, float))))  # noqa: E731
     block = lambda rows: ca.vertcat(*(ca.horzcat(*row) for row in rows))  # noqa: E731
     stack = lambda parts: ca.vertcat(*parts)  # noqa: E731
-    made = {"asarray": asarray, "array": lambda rows: ca.sparsify(block(rows)), "block": block}
-    joined = {"stack": stack, "concatenate": stack, "outer": lambda a, b: a @ b.T}
-    return SimpleNamespace(sin=ca.sin, cos=ca.cos, dot=ca.dot, **made, **joined)
+    return SimpleNamespace(
+        sin=ca.sin,
+        cos=ca.cos,
+        dot=ca.dot,
+        block=block,
+        stack=stack,
+        concatenate=stack,
+        asarray=lambda value: ca.SX(ca.sparsify(ca.DM(np.asarray(value, float)))),
+        array=lambda rows: ca.sparsify(block(rows)),
+        outer=lambda a, b: a @ b.T,
+    )
 
 
 def _casadi(case: Case, quantity: Quantity) -> Task:
@@ -246,3 +376,6 @@ def _casadi(case: Case, quantity: Quantity) -> Task:
 
 
 CASADI = Contender("CasADi C", "C1", _casadi, package="casadi", tool="gcc")
+
+#: All of them, in the order of tables.
+ALL = (SCALARS, NATIVE, ARRAYS, PLAIN, OPENSCVX, CASADI, PINOCCHIO)

@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import at_most, judged
+from ..checks import Report, at_most, judged
 from ..page import Table, as_svg, duration, panels, texts
-from ..report import Report
 from ..rows import Row, Store, first_line, now
 from ..timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet
 from .cases import CASES, Case
-from .contenders import ARRAYS, CASADI, NATIVE, OPENSCVX, PINOCCHIO, PLAIN, SCALARS, Contender
-from .programs import QUANTITIES, USES, Lacks, Quantity, Task, Use, values
+from .contenders import ALL, CASADI, PLAIN, QUANTITIES, USES, Contender, Lacks, Quantity, Task, Use, values
 
 #: The largest difference from the reference with which a contender is timed.
 AGREEMENT = 1e-9
@@ -76,10 +74,9 @@ def measure(
             row = Row(case.name, quantity.name, contender.name, use.name, unit="s", sitting=sitting)
             smaller = [store.get(*row.key[:3], other.name) for other in uses if 0 < other.count < use.count]
             wait = max((row.value * use.count for row in smaller if row is not None and row.done), default=0.0)
-            if wait > effort.longest:
-                pairs.append((dataclasses.replace(row, note=f"a call would take {wait:.0f} s"), None))
-                continue
             try:
+                if wait > effort.longest:
+                    raise Lacks(f"a call would take {wait:.0f} s")
                 # Made once for all uses, and refused once.
                 if contender.name not in tasks:
                     tasks[contender.name] = contender.task(case, quantity)
@@ -87,16 +84,12 @@ def measure(
                     raise task
                 timed = use.of(task)
                 result = values(timed)
-            except (
-                Lacks,
-                RuntimeError,
-                MemoryError,
-                subprocess.SubprocessError,
-            ) as error:  # of a compiler, or no memory
-                if isinstance(error, Lacks):
-                    tasks.setdefault(contender.name, error)
-                why = str(error) if isinstance(error, Lacks) else f"failed: {first_line(error)[:120]}"
-                pairs.append((dataclasses.replace(row, note=why), None))
+            except Lacks as error:
+                tasks.setdefault(contender.name, error)
+                pairs.append((dataclasses.replace(row, note=str(error)), None))
+                continue
+            except (RuntimeError, MemoryError, subprocess.SubprocessError) as error:  # of a compiler, or no memory
+                pairs.append((dataclasses.replace(row, note=f"failed: {first_line(error)[:120]}"), None))
                 continue
             if timed.compile_seconds > effort.patience:
                 tasks[contender.name] = Lacks(f"compiling another use took {timed.compile_seconds:.0f} s")
@@ -123,7 +116,6 @@ def apart(found: NDArray[np.float64], reference: NDArray[np.float64], rank: int)
 
 # ---- what is run -----------------------------------------------------------------------------------------------------
 
-_CONTENDERS = (SCALARS, NATIVE, ARRAYS, PLAIN, OPENSCVX, CASADI, PINOCCHIO)
 #: Ratios are to these.
 _BASES = (PLAIN.name, CASADI.name)
 
@@ -154,7 +146,7 @@ class Speed(Report):
     # Everything as it comes: nothing is set but x64.
     one_thread = False
 
-    def __init__(self, arguments: argparse.Namespace, contenders: Sequence[Contender] = _CONTENDERS) -> None:
+    def __init__(self, arguments: argparse.Namespace, contenders: Sequence[Contender] = ALL) -> None:
         self._effort = QUICK if arguments.quick else FULL
         self.effort = dataclasses.asdict(self._effort)
         self.missing = {each.name: why for each in contenders if (why := each.absent()) is not None}
@@ -224,38 +216,30 @@ def _quantity(rows: Sequence[Row], quantity: Quantity, contenders: Sequence[Cont
 
     def ratios(row: Row) -> str:
         bases = [found.get((row.group, row.setting, name)) for name in _BASES]
-        return " / ".join(_ratio(row.value / base.value if base else math.nan) for base in bases)
+        over = [row.value / base.value if base else math.nan for base in bases]
+        return " / ".join(_digits(ratio, 2 if ratio >= 0.095 else 3) for ratio in over)
+
+    def spread(row: Row) -> str:
+        return f"{_ns(row.value)} ({_ns(row.numbers['lower'])} to {_ns(row.numbers['upper'])})" if row.done else "-"
 
     return {
         "name": quantity.name,
         "title": quantity.title[:1].upper() + quantity.title[1:],
         "ratios": table(others, ratios) if others else None,
-        "times": table(names, _spread) if names else None,
-        "compiling": table(names, _compiling),
+        "times": table(names, spread) if names else None,
+        "compiling": table(names, lambda row: _digits(row.numbers.get("compile_seconds", math.nan), 2)),
         "notes": sorted({f"{row.by}, {CASES[row.group].title}: {row.note}." for row in found.values() if not row.done}),
     }
 
 
-def _ratio(value: float) -> str:
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.2f}" if value >= 0.095 else f"{value:.3f}"
-
-
-def _spread(row: Row) -> str:
-    return f"{_ns(row.value)} ({_ns(row.numbers['lower'])} to {_ns(row.numbers['upper'])})" if row.done else "-"
+def _digits(value: float, digits: int) -> str:
+    return f"{value:,.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _ns(seconds: float) -> str:
     """Three digits, as the unit stays the same in a table: 1,230 ns."""
     value = 1e9 * seconds
-    digits = max(0, 2 - math.floor(math.log10(value)))
-    return f"{value:,.{digits}f} ns" if value < 1e6 else duration(seconds)
-
-
-def _compiling(row: Row) -> str:
-    seconds = row.numbers.get("compile_seconds", math.nan)
-    return f"{seconds:.2f}" if math.isfinite(seconds) else "-"
+    return f"{_digits(value, max(0, 2 - math.floor(math.log10(value))))} ns" if value < 1e6 else duration(seconds)
 
 
 def draw(timed: Sequence[Row], contenders: Sequence[Contender]) -> bytes:
