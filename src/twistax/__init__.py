@@ -36,19 +36,10 @@ from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, compositions, diffrax, mechanics, tableaus, trajectory
-    from .integrators import (
-        RKMK,
-        CommutatorFree,
-        Event,
-        FirstOrderHold,
-        Magnus,
-        Result,
-        Solution,
-        StepControl,
-        ZeroOrderHold,
-        integrate,
-    )
+    from .integrators import RKMK, CommutatorFree, Event, Magnus, StepControl, integrate
+    from .integrators.controls import FirstOrderHold, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
+    from .integrators.solution import Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
@@ -57,81 +48,26 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
 
 __version__ = "0.2.0.dev0"
 
+# fmt: off
 __all__ = [
-    "ANGULAR_FIRST",
-    "LINEAR_FIRST",
-    "RKMK",
-    "SE3",
-    "SO3",
-    "XLA",
-    "JAX",
-    "CommutatorFree",
-    "Dynamics",
-    "Euclidean",
-    "Event",
-    "FirstOrderHold",
-    "FreeBody",
-    "FreeParticle",
-    "ImmutableError",
-    "ImplicitRKMK",
-    "InputError",
-    "IntegrationError",
-    "Magnus",
-    "Maximize",
-    "Minimize",
-    "ModelError",
-    "Native",
-    "OperationError",
-    "Order",
-    "OrderError",
-    "Product",
-    "Result",
-    "ShapeError",
-    "Solution",
-    "Splitting",
-    "Statistics",
-    "StepControl",
-    "Sweep",
-    "System",
-    "TrajectoryError",
-    "TwistaxError",
-    "ZeroOrderHold",
-    "charts",
-    "compile",
-    "compositions",
-    "diffrax",
-    "fast",
-    "integrate",
-    "lie",
-    "linalg",
-    "load",
-    "lower",
-    "mechanics",
-    "pose",
-    "spatial",
-    "sweep",
-    "tableaus",
-    "tangent_grad",
-    "trajectory",
+    "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "CommutatorFree", "Dynamics", "Euclidean",
+    "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
+    "IntegrationError", "Magnus", "Maximize", "Minimize", "ModelError", "Native", "OperationError", "Order",
+    "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics", "StepControl", "Sweep",
+    "System", "TrajectoryError", "TwistaxError", "ZeroOrderHold", "charts", "compile", "compositions", "diffrax",
+    "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial", "sweep", "tableaus",
+    "tangent_grad", "trajectory",
 ]
+# fmt: on
 __all__ += expr.__all__
 
 #: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
 _LATER = {
     "": ("charts", "compositions", "diffrax", "mechanics", "tableaus", "trajectory"),
-    ".integrators": (
-        "RKMK",
-        "CommutatorFree",
-        "Event",
-        "FirstOrderHold",
-        "Magnus",
-        "Result",
-        "Solution",
-        "StepControl",
-        "ZeroOrderHold",
-        "integrate",
-    ),
+    ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
+    ".integrators.controls": ("FirstOrderHold", "ZeroOrderHold"),
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
+    ".integrators.solution": ("Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),

@@ -10,8 +10,6 @@ from .demo import arguments as demo_arguments
 from .demo.arguments import OneLineParser
 from .report import arguments as report_arguments
 
-__all__ = ["main"]
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a sub-command; returns the exit status. Switches x64 on for this process once the arguments are read."""

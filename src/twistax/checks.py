@@ -19,8 +19,6 @@ import numpy as np
 
 from .errors import InputError, TwistaxError
 
-__all__ = ["callable_with", "listed", "number", "path_of", "real_array", "reals", "short", "whole"]
-
 
 def reals(place: str, value: Any, error: type[Exception], free: bool = False) -> np.ndarray:
     """A value as an array of real numbers: float64, or bool where all entries are truth values.

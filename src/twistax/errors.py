@@ -2,18 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "ImmutableError",
-    "InputError",
-    "IntegrationError",
-    "ModelError",
-    "OperationError",
-    "OrderError",
-    "ShapeError",
-    "TrajectoryError",
-    "TwistaxError",
-]
-
 
 class TwistaxError(Exception):
     """Base of every error raised by this package on purpose."""

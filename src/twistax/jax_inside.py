@@ -27,39 +27,6 @@ try:
 except ImportError:
     _weak_types = set()
 
-__all__ = [
-    "ClosedJaxpr",
-    "Jaxpr",
-    "Literal",
-    "Primitive",
-    "Unread",
-    "ad",
-    "all_equations",
-    "alone",
-    "any_of_batch",
-    "batching",
-    "closed",
-    "expansion",
-    "inner_jaxprs",
-    "is_key",
-    "is_traced",
-    "jet",
-    "jaxpr_as_fun",
-    "mlir",
-    "on_key_data",
-    "opened",
-    "parameters",
-    "part",
-    "say_once",
-    "scan_parts",
-    "shaped_array",
-    "small_calls_exist",
-    "source_of",
-    "weakly_kept",
-    "wrapped_terms",
-    "xla_metadata",
-]
-
 T = TypeVar("T")
 
 #: Messages that were given, each once for a process.

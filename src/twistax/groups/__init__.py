@@ -13,24 +13,3 @@ from twistax.groups.special import (
     SpecialOrthogonal,
     tangent_grad,
 )
-
-__all__ = [
-    "ANGULAR_FIRST",
-    "LINEAR_FIRST",
-    "SE3",
-    "SO3",
-    "Euclidean",
-    "Group",
-    "Order",
-    "Product",
-    "SpecialEuclidean",
-    "SpecialOrthogonal",
-    "euler",
-    "pose",
-    "quaternion",
-    "quaternion_product",
-    "rotation_from_quaternion",
-    "se3",
-    "so3",
-    "tangent_grad",
-]

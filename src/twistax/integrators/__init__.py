@@ -11,19 +11,3 @@ from .rkmk import RKMK
 from .solution import Solution
 from .step_control import StepControl
 from .steps import Result
-
-__all__ = [
-    "RKMK",
-    "CommutatorFree",
-    "Event",
-    "FirstOrderHold",
-    "ImplicitRKMK",
-    "Magnus",
-    "Method",
-    "Result",
-    "Solution",
-    "StepControl",
-    "VectorField",
-    "ZeroOrderHold",
-    "integrate",
-]

@@ -14,25 +14,13 @@ from numpy.typing import NDArray
 
 from ..errors import ModelError
 
+# fmt: off
 __all__ = [
-    "ALL",
-    "BOGACKI_SHAMPINE3",
-    "DOP853",
-    "DORMAND_PRINCE5",
-    "DORMAND_PRINCE8",
-    "EULER",
-    "GAUSS_LEGENDRE4",
-    "GAUSS_LEGENDRE6",
-    "HEUN",
-    "IMPLICIT",
-    "RADAU_IIA3",
-    "RADAU_IIA5",
-    "RADAU_IIA9",
-    "RK4",
-    "TSIT5",
-    "ButcherTableau",
+    "ALL", "BOGACKI_SHAMPINE3", "DOP853", "DORMAND_PRINCE5", "DORMAND_PRINCE8", "EULER", "GAUSS_LEGENDRE4",
+    "GAUSS_LEGENDRE6", "HEUN", "IMPLICIT", "RADAU_IIA3", "RADAU_IIA5", "RADAU_IIA9", "RK4", "TSIT5", "ButcherTableau",
     "CollocationTableau",
 ]
+# fmt: on
 
 #: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
 _TOLERANCE = 1e-13
@@ -304,42 +292,26 @@ class CollocationTableau(Coefficients):
 _WEIGHTS = ("b", "c", "b_embedded", "b_second_embedded")
 
 
-def _stored(kind: str) -> dict[str, dict[str, Any]]:
-    """The tableaus of a kind in `tableaus.json`, by constant: a row is text, of exact fractions or decimals."""
+def _stored(kind: str) -> list[dict[str, Any]]:
+    """The tableaus of a kind in `tableaus.json`, in order: a row is text, of exact fractions or decimals."""
 
     def row(text: str) -> list[float]:
         return [float(Fraction(number)) for number in text.split()]
 
-    found = {}
-    for constant, data in json.loads(Path(__file__).with_name("tableaus.json").read_text())[kind].items():
+    found = []
+    for data in json.loads(Path(__file__).with_name("tableaus.json").read_text())[kind].values():
         fields = {field: row(value) if field in _WEIGHTS else value for field, value in data.items()}
         del fields["what"], fields["source"]
-        found[constant] = fields | {"a": [row(text) for text in data["a"]]}
+        found.append(fields | {"a": [row(text) for text in data["a"]]})
     return found
 
 
-_EXPLICIT = {
-    constant: ButcherTableau(**fields | {"a": lower_triangle(fields["a"])})
-    for constant, fields in _stored("explicit").items()
-}
-EULER = _EXPLICIT["EULER"]
-HEUN = _EXPLICIT["HEUN"]
-BOGACKI_SHAMPINE3 = _EXPLICIT["BOGACKI_SHAMPINE3"]
-RK4 = _EXPLICIT["RK4"]
-DORMAND_PRINCE5 = _EXPLICIT["DORMAND_PRINCE5"]
-TSIT5 = _EXPLICIT["TSIT5"]
-DOP853 = _EXPLICIT["DOP853"]
-DORMAND_PRINCE8 = _EXPLICIT["DORMAND_PRINCE8"]
-
 #: Every explicit tableau, by order.
-ALL: tuple[ButcherTableau, ...] = tuple(_EXPLICIT.values())
-
-_COLLOCATION = {constant: CollocationTableau(**fields) for constant, fields in _stored("collocation").items()}
-RADAU_IIA3 = _COLLOCATION["RADAU_IIA3"]
-GAUSS_LEGENDRE4 = _COLLOCATION["GAUSS_LEGENDRE4"]
-RADAU_IIA5 = _COLLOCATION["RADAU_IIA5"]
-GAUSS_LEGENDRE6 = _COLLOCATION["GAUSS_LEGENDRE6"]
-RADAU_IIA9 = _COLLOCATION["RADAU_IIA9"]
+ALL: tuple[ButcherTableau, ...] = tuple(
+    ButcherTableau(**fields | {"a": lower_triangle(fields["a"])}) for fields in _stored("explicit")
+)
+EULER, HEUN, BOGACKI_SHAMPINE3, RK4, DORMAND_PRINCE5, TSIT5, DOP853, DORMAND_PRINCE8 = ALL
 
 #: Every implicit tableau, by order.
-IMPLICIT: tuple[CollocationTableau, ...] = tuple(_COLLOCATION.values())
+IMPLICIT: tuple[CollocationTableau, ...] = tuple(CollocationTableau(**f) for f in _stored("collocation"))
+RADAU_IIA3, GAUSS_LEGENDRE4, RADAU_IIA5, GAUSS_LEGENDRE6, RADAU_IIA9 = IMPLICIT

@@ -5,15 +5,3 @@ from .dynamics import Dynamics, compile, load
 from .explain import Explanation
 from .lower import lower
 from .native.backend import Native
-
-__all__ = [
-    "XLA",
-    "JAX",
-    "Dynamics",
-    "Backend",
-    "Explanation",
-    "Native",
-    "compile",
-    "load",
-    "lower",
-]

@@ -21,19 +21,6 @@ from .scalar.program import ScalarProgram, emitted_form, scalarize
 from .scalar.table import entry_of
 from .small_call import is_key, known_inside
 
-__all__ = [
-    "ANY_SIZE",
-    "JAX",
-    "XLA",
-    "Backend",
-    "Emission",
-    "Shapes",
-    "Step",
-    "array_operations",
-    "chosen",
-    "pure",
-]
-
 #: A step of arrays to arrays, and what it takes.
 Step: TypeAlias = Callable[..., list[jax.Array]]
 Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]

@@ -24,8 +24,6 @@ from .hessian import hessian, hessian_pattern
 from .inputs import Values
 from .native.backend import Auto
 
-__all__ = ["Arrays", "Dynamics", "compile", "load", "not_compiled"]
-
 
 class Dynamics:
     """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).

@@ -22,8 +22,6 @@ from .functions import Functions
 from .scalar.graph import TooLarge
 from .scalar.program import scalarize
 
-__all__ = ["Dependence", "Explanation", "count_equations", "explain", "explain_one"]
-
 _LEFT_OUT = "the Jacobian is left out: it takes too many scalars"
 
 

@@ -15,8 +15,6 @@ from .native.backend import Native, installed
 from .scalar.primitive import call_program
 from .whole import Whole, has_loops
 
-__all__ = ["Fast", "fast"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

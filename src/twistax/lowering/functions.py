@@ -34,8 +34,6 @@ from .inputs import Values, prepare
 from .jacobian import RateJacobian
 from .scalar.primitive import call_program
 
-__all__ = ["Arrays", "Functions", "Kept", "Places", "check_kinds"]
-
 Arrays = dict[str, jax.Array]
 #: What the arguments of a flat function are: ("t", "t"), then "x", "u" or "params" with a name.
 Places = tuple[tuple[str, str], ...]

@@ -27,8 +27,6 @@ from .scalar.graph import TooLarge
 from .scalar.primitive import call_program
 from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
 
-__all__ = ["REFUSALS", "WeightedHessian", "along", "hessian", "hessian_in_arrays", "hessian_pattern"]
-
 #: What comes of functions without a Hessian on the graph: too many scalars, or a call of JAX lacks one derivative.
 REFUSALS = (TooLarge, TypeError, ValueError, NotImplementedError)
 

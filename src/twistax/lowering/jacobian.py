@@ -14,8 +14,6 @@ from .scalar.derivatives import columns_of
 from .scalar.entry import Nodes, flat
 from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
 
-__all__ = ["RateJacobian", "tangents_of"]
-
 
 class RateJacobian:
     """d rates / d (states, controls, parameters) as a scalar program.

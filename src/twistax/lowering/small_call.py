@@ -21,8 +21,6 @@ from jax.flatten_util import ravel_pytree
 from ..jax_inside import all_equations, is_key, opened, small_calls_exist, xla_metadata
 from .scalar.table import entry_of
 
-__all__ = ["apart", "fits", "held", "inside_small_call", "known_inside", "small_call"]
-
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
 

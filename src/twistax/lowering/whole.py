@@ -32,8 +32,6 @@ from .scalar.primitive import Differentiable, Looped, Ring, Rows, Shapes, differ
 from .scalar.table import say_unread
 from .small_call import small_call
 
-__all__ = ["Part", "Whole", "emit_whole", "has_loops"]
-
 #: Loops of fewer operations on scalars, all iterations together, are unrolled.
 _UNROLLED = 2000
 _LOOPS = ("scan", "while")

@@ -15,8 +15,6 @@ from .spring_bodies import SPRING_BODIES
 from .stiff_attitude import STIFF_ATTITUDE
 from .stiff_joint import STIFF_JOINT
 
-__all__ = ["SCENES", "Scene"]
-
 #: The scenes with a known answer, by name.
 SCENES: dict[str, Scene] = {
     scene.name: scene

@@ -12,7 +12,8 @@ from export_systems import MASS, TABLE_POINTS, body, point, tables
 
 import twistax as tx
 from twistax.lowering.export.casadi_function import expression
-from twistax.lowering.scalar.table import OPERATIONS, convert
+from twistax.lowering.scalar.entry import convert
+from twistax.lowering.scalar.table import OPERATIONS
 
 
 @pytest.fixture

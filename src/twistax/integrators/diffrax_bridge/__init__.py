@@ -2,5 +2,3 @@
 
 from .frame import LieTerm, lie_term
 from .solver import LieController, LieSolver, controller
-
-__all__ = ["LieController", "LieSolver", "LieTerm", "controller", "lie_term"]

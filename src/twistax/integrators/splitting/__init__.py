@@ -3,5 +3,3 @@
 from .body import FreeBody, FreeMotion, FreeParticle
 from .compositions import Composition
 from .splitting import Splitting
-
-__all__ = ["Composition", "FreeBody", "FreeMotion", "FreeParticle", "Splitting"]

@@ -4,8 +4,6 @@ import dataclasses
 import sys
 from pathlib import Path
 
-__all__ = ["CFiles", "version"]
-
 
 def version() -> str:
     """The version of this package, `twistax.__version__`; that module stands above, and is there when this runs."""

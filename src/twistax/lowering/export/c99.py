@@ -21,8 +21,6 @@ from . import CFiles
 from .c_code import MARK, Code, filled, identifiers, mark
 from .functions import ExportedFunction, Exporter
 
-__all__ = ["write_c"]
-
 #: One array for each argument.
 Point = list[NDArray[Any]]
 

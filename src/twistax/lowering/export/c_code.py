@@ -16,8 +16,6 @@ from ..scalar.in_c import CType, c_type, expression
 from . import version
 from .functions import ExportedFunction, Exporter, Port
 
-__all__ = ["MARK", "Code", "body", "filled", "identifiers", "mark"]
-
 #: How every file begins, by which files that may be replaced are known.
 MARK = "/* Written by twistax"
 

@@ -13,8 +13,6 @@ from ..functions import Functions
 from ..scalar.entry import Operation
 from .functions import ExportedFunction, Exporter, Port
 
-__all__ = ["to_casadi"]
-
 
 def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, checked: bool) -> Any:
     """What `Dynamics.to_casadi` does; it says what the arguments are."""

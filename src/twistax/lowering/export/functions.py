@@ -17,8 +17,6 @@ from ..functions import Functions
 from ..scalar.graph import Limits
 from ..scalar.program import ScalarProgram, emitted_form, scalarize
 
-__all__ = ["ExportedFunction", "Exporter", "Port"]
-
 #: LU with pivots is unrolled up to the size that Cholesky is.
 _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 

@@ -35,8 +35,6 @@ from ..backends import Backend
 from ..functions import Functions
 from . import version
 
-__all__ = ["read", "read_nodes", "save", "write_nodes"]
-
 #: Raised whenever a file of the old form would be read wrongly.
 _FORMAT = 3
 #: The member of the archive that says everything but the arrays.

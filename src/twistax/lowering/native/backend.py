@@ -24,8 +24,6 @@ from .loop import Loop
 from .machine_code import BuildError, Processor
 from .tile import NATIVE_LIMITS, Iterations, Straight, Tile, native_form
 
-__all__ = ["Auto", "Native", "installed"]
-
 _XLA = XLA()
 _MISSING = "llvmlite is not installed"
 

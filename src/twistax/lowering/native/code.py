@@ -13,8 +13,6 @@ import numpy as np
 
 from .machine_code import Processor
 
-__all__ = ["NAMES", "ROUNDING", "Code", "Module", "NotNative", "addressed"]
-
 #: 1.5 * 2^52: added to a number it leaves the nearest integer in the lowest bits.
 ROUNDING = 6755399441055744.0
 

@@ -23,8 +23,6 @@ from .machine_code import BuildError, MachineCode, Processor, load
 from .rows import Array
 from .tile import Tile
 
-__all__ = ["Kernel", "check_kernel"]
-
 #: "As many threads as there are".
 _ALL = 2**31
 

@@ -15,8 +15,6 @@ from .code import NAMES, Code
 from .rows import Array, Rows
 from .tile import Scalars, Tile, arguments_of, by_numpy, needed_by
 
-__all__ = ["Loop"]
-
 _COUNT = Array((), np.dtype(np.int32))
 #: Iterations that a kernel takes where it is checked.
 _TRIED = 3

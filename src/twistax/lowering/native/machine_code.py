@@ -13,8 +13,6 @@ import numpy as np
 
 from ...errors import ModelError
 
-__all__ = ["BuildError", "MachineCode", "Processor", "load", "target_machine"]
-
 #: The levels of x86-64 that are narrower than a processor may be: bits of a vector -> LLVM's name, and whether a b + c
 #: is one instruction: SSE2, and AVX2.
 _LEVELS = {128: ("x86-64", False), 256: ("x86-64-v3", True)}

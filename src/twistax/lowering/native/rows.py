@@ -10,8 +10,6 @@ import numpy as np
 
 from .code import NAMES, Code
 
-__all__ = ["Array", "Rows"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Array:

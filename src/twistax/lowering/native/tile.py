@@ -17,18 +17,6 @@ from .code import NAMES, Code, Module, NotNative
 from .rows import Array, Rows
 from .trigonometry import sines_and_cosines
 
-__all__ = [
-    "NATIVE_LIMITS",
-    "Iterations",
-    "Scalars",
-    "Straight",
-    "Tile",
-    "arguments_of",
-    "by_numpy",
-    "native_form",
-    "needed_by",
-]
-
 #: Kernels call no library: more is unrolled than for XLA.
 NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 

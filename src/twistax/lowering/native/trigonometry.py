@@ -15,8 +15,6 @@ from fractions import Fraction
 
 from .code import ROUNDING, Code
 
-__all__ = ["LARGEST", "sines_and_cosines"]
-
 #: In radians.
 LARGEST = 1e9
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from .graph import Graph
     from .program import Reader
 
-__all__ = ["CONTRACTION", "ELEMENTWISE", "LINEAR_ALGEBRA"]
-
 # ---- entry by entry --------------------------------------------------------------------------------------------------
 
 

@@ -15,17 +15,6 @@ from .entry import Nodes, flat, nodes
 from .graph import Call, Graph
 from .program import Reader, ScalarProgram
 
-__all__ = [
-    "columns_of",
-    "contracted_program",
-    "cotangent_program",
-    "is_real",
-    "jacobian",
-    "needed",
-    "reached",
-    "tangent_program",
-]
-
 
 def is_real(dtype: Any) -> bool:
     """Whether results of a type have derivatives."""

@@ -16,8 +16,6 @@ from .entry import flat
 from .graph import Call, Graph
 from .program import ScalarProgram, emitted_form
 
-__all__ = ["as_function"]
-
 #: Operations that become a function of their own. XLA computes what several results need again for each of them, but
 #: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
 _PIECE = 100

@@ -20,28 +20,6 @@ if TYPE_CHECKING:
     from .graph import Graph
     from .program import Reader
 
-__all__ = [
-    "ALWAYS",
-    "NEVER",
-    "SMALL",
-    "Entry",
-    "Forms",
-    "Nodes",
-    "Operation",
-    "Select",
-    "code",
-    "convert",
-    "default",
-    "each",
-    "everywhere",
-    "flat",
-    "gathered",
-    "moving",
-    "nodes",
-    "up_to",
-    "whole",
-]
-
 #: An array of nodes.
 Nodes: TypeAlias = NDArray[Any]
 

@@ -20,8 +20,6 @@ from ...walk import walk
 from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
 
-__all__ = ["LIMITS", "Call", "Graph", "Limits", "TooLarge"]
-
 _ADD, _SUB, _MUL, _DIV, _NEG, _SELECT, _NOT = (
     OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "select", "not")
 )

@@ -18,8 +18,6 @@ import numpy as np
 from ...errors import ModelError
 from .entry import Operation
 
-__all__ = ["CType", "c_type", "expression"]
-
 
 @dataclasses.dataclass(frozen=True)
 class CType:

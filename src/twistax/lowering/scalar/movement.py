@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from .graph import Graph
     from .program import Reader
 
-__all__ = ["INDEXING", "MOVEMENT"]
-
 #: Vectors up to this length are sorted by exchanges of neighbours.
 _LONGEST_SORTED = 16
 

@@ -15,8 +15,6 @@ from .entry import Forms, Operation, Select, code, convert, default, everywhere,
 if TYPE_CHECKING:
     from .graph import Graph
 
-__all__ = ["LARGEST", "OPERATIONS", "SMALLEST", "on"]
-
 _BOOL = np.dtype(bool)
 
 

@@ -19,21 +19,6 @@ from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
 from .program import ScalarProgram, emitted_form
 
-__all__ = [
-    "Derived",
-    "Differentiable",
-    "Looped",
-    "Repeated",
-    "Ring",
-    "Rows",
-    "Runner",
-    "Shapes",
-    "call_program",
-    "differentiable",
-    "loop",
-    "repeat",
-]
-
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
 #: From the number of rows, and arguments (rows, *shape), to results.

@@ -28,8 +28,6 @@ from .entry import Nodes, flat, nodes
 from .graph import LIMITS, Call, Graph, Limits
 from .table import OPERATIONS, entry_of, say_unread
 
-__all__ = ["Reader", "ScalarProgram", "emitted_form", "one_by_one", "scalarize"]
-
 Value = TypeVar("Value")
 
 

@@ -13,14 +13,12 @@ import numpy as np
 
 from ...jax_inside import Unread, all_equations, closed, expansion, say_once, scan_parts
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
-from .entry import Entry, Nodes, convert, each, flat, moving, nodes
+from .entry import Entry, Nodes, each, flat, moving, nodes
 from .movement import INDEXING, MOVEMENT
 from .operations import OPERATIONS, on
 
 if TYPE_CHECKING:
     from .program import Reader
-
-__all__ = ["OPERATIONS", "TABLE", "convert", "entry_of", "say_unread"]
 
 # ---- calls -----------------------------------------------------------------------------------------------------------
 
