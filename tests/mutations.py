@@ -403,9 +403,30 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "one name for every kernel",
-            "parts = (text, processor.name,",
-            "parts = (processor.name,",
+            "_digest(text, written_by(processor)",
+            "_digest(written_by(processor)",
             "lowering/native/test_native_systems.py",
+        ),
+        (
+            "kernels that are not kept",
+            "    kernel.lease.keep()\n",
+            "",
+            "lowering/native/test_native_cache.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/cache.py",
+        (
+            "code of a damaged file",
+            "content[:_SUM] == _checksum(key, code)",
+            "content",
+            "lowering/native/test_native_cache.py",
+        ),
+        (
+            "another user's code",
+            "found.st_uid != os.getuid()",
+            "found.st_uid < 0",
+            "lowering/native/test_native_cache.py",
         ),
     ),
     # ---- lowering, export --------------------------------------------------------------------------------------------

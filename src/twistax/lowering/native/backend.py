@@ -6,6 +6,7 @@ import dataclasses
 import importlib.metadata
 import importlib.util
 import math
+import time
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -23,6 +24,10 @@ from .kernel import Kernel, check_kernel
 from .loop import Loop
 from .machine_code import BuildError, Processor
 from .tile import NATIVE_LIMITS, Iterations, Straight, Tile, native_form
+
+#: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
+#: read it from the cache.
+KERNEL_EVENT = "/twistax/kernel"
 
 _XLA = XLA()
 _MISSING = "llvmlite is not installed"
@@ -150,7 +155,7 @@ class Native(Backend):
 
     def _built(self, kind: type[Tile], form: ScalarProgram, single: bool, *more: Any) -> Kernel | None:
         """A kernel that was seen to be right; None, with a message, where none can be had."""
-        processor = Processor.host()
+        started, processor = time.perf_counter(), Processor.host()
         lanes = 1 if single else processor.lanes(form.graph.dtype)
         try:
             kernel = Kernel(kind(form, lanes, *more), processor, self.threads)
@@ -158,6 +163,7 @@ class Native(Backend):
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None
+        jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
         return kernel
 
 

@@ -15,11 +15,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jaxlib
 import numpy as np
 from numpy.typing import NDArray
 
+from ..export import version
+from . import cache
 from .code import Module, addressed
-from .machine_code import BuildError, MachineCode, Processor, load
+from .machine_code import BuildError, MachineCode, Processor, compiled, load, written_by
 from .rows import Array
 from .tile import Tile
 
@@ -34,10 +37,28 @@ _REST = 30.0
 
 
 class _Lease:
-    """What kernels of one target hold of their code."""
+    """What kernels of one target hold of their code.
 
-    def __init__(self, code: MachineCode) -> None:
-        self.code = code
+    What comes from the cache was seen to be right, under the same versions of all that runs it.
+    """
+
+    def __init__(self, target: str, text: str, module: Module, names: Sequence[str]) -> None:
+        self._key = _digest(target, version(), jax.__version__, jaxlib.__version__)
+        written = cache.kept(self._key)
+        self._unchecked = None
+        if written is None:
+            written = self._unchecked = compiled(text, module.processor)
+        self.code = load(written, module.library, module.processor, names)
+
+    @property
+    def checked(self) -> bool:
+        return self._unchecked is None
+
+    def keep(self) -> None:
+        """It was seen to be right: other processes need not compile it."""
+        if self._unchecked is not None:
+            cache.keep(self._key, self._unchecked)
+            self._unchecked = None
 
 
 #: The kernels that are in use, by the name of their target; and code that is not, with the time since when.
@@ -76,9 +97,9 @@ class Kernel:
             _free()
             found = _CODE.get(self.target)
             if found is None:
-                found = _Lease(load(text, module.library, processor, ("run", "handler")))
+                found = _Lease(self.target, text, module, ("run", "handler"))
                 _register(self.target, found, processor)
-        self._lease = found
+        self.lease = found
 
     def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:
         """The results for rows of arguments, (rows, *shape) each; traceable."""
@@ -98,7 +119,7 @@ class Kernel:
         table = (ctypes.c_void_p * (len(given) + len(results)))(*(a.ctypes.data for a in (*given, *results)))
         if rows:
             call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
-                self._lease.code.addresses["run"]
+                self.lease.code.addresses["run"]
             )
             call(ctypes.addressof(table), 0, rows)
         return results
@@ -111,10 +132,12 @@ def _register(target: str, lease: _Lease, processor: Processor) -> None:
         if not _FREE:
             module = Module(processor)
             names = _write_places(module, _PLACES_AT_ONCE)
-            handlers = load(module.text(), (), processor, [*names, "places"])
-            _HANDLERS.append(handlers)
-            first = handlers.addresses["places"]
-            _FREE.extend((first + 8 * k, handlers.addresses[name]) for k, name in enumerate(names))
+            text = module.text()
+            handlers = _Lease(_name(text, processor), text, module, [*names, "places"])
+            handlers.keep()
+            _HANDLERS.append(handlers.code)
+            first = handlers.code.addresses["places"]
+            _FREE.extend((first + 8 * k, handlers.code.addresses[name]) for k, name in enumerate(names))
         _PLACES[target], handler = _FREE.pop()
     place = ctypes.c_void_p.from_address(_PLACES[target])
     place.value = address
@@ -139,10 +162,11 @@ def _free() -> None:
 
 
 def _name(text: str, processor: Processor) -> str:
-    import llvmlite
+    return f"twistax_{_digest(text, written_by(processor), str(_API))[:32]}"
 
-    parts = (text, processor.name, processor.features, llvmlite.__version__, str(_API))
-    return f"twistax_{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()[:32]}"
+
+def _digest(*parts: str) -> str:
+    return hashlib.sha256(chr(0).join(parts).encode()).hexdigest()
 
 
 # ---- the function that XLA calls, `kernel.ll`: what differs from kernel to kernel is filled in here ------------------
@@ -269,9 +293,13 @@ _CALLED = False
 def check_kernel(kernel: Kernel) -> None:
     """Computes one more row than a vector has lanes, at random, and compares; the first time through JAX too.
 
+    Once for each kernel: what was seen to be right is kept, also for other processes.
+
     Raises:
         BuildError: they differ.
     """
+    if kernel.lease.checked:
+        return
     random = np.random.default_rng(0)
     # What reads no arguments gives one row by itself.
     tile, rows = kernel.tile, kernel.tile.lanes + 1 if kernel.tile.read else 1
@@ -290,6 +318,7 @@ def check_kernel(kernel: Kernel) -> None:
             if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
                 raise BuildError("JAX calls it otherwise than expected")
         _CALLED = True
+    kernel.lease.keep()
 
 
 def _drawn(random: np.random.Generator, rows: int, array: Array) -> NDArray[Any]:

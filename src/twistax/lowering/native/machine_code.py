@@ -81,44 +81,77 @@ class MachineCode:
         }
 
 
-def target_machine(processor: Processor) -> Any:
-    """What LLVM writes for, in the code model of its JIT, where code and constants may lie anywhere.
+#: In the code model of LLVM's JIT code and constants may lie anywhere. The small one wants them within 2 GB of each
+#: other, and LLVM ends the process where they are not: in one that has run for long free memory is farther apart.
+_OPTIONS = {"opt": 2, "reloc": "pic", "codemodel": "jitdefault", "jit": True}
 
-    The small one wants them within 2 GB of each other, and LLVM ends the process where they are not: in one that has
-    run for long free memory is farther apart than that.
-    """
+
+def written_by(processor: Processor) -> str:
+    """All that machine code depends on, but for what it is compiled from."""
+    import llvmlite
     import llvmlite.binding as llvm
 
-    return llvm.Target.from_default_triple().create_target_machine(
-        cpu=processor.name, features=processor.features, opt=2, reloc="pic", codemodel="jitdefault", jit=True
+    own = (
+        llvmlite.__version__,
+        llvm.get_default_triple(),
+        processor.name,
+        processor.features,
+        sorted(_OPTIONS.items()),
     )
+    return repr(own)
 
 
-def load(text: str, library: Collection[str], processor: Processor, names: Collection[str]) -> MachineCode:
-    """The functions and variables of these names; `library` are the functions of the C library that are called.
+def compiled(text: str, processor: Processor) -> bytes:
+    """The machine code of intermediate language, as the content of an object file.
 
     Raises:
         ImportError: llvmlite is not installed.
-        BuildError: a function of the C library is missing, or LLVM refuses the text.
+        BuildError: LLVM refuses the text.
     """
     import llvmlite.binding as llvm
 
     with _LOCK:
-        llvm.initialize_native_target()
-        llvm.initialize_native_asmprinter()
-        for symbol in sorted(library):
-            llvm.add_symbol(symbol, _address(symbol))
+        machine = _target_machine(processor)
         try:
             parsed = llvm.parse_assembly(text)
             parsed.verify()
-            engine = llvm.create_mcjit_compiler(parsed, target_machine(processor))
+            found: bytes = machine.emit_object(parsed)
+        except RuntimeError as error:
+            raise BuildError(f"LLVM refuses it: {error}") from error
+        return found
+
+
+def load(code: bytes, library: Collection[str], processor: Processor, names: Collection[str]) -> MachineCode:
+    """The functions and variables of these names; `library` are the functions of the C library that are called.
+
+    Raises:
+        ImportError: llvmlite is not installed.
+        BuildError: a function of the C library is missing, or LLVM refuses the code.
+    """
+    import llvmlite.binding as llvm
+
+    with _LOCK:
+        machine = _target_machine(processor)
+        for symbol in sorted(library):
+            llvm.add_symbol(symbol, _address(symbol))
+        try:
+            engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
             engine.finalize_object()
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
-        found = MachineCode(engine, names)
-        # The code stays; what it was made from takes several times its room.
-        engine.remove_module(parsed)
-        return found
+        return MachineCode(engine, names)
+
+
+def _target_machine(processor: Processor) -> Any:
+    """What LLVM writes for."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=processor.name, features=processor.features, **_OPTIONS
+    )
 
 
 def _address(symbol: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -63,11 +64,37 @@ def compile_seconds() -> float:
     return median(seconds_of(build) for _ in range(3))
 
 
+_START = """
+import jax, numpy as np, twistax as tx
+from twistax.lowering.native.backend import KERNEL_EVENT
+from twistax.mechanics import chain_models, forward_dynamics
+jax.config.update("jax_enable_x64", True)
+spent = [0.0]
+jax.monitoring.register_event_duration_secs_listener(lambda e, s, **_: spent.append(s) if e == KERNEL_EVENT else None)
+arm = chain_models.panda()
+q, qd, tau = tx.State("q", shape=(7,)), tx.State("qd", shape=(7,)), tx.Control("tau", shape=(7,))
+dynamics = tx.compile(tx.System(rates={q: qd, qd: forward_dynamics(arm, q, qd, tau)}))
+tx.integrate(dynamics, {"q": np.full(7, 0.3), "qd": np.zeros(7)}, t1=0.01, dt=1e-3, u={"tau": np.zeros(7)})
+print(sum(spent))
+"""
+
+
+@functools.cache
+def _starts() -> list[float]:
+    """The seconds that a script of the Panda spends on kernels when it first starts, and the second time."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "TWISTAX_CACHE": folder, "JAX_PLATFORMS": "cpu"}
+        command = functools.partial(subprocess.run, capture_output=True, text=True, check=True, env=environment)
+        return [float(command([sys.executable, "-c", _START]).stdout) for _ in range(2)]
+
+
 COSTS: Section = [
     Check("equations of the chain", "tx.lower", at_most(30), lambda: chain_equations()["tx.lower"]),
     Check("equations of the chain", "tx.compile", at_most(30), lambda: chain_equations()["tx.compile"]),
     Check("free body: build, lower, compile", "tx.compile", at_most(0.6, "s"), compile_seconds),
     Check("`import twistax` beyond `import jax`", "median of 7 processes", at_most(0.3, "s"), import_seconds),
+    Check("kernel of the Panda's steps", "first start", between(unit="s"), lambda: _starts()[0]),
+    Check("kernel of the Panda's steps", "second start", at_most(0.1, "s"), lambda: _starts()[1]),
 ]
 
 # ---- landings -------------------------------------------------------------------------------------------------------
