@@ -4,12 +4,14 @@ import ctypes
 import gc
 import os
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
 import jaxtyping
 import pytest
+from jax._src.interpreters import mlir
 from jaxtyping import install_import_hook
 
 #: XLA's work on a program took over half of the suite's time, four fifths of it for speed that no test needs.
@@ -29,6 +31,22 @@ os.environ["TWISTAX_CACHE"] = "off"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+if jax.__version_info__ < (0, 11):
+    # As newer versions of JAX do: a context of MLIR for each program took a quarter of the time of compiling a small
+    # one and three quarters of its memory, so that much was dropped and compiled again.
+    _contexts = threading.local()
+
+    def _shared_context(make: Callable[[], object] = mlir.make_ir_context) -> object:
+        """A context of this thread, which ten programs share; a new one within the lowering of another program."""
+        if mlir.ir.Context.current is not None:
+            return make()
+        if getattr(_contexts, "left", 0) == 0:
+            _contexts.context, _contexts.left = make(), 10
+        _contexts.left -= 1
+        return _contexts.context
+
+    mlir.make_ir_context = _shared_context
 
 # Traced programs are millions of objects: looking through them for cycles took an eighth of the suite's time.
 gc.set_threshold(50_000, 20, 20)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -35,6 +36,12 @@ def value_of(expr: Expr, **values: Any) -> np.ndarray:
     return np.asarray(function_of(expr)({k: jnp.asarray(v) for k, v in floats(values).items()})[0])
 
 
+@functools.cache
+def examples(node: type[Expr]) -> list[Example]:
+    """The examples of a class, made once."""
+    return node.example()
+
+
 @dataclasses.dataclass(frozen=True)
 class Case:
     """One example of one node class."""
@@ -47,7 +54,11 @@ class Case:
 
     @property
     def example(self) -> Example:
-        return self.node.example()[self.number]
+        return examples(self.node)[self.number]
+
+    def built_again(self) -> Expr:
+        """The expression, of nodes that are no others'."""
+        return self.node.example()[self.number].expr
 
     @property
     def values(self) -> dict[str, np.ndarray]:
@@ -60,4 +71,4 @@ class Case:
 
 
 NODES = all_nodes()
-CASES = [Case(node, i) for node in NODES for i in range(len(node.example()))]
+CASES = [Case(node, i) for node in NODES for i in range(len(examples(node)))]

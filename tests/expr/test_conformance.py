@@ -99,7 +99,7 @@ def test_canonical_form_is_stable(case: Case) -> None:
     canonical = expr.canonicalize()
     assert canonical.check_shape() == expr.check_shape()
     assert canonical.canonicalize().key() == canonical.key()
-    assert case.example.expr.canonicalize().key() == canonical.key()
+    assert case.built_again().canonicalize().key() == canonical.key()
 
 
 @by_case
@@ -108,7 +108,7 @@ def test_structure_and_printing(case: Case) -> None:
     assert len(expr.children()) == len(expr.child_names())
     assert all(isinstance(child, Expr) for child in expr.children())
     assert expr.with_children(expr.children()) is expr
-    assert case.example.expr.key() == expr.key() == copy.deepcopy(expr).key()
+    assert case.built_again().key() == expr.key() == copy.deepcopy(expr).key()
     assert repr(expr)
     latex = expr.latex()
     assert latex.count("{") == latex.count("}")

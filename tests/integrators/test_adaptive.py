@@ -39,14 +39,21 @@ def slope(method: tx.RKMK, tols: tuple[float, ...]) -> tuple[float, float]:
     return float(np.polyfit(np.log(tols), np.log(errors), 1)[0]), errors[-1]
 
 
+#: A pair is right or wrong in every chart: the others are among the slow tests.
+PAIRS_IN_CHARTS = [
+    *((tableau, "default") for tableau in PAIRS),
+    *((tx.tableaus.TSIT5, chart) for chart in CHARTS if chart != "default"),
+    (tx.tableaus.DOP853, "ambient"),
+]
+OTHERS = [
+    *((tableau, "ambient") for tableau in PAIRS if tableau not in (tx.tableaus.TSIT5, tx.tableaus.DOP853)),
+    (tx.tableaus.DOP853, "split"),
+]
+
+
 @pytest.mark.parametrize(
     ("tableau", "chart"),
-    [
-        *((tableau, chart) for tableau in PAIRS for chart in ("default", "ambient")),
-        (tx.tableaus.TSIT5, "closed"),
-        (tx.tableaus.TSIT5, "split"),
-        (tx.tableaus.DOP853, "split"),
-    ],
+    [*PAIRS_IN_CHARTS, *(pytest.param(*other, marks=pytest.mark.slow) for other in OTHERS)],
     ids=lambda value: getattr(value, "name", value),
 )
 def test_the_error_falls_with_the_tolerance(tableau: ButcherTableau, chart: str) -> None:

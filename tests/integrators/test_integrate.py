@@ -1,5 +1,6 @@
 """The interface of integrate: grid, saved times, precision, failures, no second compilation."""
 
+import functools
 import inspect
 import logging
 
@@ -13,6 +14,7 @@ import twistax as tx
 from twistax.tableaus import EULER, HEUN
 
 
+@functools.cache
 def decay() -> tx.Dynamics:
     """x' = -a x + b F."""
     x, F = tx.State("x"), tx.Control("F")
@@ -168,6 +170,7 @@ def test_a_start_that_is_no_pose_is_refused(spoil: str) -> None:
         tx.integrate(forced(), x0 | {"g": pose}, t1=1.0, dt=0.1)
 
 
+@functools.cache
 def blow_up() -> tx.Dynamics:
     """x' = x^2 reaches infinity at t = 1 from x = 1."""
     x, y = tx.State("x"), tx.State("y")

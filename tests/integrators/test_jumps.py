@@ -53,7 +53,11 @@ def linear_exact(ts: np.ndarray, values: np.ndarray, t: float) -> float:
 TS, VALUES = np.array([0.0, 0.313, 0.5, 1.7]), np.array([1.0, -2.0, 30.0, 0.5])
 
 
-@pytest.mark.parametrize("tableau", [BOGACKI_SHAMPINE3, DORMAND_PRINCE5, TSIT5, DOP853], ids=lambda t: t.name)
+#: What a step hands on to the next one is the same for the other pairs.
+OTHERS = [pytest.param(tableau, marks=pytest.mark.slow) for tableau in (BOGACKI_SHAMPINE3, DORMAND_PRINCE5)]
+
+
+@pytest.mark.parametrize("tableau", [*OTHERS, TSIT5, DOP853], ids=lambda t: t.name)
 def test_a_held_table_is_integrated_to_tolerance_without_a_search(tableau: object) -> None:
     """The rate after a jump is not the one carried on from the step before it: that would cost a search or digits."""
     tol = 1e-6 if tableau is BOGACKI_SHAMPINE3 else TOL
@@ -107,8 +111,18 @@ def test_tables_with_different_times_are_all_met() -> None:
     assert sol.stats.rejected <= 8
 
 
-@pytest.mark.parametrize("tableau", [DORMAND_PRINCE5, DOP853], ids=lambda t: t.name)
-@pytest.mark.parametrize("side", ["before", "after"])
+@pytest.mark.parametrize(
+    ("tableau", "side"),
+    [
+        pytest.param(tableau, side, id=f"{tableau.name}, {side}", marks=[pytest.mark.slow] if left_out else [])
+        for tableau, side, left_out in (
+            (DORMAND_PRINCE5, "before", False),
+            (DORMAND_PRINCE5, "after", True),
+            (DOP853, "before", True),
+            (DOP853, "after", False),
+        )
+    ],
+)
 def test_a_function_of_time_that_jumps_is_integrated_cheaply_where_it_is_told(tableau: object, side: str) -> None:
     """Whichever value the function has at the very moment of the jump."""
 
@@ -126,7 +140,7 @@ def test_a_function_of_time_that_jumps_is_integrated_cheaply_where_it_is_told(ta
     assert told.stats.accepted < blind.stats.accepted
 
 
-@pytest.mark.parametrize("tableau", [TSIT5, DOP853], ids=lambda t: t.name)
+@pytest.mark.parametrize("tableau", [TSIT5, pytest.param(DOP853, marks=pytest.mark.slow)], ids=lambda t: t.name)
 def test_a_system_that_jumps_is_integrated_cheaply_where_it_is_told(tableau: object) -> None:
     x, t = tx.State("x"), tx.Time()
     dynamics = tx.compile(tx.System(rates={x: tx.Where(t >= 0.7, -2.0, 1.0) - x}))

@@ -16,7 +16,7 @@ from twistax.lowering import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
-NATIVE, PLAIN = tx.compile(windy_body(), backend=tx.Native()), tx.compile(windy_body(), backend=tx.XLA())
+NATIVE, PLAIN = tx.compile(windy_body(), backend=tx.Native()), tx.compile(windy_body(), backend=tx.JAX())
 METHODS = {
     "classical": tx.RKMK(tx.tableaus.RK4),
     "quaternion": tx.RKMK(tx.tableaus.TSIT5, chart=tx.charts.Ambient()),

@@ -20,7 +20,7 @@ from twistax.lowering.scalar.table import OPERATIONS
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
-NATIVE, PLAIN = tx.compile(windy_body(), backend=tx.Native()), tx.compile(windy_body(), backend=tx.XLA())
+NATIVE, PLAIN = tx.compile(windy_body(), backend=tx.Native()), tx.compile(windy_body(), backend=tx.JAX())
 METHODS = {
     "fifth order": tx.RKMK(tx.tableaus.TSIT5),
     "quaternion": tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3, chart=tx.charts.Ambient()),

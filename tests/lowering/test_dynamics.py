@@ -213,7 +213,7 @@ def test_a_traced_value_is_not_baked() -> None:
 
 
 def test_a_jacobian_by_one_kind_alone() -> None:
-    dynamics = tx.compile(SYSTEM)
+    dynamics = tx.compile(SYSTEM, bake={"M": INERTIA})  # as a parameter its 36 columns take long
     one = dynamics.jacobian(0.0, POINT, CONTROLS, wrt="params")
     np.testing.assert_array_equal(one["params"], dynamics.jacobian(0.0, POINT, CONTROLS, wrt=["params"])["params"])
 

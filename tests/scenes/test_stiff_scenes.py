@@ -25,11 +25,12 @@ JOINT = stiff_joint.STIFF_JOINT
     ("name", "steps", "bar"),
     [
         ("stiff-attitude", 25, 1e-15),
-        pytest.param("actuator-lag", 25, 1e-15, marks=pytest.mark.slow),
+        ("actuator-lag", 25, 1e-15),
         # The joint's stiffness makes more of round-off.
-        pytest.param("stiff-joint", 200, 5e-14, marks=pytest.mark.slow),
+        ("stiff-joint", 200, 5e-14),
     ],
 )
+@pytest.mark.slow
 def test_the_stored_end_is_what_the_command_finds(name: str, steps: int, bar: float) -> None:
     """With fewer steps than those the stored digits were found with."""
     assert SCENES[name].error(REFERENCES[name].end(SCENES[name], steps)) < (bar if EXTENDED else 1e3 * bar)
