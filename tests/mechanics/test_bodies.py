@@ -207,7 +207,7 @@ def test_arguments_of_another_shape_are_named() -> None:
 def test_numbers_that_are_no_pose_are_refused(matrix: np.ndarray) -> None:
     body = body_of(FIRST)
     for call in (lambda: body.in_frame(matrix), lambda: body.weight(matrix, np.zeros(3))):
-        with pytest.raises(tx.ModelError, match=r"(?s)T to be a pose \[R p; 0 1\].*fix: build it with tx.pose"):
+        with pytest.raises(tx.ModelError, match=r"(?s)T to be a pose \[R p; 0 1\].*fix: tx.pose\(...\) builds one"):
             call()
     body.in_frame(np.round(VALUES["T"], 5))  # typed with few digits
 

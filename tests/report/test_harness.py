@@ -24,7 +24,6 @@ from twistax.report.checks import (
     Checked,
     Ended,
     agree,
-    at_least,
     at_most,
     between,
     draw,
@@ -109,7 +108,7 @@ def test_times_are_medians_of_an_evaluation() -> None:
 
 
 @pytest.mark.parametrize(
-    "expected", [between(), at_most(1.0), at_least(1.0), ends(tx.Result.SUCCESS), refused(tx.InputError, "")]
+    "expected", [between(), at_most(1.0), between(1.0), ends(tx.Result.SUCCESS), refused(tx.InputError, "")]
 )
 @pytest.mark.parametrize("found", [math.nan, math.inf, LOST, TypeError()])
 def test_nan_and_unforeseen_failures_are_never_what_was_asked_for(expected: Any, found: float | Exception) -> None:
@@ -119,8 +118,8 @@ def test_nan_and_unforeseen_failures_are_never_what_was_asked_for(expected: Any,
 def test_numbers_are_held_against_bars() -> None:
     assert at_most(1e-3).met(1e-3)
     assert not at_most(1e-3).met(1.1e-3)
-    assert at_least(4.0).met(4.0)
-    assert not at_least(4.0).met(3.9)
+    assert between(4.0).met(4.0)
+    assert not between(4.0).met(3.9)
     assert between(4.8, 5.2).text == "at least 4.8, at most 5.2"
     assert either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(Ended(tx.Result.MAX_STEPS, 0.1))
     assert not either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(2.0)

@@ -12,9 +12,10 @@ import numpy as np
 
 from ..errors import OperationError, ShapeError
 from ..groups.arrays import multiply
+from .bases import Chained, Entrywise, align, broadcast
 from .fields import Operand, Operands
 from .leaves import Constant
-from .node import Chained, Entrywise, Expr, Shape, align, broadcast
+from .node import Expr, Shape
 from .printing import wrap_latex
 
 _VECTOR, _MATRIX = [1.0, -2.0, 0.5], np.arange(6.0).reshape(2, 3) ** 1.5

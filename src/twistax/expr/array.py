@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError, OperationError, ShapeError
+from .bases import Variadic
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant
-from .node import Expr, Numbers, Shape, Variadic
+from .node import Expr, Numbers, Shape
 from .printing import matrix_latex, wrap, wrap_latex
 
 

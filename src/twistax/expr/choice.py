@@ -13,9 +13,10 @@ import numpy as np
 
 from ..errors import OperationError, ShapeError
 from .arithmetic import rebuilt, zeros_of
+from .bases import Chained, Entrywise, Variadic, align, broadcast
 from .fields import ExprLike, Operand, Operands
 from .leaves import Constant
-from .node import Chained, Entrywise, Expr, Shape, Variadic, align, broadcast, to_expr
+from .node import Expr, Shape, to_expr
 
 _VALUES = {"a": [1.0, -2.0, 0.5], "s": 0.25}
 _CASES = r"\begin{cases} <1> & <0> \\ <2> & \text{otherwise} \end{cases}"

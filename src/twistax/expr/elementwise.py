@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from .arithmetic import Neg
+from .bases import Entrywise, align
 from .fields import Operand, positive
-from .node import Entrywise, Expr, align
+from .node import Expr
 
 _ANY, _POSITIVE = {"operand": [1.0, -2.0, 0.0]}, {"operand": [1.0, 2.5, 0.1]}
 _NOT_ZERO, _ZERO = {"operand": [1.0, -2.0, 0.5]}, {"operand": [0.0]}

@@ -10,9 +10,10 @@ import numpy as np
 
 from ..checks import short
 from ..errors import ModelError, ShapeError
+from .bases import broadcast
 from .fields import ExprLike, Operand
 from .leaves import Constant
-from .node import Expr, Shape, broadcast
+from .node import Expr, Shape
 
 
 def segment(x: jax.Array, xp: jax.Array) -> jax.Array:

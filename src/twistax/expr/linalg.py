@@ -11,9 +11,10 @@ import numpy as np
 from ..errors import ModelError, ShapeError
 from ..groups.arrays import cross, unpack, vector
 from .arithmetic import Div, Neg, is_constant, zeros_of
+from .bases import expect_square
 from .elementwise import Abs, absolute, square_root
 from .fields import ExprLike, Operand
-from .node import Expr, Numbers, Shape, expect, expect_square
+from .node import Expr, Numbers, Shape, expect
 
 _A, _B, _MATRIX = [1.0, -2.0, 0.5], [0.3, 1.0, 2.0], [[1.0, -2.0, 0.5], [3.0, 0.25, -1.0]]
 

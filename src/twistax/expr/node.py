@@ -6,11 +6,10 @@ caching, keys, operators and printing are written once, here and beside.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
 import jax
@@ -19,7 +18,7 @@ import numpy as np
 from ..checks import listed
 from ..errors import ImmutableError, ModelError, OperationError, ShapeError
 from . import printing
-from .fields import ExprLike, Field, bind_fields, declare_fields, freeze
+from .fields import Field, bind_fields, declare_fields, freeze
 from .graph import bottom_up, find_path
 from .operators import Operators
 
@@ -354,12 +353,14 @@ class Expr(Operators):
     @property
     def is_group_element(self) -> bool:
         """Whether the value is known to be a rotation (3, 3) or a pose (4, 4); a plain matrix is not."""
-        return bottom_up(self, "_element", _element_of)
+        own = lambda node: node.makes_group_element(*(c.__dict__["_element"] for c in node.children()))  # noqa: E731
+        return bottom_up(self, "_element", own)
 
     @property
     def boolean(self) -> bool:
         """Whether the entries are true or false: constraints and what is made of them."""
-        return bottom_up(self, "_boolean", _boolean_of)
+        own = lambda node: node.makes_boolean(*(c.__dict__["_boolean"] for c in node.children()))  # noqa: E731
+        return bottom_up(self, "_boolean", own)
 
     def canonicalize(self) -> Expr:
         """A simpler tree of the same shape, equal wherever the original is finite."""
@@ -405,14 +406,6 @@ def to_expr(value: Any) -> Expr:
     return Constant(value)
 
 
-def _boolean_of(node: Expr) -> bool:
-    return node.makes_boolean(*(child.__dict__["_boolean"] for child in node.children()))
-
-
-def _element_of(node: Expr) -> bool:
-    return node.makes_group_element(*(child.__dict__["_element"] for child in node.children()))
-
-
 def _shape_of(node: Expr, root: Expr) -> Shape:
     try:
         return node.infer_shape(*(child.__dict__["_shape"] for child in node.children()))
@@ -420,83 +413,22 @@ def _shape_of(node: Expr, root: Expr) -> Shape:
         raise error.located(f"{find_path(root, node)} in {root!r}") from None
 
 
+def node_classes() -> Iterator[type[Expr]]:
+    """Every class below `Expr`, wherever it is defined; one with several bases more than once."""
+    waiting = Expr.__subclasses__()
+    for cls in waiting:
+        waiting.extend(cls.__subclasses__())
+        yield cls
+
+
 def all_nodes() -> list[type[Expr]]:
     """Every node class of this package, sorted by module and name. Bases marked `abstract` are left out."""
-    found: set[type[Expr]] = set()
-    waiting: list[type[Expr]] = [Expr]
-    while waiting:
-        cls = waiting.pop()
-        waiting.extend(cls.__subclasses__())
-        if not cls.abstract and cls.__module__.split(".")[0] == __name__.split(".")[0]:
-            found.add(cls)
-    return sorted(found, key=lambda cls: (cls.__module__, cls.__qualname__))
-
-
-# ---- shape rules that nodes share --------------------------------------------------------------------------------
+    package = __name__.partition(".")[0]
+    own = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
+    return sorted(own, key=lambda cls: (cls.__module__, cls.__qualname__))
 
 
 def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None = None) -> None:
     """Raise the plain sentence if an operand has another shape than the one it must have."""
     if got != wanted:
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {wanted}, got {got}", hint=hint)
-
-
-def expect_square(node: Expr, operand: str, got: Shape, *, stacks: bool = False) -> None:
-    """Raise the plain sentence unless the operand is a square matrix, or a stack of them where `stacks` allows it."""
-    if len(got) < 2 or got[-1] != got[-2] or (len(got) > 2 and not stacks):
-        raise ShapeError(f"{type(node).__name__} expects {operand} to be a square matrix, got shape {got}")
-
-
-def broadcast(node: Expr, *shapes: Shape) -> Shape:
-    """NumPy's broadcast shape, or an error that shows all of them."""
-    try:
-        return np.broadcast_shapes(*shapes)
-    except ValueError:
-        raise ShapeError(
-            f"{type(node).__name__} shapes not broadcastable: {' and '.join(map(str, shapes))}",
-            hint="index or reshape an operand so that the shapes agree",
-        ) from None
-
-
-def align(*values: Numbers) -> list[Numbers]:
-    """Give all values the rank of the highest by leading axes of length 1; scalars stay scalars.
-
-    JAX's strict rank promotion is content with that.
-    """
-    rank = max(value.ndim for value in values)
-    return [v if v.ndim in (0, rank) else v.reshape((1,) * (rank - v.ndim) + v.shape) for v in values]
-
-
-class Entrywise(Expr, init=False):
-    """Base of what works entry by entry, with NumPy's broadcasting where it has several operands."""
-
-    abstract = True
-    keeps_order = True
-    of_numbers = True
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        return broadcast(self, *shapes)
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        return type(self).function(*align(*values))
-
-
-class Variadic(Expr, init=False):
-    """Base of what takes any number of operands, to a type checker."""
-
-    abstract = True
-
-    if TYPE_CHECKING:
-
-        def __init__(self, *operands: ExprLike | Sequence[ExprLike]) -> None: ...
-
-
-class Chained(Entrywise, Variadic, init=False):
-    """Base of what combines two or more operands entry by entry, two at a time in any order."""
-
-    abstract = True
-    fewest = 2
-    associative = True
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        return functools.reduce(lambda a, b: type(self).function(*align(a, b)), values)

@@ -14,11 +14,12 @@ import numpy as np
 from ..errors import ShapeError
 from ..groups.arrays import multiply
 from .arithmetic import Div, MatMul, is_identity
+from .bases import expect_square
 from .fields import Operand
 from .graph import leaves_of
 from .leaves import Constant, Parameter
 from .linalg import Diag
-from .node import Expr, Shape, expect_square
+from .node import Expr, Shape
 
 #: Above this condition number a constant matrix is not inverted beforehand: a solve leaves the smaller residual.
 WORST_CONDITION = 1e8

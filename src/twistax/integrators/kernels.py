@@ -70,8 +70,7 @@ def kernel_steps(
             return None
         return KernelSteps(repeated, attempts[-1].evaluations)
 
-    found: KernelSteps | None = _made(stepper, (y, carry), (kernel_steps, structure, types), make)
-    return found
+    return _made(stepper, (y, carry), (kernel_steps, structure, types), make)
 
 
 def kernel_tries(
@@ -88,8 +87,7 @@ def kernel_tries(
     dtype = next(kind for kind in kinds if jnp.issubdtype(kind, jnp.floating))
 
     def cast(leaves: Any) -> Now:
-        found: Now = jax.tree.unflatten(form, [a.astype(kind) for a, kind in zip(leaves, kinds, strict=True)])
-        return found
+        return jax.tree.unflatten(form, [a.astype(kind) for a, kind in zip(leaves, kinds, strict=True)])
 
     def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
         given, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])

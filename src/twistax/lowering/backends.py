@@ -166,7 +166,7 @@ class XLA(Backend):
             TooLarge: there are more than `largest`, or an array of more than `widest` entries; complex results, of
                 which scalars have no derivatives.
         """
-        if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in _results(closed)):
+        if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in closed.jaxpr.outvars):
             raise TooLarge("one of the results is complex")
         if max((v.aval.size for v in _variables(closed.jaxpr)), default=0) > self.widest:
             raise TooLarge(f"one of the arrays has more than {self.widest} entries")
@@ -221,10 +221,6 @@ def array_operations(jaxpr: Any) -> Counter[str]:
         elif not inner:
             found[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
     return +found
-
-
-def _results(closed: ClosedJaxpr) -> list[Any]:
-    return closed.jaxpr.outvars
 
 
 def _variables(jaxpr: Jaxpr) -> list[Any]:

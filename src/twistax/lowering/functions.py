@@ -31,7 +31,7 @@ from ..jax_inside import is_traced
 from ..system import System
 from .backends import Backend, Emission
 from .inputs import Values, prepare
-from .jacobian import RateJacobian
+from .jacobian import Differentiated, RateJacobian
 from .scalar.primitive import call_program
 
 Arrays = dict[str, jax.Array]
@@ -175,8 +175,7 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from arguments as users give them, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,))
-        found: Arrays = self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
-        return found
+        return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop."""
@@ -262,9 +261,8 @@ class Functions:
         places, arrays = self.flat(inputs)
 
         def make() -> RateJacobian:
-            return RateJacobian(
-                jax.make_jaxpr(functools.partial(self.flat_rates, places))(*arrays), places, self.group, wrt
-            )
+            closed = jax.make_jaxpr(functools.partial(self.flat_rates, places))(*arrays)
+            return RateJacobian(Differentiated(closed, places, self.group, wrt))
 
         return self._made.get((wrt, places, inputs.dtype), make), arrays
 

@@ -20,7 +20,7 @@ from ..groups import Euclidean, Group, Product
 from ..jax_inside import ClosedJaxpr, all_equations
 from .functions import Functions, Places, check_kinds
 from .inputs import Values, read_values
-from .jacobian import tangents_of
+from .jacobian import Differentiated, tangents_of
 from .scalar.derivatives import columns_of, contracted_program, cotangent_program, needed, reached
 from .scalar.entry import Nodes, flat
 from .scalar.graph import TooLarge
@@ -56,8 +56,7 @@ def hessian(
     if found is None:
         plain = functools.partial(_in_arrays, functions, weighted, places, wrt)
         run = functions.hessians.get((*_key(weighted, places, inputs, wrt), "arrays"), lambda: jax.jit(plain))
-        matrix: jax.Array = run(arrays, given)
-        return matrix
+        return run(arrays, given)
     derived = functions.hessians.get((functions.backend, found), lambda: functions.backend.derived(found.program))
     return call_program(derived, *arrays, *given)[0]
 
@@ -112,13 +111,10 @@ def _weighted(functions: Functions, names: Iterable[str]) -> tuple[_Weighted, ..
     return tuple(sorted(found, key=known.index))
 
 
-def _roots(weighted: Sequence[_Weighted]) -> dict[str, list[Expr]]:
-    return {each.name: list(each.exprs) for each in weighted}
-
-
 def _values(functions: Functions, weighted: Sequence[_Weighted], places: Places, *arrays: jax.Array) -> list[jax.Array]:
     """A vector for each."""
-    return list(functions.values(_roots(weighted), True, *functions.by_kind(places, arrays)).values())
+    roots = {each.name: list(each.exprs) for each in weighted}
+    return list(functions.values(roots, True, *functions.by_kind(places, arrays)).values())
 
 
 def _kept(
@@ -130,7 +126,7 @@ def _kept(
     def make() -> WeightedHessian | None:
         closed = jax.make_jaxpr(functools.partial(_values, functions, weighted, places))(*arrays)
         try:
-            return WeightedHessian(closed, places, functions.group, wrt)
+            return WeightedHessian(Differentiated(closed, places, functions.group, wrt))
         except REFUSALS:
             return None
 
@@ -211,11 +207,8 @@ class WeightedHessian:
     one of the two orders is computed: what more of the gradient depends on is carried forward first.
 
     Args:
-        closed: the jaxpr of the functions f_i, a result each, of flat arguments.
-        places: what each argument is: ("t", "t"), or "x", "u" or "params" with a name.
-        group: of the states, in the order of declaration.
-        wrt: the kinds to take derivatives by.
-        weighted: how many of the functions, from the first on, have weights; all if None.
+        given: the functions f_i.
+        weighted: how many of them, from the first on, have weights; all if None.
 
     Attributes:
         pattern: where the symmetric matrix is not structurally zero.
@@ -225,21 +218,14 @@ class WeightedHessian:
         TooLarge: too many scalars.
     """
 
-    def __init__(
-        self,
-        closed: ClosedJaxpr,
-        places: Sequence[tuple[str, str]],
-        group: Product,
-        wrt: Sequence[str],
-        weighted: int | None = None,
-    ) -> None:
+    def __init__(self, given: Differentiated, weighted: int | None = None) -> None:
         sweeps: list[_Sweep] = []
         refusal: Exception | None = None
         for gradient in (cotangent_program, contracted_program):
             if sweeps and sweeps[0].forward > sweeps[0].gradient.operations:
                 break
             try:
-                sweeps.append(_Sweep(closed, places, group, wrt, weighted, gradient))
+                sweeps.append(_Sweep(given, weighted, gradient))
             except REFUSALS as error:
                 refusal = error
         if not sweeps and refusal is not None:
@@ -286,23 +272,14 @@ class _Sweep:
         operations: about how many the Hessian takes.
     """
 
-    def __init__(
-        self,
-        closed: ClosedJaxpr,
-        places: Sequence[tuple[str, str]],
-        group: Product,
-        wrt: Sequence[str],
-        weighted: int | None,
-        gradient: Gradient,
-    ) -> None:
-        self.program = program = scalarize(closed)
+    def __init__(self, given: Differentiated, weighted: int | None, gradient: Gradient) -> None:
+        self.program = program = scalarize(given.closed)
         self.weighted = program.restricted(program.outputs[:weighted])
-        self.seeds, widths = tangents_of(program, places, group, wrt)
+        self.seeds, widths = tangents_of(program, given)
         self._size = sum(widths.values())
-        start = sum(widths[kind] for kind in wrt[: wrt.index("x")]) if "x" in wrt else None
-        self._bends = {} if start is None else _bends(program, places, group, start)
+        self._bends = _bends(program, given, widths) if "x" in given.wrt else {}
         self.forward = sum(tangents.bit_count() for tangents in reached(self.weighted, self.seeds).values())
-        active = [k for k, (kind, _) in enumerate(places) if kind in wrt]
+        active = [k for k, (kind, _) in enumerate(given.places) if kind in given.wrt]
         self.gradient = gradient(self.weighted, active)
         self._entries = flat(*(program.inputs[k] for k in active))
         found = reached(self.gradient, self.seeds)
@@ -345,16 +322,13 @@ class _Sweep:
 
 
 def _bends(
-    program: ScalarProgram, places: Sequence[tuple[str, str]], group: Product, start: int
+    program: ScalarProgram, given: Differentiated, widths: Mapping[str, int]
 ) -> Mapping[int, dict[tuple[int, int], int]]:
-    """The second derivatives of the entries of x (+) d at d = 0: input node -> (pair of tangents -> node).
-
-    Args:
-        start: the first tangent of the states.
-    """
-    g = program.graph
+    """The second derivatives of the entries of x (+) d at d = 0: input node -> (pair of tangents -> node)."""
+    g, group = program.graph, given.group
+    start = sum(widths[kind] for kind in given.wrt[: given.wrt.index("x")])
     found: dict[int, dict[tuple[int, int], int]] = {}
-    for own, (kind, name) in zip(program.inputs, places, strict=True):
+    for own, (kind, name) in zip(program.inputs, given.places, strict=True):
         if kind == "x" and not isinstance(group.factors[name], Euclidean):
             (bends,) = Reader(g).read(_bend_of(group.factors[name], own.shape, g.dtype), [own])
             first = start + group.slices[name].start

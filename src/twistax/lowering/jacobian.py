@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,23 +16,23 @@ from .scalar.entry import Nodes, flat
 from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
 
 
+class Differentiated(NamedTuple):
+    """Functions of flat arguments, and what their derivatives are by."""
+
+    closed: ClosedJaxpr  # each result a flat vector
+    places: Sequence[tuple[str, str]]  # what each argument is: ("t", "t"), or "x", "u" or "params" with a name
+    group: Product  # of the states, in the order of declaration
+    wrt: Sequence[str]  # the kinds of arguments
+
+
 class RateJacobian:
-    """d rates / d (states, controls, parameters) as a scalar program.
+    """d rates / d (states, controls, parameters) as a scalar program; the rates are one flat vector."""
 
-    Args:
-        closed: the jaxpr of the rates, one flat vector, of flat arguments.
-        places: what each argument is: ("t", "t"), or "x", "u" or "params" with a name.
-        group: of the states, in the order of declaration.
-        wrt: which of "x", "u", "params" to take derivatives by.
-    """
-
-    def __init__(
-        self, closed: ClosedJaxpr, places: Sequence[tuple[str, str]], group: Product, wrt: Sequence[str]
-    ) -> None:
+    def __init__(self, given: Differentiated) -> None:
         #: The rates alone.
-        self.rates = program = scalarize(closed)
+        self.rates = program = scalarize(given.closed)
         g = program.graph
-        seeds, widths = tangents_of(program, places, group, wrt)
+        seeds, widths = tangents_of(program, given)
         found = columns_of(program, seeds)
         dense = np.full((len(program.flat), sum(widths.values())), g.zero)
         for (row, column), node in found.items():
@@ -43,18 +44,16 @@ class RateJacobian:
         self.pattern = {kind: block != g.zero for kind, block in zip(widths, blocks, strict=True)}
 
 
-def tangents_of(
-    program: ScalarProgram, places: Sequence[tuple[str, str]], group: Product, wrt: Sequence[str]
-) -> tuple[dict[int, dict[int, int]], dict[str, int]]:
+def tangents_of(program: ScalarProgram, given: Differentiated) -> tuple[dict[int, dict[int, int]], dict[str, int]]:
     """How the arguments of a program move: input node -> (tangent -> derivative); and how many tangents a kind has."""
     g = program.graph
     widths: dict[str, int] = {}
     seeds: dict[int, dict[int, int]] = {}
     offset = 0
-    for kind in wrt:
-        own = {name: program.inputs[k] for k, (of, name) in enumerate(places) if of == kind}
+    for kind in given.wrt:
+        own = {name: program.inputs[k] for k, (of, name) in enumerate(given.places) if of == kind}
         entries = flat(*own.values())
-        moved = _moved(program, own, group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
+        moved = _moved(program, own, given.group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
         for entry, row in zip(entries, moved.tolist(), strict=True):
             seeds[entry] = {offset + j: value for j, value in enumerate(row) if value != g.zero}
         widths[kind] = moved.shape[1]

@@ -38,8 +38,7 @@ def held(tree: Tree) -> Tree:
     if not inside_small_call():
         return tree
     packed, read = ravel_pytree(tree)
-    kept: Tree = read(jax.lax.optimization_barrier(packed))
-    return kept
+    return read(jax.lax.optimization_barrier(packed))
 
 
 def fits(function: Callable[..., Any], *arguments: Any) -> bool:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ..errors import ModelError, ShapeError
-from ..expr import Constant, Expr, to_expr
+from ..expr import Expr, to_expr
 from ..expr.fields import ExprLike
-
-#: How far a constant may be from a pose. Matrices typed with four digits pass, a scaled one does not.
-_NEARLY = 1e-4
+from ..expr.lie.base import check_element
 
 
 def of_shape(owner: str, name: str, value: ExprLike, shape: tuple[int, ...], hint: str | None = None) -> Expr:
@@ -36,12 +32,5 @@ def pose(owner: str, name: str, value: ExprLike) -> Expr:
         ShapeError: another shape.
     """
     T = of_shape(owner, name, value, (4, 4))
-    if isinstance(T, Constant):
-        R = T.value[:3, :3]
-        off = max(np.max(np.abs(R.T @ R - np.eye(3))), np.max(np.abs(T.value[3] - [0.0, 0.0, 0.0, 1.0])))
-        if not (off <= _NEARLY and np.isfinite(T.value).all() and np.linalg.det(R) > 0.0):
-            raise ModelError(
-                f"{owner} expects {name} to be a pose [R p; 0 1] with a rotation R, got\n{T.value}\n"
-                "  fix: build it with tx.pose(position=, rotation= or euler= or quaternion=)"
-            )
+    check_element(owner, name, T)
     return T

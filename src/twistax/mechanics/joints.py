@@ -19,11 +19,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..checks import reals
 from ..errors import ModelError, ShapeError
 from ..expr import Constant, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual
-from ..expr.lie.elements import unit_vector
+from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
 
@@ -167,10 +168,7 @@ class Joint(_Subspaces, ABC):
         return f"{type(self).__name__}({self.name!r})"
 
     def _columns(self, name: str, value: Any) -> np.ndarray:
-        try:
-            columns = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ModelError(f"{self!r} expects {name} to be an array of numbers, got {value!r}") from None
+        columns = reals(f"{self!r}: {name}", value, ModelError).astype(np.float64)
         return columns[:, None] if columns.ndim == 1 else columns
 
     def _motion(self, motion: Any) -> np.ndarray:

@@ -26,7 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("scene", "scene", lambda: _load("..scenes").SCENES, "only this scene"),
         ("method", "method", lambda: _load(".work_precision.contenders").CONTENDERS, "only this method"),
         ("case", "case", lambda: _load(".speed.cases").CASES, "with --speed, only this function"),
-        ("only", "section", _sections, "with --stability or --figures, only this section"),
+        ("only", "section", lambda: _load(".sections").EVERY, "with --stability or --figures, only this section"),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
         parser.add_argument(f"--{name}", type=_one_of(what, names), action="append", metavar="NAME", help=several)
@@ -40,10 +40,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def _load(module: str) -> Any:
     return importlib.import_module(module, __package__)
-
-
-def _sections() -> list[str]:
-    return list(_load(".sections").FIGURES | _load(".sections").STABILITY)
 
 
 def _one_of(what: str, names: Callable[[], Iterable[str]]) -> Callable[[str], str]:

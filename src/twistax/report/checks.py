@@ -58,8 +58,6 @@ class Report(ABC):
         """What the template needs beside what `run_report` gives to all."""
 
 
-# ---- checks ----------------------------------------------------------------------------------------------------------
-
 #: What a check gives: a number, or what was raised in place of one.
 Outcome = float | Exception
 
@@ -90,9 +88,6 @@ def agree(apart: float, bar: float) -> None:
         raise RuntimeError(f"DISAGREES by {apart:.1e}, more than {bar:.0e}")
 
 
-# ---- what is asked --------------------------------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Expected:
     """What is asked for."""
@@ -113,11 +108,6 @@ def between(low: float = -math.inf, high: float = math.inf, unit: str = "") -> E
 def at_most(bar: float | int, unit: str = "") -> Expected:
     """A number up to a bar."""
     return between(high=float(bar), unit=unit)
-
-
-def at_least(bar: float | int, unit: str = "") -> Expected:
-    """A finite number from a bar on."""
-    return between(low=float(bar), unit=unit)
 
 
 def ends(result: tx.Result, after: float = 0.0, before: float = math.inf) -> Expected:

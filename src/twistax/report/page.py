@@ -8,7 +8,7 @@ import io
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +47,10 @@ def render(name: str, context: Mapping[str, Any]) -> tuple[str, str]:
 
 def texts(report: str) -> dict[str, Any]:
     """What the page of a report of checks says beside rows: title, about, note, and those of its sections."""
-    found: dict[str, Any] = tomllib.loads((_TEMPLATES / "sections.toml").read_text())[report]
-    return found
+    return dict(tomllib.loads((_TEMPLATES / "sections.toml").read_text())[report])
 
 
-def _flat(text: str) -> str:
-    """One line."""
-    return " ".join(text.split())
+_flat: Callable[[str], str] = lambda text: " ".join(text.split())  # noqa: E731
 
 
 def _inline(text: str) -> str:

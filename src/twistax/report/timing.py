@@ -16,10 +16,12 @@ from .rows import Row, Store
 
 #: Called with what is going on, and how much of the present part is done, 0 to 1.
 Tell = Callable[[str, float], None]
+quiet: Tell = lambda what, share: None  # noqa: E731
 
 
-def quiet(what: str, share: float) -> None:
-    """Tells nobody."""
+def within(tell: Tell, place: int, count: int, before: str = "") -> Tell:
+    """The same for one of some equal parts, with words before its own."""
+    return lambda what, share: tell(f"{before}{what}", (place + share) / count)
 
 
 #: Timed calls in a row on each visit, after one that is not timed; what is longer (s) is called once.

@@ -6,7 +6,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Scene, about, newton_euler, placed, stored_end
+from .scene import Scene, about, newton_euler, placed, said, stored_end
 
 #: Mass, kg, principal moments of inertia, kg m2, and how far below the centre of mass the thrust acts, m.
 MASS, INERTIA, ARM = 2.0, (0.8, 1.0, 0.3), 0.5
@@ -51,13 +51,7 @@ LAGS = (1e-4, 1e-5, 1e-6)
 def scene(lag: float = 1e-5) -> Scene:
     """The scene with this tau, s. The true end is known for those of `LAGS`."""
     return Scene(
-        name="actuator-lag",
-        title="stiff actuators",
-        summary=(
-            "A vehicle of 2 kg hovers for 5 s on a thrust whose size and direction follow their commands within "
-            f"{lag:.0e} s: the vehicle moves in seconds, its actuators start from rest."
-        ),
-        source="written for this scene; Newton-Euler with first-order lags",
+        **said("actuator-lag", lag=f"{lag:.0e}"),
         build=system,
         start={
             "g": placed(about((0.6, 0.8, 0.0), 0.3), [0.0, 0.0, 10.0]),

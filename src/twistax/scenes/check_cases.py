@@ -23,7 +23,7 @@ import numpy as np
 import twistax as tx
 from twistax.mechanics.environment import atmosphere, earth, gravity
 
-from .scene import Scene, newton_euler, placed, stored_end
+from .scene import Scene, newton_euler, placed, said, stored_end
 
 Vector = tuple[float, float, float]
 
@@ -190,13 +190,7 @@ class Vacuum:
 
 #: Case 2, without air.
 TUMBLING_BRICK = Scene(
-    name="tumbling-brick",
-    title="NASA tumbling brick",
-    summary=(
-        "A brick of 2.3 kg dropped from 9144 m over the equator tumbles for 30 s without air: an Euler top of a few "
-        "1e-3 kg m2 at 6.4e6 m from the origin, falling in J2 gravity."
-    ),
-    source="NASA/TM-2015-218675, atmospheric check-case 2",
+    **said("tumbling-brick"),
     build=functools.partial(system, Vacuum()),
     start=CASES[2].start(),
     params=CASES[2].parameters(),

@@ -14,7 +14,7 @@ import numpy as np
 import twistax as tx
 
 from .free_rotation import SymmetricBody, TriaxialBody
-from .scene import Scene, about
+from .scene import Scene, about, said
 
 
 def system(inertia: Sequence[float] | tx.Parameter) -> tx.System:
@@ -30,49 +30,26 @@ def system(inertia: Sequence[float] | tx.Parameter) -> tx.System:
     )
 
 
-def _scene(body: SymmetricBody | TriaxialBody, **said: Any) -> Scene:
+def _scene(name: str, duration: float, body: SymmetricBody | TriaxialBody) -> Scene:
     return Scene(
+        **said(name),
         build=functools.partial(system, tuple(body.inertia)),
         start={"R": body.rotation, "w": body.rate},
         exact=lambda t: dict(zip(("R", "w"), body.at(t))),
         invariants=("energy", "momentum"),
-        **said,
+        duration=duration,
     )
 
 
 EULER_TOP = _scene(
-    TriaxialBody(np.array([1.0, 2.0, 3.0]), about((1.0, 0.0, 0.0), 0.6), np.array([2.0, 0.0, 1.5])),
-    name="euler-top",
-    title="Euler top",
-    summary=(
-        "A free body with moments 1, 2 and 3 kg m2 tumbles for 20 s: the angular velocity changes direction and size "
-        "all the time, so that no two steps commute."
-    ),
-    source="Landau and Lifshitz, Mechanics, section 37",
-    duration=20.0,
+    "euler-top", 20.0, TriaxialBody(np.array([1.0, 2.0, 3.0]), about((1.0, 0.0, 0.0), 0.6), np.array([2.0, 0.0, 1.5]))
 )
 
 SYMMETRIC_BODY = _scene(
-    SymmetricBody(1.0, 1.5, about((1.0, 0.0, 0.0), 0.6), np.array([0.6, -0.4, 3.0])),
-    name="symmetric-body",
-    title="free symmetric body",
-    summary=(
-        "A free body with moments 1, 1 and 1.5 kg m2 spins at 3 rad/s and wobbles for 20 s: precession and spin are "
-        "both steady, so that the phase of each shows every error."
-    ),
-    source="Landau and Lifshitz, Mechanics, section 33",
-    duration=20.0,
+    "symmetric-body", 20.0, SymmetricBody(1.0, 1.5, about((1.0, 0.0, 0.0), 0.6), np.array([0.6, -0.4, 3.0]))
 )
 
 #: A relative error of 1e-16 in the angular velocity is an angle of 1e-12 rad at the end.
 FAST_SPIN = _scene(
-    SymmetricBody(1.0, 1.5, about((1.0, 0.0, 0.0), 0.6), np.array([10.0, 0.0, 1000.0])),
-    name="fast-spin",
-    title="fast spin",
-    summary=(
-        "A free body with moments 1, 1 and 1.5 kg m2 spins at 1000 rad/s for 10 s: it turns by 1.5e4 rad about its "
-        "momentum, and round-off in the rate alone is worth some 1e-12 rad of attitude."
-    ),
-    source="Landau and Lifshitz, Mechanics, section 33",
-    duration=10.0,
+    "fast-spin", 10.0, SymmetricBody(1.0, 1.5, about((1.0, 0.0, 0.0), 0.6), np.array([10.0, 0.0, 1000.0]))
 )

@@ -11,7 +11,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Array, Scene, about, stored_end
+from .scene import Array, Scene, about, said, stored_end
 
 #: Moments of inertia about the fixed point, kg m2.
 INERTIA = (1.0, 1.0, 0.5)
@@ -186,13 +186,7 @@ class _Integral:
 # ---- the scenes ------------------------------------------------------------------------------------------------------
 
 HEAVY_TOP = Scene(
-    name="heavy-top",
-    title="heavy top",
-    summary=(
-        "A top with moments 1, 1 and 0.5 kg m2 about its tip spins at 8 rad/s for 20 s, leaning by 0.6 rad: slow "
-        "precession and quick nutation at once."
-    ),
-    source="Landau and Lifshitz, Mechanics, section 35, problem 1 (Lagrange's top)",
+    **said("heavy-top"),
     build=system,
     start={"R": about((1.0, 0.0, 0.0), 0.6), "w": np.array([0.3, 0.1, 8.0])},
     duration=20.0,
@@ -204,12 +198,7 @@ _TOP = LagrangeTop(INERTIA[0], INERTIA[2], MOMENT, HEAVY_TOP.start["R"], HEAVY_T
 
 LONG_HEAVY_TOP = dataclasses.replace(
     HEAVY_TOP,
-    name="long-heavy-top",
-    title="heavy top for long",
-    summary=(
-        "The same top for 1000 s, a million steps of 1 ms: it turns by 8000 rad, so that what a step loses in energy "
-        "or momentum shows as an angle that grows with the square of the time."
-    ),
+    **said("long-heavy-top"),
     duration=1e3,
     reference=None,
     exact=lambda t: dict(zip(("R", "w"), _TOP.at(t))),

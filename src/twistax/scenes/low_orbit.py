@@ -6,14 +6,13 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 import twistax as tx
 from twistax.mechanics.environment import gravity
 
-from .scene import Scene, about, stored_end
+from .scene import Scene, about, said, stored_end
 
 #: GM and radius of WGS 84, and the second zonal harmonic of EGM96.
 EARTH = dataclasses.replace(gravity.EARTH_J2, j2=1.08262668e-3)
@@ -51,9 +50,9 @@ def system(inertia: Sequence[float] = INERTIA) -> tx.System:
 _INCLINATION, _SPEED = math.radians(51.6), 7546.0
 
 
-def _scene(inertia: Sequence[float], rate: Sequence[float], name: str, **said: Any) -> Scene:
+def _scene(name: str, duration: float, inertia: Sequence[float], rate: Sequence[float]) -> Scene:
     return Scene(
-        name=name,
+        **said(name),
         reference=stored_end(name),
         build=functools.partial(system, inertia),
         start={
@@ -62,35 +61,12 @@ def _scene(inertia: Sequence[float], rate: Sequence[float], name: str, **said: A
             "p": np.array([7e6, 0.0, 0.0]),
             "v": np.array([0.0, _SPEED * math.cos(_INCLINATION), _SPEED * math.sin(_INCLINATION)]),
         },
+        duration=duration,
         invariants=("energy", "axial_momentum"),
-        **said,
     )
 
 
-LOW_ORBIT = _scene(
-    INERTIA,
-    (0.001, 0.002, 0.01),
-    "low-orbit",
-    title="low orbit with J2",
-    summary=(
-        "A satellite 622 km above the equator flies once around an oblate Earth in 5828 s and turns under the gravity "
-        "gradient: numbers from 1e-3 to 1e7 in one state."
-    ),
-    source="Montenbruck and Gill, Satellite Orbits, section on the geopotential; Hughes, Spacecraft Attitude Dynamics",
-    duration=5828.0,
-)
-
+LOW_ORBIT = _scene("low-orbit", 5828.0, INERTIA, (0.001, 0.002, 0.01))
 #: `tests/scenes/scene_references.py` finds its end to 1e-13, where 64 bits of mantissa end. The stored digits come from
 #: the same steps in 113 bits.
-SPINNING_SATELLITE = _scene(
-    SPINNING_INERTIA,
-    (0.01, 0.02, 0.5),
-    "spinning-satellite",
-    title="spinning satellite",
-    summary=(
-        "A satellite of 20, 21 and 25 kg m2 turns at 0.5 rad/s, with a little nutation, through five orbits of 7000 km "
-        "in 29140 s: 1.5e4 rad of spin under a torque of 1e-5 N m."
-    ),
-    source="Hughes, Spacecraft Attitude Dynamics; gravity as in the scene low-orbit",
-    duration=29140.0,
-)
+SPINNING_SATELLITE = _scene("spinning-satellite", 29140.0, SPINNING_INERTIA, (0.01, 0.02, 0.5))

@@ -10,7 +10,7 @@ import twistax as tx
 from twistax.mechanics import SpatialInertia
 
 from .free_rotation import TriaxialBody
-from .scene import Scene, about, placed, total_momentum
+from .scene import Scene, about, placed, said, total_momentum
 
 #: Mass, kg.
 MASS = 2.0
@@ -55,13 +55,7 @@ def _exact(t: float) -> dict[str, Any]:
 
 
 OFFSET_TUMBLE = Scene(
-    name="offset-tumble",
-    title="tumbling with offset centre of mass",
-    summary=(
-        "A free body of 2 kg, described in a frame 0.37 m from its centre of mass and turned from its principal axes, "
-        "tumbles for 10 s: velocity and rate are coupled by a full 6x6 inertia."
-    ),
-    source="momentum balance: the centre of mass moves uniformly, about it the Euler top",
+    **said("offset-tumble"),
     build=system,
     start=_START,
     duration=10.0,

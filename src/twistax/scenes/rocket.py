@@ -6,7 +6,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Scene, about, newton_euler, placed, stored_end
+from .scene import Scene, about, newton_euler, placed, said, stored_end
 
 #: Change of mass, kg/s.
 MASS_FLOW = -0.1
@@ -46,13 +46,7 @@ def system() -> tx.System:
 
 
 ROCKET = Scene(
-    name="rocket",
-    title="rocket with mass flow",
-    summary=(
-        "A rocket of 2 kg with 30 N of swinging thrust climbs for 10 s and burns half its mass: everything depends on "
-        "time, mass and attitude at once."
-    ),
-    source="written for this scene; Newton-Euler with a mass that changes",
+    **said("rocket"),
     build=system,
     start={
         "g": placed(about((0.0, 1.0, 0.0), -1.4), [0.0, 0.0, 0.0]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from ..checks import number
 Array = NDArray[Any]
 State = Mapping[str, Any]
 
+_TEXTS: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("scenes.toml").read_text())
 _ENDS: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("ends.json").read_text())
 
 
@@ -143,6 +145,12 @@ class Scene:
                 else:
                     parts.append(_distance(wanted, found))
         return float(np.max(parts))
+
+
+def said(name: str, **parameters: Any) -> dict[str, Any]:
+    """Name, title, summary and source of a scene of this package, from `scenes.toml`, with parameters in place."""
+    texts = {kind: " ".join(text.split()).format(**parameters) for kind, text in _TEXTS[name].items()}
+    return {"name": name, **texts}
 
 
 def stored_end(name: str, **values: float) -> State | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Array, Scene, about, placed, stored_end, total_momentum
+from .scene import Array, Scene, about, placed, said, stored_end, total_momentum
 
 #: Stiffness of a spring, N/m, and its length at rest, m.
 STIFFNESS, LENGTH = 20.0, 0.9
@@ -75,13 +75,7 @@ def start(count: int = 4) -> dict[str, Array]:
 def scene(count: int = 4) -> Scene:
     """The scene with so many bodies. The true end is known for four."""
     return Scene(
-        name="spring-bodies",
-        title=f"{count} bodies tied by springs",
-        summary=(
-            f"{count} bodies of 1 to 2 kg, tied in a row by springs of {STIFFNESS:g} N/m beside their centres of mass, "
-            "swing and turn for 8 s: rotation and translation of all of them depend on each other."
-        ),
-        source="written for this scene; Newton-Euler with the wrench of each spring",
+        **said("spring-bodies", count=count),
         build=functools.partial(system, count),
         start=start(count),
         duration=8.0,

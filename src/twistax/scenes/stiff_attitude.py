@@ -6,7 +6,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Scene, about, stored_end
+from .scene import Scene, about, said, stored_end
 
 #: Moments of inertia, kg m2.
 INERTIA = (1.0, 2.0, 3.0)
@@ -38,14 +38,7 @@ RATES = tuple(10.0**n for n in range(2, 9))
 def scene(rate: float = 1e5) -> Scene:
     """The scene with this k. The true end is known for those of `RATES`."""
     return Scene(
-        name="stiff-attitude",
-        title="stiff attitude hold",
-        summary=(
-            "A body with moments 1, 2 and 3 kg m2 is held to a swinging attitude for 5 s, by a spring of "
-            f"{rate:.0e} N m/rad beside a damper of as many N m s/rad: its rate settles in some {1.0 / rate:.0e} s, "
-            "its attitude in some seconds."
-        ),
-        source="written for this scene; Euler's equations",
+        **said("stiff-attitude", rate=f"{rate:.0e}", time=f"{1.0 / rate:.0e}"),
         build=system,
         start={"R": about((1.0, 0.0, 0.0), 0.6), "w": np.zeros(3)},
         duration=5.0,

@@ -6,7 +6,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Array, Scene, about, newton_euler, placed, stored_end, total_momentum
+from .scene import Array, Scene, about, newton_euler, placed, said, stored_end, total_momentum
 
 #: N/m and N s/m: the joint gives way by 1e-8 m in 1 N, and its gap closes at some 1e4/s.
 STIFFNESS, DAMPING = 1e8, 2e4
@@ -63,13 +63,7 @@ def _start() -> dict[str, Array]:
 
 
 STIFF_JOINT = Scene(
-    name="stiff-joint",
-    title="two bodies on a stiff joint",
-    summary=(
-        "Two bodies of 1 and 2 kg tumble freely for 2 s, held together at a point by a spring of 1e8 N/m and a damper "
-        "of 2e4 N s/m: the joint gives way by 2e-8 m and settles in a millisecond."
-    ),
-    source="written for this scene; Newton-Euler with the wrench of the joint",
+    **said("stiff-joint"),
     build=system,
     start=_start(),
     duration=2.0,

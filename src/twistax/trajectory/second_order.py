@@ -11,6 +11,7 @@ from ..integrators.method import Method
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.hessian import REFUSALS, WeightedHessian, along, hessian_in_arrays
+from ..lowering.jacobian import Differentiated
 from ..lowering.scalar.primitive import Derived, call_program
 
 #: What the end is differentiated by: the start, the controls, the length, and the time of the start.
@@ -52,7 +53,7 @@ def second_order(
         closed = jax.make_jaxpr(gap)(*arrays, *(inputs.x[name] for name in names))
         all_places = [*places, ("h", "h"), *(("end", name) for name in names)]
         try:
-            found = WeightedHessian(closed, all_places, dynamics.group, _BY, weighted=1)
+            found = WeightedHessian(Differentiated(closed, all_places, dynamics.group, _BY), weighted=1)
         except REFUSALS:
             return None
         program = found.beside_values({count + k: 1 + k for k in range(len(names))})

@@ -187,7 +187,7 @@ class SO3Adjoint(Expr):
     cases = ({"rotation": ROTATION},)
 
     def validate(self) -> None:
-        check_element(self, "rotation")
+        check_element(type(self).__name__, "rotation", self.rotation)
 
     def simplify(self) -> Expr:
         """Ad_R is R."""

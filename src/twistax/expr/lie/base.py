@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
+from ...checks import reals
 from ...errors import ModelError, OperationError, ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import element_defect
@@ -36,13 +37,12 @@ def both_orders(**values: Any) -> list[dict[str, Any]]:
 NEARLY = 1e-4
 
 
-def check_element(node: Expr, operand: str) -> None:
+def check_element(owner: str, operand: str, given: Expr) -> None:
     """Raise ModelError where a constant operand is neither a rotation nor a pose."""
-    known = getattr(node, operand, None)
-    value = known.value if isinstance(known, Constant) else np.zeros(0)
+    value = given.value if isinstance(given, Constant) else np.zeros(0)
     if value.shape in ELEMENTS and not element_defect(value) <= NEARLY:
         raise ModelError(
-            f"{type(node).__name__} expects {operand} to be a rotation or a pose, got\n{value}, "
+            f"{owner} expects {operand} to be a {'pose [R p; 0 1]' if len(value) == 4 else 'rotation'}, got\n{value}, "
             f"off by {element_defect(value):.2g}\n"
             "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) takes the nearest one of a drifted matrix"
         )
@@ -56,7 +56,8 @@ class TwistNode(Expr):
     abstract = True
 
     def validate(self) -> None:
-        check_element(self, "transform")
+        if hasattr(self, "transform"):
+            check_element(type(self).__name__, "transform", self.transform)
         if not isinstance(self.order, Order):
             raise OperationError(
                 f"{type(self).__name__} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {self.order!r}"
@@ -112,6 +113,27 @@ def expect_one_of(node: Expr, operand: str, got: Shape, known: tuple[Shape, Shap
     """Raise the plain sentence if an operand has neither group's shape."""
     if got not in known:
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {known[0]} or {known[1]}, got {got}")
+
+
+def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
+    """A direction (3,) as a unit vector.
+
+    Raises:
+        ShapeError: it has not three entries.
+        ModelError: it is zero, not finite, or does not consist of numbers.
+    """
+    vector = reals(f"{owner}: {name}", value, ModelError).astype(np.float64)
+    if vector.shape != (3,):
+        raise ShapeError(f"{owner} expects {name} with shape (3,), got {vector.shape}")
+    largest = np.max(np.abs(vector))
+    if not np.isfinite(largest) or largest == 0.0:
+        raise ModelError(
+            f"{owner} expects {name} to be a direction, got {vector.tolist()}.\n"
+            "  fix: give three finite numbers, not all zero; the length does not matter"
+        )
+    # Scaled first: the squares of very large or very small entries leave the range. Adding 0 turns -0 into 0.
+    vector = vector / largest
+    return vector / np.linalg.norm(vector) + 0.0
 
 
 # ---- parts of six-vectors ----------------------------------------------------------------------------------------

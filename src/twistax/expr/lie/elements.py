@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...errors import ModelError, ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ..arithmetic import Mul, Neg, is_constant, is_identity, zeros_of
 from ..array import Index
@@ -37,6 +36,7 @@ from .base import (
     check_element,
     expect_one_of,
     of_group,
+    unit_vector,
 )
 
 
@@ -81,7 +81,7 @@ class SO3Log(Expr):
     cases = ((lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),)
 
     def validate(self) -> None:
-        check_element(self, "rotation")
+        check_element(type(self).__name__, "rotation", self.rotation)
 
 
 class SE3Exp(TwistNode):
@@ -442,27 +442,3 @@ class AxisRotation(Expr):
     def to_latex(self, *operands: str) -> str:
         axis = ", ".join(number_latex(entry, 4) for entry in self.axis)
         return rf"\operatorname{{Rot}}_{{({axis})}}\left({operands[0]}\right)"
-
-
-def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
-    """A direction (3,) as a unit vector.
-
-    Raises:
-        ShapeError: it has not three entries.
-        ModelError: it is zero, not finite, or does not consist of numbers.
-    """
-    try:
-        vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ModelError(f"{owner} expects {name} to be three numbers, got {value!r}") from None
-    if vector.shape != (3,):
-        raise ShapeError(f"{owner} expects {name} with shape (3,), got {vector.shape}")
-    largest = np.max(np.abs(vector))
-    if not np.isfinite(largest) or largest == 0.0:
-        raise ModelError(
-            f"{owner} expects {name} to be a direction, got {vector.tolist()}.\n"
-            "  fix: give three finite numbers, not all zero; the length does not matter"
-        )
-    # Scaled first: the squares of very large or very small entries leave the range. Adding 0 turns -0 into 0.
-    vector = vector / largest
-    return vector / np.linalg.norm(vector) + 0.0

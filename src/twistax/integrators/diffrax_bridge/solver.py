@@ -154,7 +154,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         """A step of the wrapped solver itself, on the coordinates."""
         frame, local = self.frame, self.frame.local
         # A table may jump where a step begins, and the last slope is that before the jump.
-        made_jump = True if _reads_tables(given) else made_jump
+        made_jump = True if given.signals.jumps else made_jump
         inner, (origin, read) = self._in_chart(terms, given, h), frame.packed(given.x)
         z, e, within, state, result = self.solver.step(inner, t0, t1, origin, None, state, made_jump)
         moved = read(z)
@@ -200,7 +200,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
 
     def _hands_on(self, given: Arguments) -> bool:
         """Whether the last stage of a step is the first of the next; not where a table may jump in between."""
-        return bool(self.solver.tableau.fsal) and not _reads_tables(given)
+        return bool(self.solver.tableau.fsal) and not given.signals.jumps
 
     def _begin(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> tuple[Arguments, jax.Array]:
         """The arguments where a step begins, and its length, negative where diffrax integrates backwards."""
@@ -235,10 +235,6 @@ def _is_explicit(solver: Any) -> bool:
     if not isinstance(solver, diffrax.AbstractERK) or isinstance(solver, diffrax.HalfSolver):
         return False
     return isinstance(solver.tableau, diffrax.ButcherTableau) and not solver.tableau.c1
-
-
-def _reads_tables(given: Arguments) -> bool:
-    return bool(given.signals.jumps)
 
 
 def _check(solver: Any, dynamics: Any, chart: Any) -> None:

@@ -119,7 +119,7 @@ def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
     t, x, u, params = [*point, None, None][:4]
     inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))
     # As they were given where they were: prepared ones may be of single precision.
-    values = {"x": {**inputs.x, **x}, "u": {**inputs.u, **(u or {})}, "p": {**inputs.params, **(params or {})}}
+    values = {"x": {**inputs.x, **x}, "u": {**inputs.u, **(u or {})}, "params": {**inputs.params, **(params or {})}}
     return [
         np.asarray(t, np.float64),
         *(
@@ -141,7 +141,7 @@ def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
             for port in exporter.arguments:
                 drawn = rng.normal(size=port.shape)
                 group = groups.get(port.name) if port.kind == "x" else None
-                if port.kind == "p" and own[port.name] is not None:
+                if port.kind == "params" and own[port.name] is not None:
                     drawn = np.asarray(own[port.name], np.float64)
                 elif group is not None and not isinstance(group, Euclidean):
                     drawn = np.asarray(group.exp(jnp.asarray(0.5 * rng.normal(size=group.dimension))))

@@ -19,21 +19,11 @@ from .functions import ExportedFunction, Exporter, Port
 #: How every file begins, by which files that may be replaced are known.
 MARK = "/* Written by twistax"
 
-#: Of the names of arrays, by kind; they keep names apart from C's words and from libm's.
-_PREFIXES = {
-    "x": "x_",
-    "u": "u_",
-    "p": "p_",
-    "rate": "rate_",
-    "output": "output_",
-    "constraint": "constraint_",
-    "jacobian": "by_",
-}
 _MEANINGS = {
     "t": "time",
     "x": "state {}",
     "u": "control {}",
-    "p": "parameter {}",
+    "params": "parameter {}",
     "rate": "rate of {}",
     "output": "output {}",
     "inequality": "what must be <= 0",
@@ -65,7 +55,9 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
     found: dict[str, Port] = {}
     for port in ports:
         plain = re.sub(r"[^\x00-\x7f]", lambda letter: f"u{ord(letter[0]):04x}", port.name)
-        name = port.kind if port.kind == "t" else _PREFIXES[port.kind] + re.sub(r"\W", "_", plain, flags=re.ASCII)
+        # Its kind keeps a name apart from C's words and from libm's.
+        kind = {"jacobian": "by", "params": "p"}.get(port.kind, port.kind)
+        name = kind if kind == "t" else f"{kind}_{re.sub(r'[^A-Za-z0-9_]', '_', plain)}"
         if name in found:
             raise ModelError(
                 f"{found[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
@@ -130,7 +122,7 @@ class Code:
                 self.real.literal(self.real.dtype.type(v)) for v in own[port.name].reshape(-1)
             )
             for port in self.exporter.arguments
-            if port.kind == "p" and port.name in own and port.size
+            if port.kind == "params" and port.name in own and port.size
         }
 
     def _listed(self, ports: Sequence[Port]) -> str:

@@ -42,7 +42,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
         )
     # CasADi takes zero for what is not given: a mass of zero would go unnoticed, NaN does not.
     own = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
-    defaults = [own.get(port.name, np.nan) if port.kind == "p" else np.nan for port in exporter.arguments]
+    defaults = [own.get(port.name, np.nan) if port.kind == "params" else np.nan for port in exporter.arguments]
     # A function that CasADi derives has zeros again, unless it is told; the results, which `jacobian` takes too, are
     # not read.
     derived = {"default_in": [*defaults, *(0.0 for _ in results)]}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -14,6 +14,7 @@ import numpy as np
 from ...errors import ModelError
 from ...expr import Inputs
 from ..functions import Functions
+from ..hessian import along
 from ..scalar.graph import Limits
 from ..scalar.program import ScalarProgram, emitted_form, scalarize
 
@@ -25,7 +26,7 @@ _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 class Port:
     """An array that goes into a function or comes out of it."""
 
-    kind: str  # "t", "x", "u" or "p" of arguments; "rate", "output", "constraint" or "jacobian" of results
+    kind: str  # "t", "x", "u" or "params" of arguments; "rate", "output", "constraint" or "jacobian" of results
     name: str  # of the leaf or the result; empty for the time
     shape: tuple[int, ...]
 
@@ -53,9 +54,10 @@ class Exporter:
 
     def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:
         self.dynamics, self.dtype, self.checked = dynamics, np.dtype(dtype), checked
-        leaves = {"x": dynamics.states, "u": dynamics.controls, "p": dynamics.parameters}
+        leaves = {"x": dynamics.states, "u": dynamics.controls, "params": dynamics.parameters}
         ports = [Port(kind, leaf.name, leaf.shape) for kind, own in leaves.items() for leaf in own]
         self.arguments = (Port("t", "", ()), *ports)
+        self._places = tuple((port.kind, port.name) for port in self.arguments)
 
     def family(self, name: str) -> ExportedFunction:
         """Rates, outputs or constraints.
@@ -65,11 +67,9 @@ class Exporter:
         """
 
         def arrays(*values: jax.Array) -> list[jax.Array]:
-            given = self._inputs(values)
-            found = self.dynamics.as_written(name, given.t, dict(given.x), dict(given.u), dict(given.params))
-            return list(found.values())
+            return list(self.dynamics.as_written(name, *self.dynamics.by_kind(self._places, values)).values())
 
-        with self._precision():
+        with jax.enable_x64(self.dtype == np.float64):
             closed = jax.make_jaxpr(arrays)(*(jax.ShapeDtypeStruct(p.shape, self.dtype) for p in self.arguments))
             program = scalarize(closed, checked=self.checked)
             return self._exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
@@ -81,12 +81,16 @@ class Exporter:
             ModelError: a part has no form in scalars, or the program is too large.
             InputError: another entry in wrt.
         """
-        with self._precision():
-            inputs = self._inputs(jnp.zeros(p.shape, self.dtype) for p in self.arguments)
+        with jax.enable_x64(self.dtype == np.float64):
+            zeros = [jnp.zeros(p.shape, self.dtype) for p in self.arguments]
+            inputs = Inputs(*self.dynamics.by_kind(self._places, zeros), self.dtype)
             found, _ = self.dynamics.rate_jacobian(inputs, tuple(wrt))
+            ends = np.cumsum([nodes.shape[1] for nodes in found.blocks.values()])
 
             def arrays(*values: jax.Array) -> list[jax.Array]:
-                return self._differentiated(wrt, self._inputs(values))
+                size, moved = along(self.dynamics.group, self._places, wrt, values)
+                rates = lambda d: self.dynamics.flat_rates(self._places, *moved(d))[0]  # noqa: E731
+                return jnp.split(jax.jacfwd(rates)(jnp.zeros(size, self.dtype)), ends[:-1], axis=1)
 
             return self._exported("jacobian", "jacobian", list(found.blocks), found.program, arrays)
 
@@ -117,34 +121,3 @@ class Exporter:
             return [found[k] for k in kept]
 
         return ExportedFunction(name, ports, restricted, present)
-
-    def _precision(self) -> Any:
-        """A context in which JAX works in this precision."""
-        return jax.enable_x64(self.dtype == np.float64)
-
-    def _inputs(self, values: Iterable[Any]) -> Inputs:
-        t, *rest = values
-        given: dict[str, dict[str, jax.Array]] = {"x": {}, "u": {}, "p": {}}
-        for port, value in zip(self.arguments[1:], rest, strict=True):
-            given[port.kind][port.name] = value
-        return Inputs(t, given["x"], given["u"], given["p"], t.dtype)
-
-    def _differentiated(self, wrt: Sequence[str], given: Inputs) -> list[jax.Array]:
-        """The same derivatives by JAX, on arrays."""
-        group, states = self.dynamics.group, self.dynamics.states
-
-        def rates(d: jax.Array, u: dict[str, jax.Array], params: dict[str, jax.Array]) -> jax.Array:
-            found = self.dynamics.as_written("rates", given.t, group.retract(dict(given.x), d), u, params)
-            return jnp.concatenate([found[state.name].reshape(-1) for state in states])
-
-        zero = jnp.zeros(group.dimension, given.t.dtype)
-        arguments: dict[str, Any] = {"x": zero, "u": dict(given.u), "params": dict(given.params)}
-        found = []
-        for kind in wrt:
-            blocks = [jnp.zeros((zero.size, 0), zero.dtype)]
-            if jax.tree.leaves(arguments[kind]):
-                by = jax.jacfwd(rates, list(arguments).index(kind))(*arguments.values())
-                columns = [by] if kind == "x" else [by[name] for name in arguments[kind]]
-                blocks += [column.reshape(group.dimension, -1) for column in columns]
-            found.append(jnp.concatenate(blocks, axis=1))
-        return found

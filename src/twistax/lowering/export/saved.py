@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from ...checks import path_of
 from ...errors import InputError, ModelError, TwistaxError
 from ...expr import Constant, Expr, Leaf
+from ...expr.node import node_classes
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Group
 from ...system import System
 from ...walk import walk
@@ -321,13 +322,7 @@ def _class_of(named: str) -> type | None:
     if isinstance(found, type) and _reference(found) == named:
         return found
     # A node class that is no attribute of its module was defined in a function.
-    waiting: list[type[Expr]] = [Expr]
-    while waiting:
-        cls = waiting.pop()
-        if _reference(cls) == named:
-            return cls
-        waiting += cls.__subclasses__()
-    return None
+    return next((cls for cls in node_classes() if _reference(cls) == named), None)
 
 
 def _constructible(cls: type) -> bool:

@@ -11,8 +11,8 @@ from jax import Array
 from ...checks import reals
 from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
+from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.node import Entrywise
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 

@@ -37,5 +37,6 @@ FIGURES: dict[str, Section] = {
     "landings": costs.LANDINGS,
 }
 
+EVERY = FIGURES | STABILITY
 stability = functools.partial(Checked, "stability", STABILITY)
 figures = functools.partial(Checked, "figures", FIGURES)

@@ -12,9 +12,10 @@ import twistax as tx
 
 from ...groups import se3
 from ...scenes import SCENES
-from ..checks import Check, Expected, Section, at_least, at_most, ends, refused, simulated
+from ...scenes.scene import placed
+from ..checks import Check, Expected, Section, at_most, between, ends, refused, simulated
 
-_TSIT5 = tx.RKMK(tx.tableaus.TSIT5)
+_METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
 
 
 @functools.cache
@@ -55,11 +56,11 @@ def _tilted() -> float:
     """
     R = tx.State("R", group=tx.SO3)
     turning, event = tx.compile(tx.System(rates={R: np.array([1.0, 2.0, -2.0]) / 3.0})), tx.Event(R[0, 0] + 5.0 / 9.0)
-    sol = simulated(turning, {"R": np.eye(3)}, t1=3.0, rtol=1e-11, method=_TSIT5, event=event)
+    sol = simulated(turning, {"R": np.eye(3)}, t1=3.0, rtol=1e-11, method=_METHODS["Tsit5"], event=event)
     return abs(float(sol.ts[-1]) - np.arccos(-0.75))
 
 
-_LATE = at_least(1.0, "s")
+_LATE = between(1.0, unit="s")
 _TWO_ROOTS, _TWO_EVENTS = "two roots of one condition within a step, at 0.51 and 0.53 s: the end", ("late", "early")
 
 EVENTS: Section = [
@@ -85,8 +86,6 @@ EVENTS: Section = [
     "The root is found in the group, within the tolerance of the integration.",
     Check("a condition on an attitude, rtol 1e-11", "Tsit5", at_most(1e-10, "s"), _tilted),
 ]
-
-# ---- jumps ----------------------------------------------------------------------------------------------------------
 
 #: A twist that is held between jumps: times, s, and twists.
 _TIMES = np.array([0.0, 0.3, 0.7, 0.7 + 1e-9, 1.6])
@@ -121,13 +120,10 @@ def _switched(u: Any, **options: Any) -> float:
     return abs(float(sol.xs["x"][-1]) - float((2.0 - np.exp(-0.4)) * np.exp(0.4 - 1.0) - 1.0))
 
 
-_chosen = functools.partial(_switched, rtol=1e-10, method=_TSIT5)
+_chosen = functools.partial(_switched, rtol=1e-10, method=_METHODS["Tsit5"])
 
 
-def _switch(t: Any) -> dict[str, Any]:
-    return {"F": jnp.where(t < 0.4, 1.0, -1.0)}
-
-
+_switch = lambda t: {"F": jnp.where(t < 0.4, 1.0, -1.0)}  # noqa: E731
 _TABLE = {"F": tx.ZeroOrderHold(ts=[0.0, 0.4], values=[1.0, -1.0])}
 _AT_ENDS = {"F": tx.ZeroOrderHold(ts=[0.0, 0.4, 1.0], values=[1.0, -1.0, 1e9])}
 _NAMED = "a function that switches at 0.4 s, named with jumps, rtol 1e-10"
@@ -151,12 +147,8 @@ JUMPS: Section = [
     Check("a table with a jump at the start and at the end, rtol 1e-10", "Tsit5", at_most(1e-10), _chosen, _AT_ENDS),
 ]
 
-
-# ---- failures -------------------------------------------------------------------------------------------------------
-
 _TOP = SCENES["euler-top"]
 _NAN, _INF = float("nan"), float("inf")
-_METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
 
 
 @functools.cache
@@ -172,9 +164,7 @@ def _system(name: str) -> tx.Dynamics:
     return tx.compile(tx.System(rates=rates[name]))
 
 
-def _spoiled(t: Any) -> dict[str, Any]:
-    """A control that is NaN from 0.7 s on."""
-    return {"F": jnp.where(t < 0.7, 1.0, jnp.nan)}
+_spoiled = lambda t: {"F": jnp.where(t < 0.7, 1.0, jnp.nan)}  # noqa: E731
 
 
 def _case(
@@ -232,9 +222,6 @@ FAILURES: Section = [
 ]
 
 
-# ---- input ----------------------------------------------------------------------------------------------------------
-
-
 @functools.cache
 def _thing() -> tx.Dynamics:
     """A pose pushed by a control, with a mass."""
@@ -248,12 +235,6 @@ def _refused(what: str, words: str, g: Any = None, V: float = 1.0, F: float = 0.
     start = {"g": np.eye(4) if g is None else g, "V": np.full(6, V)}
     how = {"t1": 1.0, "u": {"F": np.full(6, F)}, "params": {"m": m}} | (how if "rtol" in how else {"dt": 0.1} | how)
     return Check(what, "tx.integrate", refused(tx.InputError, words), lambda: simulated(_thing(), start, **how))
-
-
-def _pose(rotation: Any, last_row: float = 0.0) -> Any:
-    pose = np.eye(4)
-    pose[:3, :3], pose[3, 0] = rotation, last_row
-    return pose
 
 
 _REFLECTION, _SHEARED = np.diag([1.0, 1.0, -1.0]), np.eye(3) + 1e-3 * np.eye(3, k=1)
@@ -272,8 +253,8 @@ INPUTS: Section = [
     "A step of zero never arrives.",
     _refused("a step of zero", "dt", dt=0.0),
     "What is no rotation is refused with its distance from one; it is never put right in silence.",
-    _refused("a reflection", "is no element of SE3", g=_pose(_REFLECTION)),
-    _refused("a rotation times 1.001", "is no element of SE3", g=_pose(1.001 * np.eye(3))),
-    _refused("a sheared rotation", "is no element", g=_pose(_SHEARED)),
-    _refused("a pose with another last row", "is no element of SE3", g=_pose(np.eye(3), 1e-3)),
+    _refused("a reflection", "is no element of SE3", g=placed(_REFLECTION, 0.0)),
+    _refused("a rotation times 1.001", "is no element of SE3", g=placed(1.001 * np.eye(3), 0.0)),
+    _refused("a sheared rotation", "is no element", g=placed(_SHEARED, 0.0)),
+    _refused("a pose with another last row", "is no element of SE3", g=np.eye(4) + 1e-3 * np.eye(4, k=-3)),
 ]

@@ -1,8 +1,8 @@
 """Identities of Lie algebra and joints on random values, against references that share no formula with them.
 
-The references are 4x4 matrices, forces that act at points, and SciPy's `expm` and `Rotation`. Where a pairing is
-checked, each side is transformed by itself. An error is the largest entry of the difference, relative to the largest
-entry of the reference where that is above 1.
+The references are 4x4 matrices, forces that act at points, and SciPy's `expm` and `Rotation`; T = T_ab maps coordinates
+of frame b to frame a. Where a pairing is checked, each side is transformed by itself. An error is the largest entry of
+the difference, relative to the largest entry of the reference where that is above 1.
 """
 
 from __future__ import annotations
@@ -59,9 +59,6 @@ def _ordered(value: Array, order: Order) -> Array:
     return np.roll(value, [3] * len(axes), axes)
 
 
-# ---- references: T = T_ab maps coordinates of frame b to frame a ----------------------------------------------------
-
-
 def _hat(xi: Array) -> Array:
     """xi^ = [[w]x v; 0 0] (..., 4, 4)."""
     X = np.zeros((*xi.shape[:-1], 4, 4))
@@ -106,8 +103,6 @@ def random_values(cases: int = _CASES) -> Values:
     z.F = _total(z.points, z.forces)
     return z
 
-
-# ---- what is stated -------------------------------------------------------------------------------------------------
 
 _xi, _eta, _F, _tau, _rate = (State(name, shape=(6,)) for name in ("xi", "eta", "F", "tau", "rate"))
 _T = State("T", shape=(4, 4))
@@ -163,14 +158,8 @@ def joint_identities(z: Values) -> list[Identity]:
     return found
 
 
-def _lie(order: Order) -> float:
-    return max(worst_errors(lie_identities(random_values(), order), random_values(), order).values())
-
-
-def _joints() -> float:
-    return max(worst_errors(joint_identities(random_values()), random_values()).values())
-
-
+_lie = lambda order: max(worst_errors(lie_identities(random_values(), order), random_values(), order).values())  # noqa: E731
+_joints = lambda: max(worst_errors(joint_identities(random_values()), random_values()).values())  # noqa: E731
 _LIE = "ad, ad*, Ad, Ad*, Exp, Log and the Jacobians, 13 identities"
 _MECHANICS = "joints in random frames, 3 statements: unit power, reciprocity, power of an actuator"
 

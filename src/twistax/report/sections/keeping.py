@@ -84,9 +84,6 @@ def changes(motion: Motion, method: Method, dt: float, counts: tuple[int, ...]) 
     return found
 
 
-# ---- motions --------------------------------------------------------------------------------------------------------
-
-
 def _of_rotation(system: tx.System, scene: str, J: Array, moment: float = 0.0) -> Motion:
     inertia = np.diag([0.0, 0.0, 0.0, *J])
     return Motion(tx.compile(system), SCENES[scene].start, inertia, moment, tx.FreeBody("R", "w", inertia=J))
@@ -125,9 +122,6 @@ def constant_twist() -> Motion:
     return Motion(tx.compile(tx.System(rates={g: xi})), {"g": np.eye(4)})
 
 
-# ---- a chart for comparison -----------------------------------------------------------------------------------------
-
-
 class _LeftAlone(GroupCoordinates):
     """A matrix, moved by products, and never put back."""
 
@@ -144,9 +138,6 @@ class Matrices(Chart):
 
     def for_pose(self, group: SpecialEuclidean) -> Coordinates:
         return _LeftAlone(group)
-
-
-# ---- a million steps, the absolute changes at the end or the largest relative ones ----------------------------------
 
 
 def _absolute(name: str, motion: Any, method: Method, dt: float, counts: tuple[int, ...], at: Any = ...) -> float:
@@ -245,8 +236,6 @@ LONG_RUNS: Section = [
     "The group is kept as by every method here.",
     *_runs(top, "R'R - I", _SPLITTING, 1e-2, 1e-14, 1e-14),
 ]
-
-# ---- inertias, masses and places far from one -----------------------------------------------------------------------
 
 _TUMBLE = SCENES["offset-tumble"]
 _START = about((1.0, 0.0, 0.0), 0.6)

@@ -25,12 +25,8 @@ from ...scenes import SCENES
 from ..checks import Absent, Check, Section, at_most, refused, simulated
 from ..rows import plain
 
+#: The largest figure allowed.
 BAR = 8.0
-"""The largest figure allowed."""
-
-_DIGITS = 60
-_SEED = 20240607
-
 Array = np.ndarray
 
 
@@ -80,7 +76,7 @@ def twists(count: int, largest: float, dtype: Any, below: bool = False) -> Array
 
     With `below`, angles stay away from `largest` by what rounding the pose may add to them.
     """
-    rng, info = np.random.default_rng(_SEED), np.finfo(dtype)
+    rng, info = np.random.default_rng(20240607), np.finfo(dtype)
     top = largest * (1.0 - 1e3 * float(info.eps)) if below else largest
     named = [0.0, float(info.tiny) ** 0.97, float(info.tiny) ** 0.5, 1e-20, 1e-9, 1e-7, 1e-5, 1e-4, 1e-3]
     named += [centre * (1 + step) for centre in (1.0, 2.0, 4.0) for step in (-1e-6, 1e-6)]
@@ -133,7 +129,7 @@ MAPS = (
 
 def worst_units(each: Map, xis: Array) -> dict[str, float]:
     """By block the largest error of a map over twists (n, 6), in units in the last place."""
-    with mpmath().workdps(_DIGITS):
+    with mpmath().workdps(60):
         wanted = [exact(each.sign * xi) for xi in xis]
         arguments = np.stack([_pose(it, xis.dtype) for it in wanted]) if each.of_poses else xis
         results = np.asarray(jax.jit(jax.vmap(each.function))(arguments))
@@ -177,8 +173,6 @@ LAST_PLACES: Section = [
     for name in ("float64", "float32")
     for block in each.blocks
 ]
-
-# ---- angles of every size -------------------------------------------------------------------------------------------
 
 #: Angles, rad.
 _ANGLES = (1e-300, 1e-100, 1e-30, 1e-16, 1e-8, 1e-6, 1e-4, 1e-2, 0.5, 1.0, 2.0, 3.0)
@@ -246,8 +240,6 @@ ANGLES: Section = [
     "Rotation and translation do not share a scale: each comes back to its own round-off.",
     Check("log(Exp(xi)) of a pose with |v| = 1e9 m, |w| = 1e-9 rad", "tx.lie.se3", at_most(1e-15), _pose_round_trip),
 ]
-
-# ---- single precision -----------------------------------------------------------------------------------------------
 
 _TOP = SCENES["euler-top"]
 _EPS = float(np.finfo(np.float32).eps)

@@ -31,14 +31,11 @@ from .steps import C_ARRAY, FLAGS, apart, c_body, c_loop
 #: Arrays to a list of arrays.
 Function = Callable[..., list[jax.Array]]
 
-# ---- operations -----------------------------------------------------------------------------------------------------
-
 
 @functools.cache
 def in_arrays(case: Case) -> Function:
     """The function of a case in arrays."""
-    dynamics = tx.compile(case.system(), backend=tx.JAX())
-    return lambda a, b, c: case.read(dynamics(0.0, *case.inputs(a, b, c)))
+    return case.run_by(tx.compile(case.system(), backend=tx.JAX()))
 
 
 @functools.cache
@@ -102,8 +99,6 @@ def _of_case(case: Case) -> Section:
 
 
 OPERATIONS: Section = [check for case in CASES.values() for check in _of_case(case)]
-
-# ---- kernels --------------------------------------------------------------------------------------------------------
 
 _PANDA = CASES["aba-7"]
 
@@ -211,8 +206,6 @@ KERNELS: Section = [
     Check(_BATCH, "llvmlite", at_most(0.3), batch_ratio, slow=True),
     Check(_SINES, "llvmlite", at_most(2.0, "ulp"), lambda: units_off(angles(30_000), tx.Native()), slow=True),
 ]
-
-# ---- small matrices by `tx.fast`, beside the same in C and by JAX alone ----------------------------------------------
 
 _STEPS = 10_000
 

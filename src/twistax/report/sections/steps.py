@@ -34,8 +34,6 @@ from .stiff import fourth_order, weighted_end
 _REPEATS, _FEW = Repeats(7, 5), Repeats(5, 5)
 _RK4 = tx.RKMK(tx.tableaus.RK4)
 
-# ---- tableaus and charts --------------------------------------------------------------------------------------------
-
 
 @functools.cache
 def _body() -> tx.Dynamics:
@@ -46,8 +44,7 @@ def _body() -> tx.Dynamics:
     return tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, weight - tx.lie.AdjointDual(V, M @ V))}))
 
 
-def _start() -> dict[str, jax.Array]:
-    return {"g": jnp.eye(4), "V": jnp.array([0.1, 0.2, 0.3, 1.0, 0.5, -0.3])}
+_START = {"g": np.eye(4), "V": np.array([0.1, 0.2, 0.3, 1.0, 0.5, -0.3])}
 
 
 def apart(ends: Any, others: Any) -> float:
@@ -69,7 +66,7 @@ def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
         return local.value(jax.lax.fori_loop(0, count, advance, local.enter(x)))
 
     forms = {"small": lambda x, count: small_call(loop, x, count), "default": loop}
-    timed = {name: compiled(form, _start(), jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
+    timed = {name: compiled(form, _START, jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
     agree(apart(timed["small"].result(), timed["default"].result()), 1e-12)
     in_turn(list(timed.values()), _REPEATS)
     return timed
@@ -96,8 +93,6 @@ STEPS: Section = [
     for by, (expected, read) in _LOOPS.items()
 ]
 
-# ---- through diffrax ------------------------------------------------------------------------------------------------
-
 
 def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000) -> float:
     """The time of a step of `LieSolver` over that of the same solver on quaternions.
@@ -118,7 +113,7 @@ def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000)
             sol = diffrax.diffeqsolve(term, own, jnp.zeros(()), end, dt, write(x), **options)
             return jax.vmap(read)(sol.ys), sol.stats["num_accepted_steps"]
 
-        return compiled(solve, _start(), jnp.asarray(dt * steps), evaluations=steps)
+        return compiled(solve, _START, jnp.asarray(dt * steps), evaluations=steps)
 
     ours = run(bridge.lie_term(dynamics), lie, of_group, lambda y: y, lambda x: x)
     theirs = run(term, solver, plain, term.from_ambient, term.to_ambient)
@@ -142,8 +137,6 @@ BRIDGE: Section = [
     for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
     for adaptive in (False, True)
 ]
-
-# ---- beside C -------------------------------------------------------------------------------------------------------
 
 SOURCE = Path(__file__).with_name("rkmk4.c")
 #: What C is compiled with: the usual, and what is faster where the compiler's vectors of scalars do not pay.
@@ -208,8 +201,6 @@ BESIDE: Section = [
     Check("a step: our time over that of C", f"gcc {' '.join(flags)}", expected, _over_c, number, slow=True)
     for number, flags, expected in ((1, FLAGS[0], at_most(2.0)), (2, FLAGS[1], between()))
 ]
-
-# ---- the derivative of a step ---------------------------------------------------------------------------------------
 
 _STEP, _BATCH = 0.5, 24
 _CLOSED, _LOGARITHM, _DIFFERENCES = "closed form", "jacfwd of the logarithm", "Richardson differences"
@@ -278,8 +269,6 @@ LINEARISATION: Section = [
         )
     ),
 ]
-
-# ---- the derivative of a whole integration --------------------------------------------------------------------------
 
 #: Fixed and chosen steps; the tolerances are tight, since differences see how steps are chosen.
 _WAYS: dict[str, dict[str, Any]] = {

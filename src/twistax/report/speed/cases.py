@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -39,11 +39,6 @@ class Case:
     chain: Callable[[], Chain] | None = None  # and whether it gives forces, or accelerations
     inverse: bool = False
 
-    @property
-    def columns(self) -> int:
-        """Of the Jacobian."""
-        return self.sizes[0] + self.sizes[1]
-
     def points(self, count: int) -> tuple[Array, Array, Array]:
         """Random arguments, (count, size) each; the first ones are the same for every count."""
         drawn = np.random.default_rng(20240611).normal(size=(count, sum(self.sizes)))
@@ -52,9 +47,9 @@ class Case:
             a[:, 3:] /= np.linalg.norm(a[:, 3:], axis=1, keepdims=True)
         return a, b, c
 
-    def read(self, rates: Mapping[str, Any]) -> list[Any]:
-        """The result from the rates of the system."""
-        return [rates[name] for name in self.rates]
+    def run_by(self, dynamics: tx.Dynamics) -> Callable[..., list[Any]]:
+        """The function as the compiled system has it."""
+        return lambda *points: list(map(dynamics(0.0, *self.inputs(*points)).__getitem__, self.rates))
 
 
 def numbers(value: Any) -> Array:
@@ -151,8 +146,6 @@ def _hat(xp: Any, w: Any) -> Any:
     """[w]x (3, 3)."""
     return xp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
-
-# ---- all of them ----------------------------------------------------------------------------------------------------
 
 #: Mass, kg, centre of mass, m, and inertia about it, kg m2, of the free body.
 MASS, CENTER = 2.3, np.array([0.05, -0.02, 0.08])

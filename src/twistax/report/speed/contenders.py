@@ -49,9 +49,6 @@ def values(timed: Timed) -> NDArray[np.float64]:
     return np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1)
 
 
-# ---- quantities -----------------------------------------------------------------------------------------------------
-
-
 class Quantity(NamedTuple):
     """Of a function."""
 
@@ -73,8 +70,8 @@ def _gradient(function: Function) -> Function:
 
 _SLOPES, _TOTAL = "Jacobian by the first two arguments", "gradient of the sum of the results by the first two arguments"
 VALUE = Quantity("value", "value", lambda case: (case.results,), lambda function: function)
-JACOBIAN = Quantity("jacobian", _SLOPES, lambda case: (case.results, case.columns), _jacobian)
-GRADIENT = Quantity("gradient", _TOTAL, lambda case: (case.columns,), _gradient)
+JACOBIAN = Quantity("jacobian", _SLOPES, lambda case: (case.results, sum(case.sizes[:2])), _jacobian)
+GRADIENT = Quantity("gradient", _TOTAL, lambda case: (sum(case.sizes[:2]),), _gradient)
 QUANTITIES = (VALUE, JACOBIAN, GRADIENT)
 
 # ---- uses and tasks -------------------------------------------------------------------------------------------------
@@ -172,9 +169,6 @@ class Contender:
         return f"there is no {self.tool}" if self.tool and shutil.which(self.tool) is None else None
 
 
-# ---- in JAX ---------------------------------------------------------------------------------------------------------
-
-
 def _twistax(backend: Backend, case: Case, quantity: Quantity) -> Task:
     """This package with a backend; derivatives by JAX where it does not unroll them itself."""
     system = case.system()
@@ -188,7 +182,7 @@ def _twistax(backend: Backend, case: Case, quantity: Quantity) -> Task:
                 return [blocks[kind] for kind in case.by]
 
             return slopes
-        return quantity.by_jax(lambda a, b, c: case.read(dynamics(0.0, *case.inputs(a, b, c))))
+        return quantity.by_jax(case.run_by(dynamics))
 
     return JaxTask(case, make)
 

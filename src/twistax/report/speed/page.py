@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..checks import Report, at_most, judged
 from ..page import Table, as_svg, duration, panels, texts
 from ..rows import Row, Store, first_line, now
-from ..timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet
+from ..timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet, within
 from .cases import CASES, Case
 from .contenders import ALL, CASADI, PLAIN, QUANTITIES, USES, Contender, Lacks, Quantity, Task, Use, values
 
@@ -62,13 +62,9 @@ def measure(
     for number, use in enumerate(uses):
         if all(store.get(case.name, quantity.name, each.name, use.name) for each in contenders):
             continue
-
-        def told(what: str, share: float, number: int = number, use: Use = use) -> None:
-            tell(f"{quantity.name}, {use.name}: {what}", (number + share) / len(uses))
-
+        told = within(tell, number, len(uses), f"{quantity.name}, {use.name}: ")
         pairs: list[tuple[Row, Timed | None]] = []
-        reference: Any = None
-        sitting = now()
+        reference, sitting = None, now()
         for i, contender in enumerate(contenders):
             told(f"compiling {contender.name}", 0.5 * i / len(contenders))
             row = Row(case.name, quantity.name, contender.name, use.name, unit="s", sitting=sitting)
@@ -158,10 +154,7 @@ class Speed(Report):
         quantities = [each for each in QUANTITIES if each.name in (self._effort.quantities or (each.name,))]
         uses = [use for use in USES if use.count <= self._effort.largest]
         for number, quantity in enumerate(quantities):
-
-            def told(what: str, share: float, number: int = number) -> None:
-                tell(what, (number + share) / len(quantities))
-
+            told = within(tell, number, len(quantities))
             measure(CASES[part], quantity, uses, self._contenders, self._effort, self.store, told)
 
     def rows(self) -> list[Row]:

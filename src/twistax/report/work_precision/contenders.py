@@ -23,14 +23,11 @@ from ...scenes import Scene
 from ..rows import Row, Store, first_line, now
 from ..timing import Repeats, Tell, Timed, keep, quiet, seconds_of
 
-# ---- settings -------------------------------------------------------------------------------------------------------
-
 
 def tolerances(coarsest: int, finest: int, per_decade: int) -> tuple[float, ...]:
     """Evenly spaced in decades; the ends are exponents of ten."""
-    count = (coarsest - finest) * per_decade + 1
     # Three digits, so that a setting reads the same in every table.
-    return tuple(float(f"{10.0 ** (coarsest - i / per_decade):.2e}") for i in range(count))
+    return tuple(float(f"{t:.2e}") for t in np.logspace(coarsest, finest, (coarsest - finest) * per_decade + 1))
 
 
 def equal_steps(first: int, factor: float, most: int = 2**21) -> tuple[float, ...]:
@@ -139,11 +136,8 @@ def _diffrax(
 
     The state is one flat vector, which diffrax runs faster than a dict. In one call the whole solve is compiled as one
     small function, as our own integrations are: without diffrax's error check, a callback, which does not compile that
-    way, and with ForwardMode, the cheapest way to plain numbers.
-
-    Args:
-        solver: name of its class in diffrax; a first-same-as-last Runge-Kutta method, or an implicit one.
-        gains: of the controller, pcoeff and icoeff.
+    way, and with ForwardMode, the cheapest way to plain numbers. The solver is the name of a class: a
+    first-same-as-last Runge-Kutta method, or an implicit one. The gains are pcoeff and icoeff.
     """
 
     def build(scene: Scene) -> Program:
@@ -172,17 +166,13 @@ def _diffrax(
                 evaluations = jnp.zeros_like(accepted)  # it does not say
             return sol.ys[0], Counts(accepted, rejected, evaluations, jnp.isfinite(sol.ys[0]).all())
 
-        def in_one_call(start: Any, tolerance: Any) -> tuple[Any, Counts]:
-            # diffrax's loops are built on operations of equinox, all of which compile inside of one function.
-            return small_call(solve, start, tolerance, trusted=True)
-
-        return Program(start, in_one_call if one_call else solve, lambda y: term.from_ambient(unravel(y)))
+        # diffrax's loops are built on operations of equinox, all of which compile inside of one function.
+        run = functools.partial(small_call, solve, trusted=True) if one_call else solve
+        return Program(start, run, lambda y: term.from_ambient(unravel(y)))
 
     title = side.name.replace("diffrax", f"diffrax {solver}")
     return Contender(name, build, title, f"diffrax.{solver}()", side, **look)
 
-
-# ---- all of them ----------------------------------------------------------------------------------------------------
 
 #: Ours: name, title, how a program writes it, style, whether it is drawn.
 _OURS = json.loads(Path(__file__).with_name("ours.json").read_text())

@@ -6,8 +6,10 @@ import argparse
 import dataclasses
 import functools
 import itertools
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from statistics import geometric_mean, median
 from typing import Any
 
@@ -108,9 +110,6 @@ class Curve(tuple[Row, ...]):
         *errors, at = (-math.log(max(value, _ROUND_OFF)) for value in (*map(_error, self), error))
         times = [math.log(row.value) for row in self]
         return math.exp(np.interp(at, errors, times, right=math.nan)) if self else math.nan
-
-
-# ---- all of it ------------------------------------------------------------------------------------------------------
 
 
 class Findings:
@@ -221,29 +220,21 @@ class Findings:
 
 # ---- bars: what we want to be true, said beforehand -----------------------------------------------------------------
 
-#: The chart of DOP853 that is compared on each scene, chosen before the measurement.
-_NAMED = dict.fromkeys(("euler-top", "heavy-top", "rocket", "low-orbit"), "dop853-quaternion") | {"fast-spin": "dop853"}
-#: What it is compared with: the better of these.
-_RIVALS = {ONE_CALL: ("diffrax-tsit5-call", "diffrax-dopri8-call"), SHIPPED: ("diffrax-tsit5", "diffrax-dopri8")}
+#: Of a scene and a method, how diffrax is run ("-call": in one call), and the ratio allowed.
+_BARS = json.loads(Path(__file__).with_name("bars.json").read_text())
 
 
 def bar_rows(findings: Findings, scene: str) -> list[Row]:
     """Times over the better of diffrax's Tsit5 and Dopri8, of the methods that were run, at every error."""
-    if scene not in _NAMED or scene not in findings.scenes:
-        return []
-    fast = scene == "fast-spin"
-    bars = {
-        (_NAMED[scene], ONE_CALL): 0.4 if fast else 0.7,
-        ("dop853", ONE_CALL): 0.4 if fast else 0.85,
-        (_NAMED[scene], SHIPPED): 0.3,
-    }
     found = []
-    for (method, against), limit in bars.items():
-        line, rivals = CONTENDERS[method], [CONTENDERS[name] for name in _RIVALS[against]]
-        for error in TARGETS if method in findings.contenders else ():
+    for place, method, how, limit in _BARS if scene in findings.scenes else ():
+        if place != scene or method not in findings.contenders:
+            continue
+        line, rivals = CONTENDERS[method], [CONTENDERS[f"diffrax-{solver}{how}"] for solver in ("tsit5", "dopri8")]
+        for error in TARGETS:
             theirs = min((seconds for seconds, _ in findings.ranking(scene, error, rivals)), default=math.nan)
             ratio, what = findings.time(scene, line, error) / theirs, f"{SCENES[scene].title}, error {plain(error)}"
-            found.append(judged(Row("bars", what, line.title, f"over {against.name}", ratio), at_most(limit)))
+            found.append(judged(Row("bars", what, line.title, f"over {rivals[0].side.name}", ratio), at_most(limit)))
     return found
 
 
