@@ -83,7 +83,7 @@ def test_weights_are_read_only() -> None:
         (4, [0.3, 0.4, 0.3], "powers 3 of the weights must sum to 0 for order 4"),
         (2, [], "shape"),
         (2, [np.nan], "finite"),
-        (2, "abc", "not an array of numbers"),
+        (2, "abc", "weights expects real numbers"),
     ],
 )
 def test_refuses(order: int, weights: Any, message: str) -> None:

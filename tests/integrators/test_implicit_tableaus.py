@@ -106,7 +106,7 @@ def test_the_weights_of_the_estimate_are_those_of_radau5() -> None:
         ({"c": [0.0, 1.0]}, "grows from above 0"),
         ({"c": [0.5, 1.5]}, "grows from above 0"),
         ({"c": [0.5, np.nan]}, "not finite"),
-        ({"a": "abc"}, "not an array of numbers"),
+        ({"a": "abc"}, "a expects real numbers"),
         ({"order": 0}, "positive whole number"),
         ({"order": True}, "positive whole number"),
     ],

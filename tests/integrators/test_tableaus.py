@@ -38,7 +38,7 @@ GOOD = {"name": "mine", "order": 2, "a": [[0, 0], [1, 0]], "b": [0.5, 0.5], "c":
         ({"c": [0]}, r"c must have shape \(2,\)"),
         ({"b": [[0.5, 0.5]]}, "b must be a vector"),
         ({"b": [np.nan, 1.0]}, "b has entries that are not finite"),
-        ({"b": ["x", 1.0]}, "b is not an array of numbers"),
+        ({"b": ["x", 1.0]}, "b expects real numbers"),
         ({"order": 0}, "order must be a positive whole number, got 0"),
         ({"embedded_order": 1}, "a pair needs both embedded_order and b_embedded"),
         ({"embedded_order": 1, "b_embedded": [1.0, 0.1]}, "b_embedded must sum to 1"),

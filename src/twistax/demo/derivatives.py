@@ -40,8 +40,7 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
     the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us have a
     leading axis; h is the length of the interval, s.
     """
-    leaves: dict[str, tx.State | tx.Control] = {state.name: state for state in dynamics.states}
-    leaves |= {control.name: control for control in dynamics.controls}
+    leaves: dict[str, Any] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
     scale = jnp.append(column_scales(leaves, {name: [] for name in leaves}), h)
     n, flat = dynamics.dimension, Controls(dynamics.controls)
     size = scale.shape[0]

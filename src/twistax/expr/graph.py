@@ -85,6 +85,9 @@ def bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
 
 # ---- values ----------------------------------------------------------------------------------------------------------
 
+#: Equal for equal subtrees.
+_key: Callable[[Expr], str] = operator.methodcaller("key")
+
 
 def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> list[jax.Array]:
     """The value of every root. Equal subtrees (by structure, not identity) are evaluated once.
@@ -127,10 +130,6 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
         return found
 
     return values(roots, None, 0)
-
-
-def _key(node: Expr) -> str:
-    return node.key()
 
 
 def _shared_by_branches(roots: Sequence[Expr]) -> tuple[list[Expr], dict[Hashable, int]]:

@@ -427,16 +427,9 @@ class StateCoordinates(StoredState):
     def __init__(self, parts: Mapping[str, Coordinates]) -> None:
         self.parts = dict(parts)
 
-    enter = _part_by_part("enter")
-    value = _part_by_part("value")
-    rate = _part_by_part("rate")
-    move = _part_by_part("move")
-    slope = _part_by_part("slope")
-    first_slope = _part_by_part("first_slope")
-    tangent = _part_by_part("tangent")
-    deviation = _part_by_part("deviation")
-    sizes = _part_by_part("sizes")
-    settle = _part_by_part("settle")
+    enter, value, rate = map(_part_by_part, ("enter", "value", "rate"))
+    move, slope, first_slope, settle = map(_part_by_part, ("move", "slope", "first_slope", "settle"))
+    tangent, deviation, sizes = map(_part_by_part, ("tangent", "deviation", "sizes"))
 
     def packed(self, y: Blocks, group: Product) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
         """The coordinates of the stored state itself, as one vector, and how to read such a vector."""

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import reals
 from ..errors import ModelError
 
 # fmt: off
@@ -42,10 +43,7 @@ class Coefficients:
 
     def _read(self, field: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
         """Make a field a read-only array of finite doubles, of that shape if one is given."""
-        try:
-            array = np.array(getattr(self, field), dtype=np.float64)
-        except (TypeError, ValueError) as wrong:
-            raise self._error(f"{field} is not an array of numbers, it must be: {wrong}") from None
+        array = reals(f"{self.kind} {self.name!r}: {field}", getattr(self, field), ModelError).astype(np.float64)
         if not np.isfinite(array).all():
             raise self._error(f"{field} has entries that are not finite")
         if shape is not None and array.shape != shape:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from ..checks import real_array
 from ..errors import ModelError
-from ..expr import Leaf, State
 from ..groups import Euclidean
 from ..system import System
 from .backends import Backend, chosen
@@ -55,7 +54,9 @@ class Dynamics:
 
     def __repr__(self) -> str:
         kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
-        shown = [f"{kind}: {', '.join(map(_with_shape, own))}" for kind, own in kinds.items() if own]
+        groups = {name: group.name for name, group in self.group.factors.items() if not isinstance(group, Euclidean)}
+        named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in own] for kind, own in kinds.items()}
+        shown = [f"{kind}: {', '.join(own)}" for kind, own in named.items() if own]
         return f"Dynamics({'; '.join([*shown, f'backend: {self.backend}'])})"
 
     def __call__(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
@@ -315,8 +316,3 @@ def not_compiled(owner: str, dynamics: object) -> ModelError:
     return ModelError(
         f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
     )
-
-
-def _with_shape(leaf: Leaf) -> str:
-    group = leaf.group if isinstance(leaf, State) else Euclidean()
-    return f"{leaf.name} {leaf.shape if isinstance(group, Euclidean) else group.name}"

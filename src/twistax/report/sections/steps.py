@@ -27,6 +27,7 @@ from ...lowering.small_call import small_call
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
+from ...trajectory.guess import column_scales
 from ..checks import Absent, Check, Section, agree, at_most, between
 from ..timing import Repeats, Timed, compiled, in_turn
 from .stiff import fourth_order, weighted_end
@@ -214,10 +215,8 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     unknowns in their scales. Needs JAX's x64 switch.
     """
     dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Vehicle()
-    n, leaves = dynamics.dimension, (*system().states, *system().controls)
-    sizes = [(leaf.group.dimension,) if hasattr(leaf, "group") else leaf.shape for leaf in leaves]
-    scales = [np.broadcast_to(np.asarray(leaf.scale), size).ravel() for leaf, size in zip(leaves, sizes, strict=True)]
-    scale = np.concatenate([*scales, [_STEP]])
+    leaves: dict[str, Any] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
+    n, scale = dynamics.dimension, np.append(column_scales(leaves, {name: [] for name in leaves}), _STEP)
     # States around the start of the descent and thrusts around 60 %, leading axis the batch.
     moves = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]
     xs = jax.jit(jax.vmap(dynamics.retract, (None, 0)))(initial(Start(), vehicle), moves)
