@@ -38,11 +38,11 @@ if jax.__version_info__ < (0, 11):
     _contexts = threading.local()
 
     def _shared_context(make: Callable[[], object] = mlir.make_ir_context) -> object:
-        """A context of this thread, which ten programs share; a new one within the lowering of another program."""
+        """A context of this thread, which fifty programs share; a new one within the lowering of another program."""
         if mlir.ir.Context.current is not None:
             return make()
         if getattr(_contexts, "left", 0) == 0:
-            _contexts.context, _contexts.left = make(), 10
+            _contexts.context, _contexts.left = make(), 50
         _contexts.left -= 1
         return _contexts.context
 
@@ -112,7 +112,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 #: Megabytes that a worker may hold before what JAX keeps of earlier tests is dropped, and those it gets after that.
-MEMORY, ROOM = 1100, 350
+MEMORY, ROOM = 1250, 250
 
 _limit = float(MEMORY)
 

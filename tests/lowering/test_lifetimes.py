@@ -6,7 +6,7 @@ import gc
 import sys
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,14 @@ def _used(k: int) -> list[weakref.ref[Any]]:
 def _resident() -> float:
     """MiB of memory that this process has."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
+
+
+@pytest.fixture(autouse=True)
+def _new_objects_alone() -> Iterator[None]:
+    """Objects of earlier tests, millions, are not looked through for what is garbage."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 def _left(refs: list[weakref.ref[Any]]) -> int:

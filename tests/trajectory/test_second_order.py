@@ -113,22 +113,28 @@ def test_exact_intervals() -> None:
 
 
 def test_batches_precision_and_what_is_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
-    euler = {"method": tx.RKMK(tx.tableaus.EULER), "weights": WEIGHTS}
+    euler = tx.RKMK(tx.tableaus.EULER)
+
+    def interval(x: Any, dynamics: tx.Dynamics = TURNING) -> tuple[jax.Array, jax.Array]:
+        step = discretize(dynamics, 0.2, x, U, 0.3, method=euler, weights=WEIGHTS)
+        return step.hessian, step.A
+
     ws = np.array([X["w"], -X["w"]])
-    one = [discretize(TURNING, 0.2, {**X, "w": w}, U, 0.3, **euler).hessian for w in ws]
-    many = jax.jit(jax.vmap(lambda w: discretize(TURNING, 0.2, {**X, "w": w}, U, 0.3, **euler).hessian))(ws)
+    compiled = jax.jit(interval)
+    one = [compiled({**X, "w": w})[0] for w in ws]
+    many = jax.jit(jax.vmap(lambda w: interval({**X, "w": w})[0]))(ws)
     np.testing.assert_allclose(many, one, atol=1e-13)
-    single = discretize(TURNING, 0.2, jax.tree.map(np.float32, X), U, 0.3, **euler)
-    assert single.hessian.dtype == single.A.dtype == np.float32
-    np.testing.assert_allclose(single.hessian, one[0], atol=1e-5)
+    single = compiled(jax.tree.map(np.float32, X))
+    assert single[0].dtype == single[1].dtype == np.float32
+    np.testing.assert_allclose(single[0], one[0], atol=1e-5)
 
     def refused(*arguments: Any) -> Any:
         raise TooLarge("the function takes more than 200000 scalars")
 
     monkeypatch.setattr(hessian, "columns_of", refused)
-    left = discretize(turning(), 0.2, X, U, 0.3, **euler)
-    np.testing.assert_allclose(left.hessian, one[0], atol=1e-13)
-    np.testing.assert_allclose(left.A, discretize(TURNING, 0.2, X, U, 0.3, **euler).A, atol=1e-13)
+    left = jax.jit(lambda x: interval(x, turning()))(X)
+    np.testing.assert_allclose(left[0], one[0], atol=1e-13)
+    np.testing.assert_allclose(left[1], compiled(X)[1], atol=1e-13)
 
 
 def test_wrong_weights() -> None:
