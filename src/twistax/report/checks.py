@@ -181,9 +181,6 @@ _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 #: what its page says of it, stand in `sections.toml`.
 Section = list[str | Check]
 
-
-# ---- a report made of checks -----------------------------------------------------------------------------------------
-
 #: Tables longer than this are folded up, unless something is wrong.
 _SHOWN = 14
 #: Numbers of zero are drawn here.

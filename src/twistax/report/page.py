@@ -80,9 +80,6 @@ def _span(values: Iterable[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-# ---- tables ---------------------------------------------------------------------------------------------------------
-
-
 def bar_table(rows: Sequence[Row]) -> Table:
     """One line for each row: what, by whom, with what, and what came of the bar."""
     named = any(row.setting for row in rows)
@@ -125,9 +122,6 @@ def renew(path: Path, tables: Mapping[str, Table]) -> list[str]:
             names.append(name)
     path.write_text(text)
     return names
-
-
-# ---- figures --------------------------------------------------------------------------------------------------------
 
 
 def panels(title: str, labels: Sequence[str], size: tuple[float, float] = (7.0, 5.0), count: int = 1) -> Any:

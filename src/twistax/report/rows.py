@@ -118,9 +118,6 @@ def save_csv(path: Path, rows: Iterable[Row]) -> None:
             table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in values.items()})
 
 
-# ---- where rows come from -------------------------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Origin:
     """Rows of different origins do not belong together."""
@@ -165,9 +162,6 @@ def _machine() -> str:
         f"{model}, {os.cpu_count()} cores, Python {platform.python_version()}, JAX {jax.__version__} on "
         f"{jax.devices()[0].platform}, XLA_FLAGS {os.environ.get('XLA_FLAGS', 'none')}"
     )
-
-
-# ---- how they are kept ----------------------------------------------------------------------------------------------
 
 
 class Store:

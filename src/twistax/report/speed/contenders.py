@@ -148,9 +148,6 @@ class JaxTask:
         return timed
 
 
-# ---- contenders ------------------------------------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contender:
     """A way to have dynamics evaluated. What is done, a sentence for the page, stands in `sections.toml`."""

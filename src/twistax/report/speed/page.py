@@ -110,8 +110,6 @@ def apart(found: NDArray[np.float64], reference: NDArray[np.float64], rank: int)
     return float(np.max(np.max(np.abs(found - reference), axis=axes) / np.max(np.abs(reference), axis=axes)))
 
 
-# ---- what is run -----------------------------------------------------------------------------------------------------
-
 #: Ratios are to these.
 _BASES = (PLAIN.name, CASADI.name)
 
@@ -189,9 +187,6 @@ class Speed(Report):
             "empty_call": empty_call_seconds(),
             "contenders": [[name, how] for name, how in texts("speed")["contenders"].items() if name in present],
         }
-
-
-# ---- tables and figures ---------------------------------------------------------------------------------------------
 
 
 def _quantity(rows: Sequence[Row], quantity: Quantity, contenders: Sequence[Contender]) -> dict[str, Any]:

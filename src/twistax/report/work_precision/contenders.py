@@ -53,8 +53,6 @@ class Effort:
 FULL = Effort("full", tolerances(-3, -13, 2), 0.5, Repeats(21, 3, 0.1))
 QUICK = Effort("quick", tolerances(-4, -12, 1), 0.1, Repeats(9, 3, 0.05))
 
-# ---- contenders -----------------------------------------------------------------------------------------------------
-
 
 class Counts(NamedTuple):
     """What a run did, numbers or arrays of shape (): steps, evaluations, and whether it reached the end."""
