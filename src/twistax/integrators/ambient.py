@@ -12,7 +12,7 @@ from ..errors import InputError, ModelError
 from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
 from ..groups.arrays import unpack, vector
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays, not_compiled
+from ..lowering.dynamics import Arrays, need_compiled
 from .controls import OfTime, Signals, controls_of
 
 
@@ -30,8 +30,7 @@ class Ambient:
     """
 
     def __init__(self, dynamics: Dynamics, quaternion: bool = True) -> None:
-        if not isinstance(dynamics, Dynamics):
-            raise not_compiled("ambient_term", dynamics)
+        need_compiled("ambient_term", dynamics)
         self.dynamics = dynamics
         self._numbers = {name: _numbers(group, quaternion) for name, group in dynamics.group.factors.items()}
 

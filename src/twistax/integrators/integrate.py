@@ -20,7 +20,7 @@ from ..expr import Inputs
 from ..groups import Euclidean, Group
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from ..lowering.dynamics import not_compiled
+from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import is_finite, precision
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
@@ -105,8 +105,7 @@ def integrate(
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration ended early. Names the time, the state and the likely cause.
     """
-    if not isinstance(dynamics, Dynamics):
-        raise not_compiled("integrate", dynamics)
+    need_compiled("integrate", dynamics)
     adaptive = rtol is not None or atol is not None
     if method is None:
         method = RKMK(DOP853, Ambient()) if adaptive else RKMK(RK4)

@@ -311,8 +311,9 @@ def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) 
     return compile(system, **(options if backend is None else {**options, "backend": backend}))
 
 
-def not_compiled(owner: str, dynamics: object) -> ModelError:
-    """What to raise where `owner` was called with anything but a compiled system."""
-    return ModelError(
-        f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
-    )
+def need_compiled(owner: str, dynamics: object) -> None:
+    """Raise ModelError where `owner` was called with anything but a compiled system."""
+    if not isinstance(dynamics, Dynamics):
+        raise ModelError(
+            f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
+        )

@@ -18,7 +18,7 @@ from ..integrators import RKMK, VectorField
 from ..integrators.method import Method
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays, not_compiled
+from ..lowering.dynamics import Arrays, need_compiled
 from ..lowering.inputs import Values, is_finite
 from .second_order import second_order
 
@@ -82,8 +82,7 @@ def linearize(
         InputError: as a call of the dynamics does.
         ModelError: the system is not compiled.
     """
-    if not isinstance(dynamics, Dynamics):
-        raise not_compiled("linearize", dynamics)
+    need_compiled("linearize", dynamics)
     inputs = dynamics._functions.prepare(t, x, u, params)
     controls = Controls(dynamics.controls)
     flat = controls.join(inputs.u, inputs.dtype)
@@ -165,8 +164,7 @@ def discretize(
         TrajectoryError: substeps is no positive whole number.
         ModelError: the system is not compiled.
     """
-    if not isinstance(dynamics, Dynamics):
-        raise not_compiled("discretize", dynamics)
+    need_compiled("discretize", dynamics)
     whole("substeps", substeps, 1, TrajectoryError)
     inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)

@@ -16,7 +16,7 @@ from ..errors import InputError, ModelError, TrajectoryError
 from ..expr import Control, State
 from ..integrators import RKMK
 from ..lowering import Dynamics
-from ..lowering.dynamics import not_compiled
+from ..lowering.dynamics import need_compiled
 from .discretize import method_of
 from .guess import Scales, column_scales, control_guess, state_guess, user_guess
 from .model import BorderedBand
@@ -77,8 +77,7 @@ class Problem:
         method: RKMK | None = None,
         substeps: int = 2,
     ) -> None:
-        if not isinstance(dynamics, Dynamics):
-            raise not_compiled("Problem", dynamics)
+        need_compiled("Problem", dynamics)
         if not isinstance(objective, Objective):
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"

@@ -18,7 +18,7 @@ from ...groups import Euclidean, SpecialEuclidean, so3
 from ...groups.arrays import unpack, vector
 from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays, not_compiled
+from ...lowering.dynamics import Arrays, need_compiled
 from ...lowering.small_call import small_call
 from ..ambient import Ambient, Arguments, read_arguments
 from ..charts import Blocks, Chart, StateCoordinates, coordinates_of
@@ -55,8 +55,7 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
     Raises:
         ModelError: no compiled system.
     """
-    if not isinstance(dynamics, Dynamics):
-        raise not_compiled("lie_term", dynamics)
+    need_compiled("lie_term", dynamics)
     return LieTerm(dynamics)
 
 

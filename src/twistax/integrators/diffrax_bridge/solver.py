@@ -18,7 +18,7 @@ from ...checks import number, real_array
 from ...errors import InputError, ModelError
 from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays, not_compiled
+from ...lowering.dynamics import Arrays, need_compiled
 from ..ambient import Arguments, read_arguments
 from ..charts import Blocks, Chart, Exponential, SplitExponential, chart_of
 from ..method import Stepper
@@ -238,8 +238,7 @@ def _is_explicit(solver: Any) -> bool:
 
 
 def _check(solver: Any, dynamics: Any, chart: Any) -> None:
-    if not isinstance(dynamics, Dynamics):
-        raise not_compiled("LieSolver", dynamics)
+    need_compiled("LieSolver", dynamics)
     if isinstance(solver, type):
         raise ModelError(f"LieSolver expects a solver, got its class.\n  fix: {solver.__name__}()")
     inner = solver.solver if type(solver) is diffrax.HalfSolver else solver
