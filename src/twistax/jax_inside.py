@@ -217,6 +217,11 @@ def xla_metadata(**attributes: str) -> contextlib.AbstractContextManager[Any]:
 # ---- diffrax and Equinox, imported when asked for --------------------------------------------------------------------
 
 
+def batched_branches_transpose() -> bool:
+    """Whether the linear part of `cond` under `vmap`, as the rule of a `custom_root` has it, can be transposed."""
+    return jax.__version_info__ >= (0, 11)
+
+
 def any_of_batch(condition: jax.Array) -> jax.Array:
     """Whether a condition holds for any member of a batch: one truth value also under vmap."""
     from equinox.internal import unvmap_any

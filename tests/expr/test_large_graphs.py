@@ -14,7 +14,7 @@ import pytest
 from expr_cases import function_of
 
 from twistax import expr as tx
-from twistax.errors import ShapeError
+from twistax.errors import ModelError, ShapeError
 from twistax.jax_inside import all_equations
 
 x = tx.State("x", shape=(3,))
@@ -165,6 +165,17 @@ def test_nested_branches_are_traced_once(link: Callable[[tx.Expr, int], tx.Expr]
     values = {"a": jnp.asarray(0.1), "b": jnp.asarray(3.2)}
     expected = function_of(_wheres(chain(7)))(values)[0]
     np.testing.assert_allclose(function_of(chain(7))(values)[0], expected, rtol=1e-12)
+
+
+def test_branches_that_share_again_and_again_are_refused() -> None:
+    """Each reads the last in one branch of either condition: forty would else take a million million."""
+    e: tx.Expr = a
+    for k in range(40):
+        e = tx.Cond(b <= float(k), tx.Sin(e), b) + tx.Cond(a <= float(k), tx.Cos(e), b)
+    values = {"a": jnp.asarray(0.1), "b": jnp.asarray(0.2)}
+    with pytest.raises(ModelError, match=r"(?s)branches of tx\.Cond share.*more than.*fix: tx\.Where"):
+        jax.eval_shape(function_of(e), values)
+    assert jax.eval_shape(function_of(_wheres(e)), values)[0].shape == ()
 
 
 def _wheres(root: tx.Expr) -> tx.Expr:

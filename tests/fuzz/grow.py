@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from random import Random
+from typing import Any
 
 import numpy as np
-from operations import MAKERS, Graded, Operand, Plan, extreme
+import users_nodes  # noqa: F401 - makers too
+from operations import MAKERS, Graded, Maker, Operand, Plan, extremes
 from term import Case, Shape, Term
-from users_nodes import ANY, AXIS, around
 
 SHAPES: list[Shape] = [
     (),
@@ -35,17 +38,59 @@ ENDS_SINGLE = (0.0, 1.0, -2.5, np.nan, np.inf, -np.inf, 2e19, -1e25, 1e38, 1e-12
 #: Beyond 32 bits, and beyond the digits of single precision.
 WHOLE = (398600441800000, -3000000000, 2**31, 16777217, 7, 0, 2)
 #: Terms that are compiled together: most of the time is spent for each compilation, not for what is in it.
-TOGETHER = 6
+TOGETHER, TREES = 20, 8
+#: Cases before the first trees.
+FIRST = 36
+#: How many operations of one maker come in a round, and after how many draws without a new one it has no more.
+MOST, DRAWS = 50, 60
 
 
 def drawn(seed: int, number: int) -> Case:
-    """One case of a run, the same whatever came before it."""
+    """One case of a run, the same whatever came before it: every operation alone, round after round, and trees.
+
+    The first round comes without trees: most errors are of single operations.
+    """
     source = Random(f"{seed}:{number}")
-    if number % 5 == 4:
-        return Grower(source).extremes()
-    if number % 5 == 3:
-        return Grower(source).users(seed, number // 5)
-    return Grower(source, special=0.2 if number % 2 else 0.0).case(TOGETHER, depth=(1, 2, 1, 3)[number % 4])
+    trees, turn = number >= FIRST and number % 4 == 3, number if number < FIRST else number - (number - FIRST) // 4
+    if trees:
+        return Grower(source, special=0.2 if number % 8 == 3 else 0.0).trees(depth=(2, 1, 3)[number % 3])
+    if turn % 6 == 1:
+        return Grower(source).extremes(dealt("extremes", seed, turn // 6))
+    return Grower(source, special=source.choice((0.0, 0.25))).alone(dealt("operations", seed, turn - (turn + 4) // 6))
+
+
+def dealt(deck: str, seed: int, turn: int) -> list[tuple[Plan, Shape]]:
+    """The hand of a turn."""
+    rounds = 0
+    while turn >= len(hands := _dealt(deck, seed, rounds)):
+        turn, rounds = turn - len(hands), rounds + 1
+    return hands[turn]
+
+
+@cache
+def _dealt(deck: str, seed: int, rounds: int) -> list[list[tuple[Plan, Shape]]]:
+    """The hands of a round, in which each operation comes once."""
+    source = Random(f"{deck}:{seed}:{rounds}")
+    makers = dict.fromkeys(MAKERS)
+    cards = extremes((6,)) if deck == "extremes" else [card for own in makers for card in made(source, own)]
+    source.shuffle(cards)
+    count = -(-len(cards) // TOGETHER)
+    return [cards[k::count] for k in range(count)]
+
+
+def made(source: Random, maker: Maker) -> list[tuple[Plan, Shape]]:
+    """The different operations of one maker, each with a shape that it gives."""
+    found: dict[Any, tuple[Plan, Shape]] = {}
+    missed = 0
+    while missed < DRAWS and len(found) < MOST:
+        shape = source.choice(SHAPES)
+        plan = maker(source, shape)
+        known = len(found)
+        if plan is not None:
+            own = (arg.code if isinstance(arg, Plan) else arg for arg in plan.args if not isinstance(arg, tuple))
+            found.setdefault((plan.code, *own), (plan, shape))
+        missed = 0 if len(found) > known else missed + 1
+    return list(found.values())
 
 
 class Grower:
@@ -58,37 +103,35 @@ class Grower:
         self.leaves: dict[str, np.ndarray] = {}
         self.made: dict[Shape, list[Term]] = {}
 
-    def case(self, count: int, depth: int) -> Case:
-        single, narrow, differentiated = (self.source.random() < share for share in (0.12, 0.1, 0.25))
-        whole = not single and (narrow or self.source.random() < 0.1)
+    def trees(self, depth: int) -> Case:
+        return self.case(lambda: [self.term(self.source.choice(SHAPES), depth) for _ in range(TREES)], derived=0.25)
+
+    def alone(self, hand: list[tuple[Plan, Shape]]) -> Case:
+        """Single operations of leaves."""
+        return self.case(lambda: [self.planned(plan, shape, 0) for plan, shape in hand], derived=0.3)
+
+    def case(self, grown: Callable[[], list[Term]], derived: float) -> Case:
+        single, narrow, batched, called, differentiated = (
+            self.source.random() < share for share in (0.12, 0.08, 0.35, 0.2, derived)
+        )
+        whole = not single and (narrow or self.source.random() < 0.08)
         if whole and self.source.random() < 0.5:
             self.numbers, self.special = WHOLE, 0.4
-        batched = not whole and self.source.random() < 0.4
-        terms = tuple(self.term(self.source.choice(SHAPES), depth) for _ in range(count))
+        terms = tuple(grown())
         parameters = [name for name in self.leaves if name.startswith("p")]
         baked = tuple(name for name in parameters if self.source.random() < 0.5)
-        return Case(terms, self.leaves, baked, batched, single, differentiated and not (whole or narrow), whole, narrow)
+        exact = whole or narrow
+        return Case(
+            terms, self.leaves, baked, batched and not whole, single, differentiated and not exact, whole, narrow,
+            called=called or whole,
+        )  # fmt: skip
 
-    def extremes(self) -> Case:
+    def extremes(self, hand: list[tuple[Plan, Shape]]) -> Case:
         """Single operations of leaves, at the ends of the range."""
         single = self.source.random() < 0.3
         self.numbers, self.special = (ENDS_SINGLE if single else ENDS), 1.0
-        terms = []
-        for _ in range(TOGETHER):
-            plan = extreme(self.source, (3,))
-            args = tuple(self.leaf(arg) for arg in plan.args)  # type: ignore[arg-type]
-            terms.append(Term(plan.code, plan.numpy, args, (3,)))
-        return Case(tuple(terms), self.leaves, batched=self.source.random() < 0.4, single=single, extreme=True)
-
-    def users(self, seed: int, turn: int) -> Case:
-        """Nodes of users of leaves: all of them, a few at a time, in an order of the seed's own."""
-        bodies = Random(seed).sample(ANY + AXIS, len(ANY + AXIS))
-        count = 2 * TOGETHER
-        shape = self.source.choice([(3,), (4,), (2, 3), (3, 3)])
-        plans = [around(bodies[(turn * count + k) % len(bodies)], shape) for k in range(count)]
-        terms = tuple(Term(plan.code, plan.numpy, (self.leaf(shape),), shape, setup=plan.setup) for plan in plans)
-        batched, differentiated = (self.source.random() < share for share in (0.4, 0.25))
-        return Case(terms, self.leaves, batched=batched, differentiated=differentiated)
+        terms = tuple(self.planned(plan, shape, 0) for plan, shape in hand)
+        return Case(terms, self.leaves, batched=self.source.random() < 0.4, single=single, extreme=True)
 
     def term(self, shape: Shape, depth: int) -> Term:
         older = self.made.setdefault(shape, [])
@@ -105,15 +148,20 @@ class Grower:
         plan = None
         while plan is None:
             plan = self.source.choice(MAKERS)(self.source, shape)
+        return self.planned(plan, shape, depth - 1)
+
+    def planned(self, plan: Plan, shape: Shape, depth: int) -> Term:
         args: list[Term] = []
         for arg in plan.args:
-            args.append(self.operand(arg, args, depth - 1))
+            args.append(self.operand(arg, args, depth))
         return Term(plan.code, plan.numpy, tuple(args), shape, setup=plan.setup)
 
     def operand(self, wanted: Operand, before: list[Term], depth: int) -> Term:
         if isinstance(wanted, Plan):
             return Term(wanted.code, wanted.numpy, tuple(before), wanted.shape)
-        return self.leaf((wanted.n, wanted.n), wanted) if isinstance(wanted, Graded) else self.term(wanted, depth)
+        if isinstance(wanted, Graded):
+            return self.leaf((wanted.n, wanted.n), wanted)
+        return self.term(wanted, depth) if depth > 0 else self.leaf(wanted)
 
     def leaf(self, shape: Shape, graded: Graded | None = None) -> Term:
         kind = self.source.choice(KINDS)
@@ -138,4 +186,10 @@ class Grower:
             entries = [0.4 * entry for entry in entries]  # which no precision has
         if self.source.random() < self.special:
             entries = [self.source.choice(self.numbers) if self.source.random() < 0.5 else entry for entry in entries]
+        before = next(reversed(self.leaves.values()), np.zeros(0)).reshape(-1)
+        if len(before) and self.source.random() < 0.4:  # operands that are equal, or opposite, here and there
+            sign = self.source.choice((1.0, 1.0, -1.0))
+            for k in range(size):
+                if self.source.random() < 0.6:
+                    entries[k] = sign * before[k % len(before)]
         return np.array(entries, float).reshape(shape)

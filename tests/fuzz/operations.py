@@ -25,7 +25,7 @@ class Graded:
     def matrix(self, source: Random) -> np.ndarray:
         generator = np.random.default_rng(source.getrandbits(32))
         left, right = (np.linalg.qr(generator.normal(size=(self.n, self.n)))[0] for _ in range(2))
-        return (left * np.geomspace(1.0, 10.0 ** -source.uniform(2.0, 10.0), self.n)) @ right
+        return (left * np.geomspace(1.0, 10.0 ** -source.uniform(4.0, 10.0), self.n)) @ right
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,9 @@ EVERYWHERE: dict[str, Callable[..., Any]] = {
     "({0} - {1})": np.subtract,
     "({0} * {1})": np.multiply,
     "tx.LogSumExp({0}, {1})": np.logaddexp,
-    "tx.Stack({0}[0], {1}[1], {2}[2])": lambda a, b, c: np.stack([a[0], b[1], c[2]]),
+    "tx.Cond({0}[0] <= {1}[0], {0}, {2})": lambda a, b, c: a if a[0] <= b[0] else c,
+    "tx.Cond(tx.Any({0} >= {1}), {0}, {2})": lambda a, b, c: a if np.any(a >= b) else c,
+    "tx.Concat({0}[:2], {1}[2:4], {2}[4:])": lambda a, b, c: np.concatenate([a[:2], b[2:4], c[4:]]),
     **{f"np.{name}({{0}}, {{1}})": getattr(np, name) for name in (
         "maximum", "minimum", "fmax", "fmin", "hypot", "logaddexp", "add", "copysign", "nextafter", "heaviside",
     )},
@@ -174,13 +176,14 @@ def refused(code: str, shapes: tuple[Shape, ...]) -> bool:
     return False
 
 
-def extreme(source: Random, shape: Shape) -> Plan:
-    """An operation that holds everywhere."""
-    while True:
-        code, numpy = source.choice(list(EVERYWHERE.items()))
+def extremes(shape: Shape) -> list[tuple[Plan, Shape]]:
+    """The operations that hold everywhere."""
+    found = []
+    for code, numpy in EVERYWHERE.items():
         args = (shape,) * (1 + max(k for k in range(3) if f"{{{k}}}" in code))
         if not refused(code, args):
-            return Plan(code, numpy, args)
+            found.append((Plan(code, numpy, args), shape))
+    return found
 
 
 CONDITIONS: dict[str, Callable[..., Any]] = {
@@ -197,6 +200,14 @@ CONDITIONS: dict[str, Callable[..., Any]] = {
 def unary(source: Random, shape: Shape) -> Plan:
     code, numpy = source.choice(list(UNARY.items()))
     return Plan(code, numpy, (shape,))
+
+
+@maker
+def near(source: Random, shape: Shape) -> Plan:
+    """The same function of two arguments that differ a little."""
+    code, numpy = source.choice(list(UNARY.items()))
+    one, two = (code.replace("{0}", f"({by} * {{0}})") for by in (2.0, 2.5))
+    return Plan(f"({one} - {two})", lambda a: numpy(2.0 * a) - numpy(2.5 * a), (shape,))
 
 
 @maker
@@ -252,9 +263,6 @@ def reduction(source: Random, shape: Shape) -> Plan | None:
         ("tx.Linterp({0}, [-1, 0.5, 3], [2.0, -1, 0.5])", lambda a: np.interp(a, [-1, 0.5, 3], [2, -1, 0.5]), ()),
     ]  # fmt: skip
     code, numpy, arg = source.choice(found)
-    if source.random() < 0.1:
-        two = ("tx.linalg.Sum(np.dot({0}, {1}))", lambda a, b: np.sum(np.dot(a, b)), ((2, 2, 3), (2, 3, 2)))
-        return None if refused(two[0], two[2]) else Plan(*two)
     return Plan(code, numpy, (arg,))
 
 
@@ -285,20 +293,31 @@ def product(source: Random, shape: Shape) -> Plan | None:
 
 
 @maker
+def refusable(source: Random, shape: Shape) -> Plan | None:
+    """What NumPy means by it, where this package takes it at all."""
+    if shape:
+        return None
+    found: list[tuple[str, Callable[..., Any], tuple[Shape, ...]]] = [
+        ("np.sum(np.dot({0}, {1}) ** 2)", lambda a, b: np.sum(np.dot(a, b) ** 2), ((2, 2, 3), (2, 3, 2))),
+        ("np.sum(np.dot({0}, {1}) ** 2)", lambda a, b: np.sum(np.dot(a, b) ** 2), ((2, 2, 3), (3,))),
+        ("np.sum(np.fmax({0}, {1}))", lambda a, b: np.sum(np.fmax(a, b)), ((3,), (3,))),
+        ("np.max(np.block([[{0}, {1}]]))", lambda a, b: np.max(np.block([[a, b]])), ((2, 2), (2, 3))),
+    ]
+    code, numpy, args = source.choice(found)
+    return None if refused(code, args) else Plan(code, numpy, args)
+
+
+@maker
 def solve(source: Random, shape: Shape) -> Plan | None:
     """Of positive definite matrices, and of any."""
     if not shape or len(shape) > 2:
         return None
     n = shape[0]
-    spd, rough = POSITIVE % n, f"({{0}} + 0.25 * np.eye({n}))"
-    found = [
-        Plan(f"tx.linalg.Solve({spd}, {{1}})", lambda a, b: np.linalg.solve(positive(a), b), ((n, n), shape)),
-        Plan(
-            f"tx.linalg.Solve({rough}, {{1}})",
-            lambda a, b: np.linalg.solve(a + 0.25 * np.eye(n), b),
-            ((n, n), shape),
-        ),
-    ]
+    # Operands of their own, so that noise is put on them: the error of LAPACK itself is that of its matrix.
+    square = ((n, n), Plan(POSITIVE % n, positive, (), shape=(n, n)))
+    rough = ((n, n), Plan(f"({{0}} + 0.25 * np.eye({n}))", lambda a: a + 0.25 * np.eye(n), (), shape=(n, n)))
+    by_lapack, inverse = lambda a, m, b: np.linalg.solve(m, b), lambda a, m: np.linalg.inv(m)
+    found = [Plan("tx.linalg.Solve({1}, {2})", by_lapack, (*own, shape)) for own in (square, rough)]
     graded = Graded(n)
     if n < 5:
         # A right-hand side of a solution of size one: there the error of an algorithm shows.
@@ -309,8 +328,7 @@ def solve(source: Random, shape: Shape) -> Plan | None:
                 Plan("(tx.linalg.Inv({0}) @ {2})", lambda a, x, b: np.linalg.solve(a, b), (graded, shape, right))
             )
     if shape == (n, n):
-        found.append(Plan(f"tx.linalg.Inv({spd})", lambda a: np.linalg.inv(positive(a)), ((n, n),)))
-        found.append(Plan(f"tx.linalg.Inv({rough})", lambda a: np.linalg.inv(a + 0.25 * np.eye(n)), ((n, n),)))
+        found += [Plan("tx.linalg.Inv({1})", inverse, own) for own in (square, rough)]
     return source.choice(found)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -83,7 +83,7 @@ def given(case: Case, *trees: tx.Expr) -> tuple[dict[str, Any], dict[str, Any], 
 
 def functions(case: Case) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
     """The outputs of a system by each backend: its name, a function, and the arguments."""
-    expressions = case.expressions()
+    expressions = case.expressions
     leaves = {node.name: node for node in tx.expr.postorder(*expressions) if isinstance(node, tx.State)}
     leaves["clock"] = tx.State("clock")
     outputs = {f"y{k}": expression for k, expression in enumerate(expressions)}
@@ -103,20 +103,51 @@ def functions(case: Case) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, 
 
 def values(case: Case) -> Iterator[tuple[str, list[Any]]]:
     """The values on each path, with the path's name."""
-    expressions = case.expressions()
+    expressions = case.expressions
     canonical = [expression.canonicalize() for expression in expressions]
     if any(tree.canonicalize().key() != tree.key() for tree in canonical):
         raise Wrong("canonicalize: a canonical tree does not stay as it is")
-    by_jit = {} if case.whole else {"tx.lower": expressions, "canonicalize": canonical}  # jit itself cuts long integers
-    for name, trees in by_jit.items():
-        yield name, jax.jit(tx.lower(tuple(trees)))(0.0, *given(case, *trees))
+    paths: dict[str, Callable[..., Any]] = {}
+    if not case.whole:  # jit itself cuts long integers
+        paths = {"tx.lower": _lowered(expressions), "canonicalize": _lowered(canonical)}
     for name, outputs, arguments in functions(case):
-        if case.batched:
-            axis = -(len(case.used()) % 2)  # along the first or the last one
-            batch = jax.tree.map(lambda leaf, axis=axis: jnp.stack([jnp.zeros_like(leaf), leaf], axis), arguments)
-            yield f"{name}, vmap", [value[1] for value in jax.jit(jax.vmap(outputs, in_axes=axis))(*batch)]
-        else:
-            yield name, outputs(*arguments)
+        names = [set(own) for own in arguments]
+        paths[name] = lambda *given, run=outputs, names=names: run(*map(_only, given, names))
+    given_all = given(case, *expressions)
+    given_all[0]["clock"] = np.zeros((), case.dtype)
+    if case.called:
+        for name, path in paths.items():
+            yield name, path(*given_all)
+        return
+
+    def all_paths(*arguments: Any) -> list[Any]:
+        found = []
+        for name, path in paths.items():
+            try:
+                found.append(path(*arguments))
+            except tx.OrderError:
+                raise
+            except Exception as error:
+                raise Wrong(f"{name}: {type(error).__name__}: {str(error)[:300]}") from error
+        return found
+
+    if not case.batched:
+        yield from zip(paths, jax.jit(all_paths)(*given_all), strict=True)
+        return
+    axis = -(len(case.used()) % 2)  # along the first or the last one
+    batch = jax.tree.map(lambda leaf: np.stack([np.zeros_like(leaf), leaf], axis), given_all)
+    for name, found in zip(paths, jax.jit(jax.vmap(all_paths, in_axes=axis))(*batch), strict=True):
+        yield f"{name}, vmap", [np.asarray(value)[1] for value in found]
+
+
+def _lowered(trees: Sequence[tx.Expr]) -> Callable[..., Any]:
+    leaves = {node.name for node in tx.expr.postorder(*trees) if isinstance(node, tx.State | tx.Control | tx.Parameter)}
+    function = tx.lower(tuple(trees))
+    return lambda *given: function(0.0, *(_only(own, leaves) for own in given))
+
+
+def _only(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name in names}
 
 
 # ---- derivatives -----------------------------------------------------------------------------------------------------
@@ -143,63 +174,78 @@ def slope(case: Case, term: Term, weights: np.ndarray, along: dict[str, np.ndarr
     return found if apart <= 1e-6 * (1.0 + abs(found)) and abs(here) < 1e3 * (1.0 + abs(found)) else None
 
 
+class NoDerivative(Exception):
+    """JAX itself has none."""
+
+
 def wrong_derivatives(case: Case) -> str:
-    """Whether derivatives of scalars and kernels are those on arrays, forward ones reverse ones, and NumPy's slopes."""
+    """Whether derivatives of scalars or kernels are those on arrays, forward ones reverse ones, and NumPy's slopes."""
     generator = np.random.default_rng(1)
     weights = [generator.normal(size=term.shape) for term in case.terms]
-    expected = spread = None
-    for name, outputs, arguments in functions(case):
+    backends = [own for own in functions(case) if own[0] != ("scalars" if case.batched else "kernel")]
+    arguments = backends[0][2]
 
-        def totals(*arguments: Any, outputs: Callable[..., Any] = outputs) -> Any:
-            """One number of each term."""
-            return jnp.stack([jnp.sum(w * value) for w, value in zip(weights, outputs(*arguments), strict=True)])
+    @jax.jit
+    def derivatives(arguments: Any, along: Any, cotangent: Any) -> list[Any]:
+        """For each backend the derivatives of one number of each term: reverse along a cotangent, and forward."""
+        found: list[Any] = []
+        for name, outputs, _ in backends:
 
-        def both(arguments: Any, along: Any, totals: Callable[..., Any] = totals) -> Any:
-            """By reverse mode, a row for each term, and by forward mode."""
-            one = len(weights) == 1
-            back = jax.grad(lambda *a: totals(*a)[0], (0, 1, 2)) if one else jax.jacrev(totals, (0, 1, 2))
-            return back(*arguments), jax.jvp(totals, arguments, along)[1]
+            def totals(*arguments: Any, outputs: Callable[..., Any] = outputs) -> Any:
+                own = outputs(*arguments)
+                return jnp.stack([jnp.sum(w * value) for w, value in zip(weights, own, strict=True)])
 
-        tangent = jax.tree.map(lambda leaf: np.cos(1.0 + np.arange(leaf.size)).reshape(leaf.shape), arguments)
-        derivatives = jax.jit(both)
-        try:
-            gradient, along = derivatives(arguments, tangent)
-        except (ValueError, NotImplementedError):
-            if expected is None:  # JAX itself has no such derivative
-                return ""
-            raise
-        found, along = rows(gradient, len(weights)), np.asarray(along)
-        if expected is None or spread is None:
-            expected = found
-            nearby = [
-                jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal()), arguments) for _ in range(SAMPLES)
-            ]
-            samples = [rows(derivatives(point, tangent)[0], len(weights)) for point in nearby]
-            spread = np.max([np.abs(sample - found) for sample in samples], axis=0)
-            sizes = 1.0 + np.max(np.abs(expected), axis=1, initial=0.0, keepdims=True)
-            good = np.all(np.isfinite(expected) & (spread <= 1e-4 * sizes), axis=1) & (sizes[:, 0] < 1e8)
-            spread = 10.0 * spread + 1e-9 * sizes
-            flat, named = rows(tangent, 1)[0], tangent[0] | tangent[1] | tangent[2]
-            each = zip(case.terms, weights, good, strict=True)
-            slopes = [slope(case, term, w, named) if ok else None for term, w, ok in each]
+            try:
+                back = jax.vjp(totals, *arguments)[1](cotangent)
+                # Of arrays, which come first, NumPy's slopes are enough.
+                found.append((back, jax.jvp(totals, arguments, along)[1] if found else None))
+            except (ValueError, NotImplementedError) as error:
+                raise Wrong(f"{name}, grad: {error}") if found else NoDerivative from error
+        return found
+
+    tangent = jax.tree.map(lambda leaf: np.cos(1.0 + np.arange(leaf.size)).reshape(leaf.shape), arguments)
+    units = np.eye(len(weights))
+
+    def gradients(arguments: Any) -> list[list[Any]]:
+        """For each term what `derivatives` gives."""
+        return [derivatives(arguments, tangent, unit) for unit in units]
+
+    try:
+        here = gradients(arguments)
+    except NoDerivative:
+        half = len(case.terms) // 2
+        parts = (case.terms[:half], case.terms[half:]) if half else ()
+        return next(filter(None, (wrong_derivatives(replace(case, terms=part)) for part in parts)), "")
+    by_backend = [np.stack([flattened(row[k][0]) for row in here]) for k in range(len(backends))]
+    expected = by_backend[0]
+    nearby = [jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal()), arguments) for _ in range(SAMPLES)]
+    samples = [np.stack([flattened(row[0][0]) for row in gradients(point)]) for point in nearby]
+    spread = np.max([np.abs(sample - expected) for sample in samples], axis=0)
+    sizes = 1.0 + np.max(np.abs(expected), axis=1, initial=0.0, keepdims=True)
+    good = np.all(np.isfinite(expected) & (spread <= 1e-4 * sizes), axis=1) & (sizes[:, 0] < 1e8)
+    spread = 10.0 * spread + 1e-9 * sizes
+    flat, named = flattened(tangent), tangent[0] | tangent[1] | tangent[2]
+    each = zip(case.terms, weights, good, strict=True)
+    slopes = [slope(case, term, w, named) if ok else None for term, w, ok in each]
+    allowed = spread @ np.abs(flat) + 1e-9 * sizes[:, 0]
+    for k, (name, found) in enumerate(zip((name for name, _, _ in backends), by_backend, strict=True)):
         off = np.abs(found - expected)[good] > spread[good]
         if np.any(off | np.isnan(found[good])):
             return f"{name}, grad: {found.tolist()} for {expected.tolist()}"
-        allowed = spread @ np.abs(flat) + 1e-9 * sizes[:, 0]
+        along = np.asarray(here[0][k][1]) if k else expected @ flat
         if not np.all((np.abs(along - expected @ flat) <= allowed)[good]):
             return f"{name}, jvp: {along.tolist()} for {(expected @ flat).tolist()}"
-        for k, by_differences in enumerate(slopes):
-            if by_differences is not None and not abs(along[k] - by_differences) <= allowed[k] + 1e-4 * (
+        for i, by_differences in enumerate(slopes):
+            if by_differences is not None and not abs(along[i] - by_differences) <= allowed[i] + 1e-4 * (
                 1.0 + abs(by_differences)
             ):
-                return f"{name}, slope: {along[k]} for {by_differences} of term {k}"
+                return f"{name}, slope: {along[i]} for {by_differences} of term {i}"
     return ""
 
 
-def rows(tree: Any, count: int) -> np.ndarray:
-    """The derivatives of `count` numbers, a row each."""
-    leaves = [np.reshape(np.asarray(leaf, float), (count, -1)) for leaf in jax.tree.leaves(tree)]
-    return np.concatenate(leaves, axis=1) if leaves else np.zeros((count, 0))
+def flattened(tree: Any) -> np.ndarray:
+    """All entries in one vector."""
+    return np.concatenate([np.zeros(0), *(np.reshape(np.asarray(leaf, float), -1) for leaf in jax.tree.leaves(tree))])
 
 
 # ---- all of it -------------------------------------------------------------------------------------------------------
@@ -215,15 +261,18 @@ def check(case: Case) -> str:
     try:
         with jax.enable_x64(not case.narrow):
             for path, found in values(case):
-                for (_, (expected, tolerance)), value, tree in zip(judged, found, case.expressions(), strict=True):
+                for (_, (expected, tolerance)), value, tree in zip(judged, found, case.expressions, strict=True):
                     if wrong := _apart(case, tree, np.asarray(value), expected, tolerance):
                         return f"{path}: {wrong}"
             if case.differentiated and not (case.single or case.whole or case.narrow):
                 path = "values"
                 smooth = [term for term, (value, _) in judged if np.all(np.isfinite(value)) and not _rounds(term)]
                 return wrong_derivatives(replace(case, terms=tuple(smooth))) if smooth else ""
-    except tx.OrderError:
-        return ""  # twists of two orders that met by chance
+    except tx.OrderError:  # twists of two orders that met by chance
+        parts = [replace(case, terms=(term,)) for term in case.terms] if len(case.terms) > 1 else []
+        return next(filter(None, map(check, parts)), "")
+    except Wrong as error:
+        return str(error)
     except Exception as error:
         return f"after {path}: {type(error).__name__}: {str(error)[:300]}"
     return ""

@@ -35,7 +35,7 @@ TABLE = [
         "integers wrap without x64",
         "lowering/inputs.py",
         "array = real_array(place, value)",
-        "array = real_array(place, np.asarray(jnp.asarray(np.asarray(value))))",
+        "array = real_array(place, value if is_traced(value) else np.asarray(jnp.asarray(np.asarray(value))))",
     ),
     (
         "index of mixed kinds through Stack",
@@ -74,8 +74,9 @@ TABLE = [
         "scalars merged whose arguments differ",
         "lowering/scalar/graph.py",
         "return self._intern((operation, *arguments), dtype)",
-        "return self._intern((operation, *arguments[:1] * len(arguments)), dtype)"
-        ' if operation.name == "tanh" else self._intern((operation, *arguments), dtype)',
+        "own = self._intern((operation, *arguments), dtype)\n"
+        '        like = operation.name == "tanh" and self.nodes[arguments[0]][0] is _MUL\n'
+        '        return self._known.setdefault(("tanh", self.nodes[arguments[0]][:2]), own) if like else own',
     ),
     (
         "np.dot of stacks",
@@ -98,7 +99,7 @@ TABLE = [
     (
         "SmoothReLU overflows",
         "expr/elementwise.py",
-        "jax.lax.stop_gradient(jnp.maximum(part, self.c))",
+        "jax.lax.stop_gradient(jnp.maximum(0.25 * part, 0.25 * self.c))",
         "jnp.ones_like(part)",
     ),
     (

@@ -31,6 +31,10 @@ def smaller_terms(term: Term) -> Iterator[Term]:
 
 
 def simpler_cases(case: Case) -> Iterator[Case]:
+    half = len(case.terms) // 2
+    if half > 1:
+        yield replace(case, terms=case.terms[:half])
+        yield replace(case, terms=case.terms[half:])
     for k in range(len(case.terms) if len(case.terms) > 1 else 0):
         yield replace(case, terms=case.terms[k : k + 1])
     for k in range(len(case.terms) if len(case.terms) > 2 else 0):

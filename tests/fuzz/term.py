@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -94,6 +95,7 @@ class Case:
         whole: whether leaves of whole numbers are given as integers.
         narrow: whether JAX works in 32 bits.
         extreme: whether results count at the ends of the range and at NaN too.
+        called: whether each path is called as users do; else all of them are in one jitted function.
     """
 
     terms: tuple[Term, ...]
@@ -105,6 +107,7 @@ class Case:
     whole: bool = False
     narrow: bool = False
     extreme: bool = False
+    called: bool = False
 
     def walk(self) -> Iterator[Term]:
         """All terms, each once, operands first."""
@@ -116,7 +119,7 @@ class Case:
 
     @property
     def settings(self) -> tuple[str, ...]:
-        names = ("batched", "single", "differentiated", "whole", "narrow", "extreme")
+        names = ("batched", "single", "differentiated", "whole", "narrow", "extreme", "called")
         return tuple(name for name in names if getattr(self, name))
 
     @property
@@ -143,6 +146,7 @@ class Case:
             lines.append(f"{names[id(term)]} = {text}")
         return [*lines, f"e = ({', '.join(names[id(term)] for term in self.terms)},)"]
 
+    @cached_property
     def expressions(self) -> list[tx.Expr]:
         """What a user's code builds."""
         scope: dict[str, Any] = dict(SCOPE)

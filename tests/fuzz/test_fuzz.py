@@ -30,7 +30,7 @@ def test_every_path_gives_the_number_of_numpy(number: int, unchecked: None) -> N
 
 def test_most_terms_say_something_and_all_operations_come() -> None:
     cases = [drawn(0, number) for number in range(120)]
-    terms = [(case, term) for case in cases[:30] for term in case.terms]
+    terms = [(case, term) for case in cases[:10] for term in case.terms]
     assert sum(oracle(*each) is not None for each in terms) > 0.6 * len(terms)
     code = "\n".join(term.code for case in cases for term in case.walk())
     parts = "tx.Where tx.Cond Solve Inv Vmap User [::-1 np.dot AdjointDual Stack Weighted Bilerp ANGULAR axis=1"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from random import Random
 
 import jax
@@ -76,17 +78,17 @@ jax.nn.softmax(a)
 a[jnp.argsort(jax.lax.stop_gradient(a.ravel())[: a.shape[0]])]
 jax.lax.rev(a, (0,))
 jnp.diff(a, axis=-1, append=a[..., :1])
-jnp.convolve(a.ravel(), jnp.array([1.0, 2.0]), 'full')[: a.size].reshape(a.shape)
+jnp.convolve(a.ravel(), jnp.array([1.0, 2.0], a.dtype), 'full')[: a.size].reshape(a.shape)
 jnp.einsum('...i,...i->...i', a, a)
 jax.lax.scan(lambda c, row: (c + row, c * row), jnp.zeros(a.shape[1:], a.dtype), a)[1]
 jnp.linalg.norm(a) * a
-jnp.interp(a, jnp.array([-1.0, 0.5, 2.0]), jnp.array([1.0, -1.0, 4.0]))
+jnp.interp(a, jnp.array([-1.0, 0.5, 2.0], a.dtype), jnp.array([1.0, -1.0, 4.0], a.dtype))
 a * jnp.argmax(a)
 a * jnp.argmin(a)
 jax.lax.dynamic_slice(a, (1,) + (0,) * (a.ndim - 1), (1,) + a.shape[1:]) + a
 jnp.pad(a, [(1, 0)] + [(0, 0)] * (a.ndim - 1))[1:]
-a * jax.random.normal(jax.random.key(3), a.shape, a.dtype)
-jnp.searchsorted(jnp.array([-1.0, 0.0, 1.0]), a) * a
+a * jax.random.normal(jax.random.key(3), a.shape, jnp.float32).astype(a.dtype)
+jnp.searchsorted(jnp.array([-1.0, 0.0, 1.0], a.dtype), a) * a
 jnp.concatenate([a[1:], a[:1]])
 jnp.repeat(a, 2, axis=0)[::2]
 jnp.tile(a, (2,) + (1,) * (a.ndim - 1))[: a.shape[0]]
@@ -113,8 +115,14 @@ def around(body: str, shape: Shape) -> Plan:
         "    def infer_shape(self, a): return a\n"
         f"    def evaluate(self, a): return {body}"
     )
-    evaluate = eval(f"lambda a: {body}", {"jnp": jnp, "jax": jax})
-    return Plan(f"{name}({{0}})", lambda a: np.asarray(evaluate(jnp.asarray(a, float))), (shape,), setup)
+    return Plan(f"{name}({{0}})", lambda a: np.asarray(_alone(body)(jnp.asarray(a, float))), (shape,), setup)
+
+
+@cache
+def _alone(body: str) -> Callable[[jax.Array], jax.Array]:
+    """Jitted: step by step each step of each shape would be compiled."""
+    evaluate: Callable[[jax.Array], jax.Array] = jax.jit(eval(f"lambda a: {body}", {"jnp": jnp, "jax": jax}))
+    return evaluate
 
 
 @maker
@@ -143,12 +151,12 @@ def factorised(source: Random, shape: Shape) -> Plan | None:
         [
             ("jnp.linalg.cholesky(S)", np.linalg.cholesky),
             ("jnp.linalg.inv(S)", np.linalg.inv),
-            ("jnp.linalg.solve(a + 0.25 * jnp.eye(n, dtype=a.dtype), S)", None),
+            ("jnp.linalg.solve(jnp.tanh(a) + 2.5 * jnp.eye(n, dtype=a.dtype), S)", None),
             ("jnp.broadcast_to(jnp.linalg.det(S), a.shape)", lambda S: np.full(S.shape, np.linalg.det(S))),
         ]
     )
     setup = (
-        f"class Factorised{len(body)}(tx.Expr):\n"
+        f"class Factorised{len(body)}Of{n}(tx.Expr):\n"
         '    """A node of the user."""\n'
         "    a: tx.expr.fields.Operand\n"
         "    def infer_shape(self, a): return a\n"
@@ -158,7 +166,7 @@ def factorised(source: Random, shape: Shape) -> Plan | None:
         f"        return {body}"
     )
     expected = (
-        (lambda a: np.linalg.solve(a + 0.25 * np.eye(n), positive(a)))
+        (lambda a: np.linalg.solve(np.tanh(a) + 2.5 * np.eye(n), positive(a)))
         if numpy is None
         else lambda a: numpy(positive(a))
     )

@@ -1,5 +1,8 @@
 """Dense output: the state at any time, on the manifold, as accurate as the solution."""
 
+import pickle
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -89,3 +92,17 @@ def test_what_was_not_kept_cannot_be_read() -> None:
         SCENE.integrate(method=DOP853, steps=100).evaluate(1.0)
     with pytest.raises(tx.InputError, match=r"times with shape \(n,\), got shape \(1, 2\)"):
         integrated(**WAYS["fixed"]).evaluate(np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("how", [{"dt": 0.1}, {"rtol": 1e-7, "event": True}], ids=["fixed", "adaptive"])
+def test_solutions_travel_with_their_dense_output(how: dict[str, Any]) -> None:
+    R, x, u = tx.State("R", group=tx.SO3), tx.State("x"), tx.Control("u")
+    dynamics = tx.compile(tx.System({R: np.array([0.1, 0.2, 0.3]) * x, x: u - x}))
+    own = how | ({"event": tx.Event(x - 0.5)} if "event" in how else {})
+    start, table = {"R": np.eye(3), "x": 1.0}, {"u": tx.ZeroOrderHold([0.0, 0.5], np.array([0.1, -0.1]))}
+    solution = tx.integrate(dynamics, start, t1=1.0, u=table, dense=True, **own)
+    back = pickle.loads(pickle.dumps(solution))
+    assert (back.result, back.event, back.stats) == (solution.result, solution.event, solution.stats)
+    for name, value in solution.evaluate(0.33).items():
+        np.testing.assert_array_equal(back.evaluate(0.33)[name], value)
+        np.testing.assert_array_equal(back.xs[name], solution.xs[name])

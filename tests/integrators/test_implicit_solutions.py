@@ -258,3 +258,19 @@ def test_another_solution_does_not_compile_again(caplog: pytest.LogCaptureFixtur
         solve(1e6, t1=0.2, dt=0.02)
         solve(1e6, t1=0.2, rtol=1e-7)
     assert not [record for record in caplog.records if "solve" in record.getMessage()]
+
+
+@pytest.mark.parametrize("how", [{"dt": 0.25}, {"rtol": 1e-6}], ids=["fixed", "adaptive"])
+def test_derivatives_of_saved_states_of_rates_with_branches(how: dict[str, float]) -> None:
+    x = tx.State("x", shape=(2,))
+    dynamics = tx.compile(tx.System({x: tx.Cond(x[0] <= 5.0, -x * x, -2.0 * x)}))
+
+    def total(start: jax.Array) -> jax.Array:
+        method = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
+        found = tx.integrate(dynamics, {"x": start}, t1=1.0, method=method, save_at=np.array([0.3, 0.9]), **how)
+        return found.xs["x"].sum()
+
+    start = np.array([1.0, 0.3])
+    expected = sum((1.0 / (1.0 + start * t)) ** 2 for t in (0.3, 0.9))  # of x / (1 + x t)
+    np.testing.assert_allclose(jax.grad(total)(start), expected, rtol=2e-4)
+    np.testing.assert_allclose(jax.jacfwd(total)(start), jax.grad(total)(start), rtol=1e-8)

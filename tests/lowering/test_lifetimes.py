@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -40,6 +41,7 @@ def _used(k: int) -> list[weakref.ref[Any]]:
     jax.block_until_ready(dynamics(0.0, POINT))
     dynamics.jacobian(0.0, POINT)
     jax.grad(lambda x: dynamics(0.0, {**POINT, "x": x})["v"].sum())(POINT["x"])
+    tx.integrate(dynamics, POINT, t0=0.0, t1=0.002, dt=0.001)
     made = [code for name, code in kernel._CODE.items() if name not in before]
     assert len(made) >= 3
     return [weakref.ref(dynamics._functions), *map(weakref.ref, made)]
@@ -98,13 +100,14 @@ def test_a_kernel_stays_while_something_compiled_calls_it() -> None:
     np.testing.assert_array_equal(np.asarray(compiled(POINT["x"])), expected)
 
 
-@pytest.mark.slow
-def test_integrated_systems_go_when_the_caches_of_jax_are_cleared() -> None:
+@pytest.mark.parametrize("how", [{"dt": 0.001}, {"rtol": 1e-6, "dense": True}], ids=["fixed", "dense"])
+def test_integrated_systems_go_without_a_word_to_jax(how: dict[str, Any]) -> None:
     dynamics = tx.compile(_system(8), backend=tx.Native(least=0))
-    tx.integrate(dynamics, POINT, t0=0.0, t1=0.002, dt=0.001)
+    solution = tx.integrate(dynamics, POINT, t0=0.0, t1=0.002, **how)
+    if "dense" in how:
+        solution.evaluate(0.001)
     ref = weakref.ref(dynamics._functions)
-    del dynamics
-    jax.clear_caches()
+    del dynamics, solution
     assert _left([ref]) == 0
 
 
@@ -159,6 +162,33 @@ def test_threads_derive_one_program_as_one_thread_does() -> None:
     alone, shared = derivatives(made()), made()
     for found in _at_once(lambda: derivatives(shared)):
         np.testing.assert_allclose(found, alone, rtol=1e-13)
+
+
+class _Slow(list):
+    """A list that lets other threads in before it grows."""
+
+    def append(self, item: Any) -> None:
+        time.sleep(0.0)
+        super().append(item)
+
+
+@pytest.mark.parametrize("which", ["tangent_program", "cotangent_program", "contracted_program", "columns_of"])
+def test_threads_wait_for_one_another_to_add_derivatives(which: str) -> None:
+    """Two nodes that are added at once would get one number."""
+    from twistax.lowering.scalar import derivatives
+    from twistax.lowering.scalar.entry import flat
+    from twistax.lowering.scalar.program import scalarize
+
+    f = tx.lower(_system(1).rates["v"])
+    program = scalarize(lambda x, v: [f(0.0, {"x": x, "v": v})], *POINT.values())
+    graph, derivative = program.graph, getattr(derivatives, which)
+    graph.nodes = _Slow(graph.nodes)
+    seeds = {node: {k: graph.one} for k, node in enumerate(flat(*program.inputs))}
+    # Each thread asks for other ones, so that their nodes are new.
+    wanted = iter([{node: seeds[node]} for node in seeds] if which == "columns_of" else [(0,), (1,), (0, 1), (1, 0)])
+    _at_once(lambda: derivative(program, next(wanted)), count=4)
+    assert len(graph.nodes) == len(graph.dtypes) == len(graph.numbers) == len(graph._known)
+    assert [graph._known[node] for node in graph.nodes] == list(range(len(graph.nodes)))
 
 
 def test_threads_compile_and_call_one_system() -> None:

@@ -230,3 +230,24 @@ def test_a_state_a_control_and_a_parameter_may_share_a_name() -> None:
 def test_leaves_may_be_called_like_time_or_a_constant() -> None:
     odd = tx.State("t") + 2.0 * tx.State("constant") + t
     assert float(tx.lower(odd)(5.0, {"t": 1.0, "constant": 10.0})) == 26.0
+
+
+def test_chains_that_end_the_process_in_xla_are_refused_where_they_are_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from twistax.lowering import backends
+
+    monkeypatch.setattr(backends, "_LONGEST_CHAIN", 1500)
+    s = tx.State("s")
+    e: tx.Expr = s
+    for k in range(1501):
+        e = tx.Sin(e) if k % 2 else tx.Cos(e)
+    function = tx.lower(e)
+    with pytest.raises(tx.ModelError, match=r"(?s)chain of more than 1,500.*XLA ends the process.*fix: .*lax\.scan"):
+        jax.jit(lambda s: function(0.0, {"s": s}))(0.3)
+    shorter = tx.lower(e.children()[0])
+    expected = 0.3
+    for k in range(1500):
+        expected = np.sin(expected) if k % 2 else np.cos(expected)
+    np.testing.assert_allclose(jax.jit(lambda s: shorter(0.0, {"s": s}))(0.3), expected, rtol=1e-12)
+    np.testing.assert_allclose(function(0.0, {"s": 0.3}), np.cos(expected), rtol=1e-12)

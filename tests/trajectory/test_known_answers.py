@@ -1,5 +1,8 @@
 """Problems whose optimum is known."""
 
+import pickle
+from typing import Any
+
 import numpy as np
 import pytest
 from trajectory_systems import double_integrator, free_flyer, spinning_ball
@@ -98,6 +101,19 @@ def fastest(**options: object) -> TrajectoryResult:
         final=[{v: 0.0}, p == 1.0],
     )
     return problem.solve(**options)
+
+
+def test_problems_and_results_travel() -> None:
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-6.0, max=6.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}, constraints={"speed": v <= 1.4}))
+    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": [{v: 0.0}, p == 1.0]}
+    problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends)
+    result = problem.solve()
+    back, again = (pickle.loads(pickle.dumps(each)) for each in (result, problem))
+    assert (back.status, back.cost, back.message) == (result.status, result.cost, result.message)
+    np.testing.assert_array_equal(back.xs["p"], result.xs["p"])
+    assert back.replay(steps=2).violations == result.replay(steps=2).violations
+    assert again.solve().cost == result.cost
 
 
 def test_least_time_is_bang_bang() -> None:

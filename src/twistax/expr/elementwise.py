@@ -273,7 +273,8 @@ class SmoothReLU(Entrywise):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         part = jnp.maximum(values[0], 0.0)
-        # The result does not depend on the size, so neither does its derivative.
-        size = jax.lax.stop_gradient(jnp.maximum(part, self.c))
+        # The result does not depend on the size, so neither does its derivative. Of the largest numbers 1 / x is
+        # subnormal, which XLA drops; of a quarter of them it is not.
+        size = jax.lax.stop_gradient(jnp.maximum(0.25 * part, 0.25 * self.c))
         p, c = part / size, self.c / size
         return size * (p * (p / (jnp.sqrt(p * p + c * c) + c)))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..checks import callable_with, short
-from ..errors import OperationError
+from ..errors import ModelError, OperationError
 from ..walk import walk
 
 if TYPE_CHECKING:
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
     from .leaves import Leaf
     from .node import Expr
+
+
+#: So many nodes may be evaluated more than once.
+_ANEW = 20_000
 
 
 def postorder(*roots: Expr) -> list[Expr]:
@@ -95,9 +99,15 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
     What all branches of a node need is evaluated before it, so that it is not evaluated in each of them.
 
     `read` gives the value of a leaf. Nothing is kept between calls: the function is pure.
+
+    Raises:
+        ModelError: nested branches share what none of them needs for certain, so that it is evaluated in each, again
+            and again.
     """
     memo: dict[str, jax.Array] = {}
-    shared, needs = _shared_by_branches(roots)
+    distinct = list(walk(roots, lambda node: node.children(), _key))
+    shared, needs = _shared_by_branches(roots, distinct)
+    count = 0
 
     def values(roots: Sequence[Expr], scope: Hashable, known: int) -> list[jax.Array]:
         """The values of roots in a scope; bit k of `known` says whether shared node k was evaluated around it."""
@@ -115,6 +125,14 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
         return [child for child in node.eager_children() if child.key() not in memo]
 
     def value(node: Expr, known: int) -> jax.Array:
+        nonlocal count
+        count += 1
+        if count > len(distinct) + _ANEW:
+            raise ModelError(
+                f"branches of tx.Cond share what none of them needs for certain, so each evaluates it anew: "
+                f"{len(distinct):,} nodes become more than {count - 1:,}.\n"
+                "  fix: tx.Where in place of tx.Cond where both sides may be computed"
+            )
         eager = node.eager_children()
         branches = [
             functools.partial(branch, root, (node.key(), k), known)
@@ -132,12 +150,11 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
     return values(roots, None, 0)
 
 
-def _shared_by_branches(roots: Sequence[Expr]) -> tuple[list[Expr], dict[Hashable, int]]:
+def _shared_by_branches(roots: Sequence[Expr], order: Sequence[Expr]) -> tuple[list[Expr], dict[Hashable, int]]:
     """The nodes that stand in more than one scope, operands first, and which of them each scope needs for certain.
 
     A branch is a scope, (key of the node, place), and so is what is outside of all, None. Bit k of a number is node k.
     """
-    order = list(walk(roots, lambda node: node.children(), _key))
     if all(len(node.eager_children()) == len(node.children()) for node in order):
         return [], {}
     # Scopes from the roots down. What stands in several is a scope of its own, by its key.

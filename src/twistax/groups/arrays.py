@@ -68,7 +68,7 @@ def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
     """
     numbers = known(g)
     if numbers is None:
-        return jnp.where((defect(g) <= drift) & (_determinant(g) > 0.0), g, jnp.nan)
+        return jnp.where((defect(g) <= drift) & (determinant(g) > 0.0), g, jnp.nan)
     off = element_defect(numbers)
     det = np.nan if np.isnan(off) else float(np.linalg.det(numbers[:3, :3]))
     if not (off <= drift and det > 0.0):
@@ -83,11 +83,11 @@ def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
 def defect(g: Array) -> Array:
     """The largest of max |R^T R - I|, |det R - 1| and, of a pose, the deviation of the last row from (0, 0, 0, 1)."""
     R = g[:3, :3]
-    off = jnp.maximum(jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype))), jnp.abs(_determinant(g) - 1.0))
+    off = jnp.maximum(jnp.max(jnp.abs(multiply(R.T, R) - jnp.eye(3, dtype=R.dtype))), jnp.abs(determinant(g) - 1.0))
     return off if len(g) == 3 else jnp.maximum(off, jnp.max(jnp.abs(g[3] - jnp.eye(4, dtype=g.dtype)[3])))
 
 
-def _determinant(g: Array) -> Array:
+def determinant(g: Array) -> Array:
     x, y, z = (unpack(g[:3, i]) for i in range(3))
     return dot(x, cross(y, z))
 

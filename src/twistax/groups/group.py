@@ -217,6 +217,9 @@ class Product(Group):
     def __repr__(self) -> str:
         return f"Product({dict(self._factors)!r})"
 
+    def __reduce__(self) -> Any:
+        return Product, (dict(self._factors),)  # views of dicts, which it keeps, cannot be pickled
+
     @cached_property
     def factors(self) -> Mapping[str, Group]:
         """name -> Group, in order of declaration."""

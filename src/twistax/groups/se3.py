@@ -77,7 +77,7 @@ def log(T: Input) -> Float[Array, "6"]:
 
 
 def unchecked_log(T: Array) -> Array:
-    """`log` of a matrix whose numbers are not looked at: of states, which are checked where they come in."""
+    """`log` of a matrix whose entries are not looked at. NaN, as are its derivatives, for a reflection."""
     rotation = so3.unchecked_log(T[:3, :3])
     w = unpack(rotation)
     v = swept(w, unpack(T[:3, 3]), -0.5, inverse_derivative(0, dot(w, w)))

@@ -15,6 +15,7 @@ from twistax.groups import quaternions
 from twistax.groups.arrays import (
     Input,
     cross,
+    determinant,
     dot,
     element,
     floats,
@@ -43,10 +44,11 @@ def exp(w: Input) -> Float[Array, "3 3"]:
 
 @jax.custom_jvp
 def unchecked_log(R: Array) -> Array:
-    """`log` of a matrix whose numbers are not looked at: of states, which are checked where they come in."""
+    """`log` of a matrix whose entries are not looked at. NaN, as are its derivatives, for a reflection."""
     w, x, y, z = unpack(quaternions.unscaled(R))
     axis = (x, y, z)
-    return vector(scale(angle_ratio(dot(axis, axis), w), axis))
+    ratio = jnp.where(determinant(R) > 0.0, angle_ratio(dot(axis, axis), w), jnp.nan)
+    return vector(scale(ratio, axis))
 
 
 @unchecked_log.defjvp

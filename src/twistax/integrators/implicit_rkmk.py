@@ -107,6 +107,8 @@ class ImplicitRKMK(ChartMethod):
         """With three Newton steps."""
         return 1 + 3 * self.tableau.stages
 
+    solves = True
+
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         equations = _StageEquations(self, field, t, y, h)
         return equations.moved(self._solution(equations))

@@ -117,6 +117,9 @@ class Method(ABC):
         local = self.coordinates(field.dynamics)
         return local.rate(field(t, local.value(y)))
 
+    #: Whether `advance` solves equations by `jax.lax.custom_root`.
+    solves: bool = False
+
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
@@ -245,3 +248,20 @@ class Stepper:
     def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
         """A step of length h that may be taken back, with its error."""
         return self.method.attempt(self.field(t, h), t, y, carry, h, tolerances)
+
+
+def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper) -> tuple[Callable[..., Any], Stepper]:
+    """A function of a stepper, jitted for its system alone; and the stepper to give it, of a twin of the system.
+
+    JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
+    with it. What is traced reads the twin, so that it does not keep the system itself.
+
+    Args:
+        make: makes the function.
+    """
+
+    def both() -> tuple[Callable[..., Any], Dynamics]:
+        return jax.jit(make()), Dynamics(stepper.dynamics._functions.twin())
+
+    run, twin = stepper.dynamics._functions.loops.get(make, both)
+    return run, dataclasses.replace(stepper, dynamics=twin)

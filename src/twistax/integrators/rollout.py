@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..jax_inside import any_of_batch
+from ..jax_inside import any_of_batch, batched_branches_transpose
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before
 from .kernels import advance_again
-from .method import Stepper
+from .method import Stepper, jitted
 from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
 
 
@@ -32,7 +32,6 @@ class Rollout(NamedTuple):
     event: jax.Array | None  # the number of the event that ended it, -1 for none; None where none is watched for
 
 
-@jax.jit
 def rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     """Take all steps from the state x, compiled as one small function where that is known to work.
 
@@ -40,13 +39,22 @@ def rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
     all times are right.
     """
-    return _rollout(steps, stepper, x)
+    run, own = jitted(_differentiable, stepper)
+    found: Rollout = run(steps, own, x)
+    return found
 
 
-@jax.custom_jvp
-def _rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
-    # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
-    return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
+def _differentiable() -> Callable[[Steps, Stepper, Arrays], Rollout]:
+    @jax.custom_jvp
+    def taken(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+        # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
+        return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
+
+    def along(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
+        return _differentiated(primals, tangents)
+
+    taken.defjvp(along, symbolic_zeros=True)
+    return taken
 
 
 def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
@@ -145,9 +153,6 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
     return jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
 
 
-_rollout.defjvp(_differentiated, symbolic_zeros=True)
-
-
 def _is_symbolic(slope: Any) -> bool:
     return isinstance(slope, jax.custom_derivatives.SymbolicZero)
 
@@ -170,7 +175,10 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
         meeting = refined(stepper, steps.watch, end, run.outcome.h, known._replace(t=begins))
 
     def advance_all(saved: Saved, parts: Part) -> Blocks:
-        return jax.vmap(step)(jax.tree.map(lambda a: a[saved.steps], every), parts)
+        starts = jax.tree.map(lambda a: a[saved.steps], every)
+        if stepper.method.solves and not batched_branches_transpose():
+            return jax.lax.map(lambda each: step(*each), (starts, parts))
+        return jax.vmap(step)(starts, parts)
 
     return _to_saved_times(steps, stepper, x, run, meeting, advance_all)
 

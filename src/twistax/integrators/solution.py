@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +17,7 @@ from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
 from .charts import Blocks, Exponential, StateCoordinates
-from .method import Stepper
+from .method import Stepper, jitted
 from .steps import Outcome, Result, Steps, Trail
 
 
@@ -54,17 +54,19 @@ class Dense(NamedTuple):
     trail: Trail
 
 
-@jax.jit
-def _states(dense: Dense, ts: jax.Array) -> Arrays:
-    trail, stored = dense.trail, dense.stepper.stored
-    last = jnp.maximum(trail.steps - 1, 0)
-    before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
-    k = jnp.clip(before, 0, last)
+def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
+    def states(stepper: Stepper, trail: Trail, ts: jax.Array) -> Arrays:
+        stored = stepper.stored
+        last = jnp.maximum(trail.steps - 1, 0)
+        before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
+        k = jnp.clip(before, 0, last)
 
-    def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
-        return stored.value(dense.stepper.advance(start, y, t - start))
+        def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
+            return stored.value(stepper.advance(start, y, t - start))
 
-    return jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
+        return jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
+
+    return states
 
 
 @jax.tree_util.register_dataclass
@@ -118,7 +120,8 @@ class Solution:
             if outside.any():
                 wrong = float(times[int(np.argmax(outside))])
                 raise InputError(f"evaluate expects times in [{start:g}, {end:g}], the integrated span, got {wrong:g}")
-        found = _states(self.dense, ts.reshape(-1))
+        run, stepper = jitted(_between, self.dense.stepper)
+        found: Arrays = run(stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
 
     @property

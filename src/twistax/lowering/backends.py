@@ -97,7 +97,7 @@ class JAX(Backend):
     """As written, in small arrays, by JAX."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        return Emission(_as_arrays(closed), None, "arrays, as written")
+        return Emission(as_arrays(closed), None, "arrays, as written")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +128,7 @@ class XLA(Backend):
             whole(f"XLA: {name}", getattr(self, name), 0, ModelError)
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        arrays = _as_arrays(closed)
+        arrays = as_arrays(closed)
         if array_operations(closed.jaxpr).total() < self.least:
             return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
         try:
@@ -228,7 +228,8 @@ def _variables(jaxpr: Jaxpr) -> list[Any]:
     return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
 
 
-def _as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
+def as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
+    """The function of a jaxpr as it is. Raises TooLarge where XLA would end the process on it."""
     depth: dict[Any, int] = {}
     for eqn in closed.jaxpr.eqns if len(closed.jaxpr.eqns) > _LONGEST_CHAIN else ():
         length = 1 + max((depth.get(v, 0) for v in eqn.invars if not isinstance(v, Literal)), default=0)

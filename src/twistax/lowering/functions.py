@@ -81,6 +81,7 @@ class Functions:
         constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
         hessians: likewise the programs of Hessians.
+        loops: likewise functions of integrators, jitted, that take a `twin` of this.
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
@@ -101,7 +102,7 @@ class Functions:
             "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
             "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
         }
-        self.steps, self.hessians = Kept(32), Kept(32)
+        self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(8)
         self._made = Kept(64)
         self._jit()
 
@@ -109,8 +110,15 @@ class Functions:
 
     def run_by(self, backend: Backend) -> Functions:
         """The same, run by another backend."""
+        return self._changed(backend=backend)
+
+    def twin(self) -> Functions:
+        """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
+        return self._changed(loops=Kept(8))
+
+    def _changed(self, **own: Any) -> Functions:
         found = object.__new__(Functions)
-        found.__dict__.update(self.__dict__, backend=backend)
+        found.__dict__.update(self.__dict__, **own)
         found._jit()
         return found
 

@@ -8,13 +8,18 @@ from typing import Any
 import jax
 
 from ..errors import ModelError
-from ..expr import Constant, Constraint, Expr, Leaf, Time, evaluate_all, leaves_of, to_expr
+from ..expr import Constant, Constraint, Expr, Inputs, Leaf, Time, evaluate_all, leaves_of, postorder, to_expr
 from ..expr.fields import freeze
 from ..expr.vmap import no_elements
+from ..jax_inside import is_traced
 from ..system import System
+from .backends import as_arrays
 from .inputs import Values, prepare
 
 Lowered = Callable[..., Any]
+
+#: More nodes may be a chain that XLA ends the process on.
+_LARGE = 1000
 
 
 def lower(expr: Any) -> Lowered:
@@ -31,6 +36,7 @@ def lower(expr: Any) -> Lowered:
         ShapeError: at once, if a shape does not fit.
         ModelError: at once, if there is nothing to lower, or two leaves of one name differ.
         InputError: at call time, for an unknown key, a wrong shape or a missing value.
+        ModelError: when it is traced, for a chain of more than 30,000 array operations, on which XLA ends the process.
     """
     wanted = "lower expects an expression, or a tuple, list or dict of them"
     if isinstance(expr, System):
@@ -47,11 +53,19 @@ def lower(expr: Any) -> Lowered:
     no_elements(leaves_of(*nodes))
     leaves = _distinct(leaves_of(*nodes))
     required = {leaf.name for leaf in leaves}
+    large = len(postorder(*nodes)) > _LARGE
 
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
         inputs = prepare(leaves, required, t, x, u, params)
-        values = evaluate_all(nodes, lambda leaf: leaf.read(inputs))
-        return jax.tree_util.tree_unflatten(treedef, values)
+
+        def values(*arguments: Any) -> list[jax.Array]:
+            t, x, u, params = jax.tree.unflatten(structure, arguments)
+            own = Inputs(t, x, u, params, inputs.dtype)
+            return evaluate_all(nodes, lambda leaf: leaf.read(own))
+
+        given, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
+        found = (as_arrays(jax.make_jaxpr(values)(*given)) if large and is_traced(given) else values)(*given)
+        return jax.tree_util.tree_unflatten(treedef, found)
 
     function.__name__ = "lowered"
     function.__doc__ = f"Lowered from {expr!r}" if not isinstance(expr, Mapping | Constraint) else "Lowered expression."

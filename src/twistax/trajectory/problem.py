@@ -113,6 +113,9 @@ class Problem:
         self.params = self._prepared(params)
         self._compiled: Callable[..., Evaluation] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_compiled": None}  # compiled anew in the other process
+
     # ---- solving ----------------------------------------------------------------------------------------------
 
     def solve(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,22 +15,34 @@ from .entry import Nodes, flat, nodes
 from .graph import Call, Graph
 from .program import Reader, ScalarProgram
 
+Own = ParamSpec("Own")
+Made = TypeVar("Made")
+
+
+def _alone(
+    derivative: Callable[Concatenate[ScalarProgram, Own], Made],
+) -> Callable[Concatenate[ScalarProgram, Own], Made]:
+    """What adds to the graph of a program, by one thread at a time."""
+
+    @functools.wraps(derivative)
+    def locked(program: ScalarProgram, *args: Own.args, **kwargs: Own.kwargs) -> Made:
+        with program.graph.lock:
+            return derivative(program, *args, **kwargs)
+
+    return locked
+
 
 def is_real(dtype: Any) -> bool:
     """Whether results of a type have derivatives."""
     return bool(jnp.issubdtype(dtype, jnp.floating))
 
 
+@_alone
 def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """The derivative along tangents of the arguments `active`: (arguments, their tangents) -> tangents of the results.
 
     Results that are no floating-point numbers have none and are left out.
     """
-    with program.graph.lock:
-        return _tangents_of(program, active)
-
-
-def _tangents_of(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     g, inputs = program.graph, list(program.inputs)
     seeds: dict[int, dict[int, int]] = {}
     for k in active:
@@ -43,13 +55,9 @@ def _tangents_of(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram
     return ScalarProgram(g, tuple(inputs), outputs, tuple(filter(is_real, program.types)))
 
 
+@_alone
 def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
-    with program.graph.lock:
-        return _cotangents_of(program, active)
-
-
-def _cotangents_of(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     g, inputs = program.graph, list(program.inputs)
     found: dict[int, int] = {}
     for own, dtype in zip(program.outputs, program.types, strict=True):
@@ -62,6 +70,7 @@ def _cotangents_of(program: ScalarProgram, active: Sequence[int]) -> ScalarProgr
     return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype_of(program.inputs[k]) for k in active))
 
 
+@_alone
 def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
     g, inputs = program.graph, list(program.inputs)
@@ -86,6 +95,7 @@ def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, i
     return columns_of(program, {node: {column: program.graph.one} for column, node in enumerate(columns)})
 
 
+@_alone
 def columns_of(
     program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
 ) -> dict[tuple[int, int], int]:
