@@ -87,7 +87,9 @@ def made(source: Random, maker: Maker) -> list[tuple[Plan, Shape]]:
         plan = maker(source, shape)
         known = len(found)
         if plan is not None:
-            own = (arg.code if isinstance(arg, Plan) else arg for arg in plan.args if not isinstance(arg, tuple))
+            own = (
+                arg.code if isinstance(arg, Plan) else (arg, shape) for arg in plan.args if not isinstance(arg, tuple)
+            )
             found.setdefault((plan.code, *own), (plan, shape))
         missed = 0 if len(found) > known else missed + 1
     return list(found.values())

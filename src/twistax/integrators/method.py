@@ -250,18 +250,19 @@ class Stepper:
         return self.method.attempt(self.field(t, h), t, y, carry, h, tolerances)
 
 
-def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper) -> tuple[Callable[..., Any], Stepper]:
-    """A function of a stepper, jitted for its system alone; and the stepper to give it, of a twin of the system.
+def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any) -> Any:
+    """The function that `make` makes, of a stepper and other pytrees, jitted for the stepper's system alone.
 
     JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
-    with it. What is traced reads the twin, so that it does not keep the system itself.
-
-    Args:
-        make: makes the function.
+    with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures
+    of arguments longer still: so the function takes their arrays, and has their structure inside.
     """
+    functions = stepper.dynamics._functions
+    twin = functions.loops.get(Dynamics, lambda: Dynamics(functions.twin()))
+    leaves, structure = jax.tree.flatten((dataclasses.replace(stepper, dynamics=twin), *rest))
 
-    def both() -> tuple[Callable[..., Any], Dynamics]:
-        return jax.jit(make()), Dynamics(stepper.dynamics._functions.twin())
+    def flat() -> Callable[..., Any]:
+        function = make()
+        return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)))
 
-    run, twin = stepper.dynamics._functions.loops.get(make, both)
-    return run, dataclasses.replace(stepper, dynamics=twin)
+    return functions.loops.get((make, structure), flat)(*leaves)

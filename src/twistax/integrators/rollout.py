@@ -39,12 +39,11 @@ def rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
     all times are right.
     """
-    run, own = jitted(_differentiable, stepper)
-    found: Rollout = run(steps, own, x)
+    found: Rollout = jitted(_differentiable, stepper, steps, x)
     return found
 
 
-def _differentiable() -> Callable[[Steps, Stepper, Arrays], Rollout]:
+def _differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
     @jax.custom_jvp
     def taken(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
         # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
@@ -54,7 +53,7 @@ def _differentiable() -> Callable[[Steps, Stepper, Arrays], Rollout]:
         return _differentiated(primals, tangents)
 
     taken.defjvp(along, symbolic_zeros=True)
-    return taken
+    return lambda stepper, steps, x: taken(steps, stepper, x)
 
 
 def _batched_alike(found: Rollout, inputs: Any) -> Rollout:

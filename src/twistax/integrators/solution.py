@@ -120,8 +120,7 @@ class Solution:
             if outside.any():
                 wrong = float(times[int(np.argmax(outside))])
                 raise InputError(f"evaluate expects times in [{start:g}, {end:g}], the integrated span, got {wrong:g}")
-        run, stepper = jitted(_between, self.dense.stepper)
-        found: Arrays = run(stepper, trail, ts.reshape(-1))
+        found: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
 
     @property

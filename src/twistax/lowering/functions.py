@@ -102,7 +102,7 @@ class Functions:
             "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
             "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
         }
-        self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(8)
+        self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made = Kept(64)
         self._jit()
 
@@ -114,7 +114,7 @@ class Functions:
 
     def twin(self) -> Functions:
         """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
-        return self._changed(loops=Kept(8))
+        return self._changed(loops=Kept(32))
 
     def _changed(self, **own: Any) -> Functions:
         found = object.__new__(Functions)
