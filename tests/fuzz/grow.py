@@ -114,10 +114,10 @@ class Grower:
 
     def case(self, grown: Callable[[], list[Term]], derived: float) -> Case:
         single, narrow, batched, called, differentiated = (
-            self.source.random() < share for share in (0.12, 0.08, 0.35, 0.2, derived)
+            self.source.random() < share for share in (0.12, 0.12, 0.35, 0.2, derived)
         )
         whole = not single and (narrow or self.source.random() < 0.08)
-        if whole and self.source.random() < 0.5:
+        if narrow or (whole and self.source.random() < 0.5):
             self.numbers, self.special = WHOLE, 0.4
         terms = tuple(grown())
         parameters = [name for name in self.leaves if name.startswith("p")]

@@ -413,12 +413,16 @@ def index_of_a_join(source: Random, shape: Shape) -> Plan | None:
     """What rewrites look into."""
     for _ in range(10):
         rows = source.choice([(2, 2), (3,), (2, 3)])
-        parts = ", ".join(_index(source, n)[0] for n in (2, *rows)[: source.randint(1, 1 + len(rows))])
+        found = [_index(source, n)[0] for n in (2, *rows)[: source.randint(1, 1 + len(rows))]]
+        if source.random() < 0.4:  # a number, a slice and a list: NumPy puts the list's axis first
+            last = str([0, source.randint(-2, 1)])
+            found = [str(source.randint(-2, 1)), *[":"] * (len(rows) - 1), last]
+        parts = ", ".join(found)
         try:
-            found = eval(f"a[{parts}]", {"a": np.zeros((2, *rows)), "np": np})
+            entries = eval(f"a[{parts}]", {"a": np.zeros((2, *rows)), "np": np})
         except IndexError:
             continue
-        if found.shape == shape:
+        if entries.shape == shape:
             code = compile(f"a[{parts}]", "index", "eval")
             return Plan(
                 f"tx.Stack({{0}}, {{1}})[{parts}]",

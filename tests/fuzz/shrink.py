@@ -57,6 +57,10 @@ def weight(case: Case) -> tuple[int, int, int, int]:
     return len(case.terms), sum(1 for _ in case.walk()), len(case.baked) + len(case.settings), digits
 
 
+def path_of(said: str) -> str:
+    return said.split(":")[0].removesuffix(", vmap")
+
+
 def smallest(case: Case, check: Callable[[Case], str], wrong: str) -> tuple[Case, str]:
     """The case shrunk as long as it stays wrong on the same path, and what is wrong with it."""
     end = time.monotonic() + LIMIT
@@ -68,7 +72,7 @@ def smallest(case: Case, check: Callable[[Case], str], wrong: str) -> tuple[Case
                 continue
             said = check(simpler)
             # One term of many may be wrong elsewhere first.
-            if said and (said.split(":")[0] == wrong.split(":")[0] or len(simpler.terms) < len(case.terms)):
+            if said and (path_of(said) == path_of(wrong) or len(simpler.terms) < len(case.terms)):
                 case, wrong, found = simpler, said, True
                 break
             if time.monotonic() > end:
