@@ -427,6 +427,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/native/rows.py",
+        (
+            "what rows share, read beyond",
+            "mul nuw nsw i64 {place}, {stride}",
+            "mul nuw nsw i64 {place}, {array.size}",
+            "lowering/test_batched.py",
+        ),
+    ),
+    *_at(
         "lowering/native/cache.py",
         (
             "code of a damaged file",
@@ -736,7 +745,7 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "lowering/native/loop.py",
-        ("the rows of a reversed scan forwards", "if ring.reverse else k", "if False else k", "lowering/test_fast.py"),
+        ("the rows of a reversed scan forwards", '{k}") if ring.reverse', '{k}") if False', "lowering/test_fast.py"),
         (
             "one iteration more",
             "icmp ult i64 {following}, {count}",

@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
+import jaxlib
 from jax.experimental import jet
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
@@ -35,6 +36,11 @@ _SAID: set[str] = set()
 
 class Unread(Exception):
     """An equation holds parameters that this version of twistax does not know. Never reaches the user."""
+
+
+def jax_versions() -> tuple[str, str]:
+    """Those of JAX and of what it is compiled in."""
+    return jax.__version__, jaxlib.__version__
 
 
 def say_once(message: str) -> None:

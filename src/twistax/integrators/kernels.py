@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..lowering.scalar.primitive import Derived, Repeated, call_program, repeat
+from ..lowering.scalar.loops import Repeated, repeat
+from ..lowering.scalar.primitive import Derived, call_program
 from .charts import Blocks
 from .method import Attempt, Carry, Stepper
 

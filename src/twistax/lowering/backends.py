@@ -16,7 +16,8 @@ from ..checks import whole
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
-from .scalar.primitive import Derived, Repeated, Ring, Rows, call_program
+from .scalar.loops import Repeated, Ring
+from .scalar.primitive import Derived, Rows, call_program
 from .scalar.program import ScalarProgram, emitted_form, scalarize
 from .scalar.table import entry_of
 from .small_call import is_key, known_inside

@@ -28,7 +28,8 @@ from ..jax_inside import (
     weakly_kept,
 )
 from .backends import Backend, array_operations
-from .scalar.primitive import Differentiable, Looped, Ring, Rows, Shapes, differentiable, loop
+from .scalar.loops import Looped, Ring, loop
+from .scalar.primitive import Bodies, Differentiable, Rows, Shapes, differentiable
 from .scalar.table import say_unread
 from .small_call import small_call
 
@@ -97,11 +98,8 @@ class Whole(Differentiable):
     def kernel(self, rows: int) -> Rows | None:
         return None
 
-    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
-        run = self.parts[0]
-        for _ in range(depth):
-            run = jax.vmap(run)
-        return run(*arguments)
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+        return bodies.each(self.parts[0], arguments)
 
     def _tangent(self, active: tuple[int, ...]) -> Whole:
         def tangent(given: list[Any], moved: list[Any]) -> list[Any]:
@@ -183,7 +181,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if name == _whole_p.name and not eqn.params["depth"]:
+        if name == _whole_p.name and not eqn.params["bodies"].depth:
             inside: ClosedJaxpr | None = eqn.params["program"].program
         else:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)

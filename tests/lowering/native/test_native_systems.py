@@ -129,7 +129,7 @@ def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if XLA's interface had changed."""
     monkeypatch.setattr(kernel_module, "_CALLED", False)
-    monkeypatch.setattr(Kernel, "__call__", lambda self, rows, *a: [jnp.zeros((rows, 3))])
+    monkeypatch.setattr(Kernel, "__call__", lambda self, rows, *a, **_: [jnp.zeros((rows, 3))])
     with pytest.warns(RuntimeWarning, match="JAX calls it otherwise"):
         rates = tx.compile(SMALL, backend=tx.Native(least=0, threads=5))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)

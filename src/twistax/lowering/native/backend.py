@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.metadata
 import importlib.util
 import math
@@ -17,7 +18,8 @@ from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ..scalar.graph import TooLarge
-from ..scalar.primitive import Derived, Repeated, Ring, Rows, call_program
+from ..scalar.loops import Repeated, Ring
+from ..scalar.primitive import Derived, Rows, call_program
 from ..scalar.program import ScalarProgram
 from .code import NotNative
 from .kernel import Kernel, check_kernel
@@ -106,7 +108,12 @@ class Native(Backend):
         if program is None:
             return None
         form = native_form(program)
-        return lambda single: self._built(Loop, form, single, ring)
+
+        def kernel(single: bool) -> Rows | None:
+            found = self._built(Loop, form, single, ring)
+            return None if found is None else functools.partial(found, length=ring.length or 0)
+
+        return kernel
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
         """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""

@@ -6,6 +6,7 @@
 $messages
 
 ; ---- rows `first` to `end` - 1 of the arrays in a table, at least one --------------------------------------------------
+; A table has the pointers of all arrays, then for each how many entries one row is from the next: none where all share one.
 
 define void @run(ptr %table, i64 %first, i64 %end) #0 {
 entry:
@@ -188,8 +189,10 @@ store i64 3, ptr %arguments + 24
 ret ptr %error
 }
 
-; Puts the data of a buffer into the table, if it is of this type and of shape (rows, size).
-define internal i1 @taken(ptr %buffers, i64 %place, i32 %type, i64 %rows, i64 %size, ptr %table, i64 %number) #0 {
+; Puts the data of a buffer, and how far one row is from the next, into the table, if it is of this type and of shape
+; (rows, size); or of shape (1, size), if all rows may share one.
+define internal i1 @taken(ptr %buffers, i64 %place, i1 %shared, i32 %type,
+ i64 %rows, i64 %size, ptr %table, i64 %number) #0 {
 entry:
 %slot = getelementptr ptr, ptr %buffers, i64 %place
 %buffer = load ptr, ptr %slot
@@ -203,7 +206,10 @@ shape:
 %dims = load ptr, ptr %buffer + 40
 %own.rows = load i64, ptr %dims
 %own.size = load i64, ptr %dims + 8
-%rows.right = icmp eq i64 %own.rows, %rows
+%rows.same = icmp eq i64 %own.rows, %rows
+%rows.one = icmp eq i64 %own.rows, 1
+%rows.shared = and i1 %rows.one, %shared
+%rows.right = or i1 %rows.same, %rows.shared
 %size.right = icmp eq i64 %own.size, %size
 %both = and i1 %rows.right, %size.right
 br i1 %both, label %keep, label %wrong
@@ -211,6 +217,10 @@ keep:
 %data = load ptr, ptr %buffer + 24
 %entry.at = getelementptr ptr, ptr %table, i64 %number
 store ptr %data, ptr %entry.at
+%stride = select i1 %rows.same, i64 %size, i64 0
+%later = add i64 %number, $count
+%stride.at = getelementptr ptr, ptr %table, i64 %later
+store i64 %stride, ptr %stride.at
 ret i1 true
 wrong:
 ret i1 false
@@ -249,16 +259,14 @@ br i1 %counts.right, label %buffers, label %wrong.count
 buffers:
 %arguments = load ptr, ptr %frame + 72
 %results = load ptr, ptr %frame + 112
-%table = alloca [$count x ptr]
+%table = alloca [$entries x ptr]
 %first.at = load ptr, ptr %results
 %first.dims = load ptr, ptr %first.at + 40
 %rows = load i64, ptr %first.dims
-br label %check.0
+%empty = icmp eq i64 %rows, 0
+br i1 %empty, label %done, label %check.0
 $buffers
 check.$count:
-%empty = icmp eq i64 %rows, 0
-br i1 %empty, label %done, label %work
-work:
 call void @start(ptr %frame, ptr %table, i64 %rows, i64 $threads)
 br label %done
 done:

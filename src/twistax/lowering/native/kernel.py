@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import math
 import threading
 import time
 import weakref
@@ -15,10 +16,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jaxlib
 import numpy as np
 from numpy.typing import NDArray
 
+from ...jax_inside import jax_versions
 from ..export import version
 from . import cache
 from .code import Module, addressed
@@ -43,7 +44,7 @@ class _Lease:
     """
 
     def __init__(self, target: str, text: str, module: Module, names: Sequence[str]) -> None:
-        self._key = _digest(target, version(), jax.__version__, jaxlib.__version__)
+        self._key = _digest(target, version(), *jax_versions())
         written = cache.kept(self._key)
         self._unchecked = None
         if written is None:
@@ -101,22 +102,29 @@ class Kernel:
                 _register(self.target, found, processor)
         self.lease = found
 
-    def __call__(self, rows: int, *arguments: jax.Array) -> list[jax.Array]:
-        """The results for rows of arguments, (rows, *shape) each; traceable."""
-        given = [jnp.reshape(arguments[k], (rows, a.size)) for k, a in zip(self.tile.read, self._read, strict=True)]
-        types = [jax.ShapeDtypeStruct((rows, array.size), array.dtype) for array in self._written]
+    def __call__(self, rows: int, *arguments: jax.Array, length: int = 0) -> list[jax.Array]:
+        """The results for rows of arguments, each (rows, *shape), or (1, *shape) where all share one; traceable.
+
+        Args:
+            length: of the first axis of long arguments and results.
+        """
+        given = [jnp.reshape(arguments[k], (len(arguments[k]), -1)) for k in self.tile.read]
+        types = [jax.ShapeDtypeStruct((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
         found = dict(zip(self.tile.written, jax.ffi.ffi_call(self.target, types)(*given), strict=True))
+        shapes = [(rows, *a.of_length(length)) for a in self.tile.results]
         return [
-            jnp.reshape(found[k], (rows, *a.shape)) if k in found else jnp.zeros((rows, *a.shape), a.dtype)
-            for k, a in enumerate(self.tile.results)
+            jnp.reshape(found[k], shape) if k in found else jnp.zeros(shape, a.dtype)
+            for k, (a, shape) in enumerate(zip(self.tile.results, shapes, strict=True))
         ]
 
-    def run(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+    def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
         """The results that are not empty, for arguments that the kernel reads, (rows, entries) each; without JAX."""
-        rows = len(arguments[0]) if arguments else 1
+        rows = max(map(len, arguments), default=1)
         given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
-        results = [np.zeros((rows, array.size), array.dtype) for array in self._written]
-        table = (ctypes.c_void_p * (len(given) + len(results)))(*(a.ctypes.data for a in (*given, *results)))
+        results = [np.zeros((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
+        arrays = [*given, *results]
+        strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
+        table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides)
         if rows:
             call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
                 self.lease.code.addresses["run"]
@@ -186,18 +194,26 @@ _DECLARED = {
     "declare i64 @llvm.umin.i64(i64, i64)",
 }
 
-_BUFFER = """check.{k}:
-%right.{k} = call i1 @taken(ptr %{family}s, i64 {place}, i32 {type}, i64 %rows, i64 {size}, ptr %table, i64 {k})
+_BUFFER = """%right.{k} = call i1 @taken(ptr %{family}s, i64 {place}, i1 {shared}, i32 {type},
+ i64 %rows, i64 {size}, ptr %table, i64 {k})
 br i1 %right.{k}, label %check.{next}, label %wrong.{k}"""
+
+#: The entries of a long array: how many there are at each place, times the length, which is the first argument.
+_LONG = """%count.at.{k} = load ptr, ptr %table
+%count.{k} = load i32, ptr %count.at.{k}
+%length.{k} = sext i32 %count.{k} to i64
+%size.{k} = mul i64 %length.{k}, {size}"""
 
 _ERROR = """{label}:
 %error.{label} = call ptr @failed(ptr %api, ptr @message.{label})
 ret ptr %error.{label}"""
 
 _POINTER = """%p{k} = getelementptr ptr, ptr %table, i64 {k}
-%{name} = load ptr, ptr %p{k}"""
+%{name} = load ptr, ptr %p{k}
+%s{k} = getelementptr ptr, ptr %table, i64 {stride}
+%{name}.stride = load i64, ptr %s{k}"""
 
-_MOVED = """%{name}.place = mul i64 %row, {size}
+_MOVED = """%{name}.place = mul i64 %row, %{name}.stride
 %{name}.row = getelementptr {stored}, ptr %{name}, i64 %{name}.place"""
 
 
@@ -217,9 +233,11 @@ def _write_handler(module: Module, tile: Tile, threads: int) -> None:
     buffers = []
     for k, array in enumerate(arrays.values()):
         family, place = ("argument", k) if k < read else ("result", k - read)
-        kind = _DATA_TYPES[array.kind]
-        buffers.append(_BUFFER.format(k=k, family=family, place=place, type=kind, size=array.size, next=k + 1))
-        expected = f"{np.dtype(array.dtype).name} of shape (rows, {array.size})"
+        own = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
+        size, words = (f"%size.{k}", f"length * {array.size}") if array.long else (str(array.size), str(array.size))
+        buffers += [f"check.{k}:", *([_LONG.format(k=k, size=array.size)] if array.long else [])]
+        buffers.append(_BUFFER.format(**own, size=size, shared="true" if k < read else "false"))
+        expected = f"{np.dtype(array.dtype).name} of shape (rows, {words})"
         messages[f"wrong.{k}"] = f"a kernel of twistax expects {expected} as {family} {place}"
     constants = [
         f'@message.{label} = private constant [{len(message) + 1} x i8] c"{message}\\00"'
@@ -227,18 +245,19 @@ def _write_handler(module: Module, tile: Tile, threads: int) -> None:
     ]
     text = _template().substitute(
         messages="\n".join(constants),
-        pointers="\n".join(_POINTER.format(k=k, name=name) for k, name in enumerate(arrays)),
-        moved="\n".join(_MOVED.format(name=name, size=a.size, stored=a.stored) for name, a in arrays.items()),
-        rows="".join(f", ptr %{name}.row" for name in arrays),
+        pointers="\n".join(_POINTER.format(k=k, name=name, stride=k + len(arrays)) for k, name in enumerate(arrays)),
+        moved="\n".join(_MOVED.format(name=name, stored=a.stored) for name, a in arrays.items()),
+        rows="".join(f", ptr %{name}.row, i64 %{name}.stride" for name in arrays),
         lanes=tile.lanes,
         chunk=tile.chunk,
-        table=8 * len(arrays),
-        job=32 + 8 * len(arrays),
+        table=16 * len(arrays),
+        job=32 + 16 * len(arrays),
         major=major,
         minor=minor,
         arguments=read,
         results=results,
         count=len(arrays),
+        entries=2 * len(arrays),
         buffers="\n".join(buffers),
         threads=threads,
         errors="\n".join(_ERROR.format(label=label) for label in messages),
@@ -303,17 +322,18 @@ def check_kernel(kernel: Kernel) -> None:
     random = np.random.default_rng(0)
     # What reads no arguments gives one row by itself.
     tile, rows = kernel.tile, kernel.tile.lanes + 1 if kernel.tile.read else 1
-    arguments = tile.exercised([_drawn(random, rows, a) for a in tile.arguments])
+    arguments = tile.exercised([_drawn(random, (rows, math.prod(a.of_length(tile.tried))), a) for a in tile.arguments])
     expected, beside = tile.plain(arguments), tile.plain([_moved(a) for a in arguments])
-    found = kernel.run([arguments[k] for k in tile.read])
+    found = kernel.run([arguments[k] for k in tile.read], tile.tried)
     for k, own in zip(tile.written, found, strict=True):
         if not _agree(own, expected[k], beside[k]):
             raise BuildError("its results differ from those of NumPy")
     global _CALLED
-    if not _CALLED and tile.fills:
+    if not _CALLED:
         with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend="cpu")[0]):
-            shaped = [a.reshape(rows, *of.shape) for a, of in zip(arguments, tile.arguments, strict=True)]
-            called = jax.jit(lambda *values: kernel(rows, *values))(*shaped)
+            shapes = ((rows, *a.of_length(tile.tried)) for a in tile.arguments)
+            shaped = [a.reshape(shape) for a, shape in zip(arguments, shapes, strict=True)]
+            called = jax.jit(lambda *values: kernel(rows, *values, length=tile.tried))(*shaped)
         for k, own in zip(tile.written, found, strict=True):
             if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
                 raise BuildError("JAX calls it otherwise than expected")
@@ -321,8 +341,7 @@ def check_kernel(kernel: Kernel) -> None:
     kernel.lease.keep()
 
 
-def _drawn(random: np.random.Generator, rows: int, array: Array) -> NDArray[Any]:
-    size = (rows, array.size)
+def _drawn(random: np.random.Generator, size: tuple[int, int], array: Array) -> NDArray[Any]:
     drawn = random.normal(size=size) if array.dtype.kind == "f" else random.integers(0, 2, size)
     return drawn.astype(array.dtype)
 

@@ -9,40 +9,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scalar.entry import flat
-from ..scalar.primitive import Ring
+from ..scalar.loops import Ring
 from ..scalar.program import ScalarProgram
 from .code import NAMES, Code
 from .rows import Array, Rows
 from .tile import Scalars, Tile, arguments_of, by_numpy, needed_by
 
 _COUNT = Array((), np.dtype(np.int32))
-#: Iterations that a kernel takes where it is checked.
-_TRIED = 3
 
 
 class Loop(Tile):
     """Takes (count, *fixed, *state, *rows), gives (*state, *rows).
 
-    The count of a scan is its length. That of a `while_loop` bounds the iterations; -1: nothing does.
+    The count of a scan is its length, at least one, which no kernel depends on. That of a `while_loop` bounds the
+    iterations; -1: nothing does.
 
     Args:
         program: one iteration.
     """
 
+    tried = 3
+
     def __init__(self, program: ScalarProgram, lanes: int, ring: Ring) -> None:
         self.ring = ring
-        self.fills = (ring.length or 0) <= _TRIED
         own = arguments_of(program)
         self._rows = own[ring.fixed + ring.state :]
-        arguments = [_COUNT, *own[: ring.fixed + ring.state], *(self._long(a) for a in self._rows)]
+        arguments = [_COUNT, *own[: ring.fixed + ring.state], *(_long(a) for a in self._rows)]
         found = [Array(a.shape, t) for a, t in zip(program.outputs, program.types, strict=True)][ring.length is None :]
         self._results = found[ring.state :]
-        results = [*found[: ring.state], *(self._long(a) for a in self._results)]
+        results = [*found[: ring.state], *(_long(a) for a in self._results)]
         states = range(ring.fixed + 1, ring.fixed + ring.state + 1)
         super().__init__(program, lanes, arguments, results, {k + 1 for k in needed_by(program)} | {0, *states})
-
-    def _long(self, array: Array) -> Array:
-        return Array((self.ring.rows, *array.shape), array.dtype)
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
         step, ring = self.program, self.ring
@@ -64,11 +61,12 @@ class Loop(Tile):
         scalars.compute([i for i in step.live if i not in changing])
         one = code.emit(f"extractelement {code.vector('i32')} {rows['a0'].read(0)}, i32 0")
         count, k, live = code.emit(f"sext i32 {one} to i64"), code.name(), code.name()
+        last = code.emit(f"sub i64 {count}, 1")
         before, loop, latch, done = (code.label() for _ in range(4))
         code.lines += [f"br label %{before}", f"{before}:", f"br label %{loop}", f"{loop}:"]
         # What comes round is known at the end of the loop.
         heads = len(code.lines)
-        place = code.emit(f"sub i64 {ring.rows - 1}, {k}") if ring.reverse else k
+        place = code.emit(f"sub i64 {last}, {k}") if ring.reverse else k
 
         def window(name: str, array: Array) -> Rows:
             return rows[name].window(code.emit(f"mul i64 {place}, {array.size}"), array)
@@ -99,23 +97,29 @@ class Loop(Tile):
                 rows[f"r{n}"].write(values)
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        return [np.full_like(arguments[0], min(_TRIED, self.ring.length or _TRIED)), *arguments[1:]]
+        return [np.full_like(arguments[0], self.tried), *arguments[1:]]
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         ring, (count, *rest) = self.ring, arguments
+        length = int(count[0, 0])
         fixed, state = rest[: ring.fixed], rest[ring.fixed : ring.fixed + ring.state]
         longer = rest[ring.fixed + ring.state :]
-        rows = [np.zeros((len(count), ring.rows * a.size), a.dtype) for a in self._results]
+        rows = [np.zeros((len(count), length * a.size), a.dtype) for a in self._results]
         live = np.ones((len(count), 1), bool)
-        for k in range(int(count[0, 0])):
-            here = [_part(a, ring.place(k), own.size) for a, own in zip(longer, self._rows, strict=True)]
+        for k in range(length):
+            place = length - 1 - k if ring.reverse else k
+            here = [_part(a, place, own.size) for a, own in zip(longer, self._rows, strict=True)]
             found = by_numpy(self.program, [*fixed, *state, *here])
             if ring.length is None:
                 live = live & found.pop(0)
             state = [np.where(live, new, old) for new, old in zip(found, state, strict=False)]
             for a, own, new in zip(rows, self._results, found[ring.state :], strict=True):
-                _part(a, ring.place(k), own.size)[:] = new
+                _part(a, place, own.size)[:] = new
         return [*state, *rows]
+
+
+def _long(array: Array) -> Array:
+    return Array(array.shape, array.dtype, long=True)
 
 
 def _part(a: NDArray[Any], place: int, size: int) -> NDArray[Any]:

@@ -13,14 +13,23 @@ from .code import NAMES, Code
 
 @dataclasses.dataclass(frozen=True)
 class Array:
-    """An argument or a result: its shape in one row, and its type."""
+    """An argument or a result: its shape in one row, and its type.
+
+    One that is long has an axis in front of that shape, of a length that is known only at run time.
+    """
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    long: bool = False
 
     @property
     def size(self) -> int:
+        """Entries, of a long one at each place of that axis."""
         return math.prod(self.shape)
+
+    def of_length(self, length: int) -> tuple[int, ...]:
+        """The whole shape."""
+        return (length, *self.shape) if self.long else self.shape
 
     @property
     def kind(self) -> str:
@@ -36,17 +45,20 @@ class Array:
 class Rows:
     """The rows of one array from a pointer on: as many as there are lanes, or fewer, and the last one fills the rest.
 
-    `places` holds the number of the row of each lane.
+    Args:
+        base: the pointer.
+        stride: entries from one row to the next; zero where all share one.
+        places: the number of the row of each lane.
     """
 
-    def __init__(self, code: Code, array: Array, base: str, places: list[str]) -> None:
+    def __init__(self, code: Code, array: Array, base: str, stride: str, places: list[str]) -> None:
         self._code = code
         self._array = array
         # Parts of vectors are moved whole only where a row has as many numbers, or masks are free.
         self._blocks = array.kind in ("double", "float") and (array.size >= code.lanes or code.module.processor.masks)
         self._pointers = [
             code.emit(
-                f"getelementptr {array.stored}, ptr {base}, i64 {code.emit(f'mul nuw nsw i64 {place}, {array.size}')}"
+                f"getelementptr {array.stored}, ptr {base}, i64 {code.emit(f'mul nuw nsw i64 {place}, {stride}')}"
             )
             for place in places
         ]
@@ -55,7 +67,7 @@ class Rows:
 
     def window(self, start: str, array: Array) -> Rows:
         """Part of each row: an array from an entry on that is known only at run time."""
-        found = Rows(self._code, array, "", [])
+        found = Rows(self._code, array, "", "", [])
         found._pointers = [
             self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}") for p in self._pointers
         ]

@@ -121,10 +121,10 @@ class Tile(ABC):
         arguments, results: all of them, of one row.
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
-        fills: whether all entries of the results are written also for arguments from `exercised`.
+        tried: the length that long arrays have where the function is checked.
     """
 
-    fills = True
+    tried = 0
 
     def __init__(
         self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
@@ -148,8 +148,9 @@ class Tile(ABC):
         places = ["0"]  # the row of a lane: its own, or the last one
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        self.body(code, {name: Rows(code, array, f"%{name}", places) for name, array in self.arrays.items()})
-        heads = "".join(f", ptr noalias %{name}" for name in self.arrays)
+        rows = {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
+        self.body(code, rows)
+        heads = "".join(f", ptr noalias %{name}, i64 %{name}.stride" for name in self.arrays)
         module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Equations of JAX that twistax compiles: scalar programs, whole functions with loops, repeated steps and loops."""
+"""Equations of JAX that twistax compiles: what JAX asks of them, and scalar programs with their derivatives."""
 
 from __future__ import annotations
 
@@ -21,8 +21,58 @@ from .program import ScalarProgram, emitted_form
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
-#: From the number of rows, and arguments (rows, *shape), to results.
+#: From the number of rows, and arguments (rows, *shape), or (1, *shape) where all rows share one, to results.
 Rows: TypeAlias = Callable[..., list[jax.Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bodies:
+    """Of how many bodies the arguments of an equation are.
+
+    Attributes:
+        depth: how many axes are of bodies; they come first.
+        shared: the arguments that do not have them: all bodies share one.
+    """
+
+    depth: int = 0
+    shared: frozenset[int] = frozenset()
+
+    def shape(self, arguments: Sequence[Any]) -> tuple[int, ...]:
+        """The lengths of these axes."""
+        return next((np.shape(a)[: self.depth] for k, a in enumerate(arguments) if k not in self.shared), ())
+
+    def each(self, function: Callable[..., list[jax.Array]], arguments: Sequence[Any]) -> list[jax.Array]:
+        """A function of one body, of all of them at once."""
+        axes = [None if k in self.shared else 0 for k in range(len(arguments))]
+        for _ in range(self.depth):
+            function = jax.vmap(function, in_axes=axes)
+        return function(*arguments)
+
+    def rows(self, function: Rows, arguments: Sequence[Any]) -> list[jax.Array]:
+        """A function of rows, of bodies whose axes are made one."""
+        shape = self.shape(arguments)
+        rows = math.prod(shape)
+        flat = [
+            jnp.reshape(a, (1, *jnp.shape(a)) if k in self.shared else (rows, *jnp.shape(a)[self.depth :]))
+            for k, a in enumerate(arguments)
+        ]
+        return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in function(rows, *flat)]
+
+    def batched(self, arguments: Sequence[Any], axes: Sequence[int | None]) -> tuple[Bodies, list[Any]]:
+        """The same with one more axis, in front, that stands somewhere in some arguments, and those arguments."""
+        size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
+        whole = {k for k, d in enumerate(axes) if d is None and (k in self.shared or self.depth == 0)}
+        moved = [
+            a if k in whole else batching.bdim_at_front(a, d, size)
+            for k, (a, d) in enumerate(zip(arguments, axes, strict=True))
+        ]
+        found = Bodies(self.depth + 1, frozenset(whole))
+        # Those that only the axes from before share are no longer the same for all.
+        shape = Bodies(self.depth + 1, self.shared | whole).shape(moved)
+        for k in self.shared - whole:
+            own = moved[k].shape[1:]
+            moved[k] = jnp.broadcast_to(moved[k].reshape(size, *(1 for _ in shape[1:]), *own), (*shape, *own))
+        return found, moved
 
 
 class Runner(Protocol):
@@ -37,6 +87,24 @@ class Runner(Protocol):
         Args:
             single: for one row; else for many. Asked once for each program.
         """
+
+
+class Computed(Protocol):
+    """What an equation computes. Compared and hashed by identity."""
+
+    @property
+    def results(self) -> Shapes:
+        """The shapes and types of the results."""
+
+    @property
+    def function(self) -> Callable[..., list[jax.Array]]:
+        """From arguments to results of one body; pure and traceable."""
+
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+        """What XLA runs on the CPU where there is no kernel; `inside` of a small call or not."""
+
+    def kernel(self, rows: int) -> Rows | None:
+        """What runs so many bodies at once on the CPU instead."""
 
 
 class Differentiable(ABC):
@@ -66,7 +134,7 @@ class Differentiable(ABC):
         """What JAX calls it; `inside` of a small call or not."""
 
     @abstractmethod
-    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
         """What XLA runs on the CPU where there is no kernel."""
 
     @abstractmethod
@@ -148,18 +216,21 @@ class Derived(Differentiable):
             self._prepared[single] = self.runner.prepare(self.program, single)
         return self._prepared[single]
 
-    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
         """What XLA runs on the CPU: body after body, each loop compiled as one function, or `inside` of one."""
         empty = not any(jnp.size(a) for a in arguments)
-        if depth == 0:
+        if bodies.depth == 0:
             return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
         if empty:
-            return _at_once(self, arguments, depth)
+            return bodies.each(self.function, arguments)
 
-        def each(*flat: jax.Array) -> list[jax.Array]:
-            return jax.lax.map(lambda row: self._apart(*row), flat)
+        def every(*flat: jax.Array) -> list[jax.Array]:
+            def one(row: dict[int, jax.Array]) -> list[jax.Array]:
+                return self._apart(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
 
-        return _over_rows(lambda rows, *flat: small_call(each, *flat), arguments, depth)
+            return jax.lax.map(one, {k: a for k, a in enumerate(flat) if k not in bodies.shared})
+
+        return bodies.rows(lambda rows, *flat: small_call(every, *flat), arguments)
 
     def primitive(self, inside: bool) -> Primitive:
         return _program_p if inside or self.runner is None else _native_p
@@ -173,199 +244,54 @@ class Derived(Differentiable):
         return Derived(cotangent_program(self.program, active), None, self.runner)
 
 
-@weakly_kept
-class Repeated:
-    """A step and the kernels that take it again and again. Compared and hashed by identity.
-
-    Args:
-        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
-        state: how many arguments are the state.
-        kernel: makes the kernel, for one body (True) or for many; None where there is none.
-    """
-
-    def __init__(self, step: ScalarProgram, state: int, kernel: Callable[[bool], Rows | None]) -> None:
-        self._step = step
-        self._state = state
-        self._kernel = functools.lru_cache(kernel)
-
-    def kernel(self, rows: int) -> Rows | None:
-        return self._kernel(rows == 1)
-
-    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
-        return _at_once(self, arguments, depth)
-
-    @functools.cached_property
-    def results(self) -> Shapes:
-        number, *rest = [(a.shape, self._step.graph.dtype_of(a)) for a in self._step.inputs]
-        return [*rest[len(rest) - self._state :], number]
-
-    @functools.cached_property
-    def function(self) -> Callable[..., list[jax.Array]]:
-        """A loop."""
-        step, count = as_function(self._step), self._state
-
-        def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array) -> list[jax.Array]:
-            fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
-
-            def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
-                return carried[1] & (carried[0] < stop)
-
-            def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
-                k, _, state = carried
-                found = step(k, *fixed, *state)
-                if len(found) > count:
-                    return k + 1, found[count], found[:count]
-                good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
-                kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
-                return k + good.astype(k.dtype), good, kept
-
-            k, _, found = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), list(state)))
-            return [*found, k]
-
-        return loop
-
-
-@dataclasses.dataclass(frozen=True)
-class Ring:
-    """How the arguments and results of one iteration go round.
-
-    A scan takes (*fixed, *state, *rows) and gives (*state, *rows): the rows of an iteration are parts of longer arrays.
-    A `while_loop` takes (*fixed, *state) and gives (going, *state): it ends, with the state that came in, where it is
-    not going.
-
-    Attributes:
-        fixed, state: how many arguments stay the same, and how many are carried.
-        length: the iterations of a scan; None: it is a `while_loop`.
-        reverse: whether a scan begins with the last rows.
-    """
-
-    fixed: int
-    state: int
-    length: int | None = None
-    reverse: bool = False
-
-    @property
-    def rows(self) -> int:
-        """How many entries the arrays have whose rows come one by one."""
-        return self.length or 0
-
-    def place(self, k: int) -> int:
-        """The row of an iteration."""
-        return self.rows - 1 - k if self.reverse else k
-
-
-class Looped:
-    """A loop of JAX, and the kernels that take all of its iterations. Compared and hashed by identity.
-
-    Args:
-        function: the loop as JAX has it, of (count, *arguments).
-        results: the shapes and types of its results.
-        kernel: makes the kernel, for one body (True) or for many; None where there is none.
-    """
-
-    def __init__(
-        self, function: Callable[..., list[jax.Array]], results: Shapes, kernel: Callable[[bool], Rows | None]
-    ) -> None:
-        self.function = function
-        self.results = results
-        self._kernel = functools.lru_cache(kernel)
-
-    def kernel(self, rows: int) -> Rows | None:
-        return self._kernel(rows == 1)
-
-    def on_cpu(self, arguments: Sequence[Any], depth: int, inside: bool) -> list[jax.Array]:
-        return _at_once(self, arguments, depth)
-
-
-#: What an equation computes.
-Computed: TypeAlias = Differentiable | Repeated | Looped
-
 #: A program that XLA runs; it may be part of a small call.
 _program_p = Primitive("scalar_program")
 #: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
 _native_p = Primitive("native_program")
-#: A repeated step, or a loop.
-_repeat_p = Primitive("repeated_step")
 
 
-def call_program(program: Differentiable, *arguments: Any, depth: int = 0) -> list[Any]:
-    """The results of a program; differentiable and batched as any JAX function.
+#: No batch.
+_ONE = Bodies()
 
-    Args:
-        depth: how many axes are of bodies.
-    """
+
+def call_program(program: Differentiable, *arguments: Any, bodies: Bodies = _ONE) -> list[Any]:
+    """The results of a program, of one body or of many; differentiable and batched as any JAX function."""
     # A loop that is compiled as one small function needs no other one inside.
     inside = inside_small_call()
-    return program.primitive(inside).bind(*arguments, program=program, depth=depth, inside=inside)
-
-
-def repeat(
-    step: Repeated, first: jax.Array, stop: jax.Array, fixed: Sequence[jax.Array], state: Sequence[jax.Array]
-) -> tuple[list[jax.Array], jax.Array]:
-    """state = step(k, fixed, state) for k = first, ..., stop - 1.
-
-    A step that says whether another iteration follows may end that early. One that does not ends it where the new state
-    would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
-
-    Returns:
-        The state, and the number of the next iteration.
-    """
-    *found, k = _repeat_p.bind(first, stop, *fixed, *state, program=step, depth=0, inside=False)
-    return found, k
-
-
-def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:
-    """The results of a loop. Traceable, batched by vmap, not differentiable."""
-    return _repeat_p.bind(jnp.int32(count), *arguments, program=looped, depth=0, inside=False)
+    return program.primitive(inside).bind(*arguments, program=program, bodies=bodies, inside=inside)
 
 
 # ---- what JAX asks of them -------------------------------------------------------------------------------------------
 
 
-def _over_rows(function: Rows, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
-    """function(rows, *arguments) of arguments whose first `depth` axes are bodies, made one axis for it."""
-    shape = _bodies(arguments, depth)
-    rows = math.prod(shape)
-    found = function(rows, *(jnp.reshape(a, (rows, *jnp.shape(a)[depth:])) for a in arguments))
-    return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in found]
+def _by_xla(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
+    return program.on_cpu(arguments, bodies, inside)
 
 
-def _at_once(program: Computed, arguments: Sequence[Any], depth: int) -> list[jax.Array]:
-    """All bodies at once, as accelerators do."""
-    function = program.function
-    for _ in range(depth):
-        function = jax.vmap(function)
-    return function(*arguments)
-
-
-def _bodies(arguments: Sequence[Any], depth: int) -> tuple[int, ...]:
-    return np.shape(arguments[0])[:depth] if arguments else ()
-
-
-def _by_xla(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[jax.Array]:
-    return program.on_cpu(arguments, depth, inside)
-
-
-def _by_kernel(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[jax.Array]:
-    rows = math.prod(_bodies(arguments, depth))
+def by_kernel(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
+    """On the CPU: the kernel, where there is one."""
+    rows = math.prod(bodies.shape(arguments))
     kernel = program.kernel(rows) if rows else None
-    return program.on_cpu(arguments, depth, inside) if kernel is None else _over_rows(kernel, arguments, depth)
+    return program.on_cpu(arguments, bodies, inside) if kernel is None else bodies.rows(kernel, arguments)
 
 
-def _elsewhere(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[jax.Array]:
-    return _at_once(program, arguments, depth)
+def _elsewhere(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
+    return bodies.each(program.function, arguments)
 
 
-def _abstract(*arguments: Any, program: Computed, depth: int, inside: bool) -> list[Any]:
-    return [shaped_array((*_bodies(arguments, depth), *shape), dtype) for shape, dtype in program.results]
+def _abstract(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[Any]:
+    return [shaped_array((*bodies.shape(arguments), *shape), dtype) for shape, dtype in program.results]
 
 
 def _jvp(
-    primals: Sequence[Any], tangents: Sequence[Any], *, program: Differentiable, depth: int, inside: bool
+    primals: Sequence[Any], tangents: Sequence[Any], *, program: Differentiable, bodies: Bodies, inside: bool
 ) -> tuple[list[Any], list[Any]]:
-    results = call_program(program, *primals, depth=depth)
+    results = call_program(program, *primals, bodies=bodies)
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
-    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), depth=depth))
+    # A tangent has the shape of its argument.
+    shared = {len(primals) + j for j, k in enumerate(active) if k in bodies.shared}
+    own = dataclasses.replace(bodies, shared=bodies.shared | shared)
+    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), bodies=own))
     real = set(program.real)
     return results, [
         next(moved) if k in real else ad.Zero(jax.typeof(r).to_tangent_aval()) for k, r in enumerate(results)
@@ -373,7 +299,7 @@ def _jvp(
 
 
 def _transpose(
-    cotangents: Sequence[Any], *arguments: Any, program: Differentiable, depth: int, inside: bool
+    cotangents: Sequence[Any], *arguments: Any, program: Differentiable, bodies: Bodies, inside: bool
 ) -> list[Any]:
     if program.origin is None:
         raise NotImplementedError("only the derivative of a scalar program is linear")
@@ -383,12 +309,14 @@ def _transpose(
     linear = [k for k, a in enumerate(arguments[count:]) if ad.is_undefined_primal(a)]
     back = origin.cotangent(tuple(active[k] for k in linear))
     result: list[Any] = [None] * len(arguments)
-    for k, value in zip(linear, call_program(back, *arguments[:count], *given, depth=depth), strict=True):
-        result[count + k] = value
+    own = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < count))
+    for k, value in zip(linear, call_program(back, *arguments[:count], *given, bodies=own), strict=True):
+        every = range(bodies.depth if count + k in bodies.shared else 0)
+        result[count + k] = jnp.sum(value, every) if every else value
     return result
 
 
-def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
+def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
     """Tell JAX how an equation runs, for one body or for batches of them."""
 
     @functools.lru_cache(32)  # what is jitted keeps its program
@@ -398,7 +326,7 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
     def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
         debugging: Any = jax.config
         if debugging.jax_debug_nans and debugging.jax_disable_jit:  # JAX looks for the operation that made a NaN
-            return _at_once(own["program"], arguments, own["depth"])
+            return _elsewhere(*arguments, **own)
         # As every operation of JAX: compiled also where functions are not.
         with jax.disable_jit(False):
             found: list[jax.Array] = compiled(**own)(*arguments)
@@ -416,10 +344,9 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
 
         return lowered
 
-    def batch(arguments: Sequence[Any], axes: Sequence[Any], **own: Any) -> tuple[list[Any], list[int]]:
-        size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
-        moved = [batching.bdim_at_front(a, d, size) for a, d in zip(arguments, axes, strict=True)]
-        results = primitive.bind(*moved, **{**own, "inside": False, "depth": own["depth"] + 1})
+    def batch(arguments: Sequence[Any], axes: Sequence[Any], bodies: Bodies, **own: Any) -> tuple[list[Any], list[int]]:
+        bodies, moved = bodies.batched(arguments, axes)
+        results = primitive.bind(*moved, **{**own, "inside": False, "bodies": bodies})
         return results, [0] * len(results)
 
     primitive.multiple_results = True
@@ -430,7 +357,7 @@ def _define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> Non
     mlir.register_lowering(primitive, lower(on_cpu), platform="cpu")
 
 
-def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, depth: int, inside: bool) -> Any:
+def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bodies: Bodies, inside: bool) -> Any:
     """Taylor series: those of the operations on scalars, `as_function` has barriers, which have none."""
     form = emitted_form(program.program)
     if form.calls:
@@ -446,9 +373,10 @@ def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, dep
         flat = [[values[i] for i in nodes.reshape(-1).tolist()] for nodes in form.outputs]
         return [jnp.stack(own).reshape(nodes.shape) for own, nodes in zip(flat, form.outputs, strict=True)]
 
-    for _ in range(depth):
-        function = jax.vmap(function)
-    return jet.jet(function, tuple(primals), tuple(series), factorial_scaled=False)
+    def every(*arguments: jax.Array) -> list[jax.Array]:
+        return bodies.each(function, arguments)
+
+    return jet.jet(every, tuple(primals), tuple(series), factorial_scaled=False)
 
 
 _taylor_rules: dict[Any, Any] = jet.jet_rules
@@ -456,7 +384,7 @@ _taylor_rules: dict[Any, Any] = jet.jet_rules
 
 def differentiable(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]] | None = None) -> None:
     """The same for an equation of a `Differentiable`; on the CPU by its kernel if there is one."""
-    _define(primitive, on_cpu or _by_kernel)
+    define(primitive, on_cpu or by_kernel)
     ad.primitive_jvps[primitive] = _jvp
     ad.primitive_transposes[primitive] = _transpose
 
@@ -465,4 +393,3 @@ differentiable(_program_p, _by_xla)
 differentiable(_native_p)
 for _primitive in (_program_p, _native_p):
     _taylor_rules[_primitive] = _jet
-_define(_repeat_p, _by_kernel)

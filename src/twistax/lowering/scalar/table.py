@@ -96,12 +96,12 @@ def _equations(jaxpr: Any) -> int:
 
 def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     """The scalars of a program of this package, for one body."""
-    return None if eqn.params["depth"] else reader.inlined(eqn.params["program"].program, arrays)
+    return None if eqn.params["bodies"].depth else reader.inlined(eqn.params["program"].program, arrays)
 
 
 def _operations(eqn: Any) -> dict[str, int]:
     """Those of all bodies."""
-    bodies = math.prod(eqn.outvars[0].aval.shape[: eqn.params["depth"]])
+    bodies = math.prod(eqn.outvars[0].aval.shape[: eqn.params["bodies"].depth])
     counts: dict[str, int] = eqn.params["program"].program.counts()
     return {name: bodies * count for name, count in counts.items()}
 
@@ -134,8 +134,8 @@ _CONTROL = [
     moving("cond", _cond, "branches | branches branches_platforms", when=lambda p: "branches_platforms" not in p),
     moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
     # This package's own.
-    moving("scalar_program", _program, "program depth inside", moves=False, work=_operations),
-    Entry("native_program", _program, "program depth inside", any_type=True, work=_operations),
+    moving("scalar_program", _program, "program bodies inside", moves=False, work=_operations),
+    Entry("native_program", _program, "program bodies inside", any_type=True, work=_operations),
 ]
 
 #: By the name of the primitive.
