@@ -8,6 +8,7 @@ leaves that equation to JAX, which gives the same numbers, and `say_once` tells 
 from __future__ import annotations
 
 import contextlib
+import math
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
@@ -27,6 +28,11 @@ try:
     from jax._src.util import weakref_cache_key_types as _weak_types
 except ImportError:
     _weak_types = set()
+
+try:
+    from jax._src.dispatch import prim_requires_devices_during_lowering as _need_devices
+except ImportError:
+    _need_devices = set()
 
 T = TypeVar("T")
 
@@ -196,6 +202,102 @@ def weakly_kept(cls: type[T]) -> type[T]:
     """Tell JAX's caches of traces not to keep what they know alive: parameters of equations, of this class."""
     _weak_types.add(cls)
     return cls
+
+
+def varying_alike(arguments: Sequence[Any]) -> list[Any]:
+    """Arguments of one equation: inside of `shard_map` those that all devices share vary as the others do."""
+    axes = [jax.typeof(a).mat.varying for a in arguments]
+    every = frozenset().union(*axes)
+    return [
+        a if own == every else jax.lax.pcast(a, tuple(every - own), to="varying")
+        for a, own in zip(arguments, axes, strict=True)
+    ]
+
+
+def varying_as(aval: Any, arguments: Sequence[Any]) -> Any:
+    """The abstract value of a result, varying between devices as the arguments do."""
+    if not arguments or not arguments[0].mat.varying:
+        return aval
+    sharding = arguments[0].sharding.update(spec=jax.sharding.PartitionSpec(*(None for _ in aval.shape)))
+    return arguments[0].update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=sharding)
+
+
+def by_one_device(context: Any) -> Any:
+    """The context of a lowering to operations of one device: what varies between devices is of no concern there."""
+
+    def plain(avals: Sequence[Any]) -> list[Any]:
+        return [shaped_array(a.shape, a.dtype) if isinstance(a, jax.core.ShapedArray) else a for a in avals]
+
+    return context.replace(avals_in=plain(context.avals_in), avals_out=plain(context.avals_out))
+
+
+def is_shared_out(context: Any) -> bool:
+    """Whether XLA shares what is lowered here between the devices of a mesh, outside of `shard_map`."""
+    axes = context.module_context.axis_context
+    known = getattr(axes, "device_assignment", None) is not None and getattr(axes, "abstract_mesh", None) is not None
+    return known and len(axes.device_assignment) > 1 and bool(getattr(jax.config, "jax_use_shardy_partitioner", True))
+
+
+def needs_devices(primitive: Primitive) -> None:
+    """Have JAX say on which devices an equation runs where it is lowered."""
+    _need_devices.add(primitive)
+
+
+def shared_out(function: Callable[..., list[Any]], depth: int, whole: Collection[int]) -> Callable[..., list[Any]]:
+    """A function of batches, where XLA shares it between devices: each computes its members.
+
+    Args:
+        function: the first `depth` axes of its results are those of the batch.
+        depth: how many axes are of the batch.
+        whole: the arguments that do not begin with these axes.
+    """
+    from jax.experimental.custom_partitioning import ArrayMapping, SdyShardingRule, custom_partitioning
+
+    def run(*arguments: Any) -> list[Any]:
+        program = jax.make_jaxpr(function)(*arguments)
+        consts, own = program.consts, jaxpr_as_fun(_constants_first(program))
+        alone = {*range(len(consts)), *(len(consts) + k for k in whole)}
+
+        def rule(mesh: Any, given: Sequence[Any], results: Sequence[Any]) -> SdyShardingRule:
+            batch, inner = [f"batch{k}" for k in range(depth)], []
+
+            def names(rank: int, first: Sequence[str]) -> ArrayMapping:
+                more = [f"entry{len(inner) + k}" for k in range(rank - len(first))]
+                inner.extend(more)
+                return ArrayMapping(*first, *more)
+
+            ins = tuple(names(len(a.shape), [] if k in alone else batch) for k, a in enumerate(given))
+            outs = tuple(names(len(a.shape), batch) for a in results)
+            return SdyShardingRule(ins, outs, need_replication_factors=tuple(inner))
+
+        def partition(mesh: Any, given: Sequence[Any], results: Sequence[Any]) -> Any:
+            # Members that XLA would make up, where they are not as many on all devices, might never end.
+            spec = [
+                _dividing(mesh, axis, n) for axis, n in zip(results[0].sharding.spec, results[0].shape, strict=True)
+            ]
+            batch = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*spec[:depth]))
+            every = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
+            ins = tuple(every if k in alone else batch for k in range(len(given)))
+            return mesh, lambda *values: function(*values[len(consts) :]), [batch for _ in results], ins
+
+        call = custom_partitioning(lambda *values: own(*values))
+        call.def_partition(partition, sharding_rule=rule)
+        return list(call(*consts, *arguments))
+
+    return run
+
+
+def _dividing(mesh: Any, axis: Any, size: int) -> Any:
+    """An axis of a mesh, or several, over which so many members are the same number on each device; else None."""
+    names = () if axis is None else axis if isinstance(axis, tuple) else (axis,)
+    return axis if size % math.prod(mesh.shape[name] for name in names) == 0 else None
+
+
+def _constants_first(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same function of its constants and its arguments."""
+    jaxpr = program.jaxpr
+    debug = jaxpr.debug_info.with_unknown_names()
+    return ClosedJaxpr(jaxpr.replace(constvars=[], invars=[*jaxpr.constvars, *jaxpr.invars], debug_info=debug), [])
 
 
 def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:

@@ -14,7 +14,7 @@ import twistax as tx
 from twistax.lowering.native.kernel import Kernel, check_kernel
 from twistax.lowering.native.machine_code import BuildError, Processor
 from twistax.lowering.native.tile import Iterations, native_form
-from twistax.lowering.scalar.primitive import Repeated
+from twistax.lowering.scalar.loops import Repeated
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS
 

@@ -76,10 +76,13 @@ class Fast(Generic[P, R]):
         if not places:
             return self._function(*args, **kwargs), ["as written: no argument is an array"]
         values = [leaves[i] for i in places]
-        closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*values)
+        plain = [jax.ShapeDtypeStruct(v.shape, v.dtype, weak_type=v.weak_type) for v in map(jax.typeof, values)]
+        closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
         run, held = opened(closed)
         if held:
-            closed = jax.make_jaxpr(run)(*held, *values)
+            closed = jax.make_jaxpr(run)(
+                *(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, held)), *plain
+            )
         function, reasons = _compiled(closed, self._backend)
         found: R = jax.tree.unflatten(shapes[0], function(*held, *values))
         return found, reasons

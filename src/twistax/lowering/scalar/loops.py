@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ...jax_inside import Primitive, weakly_kept
+from ...jax_inside import Primitive, varying_alike, weakly_kept
 from .emitter import as_function
 from .primitive import Bodies, Rows, Shapes, by_kernel, define
 from .program import ScalarProgram
@@ -127,10 +127,12 @@ def repeat(
     Returns:
         The state, and the number of the next iteration.
     """
-    *found, k = _repeat_p.bind(first, stop, *fixed, *state, program=step, bodies=Bodies(), inside=False)
+    *found, k = _repeat_p.bind(
+        *varying_alike([first, stop, *fixed, *state]), program=step, bodies=Bodies(), inside=False
+    )
     return found, k
 
 
 def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:
     """The results of a loop. Traceable, batched by vmap, not differentiable."""
-    return _repeat_p.bind(jnp.int32(count), *arguments, program=looped, bodies=Bodies(), inside=False)
+    return _repeat_p.bind(*varying_alike([jnp.int32(count), *arguments]), program=looped, bodies=Bodies(), inside=False)

@@ -13,7 +13,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...jax_inside import Primitive, ad, batching, jet, mlir, shaped_array, weakly_kept
+from ...jax_inside import (
+    Primitive,
+    ad,
+    batching,
+    by_one_device,
+    is_shared_out,
+    jet,
+    mlir,
+    needs_devices,
+    shaped_array,
+    shared_out,
+    varying_alike,
+    varying_as,
+    weakly_kept,
+)
 from ..small_call import apart, inside_small_call, small_call
 from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
@@ -258,7 +272,7 @@ def call_program(program: Differentiable, *arguments: Any, bodies: Bodies = _ONE
     """The results of a program, of one body or of many; differentiable and batched as any JAX function."""
     # A loop that is compiled as one small function needs no other one inside.
     inside = inside_small_call()
-    return program.primitive(inside).bind(*arguments, program=program, bodies=bodies, inside=inside)
+    return program.primitive(inside).bind(*varying_alike(arguments), program=program, bodies=bodies, inside=inside)
 
 
 # ---- what JAX asks of them -------------------------------------------------------------------------------------------
@@ -280,7 +294,10 @@ def _elsewhere(*arguments: Any, program: Computed, bodies: Bodies, inside: bool)
 
 
 def _abstract(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[Any]:
-    return [shaped_array((*bodies.shape(arguments), *shape), dtype) for shape, dtype in program.results]
+    return [
+        varying_as(shaped_array((*bodies.shape(arguments), *shape), dtype), arguments)
+        for shape, dtype in program.results
+    ]
 
 
 def _jvp(
@@ -338,9 +355,15 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
             module = context.module_context
             if not module.lowering_parameters.for_export:
                 module.add_keepalive(own["program"])
+
             # JAX keeps what it traced as long as the function: a new one each time.
-            here = mlir.lower_fun(lambda *a: function(*a, **own), multiple_results=True)
-            return here(context, *arguments)
+            def once(*a: Any) -> list[jax.Array]:
+                return function(*a, **own)
+
+            bodies = own["bodies"]
+            run = shared_out(once, bodies.depth, bodies.shared) if bodies.depth and is_shared_out(context) else once
+            here = mlir.lower_fun(lambda *a: run(*a), multiple_results=True)
+            return here(by_one_device(context), *arguments)
 
         return lowered
 
@@ -349,6 +372,7 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
         results = primitive.bind(*moved, **{**own, "inside": False, "bodies": bodies})
         return results, [0] * len(results)
 
+    needs_devices(primitive)
     primitive.multiple_results = True
     primitive.def_impl(evaluate)
     primitive.def_abstract_eval(_abstract)

@@ -1,0 +1,100 @@
+"""On 8 simulated devices: programs, loops and integrations of arrays that are sharded. Prints what is wrong."""
+
+import os
+
+os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
+
+import twistax as tx
+
+jax.config.update("jax_enable_x64", True)
+
+P = PartitionSpec
+MESH = jax.make_mesh((4, 2), ("d", "e"), axis_types=(jax.sharding.AxisType.Auto,) * 2)
+RANDOM = np.random.default_rng(0)
+X, Y, A = RANDOM.normal(size=(16, 3)), RANDOM.normal(size=(8, 6, 3)), RANDOM.normal(size=(3, 3)) * 0.3
+
+s, p = tx.State("s", (3,)), tx.Parameter("p", value=np.eye(3))
+SYSTEM = tx.System(rates={s: tx.Cos(s) * (p @ s)}, parameters=[p])
+
+
+def rates(backend: Any) -> Callable[..., jax.Array]:
+    dynamics = tx.compile(SYSTEM, backend=backend)
+    return jax.vmap(lambda x, a: dynamics(0.0, {"s": x}, {}, {"p": a})["s"], in_axes=(0, None))
+
+
+def known(x: jax.Array, a: jax.Array) -> jax.Array:
+    return jnp.cos(x) * (x @ a.T)
+
+
+def slopes(function: Callable[..., jax.Array]) -> Callable[..., Any]:
+    return jax.grad(lambda x, a: jnp.sin(function(x, a)).sum(), (0, 1))
+
+
+def loop(x: jax.Array, a: jax.Array) -> jax.Array:
+    return jax.lax.fori_loop(0, 800, lambda k, c: jnp.cos(a @ c) + 1e-3 * k, x)
+
+
+def until(x: jax.Array, a: jax.Array) -> jax.Array:
+    """Without end where there is no member, but zeros."""
+    return jax.lax.while_loop(lambda c: (jnp.abs(c) < 1.0).all(), lambda c: c + c, x + a[0] * 0.0)
+
+
+def check(
+    name: str, function: Callable[..., Any], expected: Any, spec: Any, x: np.ndarray = X, sharded: bool = True
+) -> None:
+    """The value; that the results are sharded as the argument is, and nothing was gathered."""
+    given = jax.device_put(x, NamedSharding(MESH, spec)), A
+    compiled = jax.jit(function).lower(*given).compile()
+    found = compiled(*given)
+    for own, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-10, atol=1e-12, err_msg=name)
+    if sharded:
+        own = jax.tree.leaves(found)[0].sharding
+        assert own.is_equivalent_to(NamedSharding(MESH, spec), 2), (name, own)
+        assert "all-gather" not in compiled.as_text(), name
+
+
+for backend in (tx.Native(least=0), tx.XLA(least=0)):
+    own = rates(backend)
+    check("a batch", own, known(X, A), P("d"))
+    check("over two axes", own, known(X, A), P(("d", "e")))
+    check("derivatives", slopes(own), slopes(known)(X, A), P("d"))
+    check("replicated", own, known(X, A), P())
+    for spec in (P("d"), P(None, "e"), P("d", "e")):
+        check(f"a batch of batches {spec}", jax.vmap(own, in_axes=(0, None)), known(Y, A), spec, Y)
+    check("entries", own, known(RANDOM.normal(size=(0, 3)), A), P(), np.zeros((0, 3)), sharded=False)
+    for vma in (True, False):
+        mapped = jax.shard_map(own, mesh=MESH, in_specs=(P("d"), P()), out_specs=P("d"), check_vma=vma)
+        check(f"shard_map, check_vma={vma}", mapped, known(X, A), P("d"))
+        check(f"its derivatives, check_vma={vma}", slopes(mapped), slopes(known)(X, A), P("d"))
+
+for function in (loop, until):
+    expected = jax.vmap(function, (0, None))(X, A)
+    own = jax.vmap(tx.fast(function), (0, None))
+    check(function.__name__, own, expected, P("d"))
+    for vma in (True, False):
+        mapped = jax.shard_map(own, mesh=MESH, in_specs=(P("d"), P()), out_specs=P("d"), check_vma=vma)
+        check(f"{function.__name__} in shard_map, check_vma={vma}", mapped, expected, P("d"))
+
+# Ten members cannot be the same number on four devices.
+ten = jax.vmap(tx.fast(until), (0, None))
+check("ten of sixteen", lambda x, a: ten(x[:10], a), jax.vmap(until, (0, None))(X[:10], A), P("d"), sharded=False)
+
+dynamics = tx.compile(SYSTEM)
+for options in ({"dt": 0.05}, {"rtol": 1e-6}):
+
+    def end(x: jax.Array, a: jax.Array, options: Any = options) -> jax.Array:
+        return jax.vmap(lambda x: tx.integrate(dynamics, {"s": x}, t1=0.5, params={"p": a}, **options).xs["s"][-1])(x)
+
+    check(f"an integration, {options}", end, end(X, A), P("d"))
+    mapped = jax.shard_map(end, mesh=MESH, in_specs=(P("d"), P()), out_specs=P("d"), check_vma=False)
+    check(f"an integration in shard_map, {options}", mapped, end(X, A), P("d"))
+print("all agree")
