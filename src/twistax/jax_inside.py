@@ -259,7 +259,8 @@ def shared_out(function: Callable[..., list[Any]], depth: int, whole: Collection
         alone = {*range(len(consts)), *(len(consts) + k for k in whole)}
 
         def rule(mesh: Any, given: Sequence[Any], results: Sequence[Any]) -> SdyShardingRule:
-            batch, inner = [f"batch{k}" for k in range(depth)], []
+            batch = [f"batch{k}" for k in range(depth)]
+            inner: list[str] = []
 
             def names(rank: int, first: Sequence[str]) -> ArrayMapping:
                 more = [f"entry{len(inner) + k}" for k in range(rank - len(first))]

@@ -76,6 +76,7 @@ class Fast(Generic[P, R]):
         if not places:
             return self._function(*args, **kwargs), ["as written: no argument is an array"]
         values = [leaves[i] for i in places]
+        # Within `shard_map` values say what they vary over, which the loops inside would have to repeat.
         plain = [jax.ShapeDtypeStruct(v.shape, v.dtype, weak_type=v.weak_type) for v in map(jax.typeof, values)]
         closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
         run, held = opened(closed)
