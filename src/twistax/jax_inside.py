@@ -232,8 +232,13 @@ def by_one_device(context: Any) -> Any:
 
 
 def is_shared_out(context: Any) -> bool:
-    """Whether XLA shares what is lowered here between the devices of a mesh, outside of `shard_map`."""
+    """Whether XLA shares what is lowered here between the devices of a mesh, outside of `shard_map`.
+
+    Exported programs cannot say how.
+    """
     axes = context.module_context.axis_context
+    if context.module_context.lowering_parameters.for_export:
+        return False
     known = getattr(axes, "device_assignment", None) is not None and getattr(axes, "abstract_mesh", None) is not None
     return known and len(axes.device_assignment) > 1 and bool(getattr(jax.config, "jax_use_shardy_partitioner", True))
 
