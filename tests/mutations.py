@@ -716,22 +716,40 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/transcription.py",
+        "trajectory/shooting.py",
         (
-            "left Jacobian of the defect",
-            "group.ad(defect) - back",
-            "-back",
-            "trajectory/test_transcription.py",
+            "adjoints without the rows at the points",
+            "adjoint = adjoint + sum(through) + pulls[s, :n]",
+            "adjoint = adjoint + sum(through)",
+            "trajectory/test_shooting.py",
         ),
-        ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_transcription.py"),
+        ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
     ),
     *_at(
-        "trajectory/statement.py",
+        "trajectory/riccati.py",
         (
-            "the last end is not asked",
-            "mask[:-1, -1, [reads",
-            "mask[:, -1, [reads",
-            "trajectory/test_transcription.py trajectory/test_known_answers.py",
+            "the tilt of a stage without its gains",
+            "return whole[outer] + gains.T @ whole[inner], (push, softer)",
+            "return whole[outer], (push, softer)",
+            "trajectory/test_riccati.py",
+        ),
+    ),
+    *_at(
+        "trajectory/cones.py",
+        (
+            "cones of both signs",
+            "sides = [] if number is not None and number >= 0.0 else [-bound]",
+            "sides: list[Expr] = []",
+            "trajectory/test_cones.py",
+        ),
+    ),
+    *_at(
+        "trajectory/solver.py",
+        (
+            "solved without a look at the gradient",
+            "(state.errors.stationarity, state.errors.feasibility, state.errors.gap)",
+            "(state.errors.feasibility,)",
+            "trajectory/test_optimality.py trajectory/test_known_answers.py",
         ),
     ),
     *_at(

@@ -26,7 +26,7 @@ def test_least_energy_of_a_double_integrator() -> None:
     u = dynamics.controls[0]
     problem = Problem(
         dynamics,
-        tx.Minimize(running=u**2, smoothing=0.0),
+        tx.Minimize(running=u**2),
         nodes=11,
         final_time=2.0,
         initial={"p": 0.0, "v": 0.0},
@@ -55,7 +55,7 @@ def test_a_ball_turns_about_one_axis() -> None:
     start = np.asarray(tx.SO3.exp(np.array([0.4, 1.0, -0.3])))
     problem = Problem(
         dynamics,
-        tx.Minimize(running=dynamics.controls[0] @ dynamics.controls[0], smoothing=0.0),
+        tx.Minimize(running=dynamics.controls[0] @ dynamics.controls[0]),
         nodes=9,
         final_time=1.0,
         initial={"R": start, "w": np.zeros(3)},
@@ -73,7 +73,7 @@ def test_a_pose_is_reached_through_almost_a_half_turn() -> None:
     V = dynamics.controls[0]
     problem = Problem(
         dynamics,
-        tx.Minimize(running=V @ V, smoothing=0.0),
+        tx.Minimize(running=V @ V),
         nodes=21,
         final_time=2.0,
         initial={"g": np.eye(4)},
@@ -94,7 +94,7 @@ def fastest(**options: object) -> TrajectoryResult:
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))
     problem = Problem(
         dynamics,
-        tx.Minimize(tx.Time(), smoothing=0.0),
+        tx.Minimize(tx.Time()),
         nodes=21,
         final_time=(0.5, 6.0),
         initial={p: 0.0, v: 0.0},

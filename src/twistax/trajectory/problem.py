@@ -1,9 +1,9 @@
-"""An optimal-control problem on a compiled system, and the embedded optimiser's front."""
+"""An optimal-control problem on a compiled system: stated once, compiled once, solved as often as one likes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -13,23 +13,19 @@ from numpy import ndarray as Array
 
 from ..checks import callable_with, number, reals, whole
 from ..errors import InputError, ModelError, TrajectoryError
-from ..expr import Control, State
+from ..expr import Control, Inputs, State, evaluate_all
+from ..groups import Euclidean
 from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
+from ..system import name_of
+from .cones import norm_controls
 from .discretize import method_of
-from .guess import Scales, column_scales, control_guess, state_guess, user_guess
-from .model import BorderedBand
-from .optimizer import Callback, Optimizer
+from .guess import control_guess, state_guess, user_guess
 from .result import TrajectoryResult, best_result
-from .statement import Objective, check_leaves, describe_path, end_values, final_rows, fixed_entries, split_final
-from .transcription import Evaluation, Iterate, Transcription
-
-#: The evaluation runs a few hundred times: a third less time to compile is worth more than the last optimisations.
-_COMPILER: dict[str, bool | str] = {"xla_backend_optimization_level": "1"}
-
-#: The final time may leave its limits during the search, but not below this share of the lower one.
-_SHORTEST = 0.2
+from .shooting import Given, Point, Shooting, Step
+from .solver import Callback, Solver
+from .statement import Ends, Objective, check_leaves, describe_path, ends_of, final_rows, split_final
 
 
 class Problem:
@@ -52,7 +48,8 @@ class Problem:
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
             (controls).
         final_time_guess: where a free final time starts; the middle of its limits unless given.
-        method: an explicit RKMK method; RK4 if left out.
+        method: an RKMK method with an explicit tableau; RK4 if left out. An interval is integrated in exponential
+            coordinates about its first node.
         substeps: its steps in an interval.
 
     Raises:
@@ -91,30 +88,43 @@ class Problem:
         self.objective: Objective = objective
         self.time_limits, self._time_guess = _times(final_time, final_time_guess)
         values, constraints = split_final(final)
-        self.initial = end_values(dynamics.states, "initial", initial)
-        self.final = end_values(dynamics.states, "final", values)
+        self.ends = ends_of(dynamics.states, initial, values)
         self.final_rows = final_rows(dynamics, constraints)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self._guess = user_guess(guess, self._leaves, self._lengths)
         self.method, self.substeps = method_of(method), int(substeps)
-        self.transcription = Transcription(
-            dynamics,
-            objective,
+        self.norms = norm_controls(objective.running, objective.sign)
+        self.path = describe_path(dynamics, self.norms)
+        self.params = self._prepared(params)
+        self._build()
+
+    def _build(self) -> None:
+        """What compiles."""
+        self.shooting = Shooting(
+            self.dynamics,
+            self.objective,
             method=self.method,
             nodes=self.nodes,
             substeps=self.substeps,
-            path=describe_path(dynamics),
+            path=self.path,
+            norms=self.norms,
+            ends=self.ends,
             final=self.final_rows,
-            time_limits=self.time_limits,
-            fixed=frozenset(s.name for s in dynamics.states if fixed_entries(s, self.initial[s.name]).all()),
+            free_time=self.time_limits[0] < self.time_limits[1],
         )
-        self.params = self._prepared(params)
-        self._compiled: Callable[..., Evaluation] | None = None
+        self._solvers: dict[float, Solver] = {}
+        #: The path rows as users wrote them, at many points.
+        self.shown_rows = jax.jit(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)))
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_compiled": None}  # compiled anew in the other process
+        """Without what compiles anew in another process."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "shown_rows", "_solvers")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state
+        self._build()
 
     # ---- solving ----------------------------------------------------------------------------------------------
 
@@ -122,26 +132,35 @@ class Problem:
         self,
         guess: Mapping[Any, Any] | None = None,
         *,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[str, Any] | None = None,
+        final_time: Any = None,
+        final_time_guess: Any = None,
         guesses: int = 1,
         seed: int | None = None,
         callback: Callback | None = None,
-        max_iterations: int = 600,
+        max_iterations: int = 500,
         tolerance: float = 1e-6,
     ) -> TrajectoryResult:
-        """Optimise, from one guess or from several, and return the best result.
+        """Optimise, from one guess or from several, and return the best result. Only the first call compiles.
 
         Args:
             guess: values by leaf or name on top of the problem's own guess.
+            initial, final: values by state or name in place of the problem's own. The same entries are fixed.
+            params: values of parameters in place of the problem's own.
+            final_time: a number where the problem has one, limits where it has limits.
+            final_time_guess: where a free final time starts.
             guesses: how many tries. Without a seed the first starts from the guess itself.
             seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
-                moves by 0.4 of its scale and every control by 0.15 (one standard deviation; controls are clipped to
-                their boxes), a free final time by a sixth of its limits' distance (and stays within them).
-            callback: called with (iteration, cost, violation) after each accepted step.
-            max_iterations: evaluations a try may use.
-            tolerance: largest violation that counts as none, each constraint measured in its scale.
+                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time by a
+                sixth of its limits' distance (and stays within them).
+            callback: called with (iteration, cost, violation) before each step.
+            max_iterations: iterations a try may use.
+            tolerance: how far, in scaled form, the first-order conditions may be from holding.
         Raises:
-            ModelError, ShapeError: a guess that does not fit.
-            TrajectoryError: guesses, max_iterations or tolerance without meaning.
+            ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
+            TrajectoryError: other entries fixed, times or numbers without meaning.
         """
         whole("guesses", guesses, 1, TrajectoryError)
         whole("max_iterations", max_iterations, 1, TrajectoryError)
@@ -150,100 +169,123 @@ class Problem:
             whole("seed", seed, 0, TrajectoryError)
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
+        ends = self._ends(initial, final)
+        limits, time_guess = self._final_time(final_time, final_time_guess)
+        own = self.params if params is None else self._prepared({**self.params, **params})
+        sign = self.objective.sign
+        report: Callback | None = None
+        if callback is not None:
+            report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
         with jax.enable_x64(True):
             begin = time.perf_counter()
-            plain = self._start(self._guess | user_guess(guess, self._leaves, self._lengths))
-            evaluate = self._evaluator(plain)
+            plain = self._start(self._guess | user_guess(guess, self._leaves, self._lengths), ends, time_guess)
+            given = self._given(ends, own, limits)
+            solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
-            optimizer = self._optimizer(evaluate, plain)
             outcomes = []
-            sign = self.objective.sign
-            report: Callback | None = None
-            if callback is not None:
-                report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
             for attempt in range(guesses):
                 start = plain
                 if seed is not None or attempt > 0:
-                    start = self._perturbed(evaluate, plain, np.random.default_rng([seed or 0, attempt]))
-                outcomes.append(optimizer.run(start, max_iterations, tolerance, report))
+                    rng = np.random.default_rng([seed or 0, attempt])
+                    start = solver.perturbed(plain, given, rng, limits)
+                outcomes.append(solver.run(start, given, max_iterations, report))
             done = time.perf_counter()
-        return best_result(self, outcomes, tolerance, compiled - begin, done - compiled)
+        return best_result(self, outcomes, own, tolerance, compiled - begin, done - compiled)
 
-    def _start(self, given: Mapping[str, Array]) -> Iterate:
+    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
+        """The solver for a tolerance, compiled."""
+        if tolerance not in self._solvers:
+            if not self._solvers:
+                self.shooting.drop_pinned(self._samples(point), given)
+            solver = Solver(self.shooting, self._leaves | {c.name: c for c in self.norms.controls}, tolerance)
+            solver.prepare(point, given)
+            self._solvers[tolerance] = solver
+        return self._solvers[tolerance]
+
+    def _samples(self, point: Point) -> list[Point]:
+        """Points whose last node is moved at random."""
+        rng, shooting, found = np.random.default_rng(0), self.shooting, []
+        for _ in range(2):
+            d = np.zeros((self.nodes, shooting.n))
+            d[-1] = 0.3 * rng.normal(size=shooting.n)
+            step = Step(d, np.zeros((self.nodes - 1, shooting.m)), np.zeros(1))
+            found.append(jax.jit(shooting.move)(point, step))
+        return found
+
+    # ---- what a solve starts from ---------------------------------------------------------------------------------
+
+    def _ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
+        if initial is None and final is None:
+            return self.ends
+        sides = []
+        for what, own, new in (("initial", self.ends.initial, initial), ("final", self.ends.final, final)):
+            if new is not None and not isinstance(new, Mapping):
+                raise ModelError(
+                    f"solve: {what} must be a dict from states to values, got {type(new).__name__}; "
+                    "constraints belong to the problem"
+                )
+            sides.append(
+                {n: v for n, v in own.items() if v is not None} | {name_of(k): v for k, v in (new or {}).items()}
+            )
+        ends = ends_of(self.dynamics.states, *sides)
+        for what, fixed, stated in (
+            ("initial", ends.initial_fixed, self.ends.initial_fixed),
+            ("final", ends.final_fixed, self.ends.final_fixed),
+        ):
+            other = [name for name in fixed if (fixed[name] != stated[name]).any()]
+            if other:
+                raise TrajectoryError(
+                    f"solve: {what}[{other[0]!r}] must fix the entries that the problem fixes.\n"
+                    "  fix: state the problem with a value there, or with NaN in what is free"
+                )
+        return ends
+
+    def _final_time(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
+        if limits is None and guess is None:
+            return self.time_limits, self._time_guess
+        found = _times(self.time_limits if limits is None else limits, guess)
+        if (found[0][0] < found[0][1]) != (self.time_limits[0] < self.time_limits[1]):
+            kind = "free: (low, high)" if self.time_limits[0] < self.time_limits[1] else "fixed: a number"
+            raise TrajectoryError(f"solve: final_time expects what the problem has, {kind}, got {limits!r}")
+        return found
+
+    def _start(self, given: Mapping[str, Array], ends: Ends, time_guess: float) -> Point:
         count = self.nodes - 1
-        xs: dict[str, Any] = {
-            s.name: state_guess(s, given.get(s.name), self.initial[s.name], self.final[s.name], self.nodes)
+        xs = {
+            s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.nodes)
             for s in self.dynamics.states
         }
-        us = [control_guess(c, given.get(c.name), count).reshape(count, -1) for c in self.dynamics.controls]
-        flat = np.concatenate([np.zeros((count, 0)), *us], axis=1)
-        return jax.tree.map(jnp.asarray, Iterate(xs, flat, np.asarray(self._time_guess)))
+        us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
+        flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
+        return jax.tree.map(
+            jnp.asarray, Point(xs, np.concatenate([*flat, *self._norm_guess(us)], axis=1), np.asarray(time_guess))
+        )
 
-    def _evaluator(self, like: Iterate) -> Callable[[Iterate, Array], Evaluation]:
-        """The compiled evaluation, NumPy out."""
-        zero = jnp.zeros(self.nodes * self.transcription.block + 1)
+    def _norm_guess(self, us: Mapping[str, Array]) -> list[Array]:
+        """The bounds on norms in the running cost: a little above the norms of the guess."""
+
+        if not self.norms.controls:
+            return []
         params = {name: jnp.asarray(value) for name, value in self.params.items()}
-        if self._compiled is None:
-            self._compiled = jax.jit(self.transcription.evaluate).lower(like, zero, params).compile(_COMPILER)
-        compiled = self._compiled
 
-        def evaluate(iterate: Iterate, step: Array) -> Evaluation:
-            return jax.tree.map(np.asarray, compiled(jax.tree.map(jnp.asarray, iterate), jnp.asarray(step), params))
+        def norms(u: dict[str, jax.Array]) -> list[jax.Array]:
+            inputs = Inputs(jnp.zeros(()), {}, u, params, jnp.zeros(()).dtype)
+            return [jnp.linalg.norm(a) for a in evaluate_all(self.norms.operands, lambda leaf: leaf.read(inputs))]
 
-        return evaluate
+        found = []
+        for size in jax.vmap(norms)({name: jnp.asarray(values) for name, values in us.items()}):
+            values = np.asarray(size)
+            found.append((values + 0.1 * (values.max() or 1.0))[:, None])
+        return found
 
-    def _optimizer(self, evaluate: Callable[[Iterate, Array], Evaluation], plain: Iterate) -> Optimizer:
-        t = self.transcription
-        low, high = self.time_limits
-        landmarks = self._landmarks(plain)
-        block = column_scales(self._leaves, landmarks)
-        time_scale = 0.5 * (high - low) if high > low else high
-        lengths = np.concatenate([np.tile(block, self.nodes), [time_scale]])
-        self._step_lengths, self._free = lengths, self._free_unknowns()
-        columns = np.concatenate([block, block, [time_scale]])
-        steps = (np.zeros(len(lengths)), self._random_step(np.random.default_rng(0)))
-        samples = [evaluate(plain, step) for step in steps]
-        finite = [s for s in samples if all(np.isfinite(v).all() for v in (s.rows, s.slopes, s.gradient))]
-        scales = Scales.measured(columns, t.n, finite or samples[:1])
-        return Optimizer(evaluate, BorderedBand(self.nodes, t.block, self._free), t, scales, _SHORTEST * low)
-
-    def _landmarks(self, plain: Iterate) -> dict[str, list[Array]]:
-        """The known values of every leaf: its box, its ends, its guess."""
-        values: dict[str, list[Array]] = {}
-        controls = self.transcription.controls.split(np.asarray(plain.us))
-        for name, leaf in self._leaves.items():
-            path = np.asarray(plain.xs[name] if name in plain.xs else controls[name])
-            known = [leaf.min, leaf.max, self.initial.get(name), self.final.get(name), *path]
-            values[name] = [np.asarray(value) for value in known if value is not None]
-        return values
-
-    def _free_unknowns(self) -> Array:
-        t = self.transcription
-        free = np.ones((self.nodes, t.block), bool)
-        free[-1, t.n :] = False
-        for node, ends in ((0, self.initial), (-1, self.final)):
-            free[node, : t.n] = ~np.concatenate([fixed_entries(s, ends[s.name]) for s in self.dynamics.states])
-        low, high = self.time_limits
-        return np.append(free.ravel(), low < high)
-
-    def _random_step(self, rng: np.random.Generator) -> Array:
-        t = self.transcription
-        states = np.append(np.tile(np.arange(t.block) < t.n, self.nodes), False)
-        spread = np.where(states, 0.4, 0.15)
-        step = np.where(self._free, rng.normal(size=spread.shape) * spread * self._step_lengths, 0.0)
-        low, high = self.time_limits
-        step[-1] = np.clip(self._time_guess + rng.normal() * (high - low) / 6.0, low, high) - self._time_guess
-        return step
-
-    def _perturbed(self, evaluate: Callable[..., Evaluation], plain: Iterate, rng: np.random.Generator) -> Iterate:
-        moved = evaluate(plain, self._random_step(rng)).iterate
-        us = np.array(moved.us)
-        for leaf in self.dynamics.controls:
-            part = us[:, self.transcription.controls.slices[leaf.name]]
-            low = -np.inf if leaf.min is None else leaf.min.reshape(1, -1)
-            high = np.inf if leaf.max is None else leaf.max.reshape(1, -1)
-            part[:] = np.clip(part, low, high)
-        return moved._replace(us=us)
+    def _given(self, ends: Ends, params: Mapping[str, Array], limits: tuple[float, float]) -> Given:
+        final = {}
+        for state in self.dynamics.states:
+            value = ends.final[state.name]
+            if isinstance(state.group, Euclidean):
+                value = np.nan_to_num(np.zeros(state.shape) if value is None else value)
+            final[state.name] = np.asarray(state.group.identity(float)) if value is None else value
+        return jax.tree.map(jnp.asarray, Given(dict(params), final, np.asarray(limits)))
 
     def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
         """All parameters as double-precision arrays; checks them on the way."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +18,31 @@ from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
-from .optimizer import Outcome, Status
+from .solver import Outcome, Status
 from .statement import largest_by_name, violations
 
 if TYPE_CHECKING:
     from .problem import Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class Optimality:
+    """How far a trajectory is from the first-order conditions of an optimum, in scaled form.
+
+    Unknowns count in units of how far they move along the trajectory, the objective in units of what that does to it.
+
+    Attributes:
+        stationarity: largest entry of the gradient of the Lagrangian.
+        feasibility: largest residual of the dynamics and of a constraint.
+        complementarity: largest product of a slack and its multiplier.
+        gap: what slacks, and the residuals that are left, can change of the objective: the sum of |multiplier times
+            slack or residual|.
+    """
+
+    stationarity: float
+    feasibility: float
+    complementarity: float
+    gap: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,10 +56,14 @@ class TrajectoryResult:
         final_time: the last of them.
         cost: the objective as stated (a maximum is not negated).
         violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
-        violations: row name -> largest violation in the constraint's own unit, all rows of the problem.
+        violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
+        optimality: how far the first-order conditions are from holding.
+        multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
+            in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
         status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
-        iterations: evaluations of the problem in the try that gave this result.
+        iterations: steps of the solver in the try that gave this result.
         tries: one line (status, cost, violation, iterations) for every guess.
+        params: the parameters it was solved for.
         compile_seconds, solve_seconds: wall time.
     """
 
@@ -50,10 +75,13 @@ class TrajectoryResult:
     cost: float
     violation: float
     violations: dict[str, float]
+    optimality: Optimality
+    multipliers: dict[str, Array]
     status: Status
     message: str
     iterations: int
     tries: tuple[tuple[Status, float, float, int], ...]
+    params: dict[str, Array]
     compile_seconds: float
     solve_seconds: float
 
@@ -61,6 +89,36 @@ class TrajectoryResult:
     def solved(self) -> bool:
         """Whether the status is SOLVED."""
         return self.status is Status.SOLVED
+
+    @functools.cached_property
+    def between_nodes(self) -> dict[str, float]:
+        """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
+        return self.replay().violations
+
+    @functools.cached_property
+    def mesh_error(self) -> dict[str, dict[str, float]]:
+        """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
+        return self.replay(steps=10 * self.problem.substeps).misses
+
+    def explain(self) -> str:
+        """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
+        active = [name for name, w in self.multipliers.items() if not name.startswith("dynamics of") and w.max() > 1e-6]
+        size = {name: float(np.abs(self.multipliers[name]).max()) for name in active}
+        top = sorted(active, key=size.__getitem__, reverse=True)
+        errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(self.optimality).items())
+        missed = "; ".join(
+            f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
+            for name, own in self.mesh_error.items()
+        )
+        broken = {name: value for name, value in self.between_nodes.items() if value > 0.0}
+        lines = [
+            self.message,
+            f"first-order conditions: {errors}",
+            f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in top) or 'none'}",
+            f"misses of a finer rollout at the end: {missed}",
+            "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
+        ]
+        return "\n".join(lines)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
         """Roll out the found controls from the first node, each held over its interval, and measure what comes out.
@@ -93,52 +151,93 @@ class TrajectoryResult:
 
 
 def best_result(
-    problem: Problem, outcomes: Sequence[Outcome], tolerance: float, compile_seconds: float, solve_seconds: float
+    problem: Problem,
+    outcomes: Sequence[Outcome],
+    params: dict[str, Array],
+    tolerance: float,
+    compile_seconds: float,
+    solve_seconds: float,
 ) -> TrajectoryResult:
     """The best of several tries: a solved one of least cost, else the one that violates least."""
     sign = problem.objective.sign
 
     def rank(outcome: Outcome) -> tuple[bool, bool, float]:
-        solved = outcome.status is Status.SOLVED
-        return not solved, outcome.status is Status.NON_FINITE, outcome.cost if solved else outcome.violation
+        good = outcome.status in (Status.SOLVED, Status.ACCEPTABLE)
+        return not good, outcome.status is Status.NON_FINITE, outcome.cost if good else outcome.violation
 
     best = min(outcomes, key=rank)
-    iterate, final_time = best.evaluation.iterate, float(best.evaluation.iterate.final_time)
+    point, final_time = best.point, float(best.point.final_time)
+    controls = problem.shooting.local.controls.split(np.asarray(point.us))
+    with jax.enable_x64(True):
+        violations = _violations(problem, best, params)
     return TrajectoryResult(
         problem=problem,
-        xs={name: np.asarray(values) for name, values in iterate.xs.items()},
-        us=problem.transcription.controls.split(np.asarray(iterate.us)),
+        xs={name: np.asarray(values) for name, values in point.xs.items()},
+        us={c.name: controls[c.name] for c in problem.dynamics.controls},
         ts=np.linspace(0.0, final_time, problem.nodes),
         final_time=final_time,
         cost=sign * best.cost,
         violation=best.violation,
-        violations=_violations(problem, best),
+        violations=violations,
+        optimality=Optimality(*best.errors),
+        multipliers=_multipliers(problem, best),
         status=best.status,
-        message=_message(problem, best, tolerance),
+        message=_message(problem, best, violations, tolerance),
         iterations=best.iterations,
         tries=tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in outcomes),
+        params=params,
         compile_seconds=compile_seconds,
         solve_seconds=solve_seconds,
     )
 
 
-def _violations(problem: Problem, outcome: Outcome) -> dict[str, float]:
-    """In the constraints' own units."""
-    t, rows = problem.transcription, np.asarray(outcome.evaluation.rows)
-    sizes = np.where(t.exists, violations(rows, t.equality), 0.0)
-    return largest_by_name(t.names, sizes.max(axis=0))
+def _multipliers(problem: Problem, outcome: Outcome) -> dict[str, Array]:
+    shooting = problem.shooting
+    found = {f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()}
+    for name in dict.fromkeys(shooting.names[shooting.exists]):
+        found[name] = outcome.rows[shooting.exists & (shooting.names == name)]
+    return found
 
 
-def _message(problem: Problem, outcome: Outcome, tolerance: float) -> str:
+def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
+    """At the nodes, in the constraints' own units."""
+    shooting, path, point = problem.shooting, problem.path, outcome.point
+    defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
+    found = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
+    if path.shown:
+        ts = np.linspace(0.0, float(point.final_time), problem.nodes)
+        held = shooting.local.controls.split(np.asarray(point.us))
+        ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
+        sizes = [
+            violations(np.asarray(problem.shown_rows(t, x, held, params)), path.shown_equality).max(axis=0)
+            for x, t in ends
+        ]
+        found |= largest_by_name(path.shown, np.maximum(*sizes))
+    inner = shooting.intervals * shooting.rows_per_interval
+    last = violations(np.asarray(outcome.values.rows)[inner:], shooting.equality[inner:])
+    names = [str(name) for name in shooting.names[inner:]]
+    return found | largest_by_name(
+        [n for n in names if n.startswith("final")], last[[n.startswith("final") for n in names]]
+    )
+
+
+def _message(problem: Problem, outcome: Outcome, sizes: dict[str, float], tolerance: float) -> str:
     """The status, and where it is no success the worst constraint and the worst break of the dynamics."""
-    t, rows = problem.transcription, np.asarray(outcome.evaluation.rows)
-    worst = []
-    for first, last in ((t.n, len(t.names)), (0, t.n)):
-        scaled = outcome.violations[:, first:last]
-        if scaled.max(initial=0.0) > tolerance:
-            interval, row = divmod(int(scaled.argmax()), scaled.shape[1])
-            row += first
-            worst.append(f"{t.names[row]!r} {t.place(interval, row)} is off by {abs(rows[interval, row]):.3g}")
+    shooting, worst = problem.shooting, []
+    count = shooting.intervals * shooting.n
+    if outcome.status in (Status.SOLVED, Status.ACCEPTABLE):
+        return f"{outcome.status}."
+    rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
+    if rows.max(initial=0.0) > tolerance:
+        row = int(rows.argmax())
+        name, place = shooting.names[row], shooting.places[row]
+        raw = abs(float(outcome.values.rows[row]))
+        worst.append(f"{name!r} {place} is off by {sizes[name] if name in problem.path.shown else raw:.3g}")
+    if dynamics.max(initial=0.0) > tolerance:
+        interval, column = divmod(int(dynamics.argmax()), shooting.n)
+        size = abs(float(outcome.values.defects[interval, column]))
+        between = f"between nodes {interval} and {interval + 1}"
+        worst.append(f"'dynamics of {shooting.states[column]}' {between} is off by {size:.3g}")
     return f"{outcome.status}. Worst: {'; '.join(worst)}." if worst else f"{outcome.status}."
 
 
@@ -182,7 +281,7 @@ def _rollout_on_group(result: TrajectoryResult, method: Method, steps: int) -> d
         steps=intervals * steps,
         method=method,
         u=tables,
-        params=problem.params,
+        params=result.params,
         save_at=_times(result, steps),
     )
     return {name: np.asarray(values) for name, values in solution.xs.items()}
@@ -195,7 +294,7 @@ def _rollout_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: fl
         raise InputError(f"method must be a method like tx.RKMK(tx.tableaus.RK4) or a diffrax solver, got {solver!r}")
     problem = result.problem
     ambient = Ambient(problem.dynamics)
-    params = {name: jnp.asarray(value) for name, value in problem.params.items()}
+    params = {name: jnp.asarray(value) for name, value in result.params.items()}
     control = diffrax.PIDController(rtol=rtol, atol=atol)
 
     def interval(y: Any, span: tuple[Any, ...]) -> tuple[Any, Any]:
@@ -250,7 +349,7 @@ def _judged(result: TrajectoryResult, xs: dict[str, Array], steps: int) -> Repla
         misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
         vectors=vectors,
         violations=_path_violations(result, ts, xs, steps),
-        final=_final_violations(problem, result.final_time, end),
+        final=_final_violations(result, end),
     )
 
 
@@ -265,17 +364,19 @@ def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[s
 
 def _path_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
     problem = result.problem
-    rows = problem.transcription.path
-    if not rows.names:
+    path = problem.path
+    if not path.shown:
         return {}
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
-    at = jax.vmap(problem.transcription.path_values, in_axes=(0, 0, None, None))
-    points = {name: values[window] for name, values in xs.items()}
-    values = jax.jit(jax.vmap(at, in_axes=(0, 0, 0, None)))(ts[window], points, dict(result.us), problem.params)
-    return largest_by_name(rows.names, violations(np.asarray(values), rows.equality).max(axis=(0, 1)))
+    # Each interval is looked at with its own control, both ends included.
+    points = {name: values[window.ravel()] for name, values in xs.items()}
+    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in result.us.items()}
+    held |= {c.name: np.zeros(window.size) for c in problem.norms.controls}
+    rows = np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
+    return largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0))
 
 
-def _final_violations(problem: Problem, t: float, end: dict[str, Array]) -> dict[str, float]:
-    rows = problem.final_rows
-    values = np.asarray(jax.jit(rows.values)(jnp.asarray(t), end, problem.params))
+def _final_violations(result: TrajectoryResult, end: dict[str, Array]) -> dict[str, float]:
+    rows = result.problem.final_rows
+    values = np.asarray(jax.jit(rows.values)(jnp.asarray(result.final_time), end, result.params))
     return largest_by_name(rows.names, violations(values, rows.equality))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import listed, number
+from ..checks import listed
 from ..errors import ModelError, ShapeError, TrajectoryError
 from ..expr import (
     Constraint,
@@ -32,6 +32,7 @@ from ..expr import (
 from ..groups import Euclidean
 from ..lowering import Dynamics
 from ..system import free_name, name_of
+from .cones import NormControls, without_norms
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,27 +42,22 @@ class Objective:
     Args:
         final: phi, a scalar expression of states, parameters and `tx.Time()` (which is the final time there).
         running: l, a scalar expression of states, controls, parameters and time.
-        smoothing: weight of sum |u_(k+1) - u_k|^2, each control measured in its scale, against the objective measured
-            by its steepest slope at the guess. A small value (the default) picks one of many nearly equal controls
-            and removes chatter; it costs that fraction of optimality.
 
     Raises:
-        ModelError: neither final nor running, or a negative smoothing.
+        ModelError: neither final nor running.
         ShapeError: an expression that is not a scalar.
     """
 
     final: Expr | None
     running: Expr | None
-    smoothing: float
 
     #: +1 to minimise, -1 to maximise.
     sign: ClassVar[float] = 1.0
 
-    def __init__(self, final: Any = None, *, running: Any = None, smoothing: float = 1e-3) -> None:
+    def __init__(self, final: Any = None, *, running: Any = None) -> None:
         kind = type(self).__name__
         if final is None and running is None:
             raise ModelError(f"{kind} needs an expression of the final state, or running=..., or both")
-        number(f"{kind}: smoothing", smoothing, "zero or positive", lambda w: 0.0 <= w < np.inf, ModelError)
         for name, value in (("final", final), ("running", running)):
             try:
                 expr = None if value is None else to_expr(value)
@@ -76,7 +72,6 @@ class Objective:
                     hint="index it, or take tx.linalg.Sum or tx.linalg.Norm of it",
                 )
             object.__setattr__(self, name, expr)
-        object.__setattr__(self, "smoothing", float(smoothing))
 
 
 class Minimize(Objective):
@@ -118,48 +113,67 @@ class Bound:
 
 @dataclasses.dataclass(frozen=True)
 class PathRows:
-    """The rows of the path function: the system's inequalities, its equalities, then the boxes of the leaves."""
+    """The rows along the path: the system's constraints without norms that have no slope, then the leaves' boxes."""
 
-    names: tuple[str, ...]
+    residuals: tuple[Expr, ...]  # <= 0 or = 0
+    names: tuple[str, ...]  # of every row; of a constraint that became two rows, twice
     equality: Array  # which rows are equalities
     reads: tuple[Reads, ...]  # of every row
     states: tuple[frozenset[str], ...]  # that every row reads
     bounds: tuple[Bound, ...]  # the boxes
+    shown: tuple[str, ...]  # the rows as users wrote them: inequalities, equalities, boxes
+    shown_equality: Array
 
     def asked(self, intervals: int, substeps: int) -> Array:
-        """Where the rows are asked: bool (intervals, substeps + 1, rows). The last point of an interval is its end."""
+        """Where rows are asked: bool (intervals, substeps + 1, rows). States at a node belong to what follows it."""
         mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
-        mask[:-1, -1, [reads is Reads.STATE for reads in self.reads]] = False
+        mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
         return mask
 
-    def decided(self, intervals: int, substeps: int, fixed: frozenset[str]) -> Array:
-        """Rows that no unknown can change, because the start fixes all the states they read: a mask as of `asked`."""
-        mask = np.zeros((intervals, substeps + 1, len(self.names)), bool)
-        mask[0, 0] = [reads is Reads.STATE and states <= fixed for reads, states in zip(self.reads, self.states)]
-        return mask
+    def decided(self, fixed: Mapping[str, Array]) -> Array:
+        """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
+        whole = {name for name, mask in fixed.items() if mask.all()}
+        rows = [reads is Reads.STATE and states <= whole for reads, states in zip(self.reads, self.states)]
+        boxes = [b.reads is Reads.STATE and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
+        return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool)
 
 
-def describe_path(dynamics: Dynamics) -> PathRows:
-    """The rows of a compiled system, in the order `dynamics.constraints` has them, and its leaves' boxes."""
-    residuals = {name: constraint.residual() for name, constraint in dynamics.system.constraints.items()}
+def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
+    """The rows of a compiled system, of bounds on norms, and the leaves' boxes."""
+    functions = dynamics._functions
+    residuals: list[Expr] = []
+    names: list[str] = []
+    equality: list[bool] = []
     reads: list[Reads] = []
     states: list[frozenset[str]] = []
-    for equality in (False, True):
-        for name, constraint in dynamics.system.constraints.items():
-            if isinstance(constraint, Equality) == equality:
-                entries, leaves = prod(residuals[name].shape), list(leaves_of(residuals[name].canonicalize()))
+    for kind, own in functions.constraints.items():
+        for name, residual in own.items():
+            for row in [residual] if kind == "equality" else without_norms(residual):
+                entries, leaves = prod(row.shape), list(leaves_of(row))
+                residuals.append(row)
+                names += [f"{name}[{i}]" for i in range(entries)] if row.shape else [name]
+                equality += [kind == "equality"] * entries
                 reads += [_reads(leaves)] * entries
                 states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
-    named = dynamics._functions.constraint_names
-    below, equal = len(named["inequality"]), len(named["equality"])
+    for name, row in norms.rows:
+        residuals.append(row)
+        names.append(name)
+        equality.append(False)
+        reads.append(Reads.CONTROL)
+        states.append(frozenset())
     bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
+    boxes, named = [b.name for b in bounds], functions.constraint_names
+    shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]
     return PathRows(
-        names=(*named["inequality"], *named["equality"], *(b.name for b in bounds)),
-        equality=np.repeat([False, True, False], [below, equal, len(bounds)]),
+        residuals=tuple(residuals),
+        names=(*names, *boxes),
+        equality=np.array([*equality, *[False] * len(boxes)], bool),
         reads=(*reads, *(b.reads for b in bounds)),
         states=(*states, *(frozenset([b.leaf]) for b in bounds)),
         bounds=bounds,
+        shown=(*named["inequality"], *named["equality"], *boxes),
+        shown_equality=np.concatenate(shown),
     )
 
 
@@ -252,6 +266,31 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
                 f"{found:g} {symbol} {bound.limit:g}"
             )
     return values
+
+
+@dataclasses.dataclass(frozen=True)
+class Ends:
+    """Values of the states at both ends, NaN where an entry is free, None where all are."""
+
+    initial: Mapping[str, Array | None]
+    final: Mapping[str, Array | None]
+    initial_fixed: dict[str, Array]  # name -> (dimension,) which entries of its tangent are fixed
+    final_fixed: dict[str, Array]
+
+    @property
+    def initial_mask(self) -> Array:
+        return np.concatenate([*self.initial_fixed.values(), np.zeros(0, bool)])
+
+    @property
+    def final_mask(self) -> Array:
+        return np.concatenate([*self.final_fixed.values(), np.zeros(0, bool)])
+
+
+def ends_of(states: Sequence[State], initial: Any, final: Any) -> Ends:
+    """Both ends, checked."""
+    first, last = end_values(states, "initial", initial), end_values(states, "final", final)
+    fixed = [{s.name: fixed_entries(s, own[s.name]) for s in states} for own in (first, last)]
+    return Ends(first, last, *fixed)
 
 
 def fixed_entries(state: State, value: Array | None) -> Array:

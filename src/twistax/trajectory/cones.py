@@ -1,0 +1,103 @@
+"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which has slopes and bends everywhere."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..expr import Add, Constant, Control, Div, Dot, Expr, Mul, Neg, Norm, State, Sub, Time, leaves_of
+
+#: A coefficient and what it multiplies.
+Term = tuple[float, Expr]
+
+
+def without_norms(residual: Expr) -> list[Expr]:
+    """Rows (<= 0 each) that mean residual <= 0 and are smooth where one norm stands in it linearly; else itself.
+
+    c |a| + r <= 0 with c > 0 is a.a - b^2 <= 0 and -b <= 0, b = -r / c; with c < 0 and a number r, b^2 - a.a <= 0.
+    """
+    terms = linear_terms(residual)
+    norms = [term for term in terms if _is_norm(term[1])]
+    if residual.shape != () or len(norms) != 1 or norms[0][0] == 0.0:
+        return [residual]
+    ((factor, norm),) = norms
+    bound = sum_of([(-own / factor, part) for own, part in terms if part is not norm]).canonicalize()
+    number = float(bound.value) if isinstance(bound, Constant) else None
+    if factor < 0.0 and (number is None or number < 0.0):
+        return [residual]
+    squares = _square(norm) - bound * bound if factor > 0.0 else bound * bound - _square(norm)
+    sides = [] if number is not None and number >= 0.0 else [-bound]
+    return [row.canonicalize() for row in (squares, *sides)]
+
+
+@dataclasses.dataclass(frozen=True)
+class NormControls:
+    """Norms of controls in a running cost, each replaced by a control s of its own with |a| <= s."""
+
+    running: Expr | None
+    controls: tuple[Control, ...]
+    operands: tuple[Expr, ...]
+
+    @property
+    def rows(self) -> list[tuple[str, Expr]]:
+        """a.a - s^2 and -s, <= 0 both, with a name."""
+        pairs = zip(self.controls, self.operands)
+        return [(s.name, row) for s, a in pairs for row in ((Dot(a, a) - s * s).canonicalize(), -s)]
+
+
+def norm_controls(running: Expr | None, sign: float) -> NormControls:
+    """What a running cost is without its norms of controls alone, which have no slope where a control is zero.
+
+    Held controls make such a norm constant over an interval, so its bound s is one number there. At a minimum s = |a|.
+    """
+    if running is None:
+        return NormControls(None, (), ())
+    kept: list[Term] = []
+    controls: list[Control] = []
+    operands: list[Expr] = []
+    for factor, part in linear_terms(running.canonicalize()):
+        if _is_norm(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
+            controls.append(Control(f"bound on {part!r}"))
+            operands.append(part.children()[0])
+            part = controls[-1]
+        kept.append((factor, part))
+    return NormControls(sum_of(kept).canonicalize() if controls else running, tuple(controls), tuple(operands))
+
+
+def linear_terms(expr: Expr, factor: float = 1.0) -> list[Term]:
+    """The terms of a sum with numbers in front of them."""
+    if isinstance(expr, Add):
+        return [term for part in expr.terms for term in linear_terms(part, factor)]
+    if isinstance(expr, Sub):
+        left, right = expr.children()
+        return [*linear_terms(left, factor), *linear_terms(right, -factor)]
+    if isinstance(expr, Neg):
+        return linear_terms(expr.children()[0], -factor)
+    if isinstance(expr, (Mul, Div)):
+        parts = expr.children()
+        numbers = [p for p in parts if isinstance(p, Constant) and p.shape == ()]
+        others = [p for p in parts if all(p is not n for n in numbers)]
+        if isinstance(expr, Div) and (not numbers or numbers[0] is not parts[1]):
+            return [(factor, expr)]
+        if len(others) == 1:
+            size = float(np.prod([float(n.value) for n in numbers]))
+            return linear_terms(others[0], factor / size if isinstance(expr, Div) else factor * size)
+    return [(factor, expr)]
+
+
+def sum_of(terms: list[Term]) -> Expr:
+    """The sum again."""
+    found: Expr = Constant(0.0)
+    for factor, part in terms:
+        found = found + factor * part
+    return found
+
+
+def _is_norm(expr: Expr) -> bool:
+    return isinstance(expr, Norm) and expr.ord == "fro" and len(expr.operand.shape) == 1
+
+
+def _square(norm: Expr) -> Expr:
+    (operand,) = norm.children()
+    return Dot(operand, operand)

@@ -1,0 +1,167 @@
+"""The Newton equations of a problem in stages, factored from the last stage to the first.
+
+The step (d, u, time) minimises
+
+    sum over stages  z'H z / 2 + a'z + sum over rows  weight (J z + r)^2 / 2,   z_k = [d_k, u_k, time],
+
+subject to d_(k+1) = F z_k + c_k. The dynamics may be softened: a slack e costs e^2 / (2 soft). The value of what
+follows a node is quadratic in (d, time). A Riccati recursion carries it back, so the work grows with the number of
+stages, and the equations have the inertia of a minimum exactly if every Cholesky factor exists.
+Source: Rao, Wright, Rawlings, Application of interior-point methods to model predictive control (1998), section 3.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_solve
+
+from .shooting import Derivatives, Step
+
+
+class Rows(NamedTuple):
+    """Something for each row: of the intervals (intervals, R), and of the end (R_end,)."""
+
+    inner: Any
+    end: Any
+
+
+class Stages(NamedTuple):
+    """What is factored: derivatives, weights of the rows, what is added to the diagonal, how soft the dynamics are."""
+
+    slopes: Derivatives
+    weights: Rows
+    damping: Any
+    soft: Any
+    free_start: Any  # (n + 1,) of [d_0, time]: bool
+
+
+class Factors(NamedTuple):
+    """The factors of the equations; `exist` says whether all of them do, and so whether there is a minimum."""
+
+    gains: Any  # (intervals, m, n + 1)
+    controls: Any  # (intervals, m, m) Cholesky factors
+    costs: Any  # (intervals, n + 1, n + 1) softened cost of what follows
+    softening: Any  # (intervals, n, n) Cholesky factors of I + soft P
+    start: Any  # (n + 1, n + 1) Cholesky factor
+    exist: Any
+
+
+class Solution(NamedTuple):
+    """A step with the multipliers of the dynamics, and the growth of the weighted rows, weight (J z + r)."""
+
+    step: Step
+    dynamics: Any  # (intervals, n)
+    rows: Rows
+
+
+def factorize(stages: Stages) -> Factors:
+    """Factor from the end to the start."""
+    slopes, weights, soft = stages.slopes, stages.weights, stages.soft
+    n, size = slopes.defects.shape[1:]
+    m = size - n - 1
+    outer, inner = _indices(n, m)
+    end = slopes.end_hessian + (slopes.end_rows.T * weights.end[None]) @ slopes.end_rows
+    end = end + stages.damping * jnp.eye(n + 1, dtype=end.dtype)
+    condensed = slopes.hessian + jnp.einsum("kra,kr,krb->kab", slopes.rows, weights.inner, slopes.rows)
+    lift = jnp.concatenate([jnp.ones(n + m, end.dtype), jnp.zeros(1, end.dtype)])
+    condensed = condensed + stages.damping * jnp.diag(lift)[None]
+
+    def back(cost: jax.Array, stage: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, Any]:
+        own, dynamics = stage
+        softening = jnp.linalg.cholesky(jnp.eye(n, dtype=own.dtype) + soft * cost[:n, :n])
+        halved = cho_solve((softening, True), cost[:n])
+        softer = jnp.concatenate([halved, cost[n:] - soft * cost[n:, :n] @ halved])
+        whole = own + _lifted(softer, dynamics)
+        controls = jnp.linalg.cholesky(whole[jnp.ix_(inner, inner)])
+        gains = -cho_solve((controls, True), whole[jnp.ix_(inner, outer)])
+        before = whole[jnp.ix_(outer, outer)] + whole[jnp.ix_(outer, inner)] @ gains
+        return 0.5 * (before + before.T), (gains, controls, softer, softening)
+
+    first, (gains, controls, costs, softening) = jax.lax.scan(back, end, (condensed, slopes.defects), reverse=True)
+    free = stages.free_start
+    start = jnp.linalg.cholesky(jnp.where(free[:, None] & free[None, :], first, jnp.eye(n + 1, dtype=first.dtype)))
+    exist = jnp.isfinite(controls).all() & jnp.isfinite(start).all() & jnp.isfinite(softening).all()
+    return Factors(gains, controls, costs, softening, start, exist)
+
+
+def solve(
+    stages: Stages, factors: Factors, pull: jax.Array, end_pull: jax.Array, defects: jax.Array, rows: Rows
+) -> Solution:
+    """The step for the linear terms a (intervals, n + m + 1) and (n + 1,), the constants c, and the constants r."""
+    slopes, weights, soft = stages.slopes, stages.weights, stages.soft
+    n, size = slopes.defects.shape[1:]
+    m = size - n - 1
+    outer, inner = _indices(n, m)
+    pull = pull + jnp.einsum("kra,kr->ka", slopes.rows, weights.inner * rows.inner)
+    end_pull = end_pull + slopes.end_rows.T @ (weights.end * rows.end)
+
+    def back(tilt: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
+        own, dynamics, constant, gains, controls, cost, softening = stage
+        halved = cho_solve((softening, True), tilt[:n])
+        softer = jnp.concatenate([halved, tilt[n:] - soft * cost[:n, n:].T @ tilt[:n]])
+        slope = softer + cost[:, :n] @ constant
+        whole = own + dynamics.T @ slope[:n]
+        whole = whole.at[n + m :].add(slope[n:])
+        push = -cho_solve((controls, True), whole[inner])
+        return whole[outer] + gains.T @ whole[inner], (push, softer)
+
+    tilt, (pushes, softer) = jax.lax.scan(
+        back,
+        end_pull,
+        (pull, slopes.defects, defects, factors.gains, factors.controls, factors.costs, factors.softening),
+        reverse=True,
+    )
+    free = stages.free_start
+    begin = -cho_solve((factors.start, True), jnp.where(free, tilt, 0.0))
+    time = begin[n:]
+
+    def ahead(d: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
+        dynamics, constant, gains, push, cost, tilt = stage
+        u = gains @ jnp.concatenate([d, time]) + push
+        reached = dynamics @ jnp.concatenate([d, u, time]) + constant
+        multipliers = (cost @ jnp.concatenate([reached, time]) + tilt)[:n]
+        return reached - soft * multipliers, (d, u, multipliers)
+
+    last, (ds, us, multipliers) = jax.lax.scan(
+        ahead, begin[:n], (slopes.defects, defects, factors.gains, pushes, factors.costs, softer)
+    )
+    step = Step(jnp.concatenate([ds, last[None]]), us, time)
+    moved = along_rows(slopes, step)
+    grown = Rows(weights.inner * (moved.inner + rows.inner), weights.end * (moved.end + rows.end))
+    return Solution(step, multipliers, grown)
+
+
+def along_rows(slopes: Derivatives, step: Step) -> Rows:
+    """J z of all rows."""
+    z, end = of_stages(step)
+    return Rows(jnp.einsum("kra,ka->kr", slopes.rows, z), slopes.end_rows @ end)
+
+
+def of_stages(step: Step) -> tuple[jax.Array, jax.Array]:
+    """z_k = [d_k, u_k, time] (intervals, n + m + 1), and [d, time] of the end."""
+    times = jnp.broadcast_to(step.time[None], (step.u.shape[0], 1))
+    return jnp.concatenate([step.d[:-1], step.u, times], axis=1), jnp.concatenate([step.d[-1], step.time])
+
+
+def to_step(inner: jax.Array, end: jax.Array, m: int) -> Step:
+    """The sum of the stages' contributions to every unknown; adjoint of `of_stages`."""
+    n = inner.shape[1] - m - 1
+    return Step(
+        jnp.concatenate([inner[:, :n], end[None, :n]]), inner[:, n : n + m], inner[:, -1:].sum(axis=0) + end[n:]
+    )
+
+
+def _lifted(cost: jax.Array, dynamics: jax.Array) -> jax.Array:
+    """The cost of what follows in terms of [d, u, time]."""
+    n = dynamics.shape[0]
+    corner = dynamics.T @ cost[:n, n:]
+    whole = dynamics.T @ cost[:n, :n] @ dynamics
+    return whole.at[:, -1:].add(corner).at[-1:].add(corner.T).at[-1:, -1:].add(cost[n:, n:])
+
+
+def _indices(n: int, m: int) -> tuple[Any, Any]:
+    """Where [d, time] and u sit in [d, u, time]."""
+    return jnp.array([*range(n), n + m]), jnp.arange(n, n + m)

@@ -1,0 +1,155 @@
+"""How big steps of the unknowns, residuals and the objective are, measured on an iterate and the problem's derivatives.
+
+Nothing here looks at limits unless nothing else is known, so scales follow the units and not the width of the limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..expr import Control, State
+from ..groups import Euclidean, SpecialEuclidean
+from .interior_point import Scales
+from .shooting import Derivatives, Point, Shooting
+
+#: A turn, in rad, after which a rotation's tangent space looks different.
+_TURN = 0.5
+#: A control that is constant counts as this share of its size.
+_CONSTANT = 0.1
+#: A spread of less than this share of another entry's is none.
+_NOTHING = 1e-4
+#: Scales stay above this share of what they were.
+_SMALL = 1e-6
+
+
+def unit_scales(shooting: Shooting) -> Scales:
+    """Scales of 1."""
+    return Scales(
+        np.ones((1, shooting.n)), np.ones((1, shooting.m)), np.ones(1), np.ones(len(shooting.exists)), np.ones(())
+    )
+
+
+def measured(
+    shooting: Shooting, leaves: Mapping[str, State | Control], point: Point, slopes: Derivatives, scales: Scales
+) -> Scales:
+    """Scales at a point, from the derivatives there, which were taken in other scales.
+
+    States and controls count with half the spread of their values along the trajectory, or with what the leaf
+    declares. What does not move yet gets a size from what it moves, or from what moves it. Rows are divided by
+    their slope, the objective by what steps of these sizes do to it.
+    """
+    before, end_before = (
+        np.concatenate([np.asarray(a) for a in own])
+        for own in ((scales.d[0], scales.u[0], scales.time), (scales.d[0], scales.time))
+    )
+    d, u = _spreads(shooting, leaves, point)
+    time = np.array([float(point.final_time)])
+    reach = np.abs(np.asarray(slopes.defects)) * np.asarray(scales.d)[0][:, None] / before
+    d, u = _completed(shooting, leaves, d, u, reach)
+    z, end = np.concatenate([d, u, time]) / before, np.concatenate([d, time]) / end_before
+    inner = np.abs(np.asarray(slopes.rows)) @ z
+    sizes = np.concatenate([inner.ravel(), np.abs(np.asarray(slopes.end_rows)) @ end]) * np.asarray(scales.rows)
+    count = inner.size
+    most = sizes[:count].reshape(inner.shape).max(axis=0, initial=0.0)
+    sizes[:count] = np.broadcast_to(most, inner.shape).ravel()
+    gradient = (np.abs(np.asarray(slopes.gradient)) @ z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
+    cost = float(gradient) * float(scales.cost)
+    old = np.asarray(scales.rows)
+    return Scales(
+        d[None],
+        u[None],
+        time,
+        np.where(sizes > 0.0, sizes, old),
+        np.array(cost if np.isfinite(cost) and cost > 0.0 else scales.cost),
+    )
+
+
+def not_below(scales: Scales, seen: Scales) -> tuple[Scales, Scales]:
+    """Scales of unknowns and objective no less than a small share of the largest seen, and the largest seen.
+
+    What falls to zero, as an objective may at its optimum, would else never be small.
+    """
+    seen = seen._replace(
+        **{name: np.maximum(getattr(scales, name), getattr(seen, name)) for name in ("d", "u", "time", "cost")}
+    )
+    own = {name: np.maximum(getattr(scales, name), _SMALL * getattr(seen, name)) for name in ("d", "u", "time", "cost")}
+    return scales._replace(**own), seen
+
+
+def change(one: Scales, other: Scales) -> float:
+    """The largest factor between two sets of scales."""
+    ratios = [np.asarray(a) / np.asarray(b) for a, b in zip(one, other)]
+    return max(float(np.maximum(r, 1.0 / r).max(initial=1.0)) for r in ratios)
+
+
+def _spreads(shooting: Shooting, leaves: Mapping[str, State | Control], point: Point) -> tuple[Array, Array]:
+    """Half the spread of every tangent along the trajectory; zero where nothing moves."""
+    d = np.zeros(shooting.n)
+    for name, factor in shooting.dynamics.group.factors.items():
+        part, leaf = shooting.dynamics.group.slices[name], leaves[name]
+        values = np.asarray(point.xs[name])
+        if leaf.scale is not None:
+            d[part] = np.ravel(leaf.scale)
+        elif isinstance(factor, SpecialEuclidean):
+            length = float(np.ptp(values[:, :3, 3], axis=0).max()) / 2.0
+            d[part] = np.asarray(factor.order.from_linear_first(np.array([length] * 3 + [_TURN] * 3)))
+        elif isinstance(factor, Euclidean):
+            flat = values.reshape(len(values), -1)
+            d[part] = _moving(np.ptp(flat, axis=0) / 2.0, flat)
+        else:
+            d[part] = _TURN
+    u = np.zeros(shooting.m)
+    for name, part in shooting.local.controls.slices.items():
+        flat, leaf = np.asarray(point.us)[:, part], leaves[name]
+        spread = _moving(np.maximum(np.ptp(flat, axis=0) / 2.0, _CONSTANT * np.abs(flat).max(axis=0)), flat)
+        u[part] = spread if leaf.scale is None else np.ravel(leaf.scale)
+    return d, u
+
+
+def _moving(spread: Array, values: Array) -> Array:
+    """Spreads, zero where they are rounding, or nothing beside another entry's."""
+    moves = (spread > _NOTHING * spread.max(initial=0.0)) & (spread > 1e-9 * np.abs(values).max(axis=0))
+    return np.where(moves, spread, 0.0)
+
+
+def _completed(
+    shooting: Shooting, leaves: Mapping[str, State | Control], d: Array, u: Array, slopes: Array
+) -> tuple[Array, Array]:
+    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1."""
+    n = shooting.n
+    sizes = np.concatenate([d, u])
+    reach = shooting.intervals * slopes[:, :, :-1].max(axis=0)  # (n, n + m)
+    reach[np.arange(n), np.arange(n)] = 0.0
+    limits = np.concatenate([_from_limits(leaf) for leaf in leaves.values()])
+    for known in (None, limits, np.ones_like(sizes)):
+        if known is not None:
+            sizes = np.where(sizes > 0.0, sizes, known)
+        for _ in range(len(sizes)):
+            before = sizes
+            rows = sizes[:n, None]
+            back = np.divide(rows, reach, out=np.full_like(reach, np.inf), where=(reach > 0.0) & (rows > 0.0)).min(
+                axis=0
+            )
+            sizes = np.where((sizes > 0.0) | ~np.isfinite(back), sizes, back)
+            ahead = (reach * sizes).max(axis=1)
+            sizes = np.concatenate([np.where(sizes[:n] > 0.0, sizes[:n], ahead), sizes[n:]])
+            if (before == sizes).all():
+                break
+        if (sizes > 0.0).all():
+            break
+    # What hardly moves is not measured by how little it moves.
+    return np.maximum(sizes[:n], _SMALL * (reach * sizes).max(axis=1)), sizes[n:]
+
+
+def _from_limits(leaf: State | Control) -> Array:
+    """Half the width of a box, or the size of its one side; zero where there is none."""
+    group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
+    if not isinstance(group, Euclidean):
+        return np.zeros(group.dimension)
+    low = np.full(leaf.shape, np.nan) if leaf.min is None else np.where(np.isfinite(leaf.min), leaf.min, np.nan)
+    high = np.full(leaf.shape, np.nan) if leaf.max is None else np.where(np.isfinite(leaf.max), leaf.max, np.nan)
+    width = np.where(np.isnan(low + high), np.fmax(np.abs(low), np.abs(high)), (high - low) / 2.0)
+    return np.nan_to_num(width).ravel()

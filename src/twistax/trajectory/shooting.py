@@ -1,0 +1,411 @@
+"""Multiple shooting in the tangent space: values, first and second derivatives of a discrete problem.
+
+The unknowns are a step z = (d_0, du_0, ..., d_(K-1), du_(K-1), d_K, dT) away from the nodes x_k, held controls u_k and
+final time T; nodes move by x_k (+) d_k, so the chart is re-based at every iterate. Interval k is integrated in
+exponential coordinates about x_k, in time made dimensionless by T, by an explicit Runge-Kutta method. It gives
+
+    F_k(d_k, du_k, dT) = Log(x_(k+1)^-1 x_k Exp(eta_k)),   and the dynamics say d_(k+1) = F_k,
+
+the rows of constraints at the ends of its substeps, and its share of the running cost by a rule of quadrature.
+Second derivatives of sum y.F + w.rows + cost follow from the adjoints of the stages: every stage adds G' M G, with M
+the second derivative of the rates weighted by its adjoint and G its sensitivity to (d, du, dT).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..integrators import RKMK
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from .cones import NormControls
+from .local import Local
+from .statement import Ends, FinalRows, Objective, PathRows, Reads
+
+
+class Point(NamedTuple):
+    """Where an optimisation stands: states (nodes, ...), flat controls (nodes - 1, m), final time."""
+
+    xs: Any
+    us: Any
+    final_time: Any
+
+
+class Given(NamedTuple):
+    """What a compiled problem is solved for."""
+
+    params: Any
+    final: Any  # states at the end; entries that are free stand for nothing
+    time_limits: Any  # (2,)
+
+
+class Step(NamedTuple):
+    """A step in the tangent space, or anything with an entry for each unknown."""
+
+    d: Any  # (nodes, n)
+    u: Any  # (intervals, m)
+    time: Any  # (1,)
+
+
+class Values(NamedTuple):
+    """A problem's values at a point."""
+
+    cost: Any
+    defects: Any  # (intervals, n)
+    rows: Any  # (rows,) those of all intervals, then those of the end; <= 0 or = 0
+
+
+class Derivatives(NamedTuple):
+    """Derivatives at a point, by z_k = [d_k, du_k, dT] of each interval and z_K = [d_K, dT] of the end."""
+
+    defects: Any  # (intervals, n, n + m + 1)
+    rows: Any  # (intervals, R, n + m + 1)
+    end_rows: Any  # (R_end, n + 1)
+    gradient: Any  # (intervals, n + m + 1) of the cost
+    end_gradient: Any  # (n + 1,)
+    hessian: Any  # (intervals, n + m + 1, n + m + 1) of cost + y.defects + w.rows
+    end_hessian: Any  # (n + 1, n + 1)
+
+
+class Shooting:
+    """The discrete problem behind a continuous one.
+
+    Attributes:
+        names, places: of every row.
+        equality, exists: (rows,) which rows are equalities; which are asked at all.
+        decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
+        free: Step of bool, which unknowns may move.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        objective: Objective,
+        *,
+        method: RKMK,
+        nodes: int,
+        substeps: int,
+        path: PathRows,
+        norms: NormControls,
+        ends: Ends,
+        final: FinalRows,
+        free_time: bool,
+    ) -> None:
+        self.dynamics, self.nodes, self.substeps = dynamics, nodes, substeps
+        self.intervals = nodes - 1
+        self.local = Local(dynamics, path, objective, norms, final)
+        self.n, self.m = dynamics.dimension, self.local.controls.dimension
+        self.size = self.n + self.m + 1
+        tableau = method.tableau
+        self._a, self._c = tableau.counted
+        self._b = tableau.b[: len(self._c)]
+        self._weights = _weights(substeps)
+        self._describe(path, ends, final, free_time)
+
+    def _describe(self, path: PathRows, ends: Ends, final: FinalRows, free_time: bool) -> None:
+        """Which rows there are, and which unknowns may move."""
+        count, points, rows = self.intervals, self.substeps + 1, len(path.names)
+        asked = path.asked(count, self.substeps)
+        decided = np.zeros_like(asked)
+        decided[0, 0] = path.decided(ends.initial_fixed)
+        flat = asked.reshape(count, -1)
+        self._row_count = rows
+        self._kept = kept = np.flatnonzero(flat.any(axis=0))
+        states = np.flatnonzero([reads is Reads.STATE for reads in path.reads])
+        self._end_states = states
+        self._fixed = np.flatnonzero(ends.final_mask)
+        tangents = [
+            f"{name}{_entry(i, part)}"
+            for name, part in self.dynamics.group.slices.items()
+            for i in range(part.stop - part.start)
+        ]
+        time = ["final time: lower limit", "final time: upper limit"] if free_time else []
+        end_names = [
+            *(f"final: {n}" for n in final.names),
+            *(f"final {tangents[i]}" for i in self._fixed),
+            *(path.names[i] for i in states),
+            *time,
+        ]
+        place = np.array(
+            [
+                [
+                    f"at node {k}"
+                    if p == 0
+                    else f"at node {k + 1}"
+                    if p == points - 1
+                    else f"between nodes {k} and {k + 1}"
+                    for p in range(points)
+                ]
+                for k in range(count)
+            ]
+        )
+        place = np.repeat(place.reshape(count, points, 1), rows, axis=2).reshape(count, -1)[:, kept]
+        self.names = np.array([*np.tile(np.array(path.names, object)[kept % max(rows, 1)], count), *end_names], object)
+        self.places = np.array([*place.ravel(), *[f"at node {count}"] * len(end_names)], object)
+        end_equality = [*final.equality, *[True] * len(self._fixed), *path.equality[states], *[False] * len(time)]
+        self.equality = np.array([*np.tile(path.equality[kept % max(rows, 1)], count), *end_equality], bool)
+        end_decided = np.zeros(len(end_names), bool)
+        first = len(final.names) + len(self._fixed)
+        end_decided[first : first + len(states)] = path.decided(ends.final_fixed)[states]
+        self.decided = np.concatenate([(decided.reshape(count, -1) & flat)[:, kept].ravel(), end_decided])
+        every = np.concatenate([flat[:, kept].ravel(), np.ones(len(end_names), bool)])
+        self.exists = every & ~self.decided
+        self.pinned = np.zeros_like(self.exists)
+        self.rows_per_interval = len(kept)
+        self.states = tangents
+        free_d = np.ones((self.nodes, self.n), bool)
+        free_d[0] = ~ends.initial_mask
+        self.free = Step(free_d, np.ones((count, self.m), bool), np.array([free_time]))
+        self._free_time = free_time
+
+    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
+        """Take path rows out of the end that the equalities there decide: their slopes lie in the span of those.
+
+        Two such rows leave no room for slacks. They count as decided, if it is so at all sample points.
+        """
+        inner = self.intervals * self.rows_per_interval
+        equality, own = self.equality[inner:], (self.exists & ~self.equality)[inner:]
+        if not equality.any() or not own.any():
+            return
+        zero = np.zeros(self.n + 1)
+        slopes = jax.jit(jax.jacfwd(lambda z, last, given: self._end_of(last, given, z)[0]))
+        pinned = own.copy()
+        for point in samples:
+            found = np.asarray(slopes(zero, self._last(point), given))
+            base, rows = found[equality].T, found.T
+            left = rows - base @ np.linalg.lstsq(base, rows, rcond=None)[0]
+            pinned &= np.linalg.norm(left, axis=0) <= 1e-9 * np.linalg.norm(rows, axis=0)
+        self.exists, self.decided = self.exists.copy(), self.decided.copy()
+        self.exists[inner:] &= ~pinned
+        self.pinned[inner:] |= pinned
+        self.decided |= self.pinned
+
+    # ---- moves --------------------------------------------------------------------------------------------------
+
+    def move(self, point: Point, step: Step) -> Point:
+        """The point after a step."""
+        xs = jax.vmap(self.dynamics.group.retract)(point.xs, step.d)
+        return Point(xs, point.us + step.u, point.final_time + step.time[0])
+
+    # ---- values -------------------------------------------------------------------------------------------------
+
+    def values(self, point: Point, given: Given) -> Values:
+        """Cost, defects and rows at a point."""
+        left, right = _sides(point.xs)
+        etas, ks = jax.vmap(self._roll, in_axes=(0, 0, 0, None, None))(
+            self._numbers(point), left, point.us, point.final_time, given.params
+        )
+        del ks
+        rows, density = self._at_points(point, left, etas, given.params)
+        defects = jax.vmap(self.local.gap)(etas[:, -1], left, right)
+        cost = jnp.sum(density @ jnp.asarray(self._weights, density.dtype)) / self.intervals
+        end_rows, end_cost = self._end_of(self._last(point), given, jnp.zeros(self.n + 1, density.dtype))
+        return Values(cost + end_cost, defects, jnp.concatenate([rows.reshape(-1), end_rows]))
+
+    def _numbers(self, point: Point) -> jax.Array:
+        return jnp.arange(self.intervals, dtype=point.us.dtype)
+
+    def _last(self, point: Point) -> tuple[Arrays, jax.Array]:
+        return {name: a[-1] for name, a in point.xs.items()}, point.final_time
+
+    def _rate(self, share: jax.Array, q: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+        """d eta / d(t / T) at time share * T, of q = [eta, u, T]."""
+        n, m = self.n, self.m
+        return q[-1] * self.local.rate(share * q[-1], q[:n], q[n : n + m], base, params)
+
+    def _roll(
+        self, number: jax.Array, base: Arrays, u: jax.Array, final_time: jax.Array, params: Arrays
+    ) -> tuple[jax.Array, jax.Array]:
+        """eta at the ends of the substeps (S + 1, n), and of all stages (S, s, n)."""
+        length = 1.0 / (self.intervals * self.substeps)
+        share, eta = number / self.intervals, jnp.zeros(self.n, u.dtype)
+        ends, stages = [eta], []
+        for s in range(self.substeps):
+            slopes: list[jax.Array] = []
+            own = []
+            for i in range(len(self._b)):
+                at = eta + sum(length * self._a[i, j] * slopes[j] for j in range(i) if self._a[i, j])
+                own.append(at)
+                time = share + (s + self._c[i]) * length
+                slopes.append(self._rate(time, self._joined(at, u, final_time), base, params))
+            eta = eta + length * (jnp.asarray(self._b, u.dtype) @ jnp.stack(slopes))
+            ends.append(eta)
+            stages.append(jnp.stack(own))
+        return jnp.stack(ends), jnp.stack(stages)
+
+    @staticmethod
+    def _joined(eta: jax.Array, u: jax.Array, final_time: jax.Array) -> jax.Array:
+        return jnp.concatenate([eta, u, final_time[None]])
+
+    def _shares(self, number: jax.Array) -> jax.Array:
+        """t / T at the ends of the substeps."""
+        return (number + jnp.linspace(0.0, 1.0, self.substeps + 1, dtype=number.dtype)) / self.intervals
+
+    def _of_point(self, share: jax.Array, q: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
+        """The path rows, and the running cost times T."""
+        n, m = self.n, self.m
+        rows, density = self.local.point(share * q[-1], q[:n], q[n : n + m], base, params)
+        return rows, q[-1] * density
+
+    def _at_points(self, point: Point, left: Arrays, etas: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array]:
+        """Rows (intervals, R) and T times the running cost (intervals, S + 1)."""
+
+        def one(share: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays) -> tuple[jax.Array, jax.Array]:
+            return self._of_point(share, self._joined(eta, u, point.final_time), base, params)
+
+        shares = jax.vmap(self._shares)(self._numbers(point))
+        rows, density = jax.vmap(jax.vmap(one, in_axes=(0, 0, None, None)))(shares, etas, point.us, left)
+        return rows.reshape(self.intervals, -1)[:, self._kept], density
+
+    def _end_of(self, last: tuple[Arrays, jax.Array], given: Given, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The rows of the end and the final cost after a step z = [d, dT] of the last node."""
+        base, final_time = last
+        t = final_time + z[-1]
+        conditions, gap, path, cost = self.local.end(t, z[:-1], base, given.final, given.params)
+        limits = [given.time_limits[0] - t, t - given.time_limits[1]] if self._free_time else []
+        parts = [conditions, gap[self._fixed], path[self._end_states]]
+        return jnp.concatenate([*parts, jnp.stack(limits)] if limits else parts), cost
+
+    # ---- derivatives --------------------------------------------------------------------------------------------
+
+    def derivatives(self, point: Point, y: jax.Array, w: jax.Array, given: Given) -> Derivatives:
+        """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
+        left, right = _sides(point.xs)
+        split = self.intervals * self.rows_per_interval
+        own = w[:split].reshape(self.intervals, -1)
+        found = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, 0, 0, None, None))(
+            self._numbers(point), left, point.us, right, y, own, point.final_time, given.params
+        )
+        defects, rows, gradient, hessian = found
+        last = self._last(point)
+        zero = jnp.zeros(self.n + 1, y.dtype)
+
+        def weighted(z: jax.Array) -> jax.Array:
+            rows, cost = self._end_of(last, given, z)
+            return w[split:] @ rows + cost
+
+        end_rows, end_gradient = jax.jacfwd(lambda z: self._end_of(last, given, z))(zero)
+        end_hessian = jax.jacfwd(jax.grad(weighted))(zero)
+        return Derivatives(defects, rows, end_rows, gradient, end_gradient, hessian, end_hessian)
+
+    def _interval(
+        self,
+        number: jax.Array,
+        base: Arrays,
+        u: jax.Array,
+        target: Arrays,
+        y: jax.Array,
+        w: jax.Array,
+        final_time: jax.Array,
+        params: Arrays,
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Derivatives of F and of the rows, gradient of the cost, second derivative of the weighted sum."""
+        n, size, substeps = self.n, self.size, self.substeps
+        stages, length = len(self._b), 1.0 / (self.intervals * self.substeps)
+        a, b = jnp.asarray(self._a, u.dtype), jnp.asarray(self._b, u.dtype)
+        etas, points = self._roll(number, base, u, final_time, params)
+        join = lambda e: self._joined(e, u, final_time)  # noqa: E731
+
+        # Sensitivities of the stages and of the ends of the substeps to z.
+        shares = number / self.intervals + length * (np.arange(substeps)[:, None] + self._c[None, :])
+        rate = lambda share, q: self._rate(share, q, base, params)  # noqa: E731
+        both = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
+        qs = both(join)(points)
+        slopes = both(jax.jacfwd(rate, argnums=1))(shares, qs)  # (S, s, n, size)
+        tail = jnp.eye(size, dtype=u.dtype)[n:]
+        sensitivity = jnp.eye(n, size, dtype=u.dtype)
+        ends, inner = [sensitivity], []
+        for s in range(substeps):
+            moved: list[jax.Array] = []
+            for i in range(stages):
+                at = sensitivity + sum(
+                    (length * a[i, j] * moved[j] for j in range(i) if self._a[i, j]), jnp.zeros_like(sensitivity)
+                )
+                inner.append(at)
+                moved.append(slopes[s, i] @ jnp.concatenate([at, tail]))
+            sensitivity = sensitivity + length * jnp.einsum("i,ijk->jk", b, jnp.stack(moved))
+            ends.append(sensitivity)
+        tails = jnp.broadcast_to(tail, (substeps * stages, *tail.shape))
+        maps = jnp.concatenate([jnp.stack(inner), tails], axis=1)
+        end_maps = jnp.concatenate(
+            [
+                jnp.stack(ends),
+                tails[: substeps + 1]
+                if substeps * stages > substeps
+                else jnp.broadcast_to(tail, (substeps + 1, *tail.shape)),
+            ],
+            axis=1,
+        )
+
+        # Rows, cost and the gap.
+        times, end_qs = self._shares(number), jax.vmap(join)(etas)
+        weights = jnp.asarray(self._weights, u.dtype) / self.intervals
+        every = jnp.zeros((substeps + 1) * self._row_count, u.dtype).at[self._kept].set(w).reshape(substeps + 1, -1)
+
+        def of_point(share: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return self._of_point(share, q, base, params)
+
+        def weighted_point(share: jax.Array, q: jax.Array, own: jax.Array, weight: jax.Array) -> jax.Array:
+            rows, density = of_point(share, q)
+            return own @ rows + weight * density
+
+        row_slopes, cost_slopes = jax.vmap(jax.jacfwd(of_point, argnums=1))(times, end_qs)
+        point_bends = jax.vmap(_hessian(weighted_point))(times, end_qs, every, weights)
+        gap = lambda eta: self.local.gap(eta, base, target)  # noqa: E731
+        gap_slope = jax.jacfwd(gap)(etas[-1])
+        gap_bend = jax.jacfwd(jax.grad(lambda eta: y @ gap(eta)))(etas[-1])
+        rows = (row_slopes @ end_maps).reshape(-1, size)[self._kept]
+        gradient = jnp.einsum("p,pi,piz->z", weights, cost_slopes, end_maps)
+
+        # Adjoints, last substep first.
+        pulls = jnp.einsum("pr,pri->pi", every, row_slopes) + weights[:, None] * cost_slopes
+        adjoint = y @ gap_slope + pulls[-1, :n]
+        adjoints: list[Any] = [None] * (substeps * stages)
+        for s in reversed(range(substeps)):
+            through: list[Any] = [None] * stages
+            for i in reversed(range(stages)):
+                own = length * b[i] * adjoint
+                for j in range(i + 1, stages):
+                    if self._a[j, i]:
+                        own = own + length * a[j, i] * through[j]
+                adjoints[s * stages + i] = own
+                through[i] = own @ slopes[s, i, :, :n]
+            adjoint = adjoint + sum(through) + pulls[s, :n]
+        bends = jax.vmap(_hessian(lambda share, q, own: own @ rate(share, q)))(
+            shares.reshape(-1), qs.reshape(-1, size), jnp.stack(adjoints)
+        )
+        hessian = jnp.einsum("kia,kij,kjb->ab", maps, bends, maps)
+        hessian = hessian + jnp.einsum("kia,kij,kjb->ab", end_maps, point_bends, end_maps)
+        hessian = hessian + ends[-1].T @ gap_bend @ ends[-1]
+        return gap_slope @ ends[-1], rows, gradient, 0.5 * (hessian + hessian.T)
+
+
+def _hessian(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """The second derivative by the second argument."""
+    return jax.jacfwd(jax.grad(function, argnums=1), argnums=1)
+
+
+def _sides(xs: Arrays) -> tuple[Arrays, Arrays]:
+    """The nodes at which intervals begin, and those at which they end."""
+    return {name: a[:-1] for name, a in xs.items()}, {name: a[1:] for name, a in xs.items()}
+
+
+def _entry(number: int, part: slice) -> str:
+    return f"[{number}]" if part.stop - part.start > 1 else ""
+
+
+def _weights(substeps: int) -> Array:
+    """Weights of the points of a unit interval: Simpson's rule, the trapezoid rule where substeps are odd."""
+    weights = np.ones(substeps + 1)
+    if substeps % 2:
+        weights[1:-1] = 2.0
+    else:
+        weights[1:-1:2] = 4.0
+        weights[2:-1:2] = 2.0
+    return weights / weights.sum()

@@ -1,0 +1,239 @@
+"""The solver's loop: Newton steps, new scales, the search for feasible points where no step is, and what came out."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..expr import Control, State
+from . import feasibility, scaling
+from .interior_point import Errors, InteriorPoint, Scales
+from .interior_point import State as Iterate
+from .shooting import Given, Point, Shooting, Step, Values
+
+#: Called with (iterations so far, objective, largest violation) before every step.
+Callback = Callable[[int, float, float], None]
+
+#: Programs of small arrays that run a few hundred times: in half the time to compile they are as fast.
+_COMPILER: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": "1"}
+#: A result is acceptable within so many tolerances.
+_ACCEPTABLE = 100.0
+#: Scales are renewed once they are off by the first factor; a result stands if they are off by no more than the second.
+_RENEW, _STANDS = 3.0, 10.0
+#: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
+_EARLY = (1, 3, 6)
+#: A feasible point is worth leaving the search for if it takes off so much of the violation.
+_WORTH = 0.5
+#: Of a search for feasible points: relative slope of a stationary point, its damping, and how often it starts anew.
+_FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
+#: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
+_SLACK, _SHAKE = 1e-3, 0.1
+
+
+class Status(enum.Enum):
+    """How an optimisation ended, as a sentence."""
+
+    SOLVED = "the first-order conditions of an optimum hold within the tolerance"
+    ACCEPTABLE = (
+        "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
+    )
+    INFEASIBLE = "no trajectory was found that meets every constraint; the violation is stationary"
+    MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
+    STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
+    NON_FINITE = "the problem has values that are not finite at the guess"
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.value}"
+
+
+class Outcome(NamedTuple):
+    """Where a run of the solver ended."""
+
+    point: Point
+    values: Values
+    errors: Errors
+    dynamics: Array  # (intervals, n) multipliers in the problem's units
+    rows: Array  # (rows,)
+    violations: Array  # (intervals * n + rows,) scaled: of the dynamics, then of the rows
+    status: Status
+    iterations: int
+
+    @property
+    def cost(self) -> float:
+        return float(self.values.cost)
+
+    @property
+    def violation(self) -> float:
+        return float(self.violations.max(initial=0.0))
+
+
+class Solver:
+    """Solves a transcribed problem again and again; what it needs compiles once."""
+
+    def __init__(self, shooting: Shooting, leaves: Mapping[str, State | Control], tolerance: float) -> None:
+        self._shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
+        method = self._method = InteriorPoint(shooting, tolerance)
+        self._values = _jit(shooting.values)
+        self._move = _jit(shooting.move)
+        self._start = _jit(method.start)
+        self._derivatives = _jit(method.derivatives)
+        self._measured = _jit(method.measured)
+        self._step = _jit(method.step)
+        self._rescaled = _jit(method.rescaled)
+        self._begin = _jit(lambda state: feasibility.begin(method, state))
+        self._reduce = _jit(lambda *args: feasibility.reduce(method, *args))
+        self._judged = _jit(self._judge)
+
+    def prepare(self, point: Point, given: Given) -> None:
+        """Compile what every run needs."""
+        state = self._start(point, given, scaling.unit_scales(self._shooting))
+        slopes = self._derivatives(state, given)
+        self._step.lower(self._measured(state, slopes), slopes, given).compile()
+
+    def perturbed(self, point: Point, given: Given, rng: np.random.Generator, limits: Any) -> Point:
+        """A point with every free entry of states, controls and time moved by a random step."""
+        scales = self._first_scales(point, given)
+        free, (low, high) = self._shooting.free, limits
+        d = np.where(free.d, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
+        u = 0.15 * rng.normal(size=free.u.shape) * scales.u
+        time = np.clip(float(point.final_time) + rng.normal() * (high - low) / 6.0, low, high) - float(point.final_time)
+        return self._move(point, Step(d, u, np.array([time])))
+
+    def _first_scales(self, point: Point, given: Given) -> Scales:
+        unit = scaling.unit_scales(self._shooting)
+        state = self._start(point, given, unit)
+        slopes = self._derivatives(state, given)
+        return scaling.measured(self._shooting, self._leaves, point, slopes, unit)
+
+    def run(self, point: Point, given: Given, max_iterations: int, callback: Callback | None = None) -> Outcome:
+        """Solve from a point."""
+        scales = seen = self._first_scales(point, given)
+        state = self._start(point, given, scales)
+        if not _finite((scales, state.values)):
+            return self._outcome(state, Status.NON_FINITE, 1)
+        shooting = self._shooting
+        lost = np.where(shooting.decided & ~shooting.pinned, self._row_violations(state), 0.0)
+        if lost.max(initial=0.0) > self._tolerance:
+            return self._outcome(state, Status.INFEASIBLE, 1)
+        count, searches, shaken = 0, 0, False
+        while True:
+            slopes = self._derivatives(state, given)
+            before = float(state.barrier)
+            state = self._measured(state, slopes)
+            errors = max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
+            solved = errors <= self._tolerance
+            if solved or count in _EARLY or float(state.barrier) < before:
+                fresh = scaling.measured(shooting, self._leaves, state.point, slopes, state.scales)
+                fresh, seen = scaling.not_below(fresh, seen)
+                moved = scaling.change(fresh, state.scales)
+                if solved and (moved <= _STANDS or count >= max_iterations):
+                    pinned = np.where(shooting.pinned, self._row_violations(state), 0.0)
+                    broken = pinned.max(initial=0.0) > 10.0 * self._tolerance
+                    return self._outcome(state, Status.INFEASIBLE if broken else Status.SOLVED, max(count, 1))
+                if moved > _RENEW:
+                    state = self._rescaled(state, fresh)
+                    slopes = self._derivatives(state, given)
+                    state = self._measured(state, slopes)
+            if not np.isfinite(errors):
+                return self._outcome(state, Status.NON_FINITE, max(count, 1))
+            if count >= max_iterations:
+                return self._outcome(state, Status.MAX_ITERATIONS, count)
+            if callback is not None:
+                callback(count, float(state.values.cost), float(state.errors.feasibility))
+            last, state = state, self._step(state, slopes, given)
+            count += 1
+            if not bool(state.stuck):
+                continue
+            searches += 1
+            if searches > _SEARCHES:
+                good = errors <= _ACCEPTABLE * self._tolerance
+                return self._outcome(last, Status.ACCEPTABLE if good else Status.STALLED, count)
+            state, used, stationary = self._feasible(state, given, max_iterations - count)
+            count += used
+            if stationary and shaken:
+                return self._outcome(state, Status.INFEASIBLE, count)
+            if stationary:
+                shaken = True
+                state = self._shaken(state, given)
+
+    def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, bool]:
+        """A point that violates less; how many steps it took; whether the violation is stationary instead."""
+        search = self._begin(state)
+        theta, _, _ = self._judged(state, search)
+        count, stationary = 0, False
+        while count < budget:
+            slopes = self._derivatives(feasibility.at(search, state), given)
+            search = self._reduce(search, state, slopes, given)
+            count += 1
+            reached, known, _ = self._judged(state, search)
+            if float(search.largest) <= 0.1 * self._tolerance:
+                break
+            if float(reached) <= _WORTH * float(theta) and not bool(known):
+                break
+            if float(search.slope) <= _FLAT * float(search.size) ** 0.5 or float(search.damping) > _MOST_DAMPING:
+                stationary = float(search.largest) > self._tolerance
+                break
+        _, _, slack = self._judged(state, search)
+        rows = jnp.where(self._method.inequality, state.barrier / slack, 0.0)
+        state = state._replace(
+            point=search.point,
+            values=search.values,
+            slack=slack,
+            dynamics=jnp.zeros_like(state.dynamics),
+            rows=rows,
+            filter=jnp.full_like(state.filter, jnp.inf),
+            filtered=jnp.zeros_like(state.filtered),
+        )
+        return state, count, stationary
+
+    def _judge(self, state: Iterate, search: feasibility.Search) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Violation, whether the filter knows better, and slacks of a feasible point."""
+        method = self._method
+        values = method.scaled(search.values, state.scales)
+        slack = jnp.where(method.inequality, jnp.maximum(-values.rows, _SLACK), 1.0)
+        theta, phi = method.theta(values, slack), method.phi(values, slack, state.barrier)
+        known = ((theta >= state.filter[0]) & (phi >= state.filter[1])).any()
+        return theta, known, slack
+
+    def _shaken(self, state: Iterate, given: Given) -> Iterate:
+        """The state after a small random step, for a stationary point may be a saddle."""
+        rng, free, scales = np.random.default_rng(0), self._shooting.free, state.scales
+        d = np.where(free.d, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
+        u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
+        point = self._move(state.point, Step(d, u, np.zeros(1)))
+        scales = self._first_scales(point, given)
+        return self._start(point, given, scales)
+
+    def _row_violations(self, state: Iterate) -> Array:
+        """Scaled, of all rows."""
+        rows = np.asarray(state.values.rows) / np.asarray(state.scales.rows)
+        return np.where(self._shooting.equality, np.abs(rows), np.maximum(rows, 0.0))
+
+    def _outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
+        scales = state.scales
+        defects = np.abs(np.asarray(state.values.defects) / np.asarray(scales.d)).ravel()
+        rows = np.where(self._shooting.exists | self._shooting.decided, self._row_violations(state), 0.0)
+        return Outcome(
+            point=state.point,
+            values=state.values,
+            errors=Errors(*(float(e) for e in state.errors)),
+            dynamics=np.asarray(state.dynamics * scales.cost / scales.d),
+            rows=np.where(self._shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
+            violations=np.concatenate([defects, rows]),
+            status=status,
+            iterations=count,
+        )
+
+
+def _jit(function: Callable[..., Any]) -> Any:
+    return jax.jit(function, compiler_options=_COMPILER)
+
+
+def _finite(tree: Any) -> bool:
+    return all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(tree))

@@ -1,0 +1,98 @@
+"""Bounds on norms as smooth rows: the same sets of points, and the same optimum in every form."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.expr import Constraint, Expr, Inputs, all_nodes, evaluate_all
+from twistax.expr import Norm as NormNode
+from twistax.trajectory import Problem, Status
+from twistax.trajectory.cones import without_norms
+
+Norm = tx.linalg.Norm
+X, U, S = tx.State("x", shape=(3,)), tx.Control("u", shape=(3,)), tx.Control("s")
+
+
+def values(rows: list[Expr], x: np.ndarray, u: np.ndarray, s: float) -> list[float]:
+    inputs = Inputs(
+        jnp.zeros(()), {"x": jnp.asarray(x)}, {"u": jnp.asarray(u), "s": jnp.asarray(s)}, {}, jnp.zeros(()).dtype
+    )
+    return [float(value) for value in evaluate_all(rows, lambda leaf: leaf.read(inputs))]
+
+
+def norms(rows: list[Expr]) -> int:
+    return sum(isinstance(node, NormNode) for row in rows for node in all_nodes(row))
+
+
+SMOOTH = {
+    "disc": (Norm(U) <= 1.0, 1),
+    "cone": (Norm(U) <= S, 2),
+    "scaled": (2.0 * Norm(U) + S <= 3.0, 2),
+    "turned round": (Norm(U - X) / 4.0 <= 3.0 - S / 2.0, 2),
+    "outside": (Norm(U) >= 1.0, 1),
+    "halved": (Norm(X) / 2.0 - S <= 0.0, 2),
+}
+KEPT = {
+    "two norms": Norm(U) + Norm(X) <= 1.0,
+    "outside of a cone": Norm(U) >= S,
+    "no norm": U @ U <= S,
+    "a vector": Norm(X) >= U,
+    "a norm in a product": Norm(U) * S <= 1.0,
+}
+
+
+@pytest.mark.parametrize(("constraint", "count"), SMOOTH.values(), ids=SMOOTH)
+def test_rows_hold_where_the_constraint_does(constraint: Constraint, count: int) -> None:
+    residual, rng = constraint.residual().canonicalize(), np.random.default_rng(0)
+    rows = without_norms(residual)
+    assert len(rows) == count
+    assert norms(rows) == 0
+    signs = []
+    for _ in range(200):
+        point = rng.normal(size=3), rng.normal(size=3), 8.0 * rng.normal()
+        point = *(a * rng.uniform(0.2, 2.0) for a in point[:2]), point[2] * rng.uniform(0.01, 1.0)
+        signs.append(values([residual], *point)[0] <= 0.0)
+        assert all(value <= 0.0 for value in values(rows, *point)) == signs[-1]
+    assert 20 < sum(signs) < 180
+
+
+@pytest.mark.parametrize("constraint", KEPT.values(), ids=KEPT)
+def test_what_is_no_cone_stays_as_it_is(constraint: Constraint) -> None:
+    residual = constraint.residual().canonicalize()
+    (row,) = without_norms(residual)
+    assert row is residual
+
+
+def test_a_bound_that_is_negative_leaves_no_point() -> None:
+    """|u| <= -1 holds nowhere, though u.u <= (-1)^2 may."""
+    rows = without_norms((Norm(U) + 1.0 <= 0.0).residual().canonicalize())
+    assert max(values(rows, np.zeros(3), np.zeros(3), 0.0)) > 0.0
+
+
+#: Of the held controls on 30 intervals, from a solver for second-order cones.
+LEAST_FUEL = 1.212619
+
+
+@pytest.mark.parametrize("form", ["a norm as cost", "a norm below a slack", "squares below a slack"])
+def test_least_fuel_of_a_rendezvous(form: str) -> None:
+    """p'' = u, |u| <= 1, at rest at 0 after 8 s; the controls are zero in between, where |u| has no slope."""
+    p, v, u = tx.State("p", shape=(3,)), tx.State("v", shape=(3,)), tx.Control("u", shape=(3,))
+    s = tx.Control("s", min=0.0)
+    constraints = {"thrust": Norm(u) <= 1.0}
+    if form != "a norm as cost":
+        constraints["slack"] = Norm(u) <= s if form == "a norm below a slack" else u @ u <= s * s
+    problem = Problem(
+        tx.compile(tx.System(rates={p: v, v: u}, constraints=constraints)),
+        tx.Minimize(running=Norm(u) if form == "a norm as cost" else s),
+        nodes=31,
+        final_time=8.0,
+        initial={p: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]},
+        final={p: np.zeros(3), v: np.zeros(3)},
+    )
+    result = problem.solve()
+    assert result.status is Status.SOLVED
+    assert result.cost == pytest.approx(LEAST_FUEL, abs=1e-5)
+    fuel = np.linalg.norm(result.us["u"], axis=1).sum() * 8.0 / 30.0
+    assert fuel == pytest.approx(LEAST_FUEL, abs=1e-5)
+    assert np.linalg.norm(result.us["u"], axis=1).max() <= 1.0 + 1e-6

@@ -1,0 +1,207 @@
+"""Every derivative the optimiser sees against finite differences, on a problem that has every kind of row."""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+import pytest
+from trajectory_systems import quick_jit
+
+import twistax as tx
+from twistax.trajectory import Problem
+from twistax.trajectory.shooting import Derivatives, Given, Point, Shooting, Step, Values
+
+NODES, N, M = 4, 6, 4
+#: Short steps, for the exponential coordinates in which an interval is differentiated end elsewhere by O(h^5).
+FINAL_TIME = 0.12
+DIRECTIONS = 4
+
+
+def rich_problem(nodes: int = NODES, substeps: int = 2) -> Problem:
+    """A ball under torque and a push that changes with time; limits on states, on controls and on both."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,), max=[1.5, None, 2.0])
+    u, t = tx.Control("u", shape=(3,), min=-1.0), tx.Time()
+    system = tx.System(
+        rates={R: w, w: u + tx.Sin(3.0 * t) * R[:, 0] - tx.linalg.Cross(w, np.array([1.0, 2.0, 3.0]) * w)},
+        constraints={
+            "spin": tx.linalg.Norm(w) <= 2.0,
+            "power": u @ w <= 1.0 + t,
+            "torque": u @ u <= 4.0,
+            "level": R[2, 0] * t == 0.1,
+        },
+    )
+    return Problem(
+        tx.compile(system),
+        tx.Minimize(t**2 + w[0] ** 2 + R[0, 1], running=(1.0 + t) * (u @ u) + w @ w + 0.3 * tx.linalg.Norm(u)),
+        nodes=nodes,
+        substeps=substeps,
+        final_time=(0.05, 3.0),
+        initial={"R": np.eye(3)},
+        final=[{"w": [None, None, 0.3]}, w[1] <= 0.3, R[0, 2] == 0.0],
+    )
+
+
+def random_point(rng: np.random.Generator, nodes: int = NODES, final_time: float = FINAL_TIME) -> Point:
+    xs = {"R": np.asarray(jax.vmap(tx.SO3.exp)(rng.normal(size=(nodes, 3)))), "w": rng.normal(size=(nodes, 3))}
+    return Point(xs, rng.normal(size=(nodes - 1, M)), np.asarray(final_time))
+
+
+def given_of(problem: Problem) -> Given:
+    return Given({}, {"R": np.eye(3), "w": np.array([0.0, 0.0, 0.3])}, np.array(problem.time_limits))
+
+
+class Sample:
+    """A random point of the problem, its derivatives, and values after steps."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(0)
+        self.problem = rich_problem()
+        self.shooting: Shooting = self.problem.shooting
+        given, point = given_of(self.problem), random_point(self.rng)
+        derivatives = quick_jit(lambda y, w: self.shooting.derivatives(point, y, w, given))
+        values = quick_jit(lambda step: self.shooting.values(self.shooting.move(point, step), given))
+        self.derivatives: Callable[..., Derivatives] = lambda *args: jax.tree.map(np.asarray, derivatives(*args))
+        self.values: Callable[[Step], Values] = lambda step: jax.tree.map(np.asarray, values(step))
+        self.y = self.rng.normal(size=(NODES - 1, N))
+        self.w = self.rng.normal(size=len(self.shooting.exists))
+        self.found = self.derivatives(self.y, self.w)
+
+    def direction(self, parity: int) -> Step:
+        """A random step in which every other node rests: then nodes at which an interval ends do."""
+        d = self.rng.normal(size=(NODES, N)) * (np.arange(NODES) % 2 == parity)[:, None]
+        return Step(d, self.rng.normal(size=(NODES - 1, M)), self.rng.normal(size=1) * 0.1)
+
+    def whole_direction(self) -> Step:
+        return Step(
+            self.rng.normal(size=(NODES, N)), self.rng.normal(size=(NODES - 1, M)), self.rng.normal(size=1) * 0.1
+        )
+
+    def inner(self, parity: int) -> np.ndarray:
+        """The intervals that begin at a node that moves."""
+        return np.arange(NODES - 1) % 2 == parity
+
+
+def scaled(step: Step, size: float) -> Step:
+    return Step(*(size * a for a in step))
+
+
+def slope(values: Callable[[Step], np.ndarray], way: Step, size: float = 1e-3) -> np.ndarray:
+    """The derivative along a direction, extrapolated from two central differences."""
+    near, far = ((values(scaled(way, e)) - values(scaled(way, -e))) / (2.0 * e) for e in (size, 2.0 * size))
+    return (4.0 * near - far) / 3.0
+
+
+def bend(values: Callable[[Step], np.ndarray], way: Step, size: float = 1e-2) -> np.ndarray:
+    """The second derivative along a direction, extrapolated likewise."""
+    here = values(scaled(way, 0.0))
+    near, far = ((values(scaled(way, e)) - 2.0 * here + values(scaled(way, -e))) / e**2 for e in (size, 2.0 * size))
+    return (4.0 * near - far) / 3.0
+
+
+def seen(step: Step) -> tuple[np.ndarray, np.ndarray]:
+    """What every interval and the end see of a step."""
+    times = np.repeat(step.time[None], len(step.u), axis=0)
+    return np.concatenate([step.d[:-1], step.u, times], axis=1), np.concatenate([step.d[-1], step.time])
+
+
+@pytest.fixture(scope="module")
+def sample() -> Sample:
+    return Sample()
+
+
+@pytest.mark.parametrize("parity", [0, 1])
+def test_slopes_of_the_defects(sample: Sample, parity: int) -> None:
+    own = sample.inner(parity)
+    for _ in range(DIRECTIONS):
+        way = sample.direction(parity)
+        expected = slope(lambda step: sample.values(step).defects, way)
+        found = np.einsum("kna,ka->kn", sample.found.defects, seen(way)[0])
+        np.testing.assert_allclose(found[own], expected[own], atol=1e-7)
+
+
+def test_slopes_of_all_rows_and_of_the_cost(sample: Sample) -> None:
+    for _ in range(DIRECTIONS):
+        way = sample.whole_direction()
+        z, end = seen(way)
+        rows = np.concatenate([np.einsum("kra,ka->kr", sample.found.rows, z).ravel(), sample.found.end_rows @ end])
+        np.testing.assert_allclose(rows, slope(lambda step: sample.values(step).rows, way), atol=1e-7)
+        cost = (sample.found.gradient * z).sum() + sample.found.end_gradient @ end
+        np.testing.assert_allclose(cost, slope(lambda step: sample.values(step).cost, way), atol=1e-7)
+
+
+@pytest.mark.parametrize("parity", [0, 1])
+def test_the_second_derivative_of_the_lagrangian(sample: Sample, parity: int) -> None:
+    """Of cost + y.F + w.rows, with y of the intervals alone that end at a node that rests."""
+    y = np.where(sample.inner(parity)[:, None], sample.y, 0.0)
+    found = sample.derivatives(y, sample.w)
+
+    def lagrangian(step: Step) -> np.ndarray:
+        values = sample.values(step)
+        return np.asarray(values.cost + (y * values.defects).sum() + sample.w @ values.rows)
+
+    for _ in range(DIRECTIONS):
+        way = sample.direction(parity)
+        z, end = seen(way)
+        total = np.einsum("ka,kab,kb->", z, found.hessian, z) + end @ found.end_hessian @ end
+        np.testing.assert_allclose(total, bend(lagrangian, way), atol=1e-6 * np.abs(found.hessian).max())
+    np.testing.assert_allclose(found.hessian, found.hessian.transpose(0, 2, 1), atol=1e-12)
+
+
+def test_there_is_every_kind_of_row(sample: Sample) -> None:
+    names = set(sample.shooting.names)
+    for name in ("spin", "power", "torque", "level", "w[2] <= 2", "u[0] >= -1", "final w[2]"):
+        assert name in names
+    assert {"final time: lower limit", "final time: upper limit"} < names
+    assert sum(name.startswith("final: ") for name in names) == 2
+    assert sum(name.startswith("bound on ") for name in names) == 1
+
+
+def test_rows_are_asked_where_they_matter(sample: Sample) -> None:
+    shooting = sample.shooting
+    asked: dict[str, list[str]] = {name: [] for name in shooting.names}
+    for name, place, exists in zip(shooting.names, shooting.places, shooting.exists):
+        asked[name] += [place] * bool(exists)
+    assert asked["torque"] == ["at node 0", "at node 1", "at node 2"]
+    points = ["at node 0", "at node 1", "at node 2", "between nodes 0 and 1", "between nodes 1 and 2"]
+    assert sorted(asked["spin"]) == sorted([*points, "between nodes 2 and 3", "at node 3"])
+    # With its own control a shared node is asked from both sides.
+    assert asked["power"].count("at node 1") == 2
+    # The start decides this one, and the end another.
+    assert "at node 0" not in asked["level"]
+    assert set(shooting.names[shooting.decided]) == {"level", "w[2] <= 2"}
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_intervals_end_where_an_integration_does(first: int) -> None:
+    """To fourth order in the length of the substeps."""
+    point = random_point(np.random.default_rng(3), nodes=3, final_time=1.4)
+    problem = rich_problem(nodes=3)
+    middle, end = (first * 0.7, (first + 1) * 0.7)
+    start = {name: a[first] for name, a in point.xs.items()}
+    u = {"u": point.us[first, :3]}
+    found = tx.integrate(problem.dynamics, start, t0=middle, t1=end, steps=200, u=u)
+    for name, values in found.xs.items():
+        point.xs[name][first + 1] = values[-1] if values.ndim > point.xs[name].ndim - 1 else values
+    defects = [
+        np.asarray(quick_jit(rich_problem(3, substeps).shooting.values)(point, given_of(problem)).defects)[first]
+        for substeps in (4, 8)
+    ]
+    coarse, fine = (float(np.linalg.norm(defect)) for defect in defects)
+    assert coarse < 1e-3
+    assert 12.0 < coarse / fine < 22.0
+
+
+@pytest.mark.parametrize(("substeps", "power"), [(1, 1), (3, 1), (2, 3), (4, 3)])
+def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) -> None:
+    """Cubic ones by Simpson's rule, linear ones where the number of substeps is odd."""
+    x, u = tx.State("x"), tx.Control("u")
+    objective = tx.Minimize(running=tx.Time() ** power)
+    problem = Problem(
+        tx.compile(tx.System(rates={x: u})), objective, nodes=3, substeps=substeps, final_time=1.3, initial={"x": 0.0}
+    )
+    point, given = (
+        Point({"x": np.zeros(3)}, np.zeros((2, 1)), np.asarray(1.3)),
+        Given({}, {"x": np.zeros(())}, np.ones(2)),
+    )
+    found = quick_jit(problem.shooting.values)(point, given)
+    np.testing.assert_allclose(found.cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)
