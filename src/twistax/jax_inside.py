@@ -336,6 +336,14 @@ def batched_branches_transpose() -> bool:
     return jax.__version_info__ >= (0, 11)
 
 
+def quick_compile() -> dict[str, bool | str]:
+    """XLA's options for programs of small arrays: half the time to compile on JAX 0.10, and as fast."""
+    options: dict[str, bool | str] = {"xla_backend_optimization_level": "1"}
+    if jax.__version_info__ < (0, 11):
+        options["xla_cpu_use_fusion_emitters"] = False
+    return options
+
+
 def any_of_batch(condition: jax.Array) -> jax.Array:
     """Whether a condition holds for any member of a batch: one truth value also under vmap."""
     from equinox.internal import unvmap_any

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.expr import Constraint, Expr, Inputs, all_nodes, evaluate_all
+from twistax.expr import Constraint, Expr, Inputs, evaluate_all
 from twistax.expr import Norm as NormNode
 from twistax.trajectory import Problem, Status
 from twistax.trajectory.cones import without_norms
@@ -21,8 +21,8 @@ def values(rows: list[Expr], x: np.ndarray, u: np.ndarray, s: float) -> list[flo
     return [float(value) for value in evaluate_all(rows, lambda leaf: leaf.read(inputs))]
 
 
-def norms(rows: list[Expr]) -> int:
-    return sum(isinstance(node, NormNode) for row in rows for node in all_nodes(row))
+def has_norm(expr: Expr) -> bool:
+    return isinstance(expr, NormNode) or any(map(has_norm, expr.children()))
 
 
 SMOOTH = {
@@ -47,7 +47,7 @@ def test_rows_hold_where_the_constraint_does(constraint: Constraint, count: int)
     residual, rng = constraint.residual().canonicalize(), np.random.default_rng(0)
     rows = without_norms(residual)
     assert len(rows) == count
-    assert norms(rows) == 0
+    assert not any(map(has_norm, rows))
     signs = []
     for _ in range(200):
         point = rng.normal(size=3), rng.normal(size=3), 8.0 * rng.normal()

@@ -108,3 +108,13 @@ def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
             np.testing.assert_allclose(found.rows.end, at_end, **close)
     assert 5 <= sum(minima) <= len(minima) - 5
     assert indefinite > 0
+
+
+@pytest.mark.parametrize("interval", range(INTERVALS))
+def test_a_maximum_in_one_interval_is_told(interval: int) -> None:
+    """In the first one too, behind which nothing is left to factor where start and time are fixed."""
+    stages = quadratic(0, 8.0, 0.0, FREE["fixed start and time"])
+    assert bool(factors_of(stages).exist)
+    hessian = stages.slopes.hessian.copy()
+    hessian[interval, N : N + M, N : N + M] -= 1e3 * np.eye(M)
+    assert not bool(factors_of(stages._replace(slopes=stages.slopes._replace(hessian=hessian))).exist)

@@ -30,8 +30,14 @@ def problem(**changes: Any) -> Problem:
     return Problem(dynamics, **(options | changes))
 
 
+@functools.cache
+def stated() -> Problem:
+    """The problem of this file, compiled once."""
+    return problem()
+
+
 def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
-    result = problem(final_time=1.0).solve()
+    result = stated().solve(final_time=1.0)
     assert result.status is Status.INFEASIBLE
     assert "'final p' at node 7 is off by" in result.message
     assert result.violation > 1e-2
@@ -39,21 +45,21 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
 
 
 def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
-    result = problem(final={"p": 2.5, "v": 0.0}).solve()
+    result = stated().solve(final={"p": 2.5, "v": 0.0})
     assert result.status is Status.INFEASIBLE
     assert "'wall' at node 7 is off by 0.5" in result.message
     assert result.violations["wall"] == pytest.approx(0.5)
 
 
 def test_a_start_beyond_a_wall_is_said_at_once() -> None:
-    result = problem(initial={"p": 3.0, "v": 0.0}).solve()
+    result = stated().solve(initial={"p": 3.0, "v": 0.0})
     assert result.status is Status.INFEASIBLE
     assert "'wall' at node 0 is off by 1" in result.message
     assert result.iterations == 1
 
 
 def test_too_few_iterations_are_said() -> None:
-    result = problem().solve(max_iterations=2)
+    result = stated().solve(max_iterations=2)
     assert result.status is Status.MAX_ITERATIONS
     assert result.iterations == 2
 
@@ -67,11 +73,11 @@ def test_values_that_are_not_finite_are_said() -> None:
 
 
 def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
-    stated = problem()
+    own = problem()
     with jax.enable_x64(False):
-        first: TrajectoryResult = stated.solve(seed=4)
+        first: TrajectoryResult = own.solve(seed=4)
         rollout = first.replay(steps=5)
-    again, other = stated.solve(seed=4), stated.solve(seed=5)
+    again, other = own.solve(seed=4), own.solve(seed=5)
     assert first.solved
     assert first.xs["p"].dtype == np.float64
     assert rollout.xs["p"].dtype == np.float64
@@ -82,18 +88,17 @@ def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
 
 
 def test_several_guesses_give_the_best_and_warm_starts_work() -> None:
-    stated = problem()
-    several = stated.solve(guesses=3)
+    several = stated().solve(guesses=3)
     assert len(several.tries) == 3
     assert several.cost == min(cost for status, cost, *_ in several.tries if status is Status.SOLVED)
-    warm = stated.solve(guess={**several.xs, **several.us})
+    warm = stated().solve(guess={**several.xs, **several.us})
     assert warm.solved
-    assert warm.iterations < stated.solve().iterations
+    assert warm.iterations < stated().solve().iterations
 
 
 def test_the_path_of_the_optimiser_does_not_hang_on_last_digits() -> None:
     """Where the model expects no more than round-off, no step is tried: gains of 1e-16 are another processor's loss."""
-    one, other = (problem(final={"p": 1.0 + moved, "v": 0.0}).solve() for moved in (0.0, 1e-13))
+    one, other = (stated().solve(final={"p": 1.0 + moved}) for moved in (0.0, 1e-13))
     assert one.iterations == other.iterations
     np.testing.assert_allclose(one.us["u"], other.us["u"], atol=1e-9)
 

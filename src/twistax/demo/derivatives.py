@@ -12,6 +12,7 @@ import twistax as tx
 
 from ..scenes.powered_descent import Array
 from ..trajectory.discretize import Controls, value_and_jacobian
+from ..trajectory.scaling import declared
 
 #: The largest difference allowed.
 BAR = 1e-8
@@ -39,9 +40,7 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
     the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us have a
     leading axis; h is the length of the interval, s.
     """
-    leaves: list[tx.State | tx.Control] = [*dynamics.states, *dynamics.controls]
-    sizes = [np.broadcast_to(1.0 if leaf.scale is None else leaf.scale, _width(leaf)).ravel() for leaf in leaves]
-    scale = jnp.concatenate([*sizes, jnp.reshape(h, 1)])
+    scale = jnp.append(declared((*dynamics.states, *dynamics.controls)), h)
     n, flat = dynamics.dimension, Controls(dynamics.controls)
     size = scale.shape[0]
     steps = _STEP * jnp.concatenate([step * jnp.eye(size) for step in (0.0, 1.0, -1.0, 2.0, -2.0)])[size - 1 :]
@@ -87,8 +86,3 @@ def _largest(slopes: Any, values: Any, rows: Array) -> float:
     size = np.maximum(np.abs(expected).max(axis=2), 0.1 * rows)
     error = np.abs(np.asarray(slopes) - expected).max(axis=2)
     return float(np.max(error / np.where(size > 0.0, size, 1.0)))
-
-
-def _width(leaf: tx.State | tx.Control) -> tuple[int, ...]:
-    """The shape of the leaf's tangent."""
-    return (leaf.group.dimension,) if isinstance(leaf, tx.State) else leaf.shape

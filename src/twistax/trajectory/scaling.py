@@ -5,7 +5,7 @@ Nothing here looks at limits unless nothing else is known, so scales follow the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy import ndarray as Array
@@ -65,6 +65,20 @@ def measured(
         np.where(sizes > 0.0, sizes, old),
         np.array(cost if np.isfinite(cost) and cost > 0.0 else scales.cost),
     )
+
+
+def declared(leaves: Sequence[State | Control]) -> Array:
+    """The scales that leaves declare, of all their tangents in one vector; 1, and half a radian, where they do not."""
+    parts = [np.zeros(0)]
+    for leaf in leaves:
+        group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
+        plain = np.ones(group.dimension)
+        if isinstance(group, SpecialEuclidean):
+            plain = np.asarray(group.order.from_linear_first(np.array([1.0] * 3 + [_TURN] * 3)))
+        elif not isinstance(group, Euclidean):
+            plain = np.full(group.dimension, _TURN)
+        parts.append(plain if leaf.scale is None else np.ravel(leaf.scale))
+    return np.concatenate(parts)
 
 
 def not_below(scales: Scales, seen: Scales) -> tuple[Scales, Scales]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
+from ..jax_inside import quick_compile
 from . import feasibility, scaling
 from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
@@ -20,8 +21,6 @@ from .shooting import Given, Point, Shooting, Step, Values
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
 
-#: Programs of small arrays that run a few hundred times: in half the time to compile they are as fast.
-_COMPILER: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": "1"}
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: Scales are renewed once they are off by the first factor; a result stands if they are off by no more than the second.
@@ -232,7 +231,7 @@ class Solver:
 
 
 def _jit(function: Callable[..., Any]) -> Any:
-    return jax.jit(function, compiler_options=_COMPILER)
+    return jax.jit(function, compiler_options=quick_compile())
 
 
 def _finite(tree: Any) -> bool:

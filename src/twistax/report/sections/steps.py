@@ -27,7 +27,7 @@ from ...lowering.small_call import small_call
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
-from ...trajectory.guess import column_scales
+from ...trajectory.scaling import declared
 from ..checks import Absent, Check, Section, agree, at_most, between
 from ..timing import Repeats, Timed, compiled, in_turn
 from .stiff import fourth_order, weighted_end
@@ -215,8 +215,8 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     unknowns in their scales. Needs JAX's x64 switch.
     """
     dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Vehicle()
-    leaves: dict[str, Any] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
-    n, scale = dynamics.dimension, np.append(column_scales(leaves, {name: [] for name in leaves}), _STEP)
+    scale = np.append(declared((*dynamics.states, *dynamics.controls)), _STEP)
+    n = dynamics.dimension
     # States around the start of the descent and thrusts around 60 %, leading axis the batch.
     moves = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]
     xs = jax.jit(jax.vmap(dynamics.retract, (None, 0)))(initial(Start(), vehicle), moves)

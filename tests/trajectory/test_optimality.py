@@ -1,0 +1,173 @@
+"""SOLVED means an optimum, whatever the units, the limits and what the objective is counted from."""
+
+import functools
+import logging
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.trajectory import Problem, Status, TrajectoryResult
+
+
+@functools.cache
+def fastest(limit: float = 1.0, since: float = 0.0) -> Problem:
+    """Least time (and a constant) of mass p'' = u, |u| <= limit, over as far as the limit: T = 2 s."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-limit, max=limit)
+    mass = tx.Parameter("mass", value=1.0)
+    return Problem(
+        tx.compile(tx.System(rates={p: v, v: u / mass})),
+        tx.Minimize(tx.Time() + since),
+        nodes=21,
+        final_time=(0.5, 6.0),
+        initial={p: 0.0, v: 0.0},
+        final={p: limit, v: 0.0},
+    )
+
+
+@pytest.mark.parametrize("limit", [1e-6, 1.0, 1e6])
+def test_units_do_not_matter(limit: float) -> None:
+    result = fastest(limit).solve()
+    assert result.status is Status.SOLVED
+    assert result.final_time == pytest.approx(2.0, rel=1e-5)
+    np.testing.assert_allclose(result.us["u"] / limit, np.repeat([1.0, -1.0], 10), atol=1e-3)
+
+
+@pytest.mark.parametrize("limits", [(0.5, 3.0), (0.5, 2000.0)])
+def test_limits_of_the_final_time_do_not_matter(limits: tuple[float, float]) -> None:
+    result = fastest().solve(final_time=limits)
+    assert result.status is Status.SOLVED
+    assert result.final_time == pytest.approx(2.0, rel=1e-5)
+
+
+def test_a_constant_in_the_objective_does_not_matter() -> None:
+    plain, moved = fastest().solve(), fastest(since=1000.0).solve()
+    assert moved.status is Status.SOLVED
+    assert moved.cost - 1000.0 == pytest.approx(plain.cost, abs=1e-5)
+    np.testing.assert_allclose(moved.us["u"], plain.us["u"], atol=1e-4)
+    np.testing.assert_allclose(moved.xs["p"], plain.xs["p"], atol=1e-4)
+
+
+def test_other_cases_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+    """From rest to rest over a distance D with |u| <= 1 it takes 2 sqrt(mass D)."""
+    problem = fastest()
+    assert problem.solve().solved
+    with jax.log_compiles(), caplog.at_level(logging.WARNING):
+        result = problem.solve(
+            initial={"p": -1.0}, final={"p": 3.0}, final_time=(1.0, 9.0), params={"mass": 2.25}, final_time_guess=5.0
+        )
+    assert [record.getMessage() for record in caplog.records if record.getMessage().startswith("Compiling")] == []
+    assert result.solved
+    assert result.final_time == pytest.approx(6.0, rel=1e-5)
+    assert result.xs["p"][0] == -1.0
+    assert result.xs["p"][-1] == pytest.approx(3.0, abs=1e-5)
+    assert problem.solve().final_time == pytest.approx(2.0, rel=1e-5)
+
+
+OTHERS: list[tuple[dict[str, Any], str]] = [
+    ({"initial": {"p": np.nan}}, r"initial\['p'\] must fix the entries that the problem fixes"),
+    ({"final": {"v": np.nan}}, r"final\['v'\] must fix the entries that the problem fixes"),
+    ({"final_time": 3.0}, "final_time expects what the problem has, free"),
+]
+
+
+@pytest.mark.parametrize(("case", "text"), OTHERS, ids=["initial", "final", "time"])
+def test_what_needs_another_problem_is_refused(case: dict[str, Any], text: str) -> None:
+    with pytest.raises(tx.TrajectoryError, match=text):
+        fastest().solve(**case)
+
+
+# ---- the first-order conditions ----------------------------------------------------------------------------------
+
+INTERVALS, LENGTH, MOST = 10, 0.2, 1.2
+
+
+@functools.cache
+def least_energy() -> TrajectoryResult:
+    """The integral of u^2, rest to rest over 1 in 2 s; without the limit the controls would reach 1.35."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", max=MOST)
+    return Problem(
+        tx.compile(tx.System(rates={p: v, v: u})),
+        tx.Minimize(running=u**2),
+        nodes=INTERVALS + 1,
+        final_time=INTERVALS * LENGTH,
+        initial={p: 0.0, v: 0.0},
+        final={p: 1.0, v: 0.0},
+    ).solve(tolerance=1e-8)
+
+
+def test_the_first_order_conditions_hold() -> None:
+    """Of sum h u_k^2 under p_(k+1) = p_k + h v_k + h^2 u_k / 2 and v_(k+1) = v_k + h u_k; it is convex."""
+    result = least_energy()
+    h, u, p, v = LENGTH, result.us["u"], result.xs["p"], result.xs["v"]
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(p[1:], p[:-1] + h * v[:-1] + h**2 / 2.0 * u, atol=1e-7)
+    np.testing.assert_allclose(v[1:], v[:-1] + h * u, atol=1e-7)
+    np.testing.assert_allclose([p[0], v[0], p[-1], v[-1]], [0.0, 0.0, 1.0, 0.0], atol=1e-7)
+    assert u.max() <= MOST + 1e-7
+
+    y_p, y_v = (result.multipliers[f"dynamics of {name}"][:, 0] for name in "pv")
+    limit = result.multipliers[f"u <= {MOST:g}"]
+    np.testing.assert_allclose(2.0 * h * u + h**2 / 2.0 * y_p + h * y_v + limit, 0.0, atol=1e-6)
+    np.testing.assert_allclose(y_p[1:], y_p[:-1], atol=1e-6)
+    np.testing.assert_allclose(y_v[1:] + h * y_p[1:], y_v[:-1], atol=1e-6)
+    np.testing.assert_allclose(result.multipliers["final p"], y_p[-1:], atol=1e-6)
+    np.testing.assert_allclose(result.multipliers["final v"], y_v[-1:], atol=1e-6)
+    assert limit.min() >= 0.0
+    np.testing.assert_allclose(limit * (MOST - u), 0.0, atol=1e-6)
+    assert (limit > 1e-2).sum() in range(1, INTERVALS - 1)
+
+
+def test_an_explanation_names_what_is_active() -> None:
+    result = least_energy()
+    lines = result.explain().splitlines()
+    assert lines[0] == result.message
+    (active,) = (line for line in lines if line.startswith("active, by multiplier: "))
+    assert f"u <= {MOST:g} ({result.multipliers[f'u <= {MOST:g}'].max():.3g})" in active
+    assert any(line.startswith("exceeded along it") for line in lines)
+
+
+def test_a_start_where_a_constraint_has_no_slope_is_left() -> None:
+    """x.x >= 1.1 from x = 0 with free ends: staying anywhere outside costs nothing."""
+    x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,))
+    dynamics = tx.compile(tx.System(rates={x: u}, constraints={"outside": x @ x >= 1.1}))
+    problem = Problem(dynamics, tx.Minimize(running=u @ u), nodes=6, final_time=1.0)
+    result = problem.solve(guess={"x": np.zeros(2)})
+    assert result.status is Status.SOLVED
+    assert result.cost < 1e-8
+    assert (result.xs["x"] ** 2).sum(axis=1).min() >= 1.1 - 1e-5
+
+
+# ---- between the nodes -------------------------------------------------------------------------------------------
+
+
+def test_what_a_coarse_mesh_misses_is_told() -> None:
+    """An oscillator p'' = u - 4 p, whose held motion is known, swung against a wall in long steps."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+    result = Problem(
+        tx.compile(tx.System(rates={p: v, v: u - 4.0 * p}, constraints={"wall": p <= 0.25})),
+        tx.Minimize(running=u**2),
+        nodes=6,
+        substeps=1,
+        final_time=2.5,
+        initial={p: 0.0, v: 1.0},
+        final={p: 0.0, v: -1.0},
+    ).solve()
+    assert result.solved
+    state, ts, highest = np.array([0.0, 1.0]), np.linspace(0.0, 0.5, 21), 0.0
+    for held in result.us["u"]:
+        # Of x = p - u / 4 and v: x cos 2t + v / 2 sin 2t, and its slope.
+        shift, rate = state[0] - held / 4.0, state[1] / 2.0
+        ps = held / 4.0 + shift * np.cos(2.0 * ts) + rate * np.sin(2.0 * ts)
+        state = np.array([ps[-1], 2.0 * (rate * np.cos(1.0) - shift * np.sin(1.0))])
+        highest = max(highest, float(ps.max()))
+    assert result.violations["wall"] < 1e-6
+    assert highest > 0.25 + 1e-3
+    assert result.between_nodes["wall"] == pytest.approx(highest - 0.25, abs=1e-6)
+    missed = {"p": abs(state[0] - result.xs["p"][-1]), "v": abs(state[1] - result.xs["v"][-1])}
+    assert min(missed.values()) > 1e-4
+    for name, distance in missed.items():
+        assert result.mesh_error[name]["distance"] == pytest.approx(distance, rel=1e-2)
+    assert "wall by" in result.explain()
