@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,9 +15,6 @@ from ..errors import ModelError, ShapeError
 from ..expr import Control, State
 from ..groups import Euclidean, Group
 from ..system import name_of
-
-if TYPE_CHECKING:
-    pass
 
 
 def user_guess(

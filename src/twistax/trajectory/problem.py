@@ -44,7 +44,8 @@ class Problem:
         final_time: a number in s, or limits (low, high) to leave it free.
         initial: values by state or name, on top of the leaves' own; NaN or None entries are free.
         final: values likewise, or constraints on the final node such as `g[:3, 3] == 0`, or a list of both.
-        params: values of the system's parameters; those left out take their own.
+        params: values of the system's parameters; those left out take their own. One that the objective alone reads
+            has its own value.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
             (controls).
         final_time_guess: where a free final time starts; the middle of its limits unless given.
@@ -143,7 +144,7 @@ class Problem:
         max_iterations: int = 500,
         tolerance: float = 1e-6,
     ) -> TrajectoryResult:
-        """Optimise, from one guess or from several, and return the best result. Only the first call compiles.
+        """Optimise, from one guess or from several, and return the best result. Later calls do not compile again.
 
         Args:
             guess: values by leaf or name on top of the problem's own guess.
