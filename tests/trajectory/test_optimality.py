@@ -84,6 +84,21 @@ def test_what_needs_another_problem_is_refused(case: dict[str, Any], text: str) 
 INTERVALS, LENGTH, MOST = 10, 0.2, 1.2
 
 
+def test_a_weight_that_the_objective_alone_reads_is_set() -> None:
+    """x' = u from 0, at least u^2 + weight (x - 1)^2 at the end of 1 s: x ends at weight / (1 + weight)."""
+    x, u, weight = tx.State("x"), tx.Control("u"), tx.Parameter("weight", value=1.0)
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    objective = tx.Minimize(weight * (x - 1.0) ** 2, running=u**2)
+    problem = Problem(dynamics, objective, nodes=4, final_time=1.0, initial={x: 0.0})
+    for value in (1.0, 3.0):
+        result = problem.solve(params={"weight": value})
+        assert result.solved
+        assert result.xs["x"][-1] == pytest.approx(value / (1.0 + value), rel=1e-6)
+        assert result.replay(steps=2).misses["x"]["distance"] < 1e-9
+    with pytest.raises(tx.ShapeError, match="weight"):
+        problem.solve(params={"weight": [1.0, 2.0]})
+
+
 @functools.cache
 def least_energy() -> TrajectoryResult:
     """The integral of u^2, rest to rest over 1 in 2 s; without the limit the controls would reach 1.35."""

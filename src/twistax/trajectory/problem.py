@@ -12,8 +12,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import callable_with, number, reals, whole
-from ..errors import InputError, ModelError, TrajectoryError
-from ..expr import Control, Inputs, State, evaluate_all
+from ..errors import InputError, ModelError, ShapeError, TrajectoryError
+from ..expr import Control, Inputs, Parameter, State, evaluate_all, leaves_of
 from ..groups import Euclidean
 from ..integrators import RKMK
 from ..lowering import Dynamics
@@ -44,8 +44,7 @@ class Problem:
         final_time: a number in s, or limits (low, high) to leave it free.
         initial: values by state or name, on top of the leaves' own; NaN or None entries are free.
         final: values likewise, or constraints on the final node such as `g[:3, 3] == 0`, or a list of both.
-        params: values of the system's parameters; those left out take their own. One that the objective alone reads
-            has its own value.
+        params: values of the parameters, the objective's too; those left out take their own.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
             (controls).
         final_time_guess: where a free final time starts; the middle of its limits unless given.
@@ -98,6 +97,15 @@ class Problem:
         self.method, self.substeps = method_of(method), int(substeps)
         self.norms = norm_controls(objective.running, objective.sign)
         self.path = describe_path(dynamics, self.norms)
+        exprs = [e for e in (objective.final, objective.running, *self.final_rows.residuals) if e is not None]
+        known = {leaf.name for leaf in dynamics.parameters}
+        #: Parameters that the system does not have.
+        self._own = {
+            leaf.name: leaf
+            for expr in exprs
+            for leaf in leaves_of(expr)
+            if isinstance(leaf, Parameter) and leaf.name not in known
+        }
         self.params = self._prepared(params)
         self._build()
 
@@ -144,7 +152,9 @@ class Problem:
         max_iterations: int = 500,
         tolerance: float = 1e-6,
     ) -> TrajectoryResult:
-        """Optimise, from one guess or from several, and return the best result. Later calls do not compile again.
+        """Optimise, from one guess or from several, and return the best result.
+
+        The first call compiles, later ones do not; a search for feasible points compiles when there is the first.
 
         Args:
             guess: values by leaf or name on top of the problem's own guess.
@@ -289,13 +299,19 @@ class Problem:
         return jax.tree.map(jnp.asarray, Given(dict(params), final, np.asarray(limits)))
 
     def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
-        """All parameters as double-precision arrays; checks them on the way."""
+        """All parameters as double-precision arrays, those of the objective and the final conditions too; checked."""
+        given = dict(params or {})
+        own = {name: given.pop(name) for name in self._own if name in given}
         with jax.enable_x64(True):
             zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
             zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
             families = ("rates", "constraints")
-            inputs = self.dynamics._functions.prepare(0.0, zeros_x, zeros_u, params, reads=families)
+            inputs = self.dynamics._functions.prepare(0.0, zeros_x, zeros_u, given or None, reads=families)
             found = {name: np.asarray(value) for name, value in inputs.params.items()}
+        for name, leaf in self._own.items():
+            found[name] = reals(f"params[{name!r}]", own.get(name, leaf.value), InputError)
+            if found[name].shape != leaf.shape:
+                raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")
         for name, value in found.items():
             if not np.isfinite(value).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {value}")

@@ -281,7 +281,9 @@ def _rollout_on_group(result: TrajectoryResult, method: Method, steps: int) -> d
         steps=intervals * steps,
         method=method,
         u=tables,
-        params=result.params,
+        params={
+            leaf.name: result.params[leaf.name] for leaf in problem.dynamics.parameters if leaf.name in result.params
+        },
         save_at=_times(result, steps),
     )
     return {name: np.asarray(values) for name, values in solution.xs.items()}

@@ -3,7 +3,7 @@
 import functools
 
 from ..checks import Checked, Section
-from . import costs, edges, identities, keeping, maps, scalars, steps, stiff
+from . import costs, edges, identities, keeping, maps, optima, scalars, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -35,6 +35,7 @@ FIGURES: dict[str, Section] = {
     "kernels": scalars.KERNELS,
     "small": scalars.SMALL,
     "landings": costs.LANDINGS,
+    "optima": optima.OPTIMA,
 }
 
 EVERY = FIGURES | STABILITY
