@@ -105,6 +105,7 @@ ROWS = [
     bad("guesses of text", lambda: easy().solve(guesses="many"), "guesses", "'many'"),
     bad("half an iteration", lambda: easy().solve(max_iterations=0.5), "max_iterations", "0.5"),
     bad("a tolerance of zero", lambda: easy().solve(tolerance=0.0), "tolerance", "0.0"),
+    bad("a tolerance of everything", lambda: easy().solve(tolerance=1e3), "tolerance", "1000"),
     bad("a tolerance of text", lambda: easy().solve(tolerance="tight"), "tolerance", "'tight'"),
     bad("a seed of text", lambda: easy().solve(seed="one"), "seed", "'one'"),
     bad("a callback that is none", lambda: easy().solve(callback=3), "callback", "3"),

@@ -186,3 +186,46 @@ def test_what_a_coarse_mesh_misses_is_told() -> None:
     for name, distance in missed.items():
         assert result.mesh_error[name]["distance"] == pytest.approx(distance, rel=1e-2)
     assert "wall by" in result.explain()
+
+
+def test_a_limit_that_reads_the_time_counts_at_a_free_end() -> None:
+    x, u = tx.State("x"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={x: u}, constraints={"deadline": tx.Time() <= 2.0}))
+    problem = Problem(
+        dynamics, tx.Maximize(tx.Time()), nodes=3, final_time=(0.5, 6.0), initial={x: 0.0}, final={x: 0.1}
+    )
+    result = problem.solve(final_time_guess=1.0)
+    assert result.solved
+    assert result.final_time == pytest.approx(2.0, rel=1e-5)
+
+
+def test_an_objective_without_slope_at_the_guess_has_its_own_scale() -> None:
+    """Any weight of a cost gives the same controls, also where its slope at the guess is zero."""
+    p, v, u, weight = tx.State("p"), tx.State("v"), tx.Control("u"), tx.Parameter("weight", value=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}}
+    problem = Problem(dynamics, tx.Minimize(running=weight * u**4), nodes=7, final_time=4.0, **ends)
+    plain, light = problem.solve(), problem.solve(params={"weight": 1e-20})
+    assert plain.solved
+    assert light.solved
+    np.testing.assert_allclose(light.us["u"], plain.us["u"], atol=1e-4)
+
+
+def test_ends_that_break_a_small_limit_are_said() -> None:
+    x, u = tx.State("x"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: u}, constraints={"wall": x <= 1e-7}))
+    ends: dict[str, Any] = {"initial": {x: 0.0}, "final": {x: 2e-7}}
+    result = Problem(dynamics, tx.Minimize(running=u**2), nodes=3, final_time=1.0, **ends).solve()
+    assert result.status is Status.INFEASIBLE
+    assert "'wall' at node 2" in result.message
+
+
+def test_a_norm_may_stand_twice_in_a_cost() -> None:
+    x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,))
+    norm = tx.linalg.Norm(u)
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    ends: dict[str, Any] = {"initial": {x: [0.0, 0.0]}, "final": {x: [3.0, 4.0]}}
+    problem = Problem(dynamics, tx.Minimize(running=norm + 2.0 * tx.linalg.Norm(u)), nodes=3, final_time=1.0, **ends)
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(15.0, rel=1e-5)

@@ -56,11 +56,13 @@ def norm_controls(running: Expr | None, sign: float) -> NormControls:
     kept: list[Term] = []
     controls: list[Control] = []
     operands: list[Expr] = []
+    found: dict[str, Control] = {}
     for factor, part in linear_terms(running.canonicalize()):
         if _is_norm(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
-            controls.append(Control(f"bound on {part!r}"))
-            operands.append(part.children()[0])
-            part = controls[-1]
+            if part.key() not in found:
+                controls.append(Control(f"bound on {part!r}"))
+                operands.append(part.children()[0])
+            part = found.setdefault(part.key(), controls[-1])
         kept.append((factor, part))
     return NormControls(sum_of(kept).canonicalize() if controls else running, tuple(controls), tuple(operands))
 

@@ -152,8 +152,8 @@ class InteriorPoint:
         rows, exists = self.split(s.rows), self.split(jnp.asarray(self.exists))
         return Derivatives(
             raw.defects * z[None, None] / s.d[:, :, None],
-            jnp.where(exists.inner[..., None], raw.rows * z[None, None] / rows.inner[..., None], 0.0),
-            jnp.where(exists.end[:, None], raw.end_rows * end[None] / rows.end[:, None], 0.0),
+            _kept(exists.inner[..., None], raw.rows * z[None, None] / rows.inner[..., None]),
+            _kept(exists.end[:, None], raw.end_rows * end[None] / rows.end[:, None]),
             raw.gradient * z[None] / s.cost,
             raw.end_gradient * end / s.cost,
             raw.hessian * (z[:, None] * z[None])[None] / s.cost,
@@ -485,6 +485,11 @@ class InteriorPoint:
 
 def largest(parts: Any) -> jax.Array:
     return jnp.stack([jnp.abs(a).max(initial=0.0) for a in jax.tree.leaves(parts)]).max()
+
+
+def _kept(exists: jax.Array, slopes: jax.Array) -> jax.Array:
+    """Slopes, zero where rows that are only checked have none."""
+    return jnp.where(exists | jnp.isfinite(slopes), slopes, 0.0)
 
 
 def _to_boundary(values: jax.Array, moves: jax.Array, which: Any, near: jax.Array) -> jax.Array:

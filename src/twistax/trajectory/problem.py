@@ -175,7 +175,7 @@ class Problem:
         """
         whole("guesses", guesses, 1, TrajectoryError)
         whole("max_iterations", max_iterations, 1, TrajectoryError)
-        number("tolerance", tolerance, "above zero", lambda size: 0.0 < size < np.inf, TrajectoryError)
+        number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
         if callback is not None:

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from .problem import Problem
 
 
+#: A scaled multiplier above this is one of an active constraint.
+_ACTIVE = 1e-5
+
+
 @dataclasses.dataclass(frozen=True)
 class Optimality:
     """How far a trajectory is from the first-order conditions of an optimum, in scaled form.
@@ -60,6 +64,7 @@ class TrajectoryResult:
         optimality: how far the first-order conditions are from holding.
         multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
             in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
+        active: names of the constraints that bind, those first that matter most to the objective.
         status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
         iterations: steps of the solver in the try that gave this result.
         tries: one line (status, cost, violation, iterations) for every guess.
@@ -77,6 +82,7 @@ class TrajectoryResult:
     violations: dict[str, float]
     optimality: Optimality
     multipliers: dict[str, Array]
+    active: tuple[str, ...]
     status: Status
     message: str
     iterations: int
@@ -102,9 +108,7 @@ class TrajectoryResult:
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
-        active = [name for name, w in self.multipliers.items() if not name.startswith("dynamics of") and w.max() > 1e-6]
-        size = {name: float(np.abs(self.multipliers[name]).max()) for name in active}
-        top = sorted(active, key=size.__getitem__, reverse=True)
+        size = {name: float(np.abs(self.multipliers[name]).max()) for name in self.active}
         errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(self.optimality).items())
         missed = "; ".join(
             f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
@@ -114,7 +118,7 @@ class TrajectoryResult:
         lines = [
             self.message,
             f"first-order conditions: {errors}",
-            f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in top) or 'none'}",
+            f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in self.active) or 'none'}",
             f"misses of a finer rollout at the end: {missed}",
             "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
         ]
@@ -161,9 +165,11 @@ def best_result(
     """The best of several tries: a solved one of least cost, else the one that violates least."""
     sign = problem.objective.sign
 
-    def rank(outcome: Outcome) -> tuple[bool, bool, float]:
-        good = outcome.status in (Status.SOLVED, Status.ACCEPTABLE)
-        return not good, outcome.status is Status.NON_FINITE, outcome.cost if good else outcome.violation
+    def rank(outcome: Outcome) -> tuple[int, float]:
+        order = [Status.SOLVED, Status.ACCEPTABLE]
+        if outcome.status in order:
+            return order.index(outcome.status), outcome.cost
+        return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
 
     best = min(outcomes, key=rank)
     point, final_time = best.point, float(best.point.final_time)
@@ -181,6 +187,7 @@ def best_result(
         violations=violations,
         optimality=Optimality(*best.errors),
         multipliers=_multipliers(problem, best),
+        active=_active(problem, best),
         status=best.status,
         message=_message(problem, best, violations, tolerance),
         iterations=best.iterations,
@@ -199,6 +206,13 @@ def _multipliers(problem: Problem, outcome: Outcome) -> dict[str, Array]:
     return found
 
 
+def _active(problem: Problem, outcome: Outcome) -> tuple[str, ...]:
+    """The names of rows whose multipliers, scaled, are not nothing."""
+    names, sizes = problem.shooting.names, np.abs(outcome.scaled_rows)
+    found = largest_by_name([str(name) for name in names], sizes)
+    return tuple(sorted((name for name, size in found.items() if size > _ACTIVE), key=lambda n: -found[n]))
+
+
 def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
     """At the nodes, in the constraints' own units."""
     shooting, path, point = problem.shooting, problem.path, outcome.point
@@ -215,10 +229,8 @@ def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) ->
         found |= largest_by_name(path.shown, np.maximum(*sizes))
     inner = shooting.intervals * shooting.rows_per_interval
     last = violations(np.asarray(outcome.values.rows)[inner:], shooting.equality[inner:])
-    names = [str(name) for name in shooting.names[inner:]]
-    return found | largest_by_name(
-        [n for n in names if n.startswith("final")], last[[n.startswith("final") for n in names]]
-    )
+    at_end = np.array([name.startswith("final") for name in shooting.names[inner:]], bool) & shooting.own[inner:]
+    return found | largest_by_name([str(name) for name in shooting.names[inner:][at_end]], last[at_end])
 
 
 def _message(problem: Problem, outcome: Outcome, sizes: dict[str, float], tolerance: float) -> str:

@@ -23,6 +23,7 @@ _CONSTANT = 0.1
 _NOTHING = 1e-4
 #: Scales stay above this share of what they were.
 _SMALL = 1e-6
+_FLOORED = ("d", "u", "time", "cost")
 
 
 def unit_scales(shooting: Shooting) -> Scales:
@@ -34,8 +35,8 @@ def unit_scales(shooting: Shooting) -> Scales:
 
 def measured(
     shooting: Shooting, leaves: Mapping[str, State | Control], point: Point, slopes: Derivatives, scales: Scales
-) -> Scales:
-    """Scales at a point, from the derivatives there, which were taken in other scales.
+) -> tuple[Scales, bool]:
+    """Scales at a point, from the derivatives there, taken in other scales; and whether the objective has slopes.
 
     States and controls count with half the spread of their values along the trajectory, or with what the leaf
     declares. What does not move yet gets a size from what it moves, or from what moves it. Rows are divided by
@@ -57,14 +58,14 @@ def measured(
     sizes[:count] = np.broadcast_to(most, inner.shape).ravel()
     gradient = (np.abs(np.asarray(slopes.gradient)) @ z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
     cost = float(gradient) * float(scales.cost)
-    old = np.asarray(scales.rows)
+    old, sloped = np.asarray(scales.rows), bool(np.isfinite(cost)) and cost > 0.0
     return Scales(
         d[None],
         u[None],
         time,
         np.where(sizes > 0.0, sizes, old),
-        np.array(cost if np.isfinite(cost) and cost > 0.0 else scales.cost),
-    )
+        np.array(cost if sloped else scales.cost),
+    ), sloped
 
 
 def declared(leaves: Sequence[State | Control]) -> Array:
@@ -81,15 +82,14 @@ def declared(leaves: Sequence[State | Control]) -> Array:
     return np.concatenate(parts)
 
 
-def not_below(scales: Scales, seen: Scales) -> tuple[Scales, Scales]:
+def not_below(scales: Scales, seen: Scales, sloped: bool) -> tuple[Scales, Scales]:
     """Scales of unknowns and objective no less than a small share of the largest seen, and the largest seen.
 
     What falls to zero, as an objective may at its optimum, would else never be small.
     """
-    seen = seen._replace(
-        **{name: np.maximum(getattr(scales, name), getattr(seen, name)) for name in ("d", "u", "time", "cost")}
-    )
-    own = {name: np.maximum(getattr(scales, name), _SMALL * getattr(seen, name)) for name in ("d", "u", "time", "cost")}
+    known = scales if sloped else scales._replace(cost=np.zeros(()))
+    seen = seen._replace(**{name: np.maximum(getattr(known, name), getattr(seen, name)) for name in _FLOORED})
+    own = {name: np.maximum(getattr(scales, name), _SMALL * getattr(seen, name)) for name in _FLOORED}
     return scales._replace(**own), seen
 
 

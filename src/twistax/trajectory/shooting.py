@@ -113,7 +113,7 @@ class Shooting:
         count, points, rows = self.intervals, self.substeps + 1, len(path.names)
         asked = path.asked(count, self.substeps)
         decided = np.zeros_like(asked)
-        decided[0, 0] = path.decided(ends.initial_fixed)
+        decided[0, 0] = path.decided(ends.initial_fixed, True)
         flat = asked.reshape(count, -1)
         self._row_count = rows
         self._kept = kept = np.flatnonzero(flat.any(axis=0))
@@ -152,7 +152,16 @@ class Shooting:
         self.equality = np.array([*np.tile(path.equality[kept % max(rows, 1)], count), *end_equality], bool)
         end_decided = np.zeros(len(end_names), bool)
         first = len(final.names) + len(self._fixed)
-        end_decided[first : first + len(states)] = path.decided(ends.final_fixed)[states]
+        end_decided[first : first + len(states)] = path.decided(ends.final_fixed, not free_time)[states]
+        #: Rows of the end alone: conditions, fixed entries, limits of time.
+        self.own = np.concatenate(
+            [
+                np.zeros(count * len(kept), bool),
+                np.ones(first, bool),
+                np.zeros(len(states), bool),
+                np.ones(len(time), bool),
+            ]
+        )
         self.decided = np.concatenate([(decided.reshape(count, -1) & flat)[:, kept].ravel(), end_decided])
         every = np.concatenate([flat[:, kept].ravel(), np.ones(len(end_names), bool)])
         self.exists = every & ~self.decided
@@ -180,7 +189,8 @@ class Shooting:
             found = np.asarray(slopes(zero, self._last(point), given))
             base, rows = found[equality].T, found.T
             left = rows - base @ np.linalg.lstsq(base, rows, rcond=None)[0]
-            pinned &= np.linalg.norm(left, axis=0) <= 1e-9 * np.linalg.norm(rows, axis=0)
+            size = np.linalg.norm(rows, axis=0)
+            pinned &= (size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size)
         self.exists, self.decided = self.exists.copy(), self.decided.copy()
         self.exists[inner:] &= ~pinned
         self.pinned[inner:] |= pinned

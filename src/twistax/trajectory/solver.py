@@ -42,10 +42,10 @@ class Status(enum.Enum):
     ACCEPTABLE = (
         "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
     )
-    INFEASIBLE = "no trajectory was found that meets every constraint; the violation is stationary"
+    INFEASIBLE = "no trajectory was found that meets every constraint"
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
     STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
-    NON_FINITE = "the problem has values that are not finite at the guess"
+    NON_FINITE = "the problem has values or slopes that are not finite"
 
     def __str__(self) -> str:
         return f"{self.name}: {self.value}"
@@ -59,6 +59,7 @@ class Outcome(NamedTuple):
     errors: Errors
     dynamics: Array  # (intervals, n) multipliers in the problem's units
     rows: Array  # (rows,)
+    scaled_rows: Array  # (rows,) multipliers, scaled
     violations: Array  # (intervals * n + rows,) scaled: of the dynamics, then of the rows
     status: Status
     iterations: int
@@ -97,14 +98,15 @@ class Solver:
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator, limits: Any) -> Point:
         """A point with every free entry of states, controls and time moved by a random step."""
-        scales = self._first_scales(point, given)
+        scales, _ = self._first_scales(point, given)
         free, (low, high) = self._shooting.free, limits
         d = np.where(free.d, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
         time = np.clip(float(point.final_time) + rng.normal() * (high - low) / 6.0, low, high) - float(point.final_time)
         return self._move(point, Step(d, u, np.array([time])))
 
-    def _first_scales(self, point: Point, given: Given) -> Scales:
+    def _first_scales(self, point: Point, given: Given) -> tuple[Scales, bool]:
+        """Scales at a point, and whether the objective has slopes there."""
         unit = scaling.unit_scales(self._shooting)
         state = self._start(point, given, unit)
         slopes = self._derivatives(state, given)
@@ -112,7 +114,8 @@ class Solver:
 
     def run(self, point: Point, given: Given, max_iterations: int, callback: Callback | None = None) -> Outcome:
         """Solve from a point."""
-        scales = seen = self._first_scales(point, given)
+        scales, sloped = self._first_scales(point, given)
+        _, seen = scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)
         state = self._start(point, given, scales)
         if not _finite((scales, state.values)):
             return self._outcome(state, Status.NON_FINITE, 1)
@@ -128,8 +131,8 @@ class Solver:
             errors = max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
             solved = errors <= self._tolerance
             if solved or count in _EARLY or float(state.barrier) < before:
-                fresh = scaling.measured(shooting, self._leaves, state.point, slopes, state.scales)
-                fresh, seen = scaling.not_below(fresh, seen)
+                fresh, sloped = scaling.measured(shooting, self._leaves, state.point, slopes, state.scales)
+                fresh, seen = scaling.not_below(fresh, seen, sloped)
                 moved = scaling.change(fresh, state.scales)
                 if solved and (moved <= _STANDS or count >= max_iterations):
                     pinned = np.where(shooting.pinned, self._row_violations(state), 0.0)
@@ -150,6 +153,9 @@ class Solver:
             if not bool(state.stuck):
                 continue
             searches += 1
+            if searches > _SEARCHES and not shaken:
+                searches, shaken, state = 0, True, self._shaken(last, given)
+                continue
             if searches > _SEARCHES:
                 good = errors <= _ACCEPTABLE * self._tolerance
                 return self._outcome(last, Status.ACCEPTABLE if good else Status.STALLED, count)
@@ -206,7 +212,7 @@ class Solver:
         d = np.where(free.d, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
         point = self._move(state.point, Step(d, u, np.zeros(1)))
-        scales = self._first_scales(point, given)
+        scales, _ = self._first_scales(point, given)
         return self._start(point, given, scales)
 
     def _row_violations(self, state: Iterate) -> Array:
@@ -224,6 +230,7 @@ class Solver:
             errors=Errors(*(float(e) for e in state.errors)),
             dynamics=np.asarray(state.dynamics * scales.cost / scales.d),
             rows=np.where(self._shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
+            scaled_rows=np.where(self._shooting.exists, np.asarray(state.rows), 0.0),
             violations=np.concatenate([defects, rows]),
             status=status,
             iterations=count,

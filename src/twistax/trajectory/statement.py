@@ -120,6 +120,7 @@ class PathRows:
     equality: Array  # which rows are equalities
     reads: tuple[Reads, ...]  # of every row
     states: tuple[frozenset[str], ...]  # that every row reads
+    timed: Array  # which rows read the time
     bounds: tuple[Bound, ...]  # the boxes
     shown: tuple[str, ...]  # the rows as users wrote them: inequalities, equalities, boxes
     shown_equality: Array
@@ -131,12 +132,12 @@ class PathRows:
         mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
         return mask
 
-    def decided(self, fixed: Mapping[str, Array]) -> Array:
+    def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
         """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
         whole = {name for name, mask in fixed.items() if mask.all()}
         rows = [reads is Reads.STATE and states <= whole for reads, states in zip(self.reads, self.states)]
         boxes = [b.reads is Reads.STATE and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
-        return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool)
+        return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed)
 
 
 def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
@@ -147,6 +148,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
     equality: list[bool] = []
     reads: list[Reads] = []
     states: list[frozenset[str]] = []
+    timed: list[bool] = []
     for kind, own in functions.constraints.items():
         for name, residual in own.items():
             for row in [residual] if kind == "equality" else without_norms(residual):
@@ -156,12 +158,14 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
                 equality += [kind == "equality"] * entries
                 reads += [_reads(leaves)] * entries
                 states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
+                timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
     for name, row in norms.rows:
         residuals.append(row)
         names.append(name)
         equality.append(False)
         reads.append(Reads.CONTROL)
         states.append(frozenset())
+        timed.append(False)
     bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
     boxes, named = [b.name for b in bounds], functions.constraint_names
     shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]
@@ -171,6 +175,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
         equality=np.array([*equality, *[False] * len(boxes)], bool),
         reads=(*reads, *(b.reads for b in bounds)),
         states=(*states, *(frozenset([b.leaf]) for b in bounds)),
+        timed=np.array([*timed, *[False] * len(boxes)], bool),
         bounds=bounds,
         shown=(*named["inequality"], *named["equality"], *boxes),
         shown_equality=np.concatenate(shown),

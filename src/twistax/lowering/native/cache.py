@@ -34,7 +34,8 @@ def kept(key: str) -> bytes | None:
         with open(folder / (_NAME + key), "rb", opener=_opened) as file:
             _check_owner(os.fstat(file.fileno()), f"a file in {folder}")
             content = file.read()
-            os.utime(file.fileno())  # those that were not read for longest go first
+            with contextlib.suppress(OSError):  # where files may only be read none is dropped either
+                os.utime(file.fileno())  # those that were not read for longest go first
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -73,8 +74,9 @@ def _folder() -> Path | None:
         return None
     if named:
         return Path(named).absolute()
-    # The rule for this variable is that relative paths do not count.
-    return (Path(usual) if os.path.isabs(usual) else Path(os.path.expanduser("~"), ".cache").absolute()) / "twistax"
+    # The rule for this variable is that relative paths do not count; nor does a home that the system does not know.
+    usual = usual if os.path.isabs(usual) else os.path.expanduser("~/.cache")
+    return Path(usual, "twistax") if os.path.isabs(usual) else None
 
 
 def _opened(path: str, flags: int) -> int:

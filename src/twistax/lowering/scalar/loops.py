@@ -88,6 +88,7 @@ class Ring:
     reverse: bool = False
 
 
+@weakly_kept
 class Looped:
     """A loop of JAX, and the kernels that take all of its iterations. Compared and hashed by identity.
 
