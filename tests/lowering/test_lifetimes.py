@@ -74,6 +74,31 @@ def test_kernels_go_with_what_they_were_compiled_for() -> None:
     assert _left(refs) == 0
 
 
+def test_loops_of_fast_go_with_their_functions() -> None:
+    from twistax.lowering.scalar.loops import Looped
+
+    def used(k: int) -> None:
+        def turned(a: jax.Array) -> jax.Array:
+            matrix = jax.numpy.eye(3) * (1.0 + k / 1000)
+
+            def body(c: jax.Array, _: Any) -> tuple[jax.Array, jax.Array]:
+                c = jax.numpy.sin(matrix @ c) + jax.numpy.cross(c, a)
+                return c, c
+
+            return jax.lax.scan(body, a, None, length=100)[1]
+
+        fast = tx.fast(turned)
+        jax.block_until_ready((fast(np.ones(3)), jax.jit(fast)(np.ones(3))))
+
+    def loops() -> list[weakref.ref[Any]]:
+        return [weakref.ref(each) for each in gc.get_objects() if type(each) is Looped]
+
+    used(0)
+    refs = loops()
+    assert refs
+    assert _left(refs) == 0
+
+
 def test_code_rests_before_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call that nobody waits for may still be under way when the last kernel goes."""
     from twistax.lowering.native import kernel
