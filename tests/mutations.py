@@ -746,6 +746,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/solver.py",
         (
+            "a worst trajectory as the best",
+            "float(probe.raised) > 1.5 * _CURVED",
+            "False",
+            "trajectory/test_optimality.py",
+        ),
+        (
             "solved without a look at the gradient",
             "(state.errors.stationarity, state.errors.feasibility, state.errors.gap)",
             "(state.errors.feasibility,)",

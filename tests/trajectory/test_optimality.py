@@ -229,3 +229,22 @@ def test_a_norm_may_stand_twice_in_a_cost() -> None:
     result = problem.solve()
     assert result.solved
     assert result.cost == pytest.approx(15.0, rel=1e-5)
+
+
+def test_a_worst_trajectory_is_left() -> None:
+    """The first-order conditions hold where a maximum is at its least."""
+    x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,), min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    result = Problem(dynamics, tx.Maximize(x @ x), nodes=5, final_time=1.0, initial={x: [0.0, 0.0]}).solve()
+    assert result.solved
+    assert result.cost == pytest.approx(2.0, rel=1e-5)
+
+
+def test_running_out_of_iterations_is_never_solved() -> None:
+    """However many there were: SOLVED asks for errors within the tolerance, in scales just measured."""
+    for most in range(1, 14):
+        result = fastest().solve(max_iterations=most)
+        errors = result.optimality
+        small = max(errors.stationarity, errors.feasibility, errors.gap) <= 1e-6
+        assert result.solved is small
+        assert result.iterations <= most + 1

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .riccati import Rows, Solution, Stages, along_rows, factorize, of_stages, solve, to_step
+from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
 from .shooting import Derivatives, Given, Point, Shooting, Step, Values
 
 #: The first barrier parameter, and how it falls (7).
@@ -38,8 +38,6 @@ _FASTER, _FAST, _SLOW = 100.0, 8.0, 1.0 / 3.0
 _EQUALITY = 1e-8
 #: The largest turn of a step, rad, and its largest change of the final time, relative: beyond them nothing is linear.
 _LARGEST_TURN, _LARGEST_CHANGE = 1.5, 0.5
-#: How often a solution of the equations is refined.
-_REFINEMENTS = 2
 #: The least first slack.
 _FIRST_SLACK = 1e-2
 _FILTER = 128
@@ -74,6 +72,7 @@ class State(NamedTuple):
     rows: Any  # (rows,) multipliers
     barrier: Any
     damping: Any  # the last that was needed
+    raised: Any  # what the last step needed
     filter: Any  # (2, _FILTER) violation and barrier function
     filtered: Any  # how many
     first: Any  # violation at the start
@@ -124,7 +123,7 @@ class InteriorPoint:
     """Newton steps for a transcribed problem; pure functions of a State, to be jitted and batched."""
 
     def __init__(self, shooting: Shooting, tolerance: float) -> None:
-        self._shooting, self._tolerance = shooting, tolerance
+        self._shooting = shooting
         self.exists, self.move, self.values = shooting.exists, shooting.move, shooting.values
         self.free_start = np.concatenate([shooting.free.d[0], shooting.free.time])
         self.inequality = shooting.exists & ~shooting.equality
@@ -134,7 +133,6 @@ class InteriorPoint:
         inner = shooting.intervals * shooting.rows_per_interval
         at_end = np.arange(len(shooting.exists)) >= inner
         self._room = np.where(self.inequality & at_end, 1e-2 * tolerance, 0.0)
-        self._turns = _turns(shooting)
 
     # ---- scaled values ------------------------------------------------------------------------------------------
 
@@ -215,6 +213,7 @@ class InteriorPoint:
             jnp.where(self.inequality, barrier / slack, 0.0),
             barrier,
             zero,
+            zero,
             jnp.full((2, _FILTER), jnp.inf, slack.dtype),
             jnp.zeros((), int),
             theta,
@@ -281,11 +280,11 @@ class InteriorPoint:
         slack, w, barrier = state.slack, state.rows, state.barrier
         inequality, equality = self.inequality, self.equality
         weights = self.split(jnp.where(inequality, w / slack, jnp.where(equality, 1.0 / _EQUALITY, 0.0)))
-        stages, factors, damping = self._inertia(slopes, weights, state)
+        stages, factors = self._inertia(slopes, weights, state)
         shift = jnp.where(inequality, slack + barrier / w, jnp.where(equality, _EQUALITY * w, 0.0))
 
         def direction(defects: jax.Array, rows: jax.Array) -> _Direction:
-            found = self._newton(stages, factors, defects, rows + shift)
+            found = refined(stages, factors, defects, self.split(rows + shift))
             moved = self.join(along_rows(slopes, found.step))
             d_slack = jnp.where(inequality, -(rows + slack) - moved, 0.0)
             d_rows = self.join(found.rows) - w
@@ -316,7 +315,8 @@ class InteriorPoint:
             slack=found.slack,
             dynamics=jnp.where(done, state.dynamics + share * first.dynamics, state.dynamics),
             rows=jnp.where(done & self.exists, rows, jnp.where(self.exists, w, 0.0)),
-            damping=damping,
+            damping=jnp.where(stages.damping > 0.0, stages.damping, state.damping),
+            raised=stages.damping,
             filter=kept,
             filtered=jnp.where(remember, state.filtered + 1, state.filtered),
             lengths=jnp.stack([jnp.where(done, search.share, 0.0), first.dual]),
@@ -416,46 +416,7 @@ class InteriorPoint:
 
     # ---- the equations ------------------------------------------------------------------------------------------
 
-    def _newton(self, stages: Stages, factors: Any, defects: jax.Array, rows: jax.Array) -> Solution:
-        """The Newton step with the whole multipliers, refined against rounding."""
-        constant, shooting = self.split(rows), self._shooting
-        zero = Solution(
-            Step(jnp.zeros((shooting.nodes, shooting.n)), jnp.zeros((shooting.intervals, shooting.m)), jnp.zeros(1)),
-            jnp.zeros_like(defects),
-            jax.tree.map(jnp.zeros_like, constant),
-        )
-
-        def refine(_: Any, found: Solution) -> Solution:
-            return jax.tree.map(jnp.add, found, self._correction(stages, factors, found, defects, constant))
-
-        return jax.lax.fori_loop(0, 1 + _REFINEMENTS, refine, zero)
-
-    def _correction(
-        self, stages: Stages, factors: Any, found: Solution, defects: jax.Array, constant: Rows
-    ) -> Solution:
-        slopes, weights = stages.slopes, stages.weights
-        z, end = of_stages(found.step)
-        moved = along_rows(slopes, found.step)
-        lift = jnp.concatenate([jnp.ones(z.shape[1] - 1, z.dtype), jnp.zeros(1, z.dtype)])
-        inner = slopes.gradient + jnp.einsum("kab,kb->ka", slopes.hessian, z) + stages.damping * lift[None] * z
-        inner = inner + jnp.einsum("kn,kna->ka", found.dynamics, slopes.defects)
-        inner = inner + jnp.einsum("kr,kra->ka", found.rows.inner, slopes.rows)
-        n = slopes.defects.shape[1]
-        inner = inner.at[1:, :n].add(-found.dynamics[:-1])
-        last = slopes.end_gradient + slopes.end_hessian @ end + stages.damping * end + found.rows.end @ slopes.end_rows
-        last = last.at[:n].add(-found.dynamics[-1])
-        gap = jnp.einsum("kna,ka->kn", slopes.defects, z) + defects - found.step.d[1:] - stages.soft * found.dynamics
-
-        def left(weight: jax.Array, moved: jax.Array, own: jax.Array, grown: jax.Array) -> jax.Array:
-            return jnp.where(weight > 0.0, moved + own - grown / jnp.where(weight > 0.0, weight, 1.0), 0.0)
-
-        rows = Rows(
-            left(weights.inner, moved.inner, constant.inner, found.rows.inner),
-            left(weights.end, moved.end, constant.end, found.rows.end),
-        )
-        return solve(stages, factors, inner, last, gap, rows)
-
-    def _inertia(self, slopes: Derivatives, weights: Rows, state: State) -> tuple[Stages, Any, jax.Array]:
+    def _inertia(self, slopes: Derivatives, weights: Rows, state: State) -> tuple[Stages, Any]:
         """Factors of the equations with as little added to the diagonal as gives them the inertia of a minimum."""
         last = state.damping
 
@@ -473,12 +434,12 @@ class InteriorPoint:
         none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(lambda: factorize(stages(zero))))
         wrong = lambda c: ~c[1].exist & (c[0] < _MOST_DAMPING)  # noqa: E731
         damping, factors, _ = jax.lax.while_loop(wrong, more, (zero, none, jnp.zeros((), int)))
-        return stages(damping), factors, jnp.where(damping > 0.0, damping, last)
+        return stages(damping), factors
 
     def in_chart(self, step: Step, state: Any) -> jax.Array:
         """The largest share of a step that turns nothing by more than 1.5 rad and changes the final time by half."""
         scales = state.scales
-        turn = jnp.abs(step.d * scales.d)[:, self._turns].max(initial=0.0) / _LARGEST_TURN
+        turn = jnp.abs(step.d * scales.d)[:, self._shooting.turns].max(initial=0.0) / _LARGEST_TURN
         time = jnp.abs(step.time * scales.time)[0] / (_LARGEST_CHANGE * state.point.final_time)
         return jnp.minimum(1.0, 1.0 / jnp.maximum(jnp.maximum(turn, time), 1e-300))
 
@@ -496,17 +457,3 @@ def _to_boundary(values: jax.Array, moves: jax.Array, which: Any, near: jax.Arra
     """The largest share of moves, 1 at most, that leaves positive values positive."""
     falls = which & (moves < 0.0)
     return jnp.minimum(1.0, jnp.where(falls, -near * values / jnp.where(falls, moves, -1.0), 1.0).min(initial=1.0))
-
-
-def _turns(shooting: Shooting) -> Any:
-    """Which tangents are rotations."""
-    from ..groups import SpecialEuclidean, SpecialOrthogonal
-
-    found = np.zeros(shooting.n, bool)
-    for name, factor in shooting.dynamics.group.factors.items():
-        part = shooting.dynamics.group.slices[name]
-        if isinstance(factor, SpecialOrthogonal):
-            found[part] = True
-        if isinstance(factor, SpecialEuclidean):
-            found[part] = np.asarray(factor.order.from_linear_first(np.array([0.0] * 3 + [1.0] * 3))) > 0
-    return found

@@ -20,6 +20,9 @@ from jax.scipy.linalg import cho_solve
 
 from .shooting import Derivatives, Step
 
+#: How often a solution is refined.
+_REFINEMENTS = 2
+
 
 class Rows(NamedTuple):
     """Something for each row: of the intervals (intervals, R), and of the end (R_end,)."""
@@ -132,6 +135,47 @@ def solve(
     moved = along_rows(slopes, step)
     grown = Rows(weights.inner * (moved.inner + rows.inner), weights.end * (moved.end + rows.end))
     return Solution(step, multipliers, grown)
+
+
+def refined(stages: Stages, factors: Factors, defects: jax.Array, rows: Rows) -> Solution:
+    """The solution for the gradient of the stages' costs, with whole multipliers, refined against rounding."""
+    slopes = stages.slopes
+    count, n, size = slopes.defects.shape
+    zero = Solution(
+        Step(jnp.zeros((count + 1, n)), jnp.zeros((count, size - n - 1)), jnp.zeros(1)),
+        jnp.zeros_like(defects),
+        jax.tree.map(jnp.zeros_like, rows),
+    )
+
+    def refine(_: Any, found: Solution) -> Solution:
+        return jax.tree.map(jnp.add, found, _correction(stages, factors, found, defects, rows))
+
+    return jax.lax.fori_loop(0, 1 + _REFINEMENTS, refine, zero)
+
+
+def _correction(stages: Stages, factors: Factors, found: Solution, defects: jax.Array, constant: Rows) -> Solution:
+    """The solution for what a solution leaves of the equations."""
+    slopes, weights = stages.slopes, stages.weights
+    z, end = of_stages(found.step)
+    moved = along_rows(slopes, found.step)
+    lift = jnp.concatenate([jnp.ones(z.shape[1] - 1, z.dtype), jnp.zeros(1, z.dtype)])
+    inner = slopes.gradient + jnp.einsum("kab,kb->ka", slopes.hessian, z) + stages.damping * lift[None] * z
+    inner = inner + jnp.einsum("kn,kna->ka", found.dynamics, slopes.defects)
+    inner = inner + jnp.einsum("kr,kra->ka", found.rows.inner, slopes.rows)
+    n = slopes.defects.shape[1]
+    inner = inner.at[1:, :n].add(-found.dynamics[:-1])
+    last = slopes.end_gradient + slopes.end_hessian @ end + stages.damping * end + found.rows.end @ slopes.end_rows
+    last = last.at[:n].add(-found.dynamics[-1])
+    gap = jnp.einsum("kna,ka->kn", slopes.defects, z) + defects - found.step.d[1:] - stages.soft * found.dynamics
+
+    def left(weight: jax.Array, moved: jax.Array, own: jax.Array, grown: jax.Array) -> jax.Array:
+        return jnp.where(weight > 0.0, moved + own - grown / jnp.where(weight > 0.0, weight, 1.0), 0.0)
+
+    rows = Rows(
+        left(weights.inner, moved.inner, constant.inner, found.rows.inner),
+        left(weights.end, moved.end, constant.end, found.rows.end),
+    )
+    return solve(stages, factors, inner, last, gap, rows)
 
 
 def along_rows(slopes: Derivatives, step: Step) -> Rows:

@@ -19,7 +19,7 @@ from .shooting import Derivatives, Point, Shooting
 _TURN = 0.5
 #: A control that is constant counts as this share of its size.
 _CONSTANT = 0.1
-#: A spread of less than this share of another entry's is none.
+#: A spread of less than this share of another entry's counts as zero.
 _NOTHING = 1e-4
 #: Scales stay above this share of what they were.
 _SMALL = 1e-6
@@ -159,7 +159,7 @@ def _completed(
 
 
 def _from_limits(leaf: State | Control) -> Array:
-    """Half the width of a box, or the size of its one side; zero where there is none."""
+    """Half the width of a box, or the size of its one side; zero without a box."""
     group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
     if not isinstance(group, Euclidean):
         return np.zeros(group.dimension)

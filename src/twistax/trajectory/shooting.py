@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
@@ -81,6 +82,7 @@ class Shooting:
         equality, exists: (rows,) which rows are equalities; which are asked at all.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
         free: Step of bool, which unknowns may move.
+        turns: (n,) which tangents are rotations.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class Shooting:
         self._a, self._c = tableau.counted
         self._b = tableau.b[: len(self._c)]
         self._weights = _weights(substeps)
+        self.turns = _turns(dynamics)
         self._describe(path, ends, final, free_time)
 
     def _describe(self, path: PathRows, ends: Ends, final: FinalRows, free_time: bool) -> None:
@@ -208,10 +211,9 @@ class Shooting:
     def values(self, point: Point, given: Given) -> Values:
         """Cost, defects and rows at a point."""
         left, right = _sides(point.xs)
-        etas, ks = jax.vmap(self._roll, in_axes=(0, 0, 0, None, None))(
+        etas, _ = jax.vmap(self._roll, in_axes=(0, 0, 0, None, None))(
             self._numbers(point), left, point.us, point.final_time, given.params
         )
-        del ks
         rows, density = self._at_points(point, left, etas, given.params)
         defects = jax.vmap(self.local.gap)(etas[:, -1], left, right)
         cost = jnp.sum(density @ jnp.asarray(self._weights, density.dtype)) / self.intervals
@@ -394,6 +396,16 @@ class Shooting:
         hessian = hessian + jnp.einsum("kia,kij,kjb->ab", end_maps, point_bends, end_maps)
         hessian = hessian + ends[-1].T @ gap_bend @ ends[-1]
         return gap_slope @ ends[-1], rows, gradient, 0.5 * (hessian + hessian.T)
+
+
+def _turns(dynamics: Dynamics) -> Array:
+    parts = [np.zeros(0, bool)]
+    for factor in dynamics.group.factors.values():
+        turns = np.full(factor.dimension, isinstance(factor, SpecialOrthogonal))
+        if isinstance(factor, SpecialEuclidean):
+            turns = np.asarray(factor.order.from_linear_first(np.repeat([0.0, 1.0], 3))) > 0.0
+        parts.append(turns)
+    return np.concatenate(parts)
 
 
 def _hessian(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:

@@ -16,15 +16,15 @@ from ..jax_inside import quick_compile
 from . import feasibility, scaling
 from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
-from .shooting import Given, Point, Shooting, Step, Values
+from .shooting import Derivatives, Given, Point, Shooting, Step, Values
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
 
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
-#: Scales are renewed once they are off by the first factor; a result stands if they are off by no more than the second.
-_RENEW, _STANDS = 3.0, 10.0
+#: Scales are renewed once they are off by this factor. A result stands in scales that are not.
+_RENEW = 3.0
 #: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
 _EARLY = (1, 3, 6)
 #: A feasible point is worth leaving the search for if it takes off so much of the violation.
@@ -33,6 +33,8 @@ _WORTH = 0.5
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
 _SLACK, _SHAKE = 1e-3, 0.1
+#: A solution that needs more than this on the diagonal, scaled, is no minimum.
+_CURVED = 1e-6
 
 
 class Status(enum.Enum):
@@ -79,7 +81,6 @@ class Solver:
     def __init__(self, shooting: Shooting, leaves: Mapping[str, State | Control], tolerance: float) -> None:
         self._shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
         method = self._method = InteriorPoint(shooting, tolerance)
-        self._values = _jit(shooting.values)
         self._move = _jit(shooting.move)
         self._start = _jit(method.start)
         self._derivatives = _jit(method.derivatives)
@@ -113,39 +114,55 @@ class Solver:
         return scaling.measured(self._shooting, self._leaves, point, slopes, unit)
 
     def run(self, point: Point, given: Given, max_iterations: int, callback: Callback | None = None) -> Outcome:
-        """Solve from a point."""
+        """Solve from a point; where a solution is no minimum once more, a random step away, and take the better."""
+        first, state = self._run(point, given, max_iterations, callback)
+        if first.status is not Status.SOLVED or not self._bends_down(state, given):
+            return first
+        start = self._step_away(state)
+        other, _ = self._run(start, given, max(1, max_iterations - first.iterations), callback)
+        better = other.status is Status.SOLVED and other.cost < first.cost - self._tolerance * float(state.scales.cost)
+        return (other if better else first)._replace(iterations=first.iterations + other.iterations)
+
+    def _bends_down(self, state: Iterate, given: Given) -> bool:
+        """Whether the objective falls to second order along what the constraints leave free."""
+        # A step from memory of a small damping tries none, a third of it, then more.
+        probe = self._step(state._replace(damping=jnp.asarray(3.0 * _CURVED)), self._derivatives(state, given), given)
+        return float(probe.raised) > 1.5 * _CURVED
+
+    def _run(
+        self, point: Point, given: Given, max_iterations: int, callback: Callback | None
+    ) -> tuple[Outcome, Iterate]:
         scales, sloped = self._first_scales(point, given)
         _, seen = scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)
         state = self._start(point, given, scales)
-        if not _finite((scales, state.values)):
-            return self._outcome(state, Status.NON_FINITE, 1)
         shooting = self._shooting
+
+        def ended(state: Iterate, status: Status, count: int) -> tuple[Outcome, Iterate]:
+            return self._outcome(state, status, max(count, 1)), state
+
+        if not _finite((scales, state.values)):
+            return ended(state, Status.NON_FINITE, 1)
         lost = np.where(shooting.decided & ~shooting.pinned, self._row_violations(state), 0.0)
         if lost.max(initial=0.0) > self._tolerance:
-            return self._outcome(state, Status.INFEASIBLE, 1)
-        count, searches, shaken = 0, 0, False
+            return ended(state, Status.INFEASIBLE, 1)
+        count, searches, rests, shaken = 0, 0, 0, False
         while True:
-            slopes = self._derivatives(state, given)
             before = float(state.barrier)
-            state = self._measured(state, slopes)
-            errors = max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
-            solved = errors <= self._tolerance
-            if solved or count in _EARLY or float(state.barrier) < before:
+            slopes, state = self._looked_at(state, given)
+            if self._error(state) <= self._tolerance or count in _EARLY or float(state.barrier) < before:
                 fresh, sloped = scaling.measured(shooting, self._leaves, state.point, slopes, state.scales)
                 fresh, seen = scaling.not_below(fresh, seen, sloped)
-                moved = scaling.change(fresh, state.scales)
-                if solved and (moved <= _STANDS or count >= max_iterations):
-                    pinned = np.where(shooting.pinned, self._row_violations(state), 0.0)
-                    broken = pinned.max(initial=0.0) > 10.0 * self._tolerance
-                    return self._outcome(state, Status.INFEASIBLE if broken else Status.SOLVED, max(count, 1))
-                if moved > _RENEW:
-                    state = self._rescaled(state, fresh)
-                    slopes = self._derivatives(state, given)
-                    state = self._measured(state, slopes)
-            if not np.isfinite(errors):
-                return self._outcome(state, Status.NON_FINITE, max(count, 1))
+                if scaling.change(fresh, state.scales) > _RENEW:
+                    slopes, state = self._looked_at(self._rescaled(state, fresh), given)
+            error = self._error(state)
+            if error <= self._tolerance:
+                pinned = np.where(shooting.pinned, self._row_violations(state), 0.0)
+                broken = pinned.max(initial=0.0) > 10.0 * self._tolerance
+                return ended(state, Status.INFEASIBLE if broken else Status.SOLVED, count)
+            if not np.isfinite(error):
+                return ended(state, Status.NON_FINITE, count)
             if count >= max_iterations:
-                return self._outcome(state, Status.MAX_ITERATIONS, count)
+                return ended(state, Status.MAX_ITERATIONS, count)
             if callback is not None:
                 callback(count, float(state.values.cost), float(state.errors.feasibility))
             last, state = state, self._step(state, slopes, given)
@@ -153,19 +170,29 @@ class Solver:
             if not bool(state.stuck):
                 continue
             searches += 1
-            if searches > _SEARCHES and not shaken:
+            if searches > _SEARCHES and shaken:
+                good = error <= _ACCEPTABLE * self._tolerance
+                return ended(last, Status.ACCEPTABLE if good else Status.STALLED, count)
+            if searches > _SEARCHES:
                 searches, shaken, state = 0, True, self._shaken(last, given)
                 continue
-            if searches > _SEARCHES:
-                good = errors <= _ACCEPTABLE * self._tolerance
-                return self._outcome(last, Status.ACCEPTABLE if good else Status.STALLED, count)
             state, used, stationary = self._feasible(state, given, max_iterations - count)
             count += used
-            if stationary and shaken:
-                return self._outcome(state, Status.INFEASIBLE, count)
+            rests += stationary
+            if rests > 1:
+                return ended(state, Status.INFEASIBLE, count)
             if stationary:
-                shaken = True
                 state = self._shaken(state, given)
+
+    def _looked_at(self, state: Iterate, given: Given) -> tuple[Derivatives, Iterate]:
+        """The derivatives at a state, and the state with its errors."""
+        slopes = self._derivatives(state, given)
+        return slopes, self._measured(state, slopes)
+
+    @staticmethod
+    def _error(state: Iterate) -> float:
+        """The largest of what SOLVED asks for."""
+        return max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
 
     def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, bool]:
         """A point that violates less; how many steps it took; whether the violation is stationary instead."""
@@ -207,13 +234,17 @@ class Solver:
         return theta, known, slack
 
     def _shaken(self, state: Iterate, given: Given) -> Iterate:
-        """The state after a small random step, for a stationary point may be a saddle."""
+        """A start after a small random step, for a stationary point may be a saddle."""
+        point = self._step_away(state)
+        scales, _ = self._first_scales(point, given)
+        return self._start(point, given, scales)
+
+    def _step_away(self, state: Iterate) -> Point:
+        """The point after a random step."""
         rng, free, scales = np.random.default_rng(0), self._shooting.free, state.scales
         d = np.where(free.d, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
-        point = self._move(state.point, Step(d, u, np.zeros(1)))
-        scales, _ = self._first_scales(point, given)
-        return self._start(point, given, scales)
+        return self._move(state.point, Step(d, u, np.zeros(1)))
 
     def _row_violations(self, state: Iterate) -> Array:
         """Scaled, of all rows."""

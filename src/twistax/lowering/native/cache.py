@@ -25,7 +25,7 @@ _SUM = hashlib.sha256().digest_size
 
 
 def kept(key: str) -> bytes | None:
-    """The machine code that some process kept under a key; None: there is none, or none that is to be trusted."""
+    """The machine code that some process kept under a key; None where no file is kept, or none can be trusted."""
     folder = _folder()
     if folder is None:
         return None
