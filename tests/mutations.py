@@ -726,6 +726,24 @@ MUTATIONS: list[Mutation] = [
         ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
     ),
     *_at(
+        "trajectory/border.py",
+        (
+            "upper limits that hold from below",
+            "(limits[i, 0] - b[i], b[i] - limits[i, 1])[side]",
+            "(limits[i, 0] - b[i], limits[i, 1] - b[i])[side]",
+            "trajectory/test_free_parameters.py",
+        ),
+    ),
+    *_at(
+        "trajectory/statement.py",
+        (
+            "rows of free parameters that the ends decide",
+            "& (at_known_time | ~self.timed) & ~self.free",
+            "& (at_known_time | ~self.timed)",
+            "trajectory/test_free_parameters.py",
+        ),
+    ),
+    *_at(
         "trajectory/riccati.py",
         (
             "the tilt of a stage without its gains",

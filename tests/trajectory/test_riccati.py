@@ -7,14 +7,14 @@ import pytest
 from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, solve
 from twistax.trajectory.shooting import Derivatives
 
-INTERVALS, N, M, ROWS, END_ROWS = 4, 3, 2, 3, 2
-SIZE = N + M + 1
-UNKNOWNS = (INTERVALS + 1) * N + INTERVALS * M + 1
+INTERVALS, N, M, BORDER, ROWS, END_ROWS = 4, 3, 2, 2, 3, 2
+SIZE = N + M + BORDER
+UNKNOWNS = (INTERVALS + 1) * N + INTERVALS * M + BORDER
 FREE = {
-    "free start": np.array([True] * N + [True]),
-    "fixed start": np.array([False] * N + [True]),
-    "part of the start, fixed time": np.array([True, False, True, False]),
-    "fixed start and time": np.zeros(N + 1, bool),
+    "free start": np.array([True] * (N + BORDER)),
+    "fixed start": np.array([False] * N + [True] * BORDER),
+    "part of the start and of the border": np.array([True, False, True, False, True]),
+    "fixed start and border": np.zeros(N + BORDER, bool),
 }
 
 
@@ -28,22 +28,22 @@ def quadratic(seed: int, shift: float, soft: float, free: np.ndarray) -> Stages:
     slopes = Derivatives(
         defects=rng.normal(size=(INTERVALS, N, SIZE)),
         rows=rng.normal(size=(INTERVALS, ROWS, SIZE)),
-        end_rows=rng.normal(size=(END_ROWS, N + 1)),
+        end_rows=rng.normal(size=(END_ROWS, N + BORDER)),
         gradient=rng.normal(size=(INTERVALS, SIZE)),
-        end_gradient=rng.normal(size=N + 1),
+        end_gradient=rng.normal(size=N + BORDER),
         hessian=symmetric(rng.normal(size=(INTERVALS, SIZE, SIZE))) + shift * np.eye(SIZE),
-        end_hessian=symmetric(rng.normal(size=(N + 1, N + 1))) + shift * np.eye(N + 1),
+        end_hessian=symmetric(rng.normal(size=(N + BORDER, N + BORDER))) + shift * np.eye(N + BORDER),
     )
     weights = Rows(rng.uniform(0.0, 1.0, (INTERVALS, ROWS)), rng.uniform(0.0, 1.0, END_ROWS))
     return Stages(slopes, weights, np.asarray(0.01), np.asarray(soft), free)
 
 
 def columns() -> tuple[list[list[int]], list[int], np.ndarray]:
-    """Where z_k, z_K and the nodes (nodes, N) sit among all unknowns [d_0, u_0, ..., d_K, time]."""
+    """Where z_k, z_K and the nodes (nodes, N) sit among all unknowns [d_0, u_0, ..., d_K, b]."""
     nodes = np.array([np.arange(N) + k * (N + M) for k in range(INTERVALS + 1)])
-    last = UNKNOWNS - 1
-    inner = [[*range(k * (N + M), (k + 1) * (N + M)), last] for k in range(INTERVALS)]
-    return inner, [*nodes[-1], last], nodes
+    border = range(UNKNOWNS - BORDER, UNKNOWNS)
+    inner = [[*range(k * (N + M), (k + 1) * (N + M)), *border] for k in range(INTERVALS)]
+    return inner, [*nodes[-1], *border], nodes
 
 
 def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -62,7 +62,7 @@ def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, 
     hessian[np.ix_(end, end)] += slopes.end_hessian + j.T @ w @ j
     pull[end] += slopes.end_gradient + j.T @ w @ rows.end
     free = np.ones(UNKNOWNS, bool)
-    free[:N], free[-1] = stages.free_start[:N], stages.free_start[N]
+    free[:N], free[-BORDER:] = stages.free_start[:N], stages.free_start[N:]
     hessian, equations = hessian[np.ix_(free, free)], equations[:, free]
     matrix = np.block([[hessian, equations.T], [equations, -float(stages.soft) * np.eye(INTERVALS * N)]])
     return matrix, -np.concatenate([pull[free], defects.ravel()]), free
@@ -98,7 +98,7 @@ def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
             close = {"rtol": 1e-8, "atol": 1e-8 * np.abs(expected).max()}
             np.testing.assert_allclose(found.step.d, step[nodes], **close)
             np.testing.assert_allclose(found.step.u, [step[own][N : N + M] for own in inner], **close)
-            np.testing.assert_allclose(found.step.time, step[-1:], **close)
+            np.testing.assert_allclose(found.step.border, step[-BORDER:], **close)
             np.testing.assert_allclose(found.dynamics, multipliers, **close)
             grown = [
                 w * (j @ step[own] + r) for w, j, own, r in zip(stages.weights.inner, slopes.rows, inner, rows.inner)
@@ -112,8 +112,8 @@ def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
 
 @pytest.mark.parametrize("interval", range(INTERVALS))
 def test_a_maximum_in_one_interval_is_told(interval: int) -> None:
-    """In the first one too, behind which nothing is left to factor where start and time are fixed."""
-    stages = quadratic(0, 8.0, 0.0, FREE["fixed start and time"])
+    """In the first one too, behind which nothing is left to factor where start and border are fixed."""
+    stages = quadratic(0, 8.0, 0.0, FREE["fixed start and border"])
     assert bool(factors_of(stages).exist)
     hessian = stages.slopes.hessian.copy()
     hessian[interval, N : N + M, N : N + M] -= 1e3 * np.eye(M)

@@ -11,7 +11,7 @@ import twistax as tx
 from twistax.trajectory import Problem
 from twistax.trajectory.shooting import Derivatives, Given, Point, Shooting, Step, Values
 
-NODES, N, M = 4, 6, 4
+NODES, N, M, BORDER = 4, 6, 4, 3
 #: Short steps, for the exponential coordinates in which an interval is differentiated end elsewhere by O(h^5).
 FINAL_TIME = 0.12
 DIRECTIONS = 4
@@ -21,34 +21,39 @@ def rich_problem(nodes: int = NODES, substeps: int = 2) -> Problem:
     """A ball under torque and a push that changes with time; limits on states, on controls and on both."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,), max=[1.5, None, 2.0])
     u, t = tx.Control("u", shape=(3,), min=-1.0), tx.Time()
+    gain = tx.Parameter("gain", value=[1.0, 1.0])
     system = tx.System(
-        rates={R: w, w: u + tx.Sin(3.0 * t) * R[:, 0] - tx.linalg.Cross(w, np.array([1.0, 2.0, 3.0]) * w)},
+        rates={R: w, w: u + tx.Sin(3.0 * t) * R[:, 0] - gain[0] * tx.linalg.Cross(w, np.array([1.0, 2.0, 3.0]) * w)},
         constraints={
             "spin": tx.linalg.Norm(w) <= 2.0,
-            "power": u @ w <= 1.0 + t,
+            "power": u @ w <= gain[1] ** 2 + t,
             "torque": u @ u <= 4.0,
             "level": R[2, 0] * t == 0.1,
+            "gains": gain[0] * gain[1] <= 3.0,
         },
     )
     return Problem(
         tx.compile(system),
-        tx.Minimize(t**2 + w[0] ** 2 + R[0, 1], running=(1.0 + t) * (u @ u) + w @ w + 0.3 * tx.linalg.Norm(u)),
+        tx.Minimize(
+            gain[1] * t**2 + w[0] ** 2 + R[0, 1], running=(gain[0] + t) * (u @ u) + w @ w + 0.3 * tx.linalg.Norm(u)
+        ),
         nodes=nodes,
         substeps=substeps,
         final_time=(0.05, 3.0),
         initial={"R": np.eye(3)},
-        final=[{"w": [None, None, 0.3]}, w[1] <= 0.3, R[0, 2] == 0.0],
+        final=[{"w": [None, None, 0.3]}, w[1] <= 0.3 * gain[0] ** 3, R[0, 2] == 0.0],
+        free={"gain": ([0.2, None], 3.0)},
     )
 
 
 def random_point(rng: np.random.Generator, nodes: int = NODES, final_time: float = FINAL_TIME) -> Point:
     """Its rotations are no half turn from each other, where a logarithm jumps."""
     xs = {"R": np.array(jax.vmap(tx.SO3.exp)(0.4 * rng.normal(size=(nodes, 3)))), "w": rng.normal(size=(nodes, 3))}
-    return Point(xs, rng.normal(size=(nodes - 1, M)), np.asarray(final_time))
+    return Point(xs, rng.normal(size=(nodes - 1, M)), np.array([final_time, 1.0, 1.0]))
 
 
 def given_of(problem: Problem) -> Given:
-    return Given({}, {"R": np.eye(3), "w": np.array([0.0, 0.0, 0.3])}, np.array(problem.time_limits))
+    return Given({}, {"R": np.eye(3), "w": np.array([0.0, 0.0, 0.3])}, problem.border.limits)
 
 
 class Sample:
@@ -72,12 +77,13 @@ class Sample:
     def direction(self, parity: int) -> Step:
         """A random step in which every other node rests: then nodes at which an interval ends do."""
         d = self.rng.normal(size=(NODES, N)) * (np.arange(NODES) % 2 == parity)[:, None]
-        return Step(d, self.rng.normal(size=(NODES - 1, M)), self.rng.normal(size=1) * 0.1)
+        return Step(d, self.rng.normal(size=(NODES - 1, M)), self.border())
+
+    def border(self) -> np.ndarray:
+        return self.rng.normal(size=BORDER) * np.array([0.1, 1.0, 1.0])
 
     def whole_direction(self) -> Step:
-        return Step(
-            self.rng.normal(size=(NODES, N)), self.rng.normal(size=(NODES - 1, M)), self.rng.normal(size=1) * 0.1
-        )
+        return Step(self.rng.normal(size=(NODES, N)), self.rng.normal(size=(NODES - 1, M)), self.border())
 
     def inner(self, parity: int) -> np.ndarray:
         """The intervals that begin at a node that moves."""
@@ -103,8 +109,8 @@ def bend(values: Callable[[Step], np.ndarray], way: Step, size: float = 1e-2) ->
 
 def seen(step: Step) -> tuple[np.ndarray, np.ndarray]:
     """What every interval and the end see of a step."""
-    times = np.repeat(step.time[None], len(step.u), axis=0)
-    return np.concatenate([step.d[:-1], step.u, times], axis=1), np.concatenate([step.d[-1], step.time])
+    borders = np.repeat(step.border[None], len(step.u), axis=0)
+    return np.concatenate([step.d[:-1], step.u, borders], axis=1), np.concatenate([step.d[-1], step.border])
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +161,12 @@ def test_there_is_every_kind_of_row(sample: Sample) -> None:
     for name in ("spin", "power", "torque", "level", "w[2] <= 2", "u[0] >= -1", "final w[2]"):
         assert name in names
     assert {"final time: lower limit", "final time: upper limit"} < names
+    assert [name for name in sorted(names) if name.startswith("gain")] == [
+        "gain[0]: lower limit",
+        "gain[0]: upper limit",
+        "gain[1]: upper limit",
+        "gains",
+    ]
     assert sum(name.startswith("final: ") for name in names) == 2
     assert sum(name.startswith("bound on ") for name in names) == 1
 
@@ -169,6 +181,7 @@ def test_rows_are_asked_where_they_matter(sample: Sample) -> None:
     assert sorted(asked["spin"]) == sorted([*points, "between nodes 2 and 3", "at node 3"])
     # With its own control a shared node is asked from both sides.
     assert asked["power"].count("at node 1") == 2
+    assert asked["gains"] == ["at node 3"]
     # The start decides this one, and the end another.
     assert "at node 0" not in asked["level"]
     assert set(shooting.names[shooting.decided]) == {"level", "w[2] <= 2"}
@@ -203,8 +216,8 @@ def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) ->
         tx.compile(tx.System(rates={x: u})), objective, nodes=3, substeps=substeps, final_time=1.3, initial={"x": 0.0}
     )
     point, given = (
-        Point({"x": np.zeros(3)}, np.zeros((2, 1)), np.asarray(1.3)),
-        Given({}, {"x": np.zeros(())}, np.ones(2)),
+        Point({"x": np.zeros(3)}, np.zeros((2, 1)), np.array([1.3])),
+        Given({}, {"x": np.zeros(())}, np.ones((1, 2))),
     )
     found = quick_jit(problem.shooting.values)(point, given)
     np.testing.assert_allclose(found.cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)

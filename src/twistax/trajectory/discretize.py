@@ -39,7 +39,9 @@ class Controls:
 
     def split(self, u: Any) -> dict[str, Any]:
         """The controls by name from the last axis of an array (..., dimension)."""
-        return {name: u[..., self.slices[name]].reshape(*u.shape[:-1], *shape) for name, shape in self._shapes.items()}
+        return {
+            name: u[..., self.slices[name]].reshape((*u.shape[:-1], *shape)) for name, shape in self._shapes.items()
+        }
 
     def join(self, u: Mapping[str, Any], dtype: Any) -> jax.Array:
         """The flat vector; a control that nothing reads may be missing and counts as zero."""

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .interior_point import InteriorPoint, State, largest
+from .interior_point import InteriorPoint, State, in_units, largest
 from .riccati import Rows, Stages, along_rows, factorize, solve
-from .shooting import Derivatives, Given, Point, Step, Values
+from .shooting import Derivatives, Given, Point, Values
 
 FIRST_DAMPING = 1e-2
 _LEAST_DAMPING = 1e-10
@@ -75,8 +75,7 @@ def reduce(solver: InteriorPoint, search: Search, state: State, slopes: Derivati
     expected = search.size - 0.5 * sum((a**2).sum() for a in (found.dynamics, left.inner, left.end))
     step = found.step
     share = solver.in_chart(step, state._replace(point=search.point))
-    natural = Step(share * step.d * scales.d, share * step.u * scales.u, share * step.time * scales.time)
-    point = solver.move(search.point, natural)
+    point = solver.move(search.point, in_units(step, scales, share))
     raw = solver.values(point, given)
     size, worst = _size(solver, solver.scaled(raw, scales))
     fall = search.size - size

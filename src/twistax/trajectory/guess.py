@@ -28,11 +28,10 @@ def user_guess(
         name = name_of(key)
         if name not in leaves:
             raise ModelError(f"guess names {name!r}; the system has: {listed(leaves, name)}")
-        array, leaf, length = reals(f"guess[{name!r}]", value, ModelError), leaves[name], lengths[name]
-        if array.shape not in (leaf.shape, (length, *leaf.shape)):
-            raise ShapeError(
-                f"guess[{name!r}] expects shape {leaf.shape} or {(length, *leaf.shape)}, got {array.shape}"
-            )
+        array, leaf = reals(f"guess[{name!r}]", value, ModelError), leaves[name]
+        shapes = [leaf.shape, *([(lengths[name], *leaf.shape)] if name in lengths else [])]
+        if array.shape not in shapes:
+            raise ShapeError(f"guess[{name!r}] expects shape {' or '.join(map(str, shapes))}, got {array.shape}")
         if not np.isfinite(array).all():
             raise ModelError(f"guess[{name!r}] expects finite numbers, got {short(array)}")
         found[name] = array

@@ -36,8 +36,9 @@ _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-20, 1e40
 _FASTER, _FAST, _SLOW = 100.0, 8.0, 1.0 / 3.0
 #: Equations other than the dynamics hold to this times the change of their multipliers.
 _EQUALITY = 1e-8
-#: The largest turn of a step, rad, and its largest change of the final time, relative: beyond them nothing is linear.
-_LARGEST_TURN, _LARGEST_CHANGE = 1.5, 0.5
+#: The largest turn of a step, rad, its largest change of a duration, relative, and of a parameter, relative or in its
+#: scale: beyond them nothing is linear.
+_LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH = 1.5, 0.5, 2.0
 #: The least first slack.
 _FIRST_SLACK = 1e-2
 _FILTER = 128
@@ -46,9 +47,9 @@ _FILTER = 128
 class Scales(NamedTuple):
     """Sizes by which unknowns, rows and the objective are divided."""
 
-    d: Any  # (1, n)
-    u: Any  # (1, m)
-    time: Any  # (1,)
+    d: Any  # (nodes, n)
+    u: Any  # (intervals, m)
+    border: Any  # (g,)
     rows: Any  # (rows,)
     cost: Any
 
@@ -125,7 +126,7 @@ class InteriorPoint:
     def __init__(self, shooting: Shooting, tolerance: float) -> None:
         self._shooting = shooting
         self.exists, self.move, self.values = shooting.exists, shooting.move, shooting.values
-        self.free_start = np.concatenate([shooting.free.d[0], shooting.free.time])
+        self.free_start = np.concatenate([shooting.free.d[0], shooting.free.border])
         self.inequality = shooting.exists & ~shooting.equality
         self.equality = shooting.exists & shooting.equality
         self._least_barrier = 0.1 * tolerance / max(1, int(self.inequality.sum()))
@@ -139,22 +140,22 @@ class InteriorPoint:
     def scaled(self, values: Values, scales: Scales) -> Values:
         rows = jnp.where(self._shooting.exists, values.rows / scales.rows, 0.0)
         rows = rows - self._room
-        return Values(values.cost / scales.cost, values.defects / scales.d, rows)
+        return Values(values.cost / scales.cost, values.defects / scales.d[1:], rows)
 
     def derivatives(self, state: State, given: Given) -> Derivatives:
         """The scaled derivatives, second ones with the multipliers of the state."""
         s = state.scales
-        y, w = state.dynamics * s.cost / s.d, state.rows * s.cost / s.rows
+        y, w = state.dynamics * s.cost / s.d[1:], state.rows * s.cost / s.rows
         raw = self._shooting.derivatives(state.point, y, jnp.where(self._shooting.exists, w, 0.0), given)
-        z, end = jnp.concatenate([s.d[0], s.u[0], s.time]), jnp.concatenate([s.d[0], s.time])
+        z, end = of_stages(Step(s.d, s.u, s.border))
         rows, exists = self.split(s.rows), self.split(jnp.asarray(self.exists))
         return Derivatives(
-            raw.defects * z[None, None] / s.d[:, :, None],
-            _kept(exists.inner[..., None], raw.rows * z[None, None] / rows.inner[..., None]),
+            raw.defects * z[:, None] / s.d[1:, :, None],
+            _kept(exists.inner[..., None], raw.rows * z[:, None] / rows.inner[..., None]),
             _kept(exists.end[:, None], raw.end_rows * end[None] / rows.end[:, None]),
-            raw.gradient * z[None] / s.cost,
+            raw.gradient * z / s.cost,
             raw.end_gradient * end / s.cost,
-            raw.hessian * (z[:, None] * z[None])[None] / s.cost,
+            raw.hessian * (z[:, :, None] * z[:, None]) / s.cost,
             raw.end_hessian * (end[:, None] * end[None]) / s.cost,
         )
 
@@ -174,7 +175,7 @@ class InteriorPoint:
         inner = slopes.gradient + jnp.einsum("kn,kna->ka", y, slopes.defects)
         inner = inner + jnp.einsum("kr,kra->ka", rows.inner, slopes.rows)
         end = slopes.end_gradient + rows.end @ slopes.end_rows
-        whole = to_step(inner, end, self._shooting.m)
+        whole = to_step(inner, end, self._shooting.n)
         whole = whole._replace(d=whole.d.at[1:].add(-y))
         return jax.tree.map(lambda a, free: jnp.where(free, a, 0.0), whole, self._shooting.free)
 
@@ -232,7 +233,7 @@ class InteriorPoint:
         slack = jnp.where(self.inequality, jnp.maximum(slack, -values.rows), 1.0)
         return state._replace(
             slack=slack,
-            dynamics=state.dynamics * cost * scales.d / old.d,
+            dynamics=state.dynamics * cost * scales.d[1:] / old.d[1:],
             rows=state.rows * cost / ratio,
             barrier=state.barrier * cost,
             scales=scales,
@@ -337,7 +338,7 @@ class InteriorPoint:
 
         def trial(share: jax.Array, way: _Direction) -> _Trial:
             step = way.step
-            natural = Step(share * step.d * scales.d, share * step.u * scales.u, share * step.time * scales.time)
+            natural = in_units(step, scales, share)
             point = self.move(state.point, natural)
             raw = self.values(point, given)
             found = self.scaled(raw, scales)
@@ -437,11 +438,19 @@ class InteriorPoint:
         return stages(damping), factors
 
     def in_chart(self, step: Step, state: Any) -> jax.Array:
-        """The largest share of a step that turns nothing by more than 1.5 rad and changes the final time by half."""
+        """The largest share of a step that keeps turns, and changes of durations and of parameters, small enough."""
         scales = state.scales
         turn = jnp.abs(step.d * scales.d)[:, self._shooting.turns].max(initial=0.0) / _LARGEST_TURN
-        time = jnp.abs(step.time * scales.time)[0] / (_LARGEST_CHANGE * state.point.final_time)
-        return jnp.minimum(1.0, 1.0 / jnp.maximum(jnp.maximum(turn, time), 1e-300))
+        size = jnp.abs(state.point.border)
+        is_time = jnp.arange(len(size)) < self._shooting.border.phases
+        most = jnp.where(is_time, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
+        change = jnp.abs(step.border * scales.border) / most
+        return jnp.minimum(1.0, 1.0 / jnp.maximum(jnp.maximum(turn, change.max()), 1e-300))
+
+
+def in_units(step: Step, scales: Scales, share: jax.Array) -> Step:
+    """A share of a step in the problem's units."""
+    return Step(share * step.d * scales.d, share * step.u * scales.u, share * step.border * scales.border)
 
 
 def largest(parts: Any) -> jax.Array:

@@ -19,6 +19,7 @@ from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..system import name_of
+from .border import Border, boxes_of
 from .cones import norm_controls
 from .discretize import method_of
 from .guess import control_guess, state_guess, user_guess
@@ -45,8 +46,10 @@ class Problem:
         initial: values by state or name, on top of the leaves' own; NaN or None entries are free.
         final: values likewise, or constraints on the final node such as `g[:3, 3] == 0`, or a list of both.
         params: values of the parameters, the objective's too; those left out take their own.
+        free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
+            of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
-            (controls).
+            (controls). A free parameter starts here, else at its value, or at the point of its box nearest to that.
         final_time_guess: where a free final time starts; the middle of its limits unless given.
         method: an RKMK method with an explicit tableau; RK4 if left out. An interval is integrated in exponential
             coordinates about its first node.
@@ -69,6 +72,7 @@ class Problem:
         initial: Mapping[Any, Any] | None = None,
         final: Any = None,
         params: Mapping[str, Any] | None = None,
+        free: Any = None,
         guess: Mapping[Any, Any] | None = None,
         final_time_guess: Any = None,
         method: RKMK | None = None,
@@ -86,17 +90,15 @@ class Problem:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)
         self.dynamics, self.nodes = dynamics, int(nodes)
         self.objective: Objective = objective
-        self.time_limits, self._time_guess = _times(final_time, final_time_guess)
+        time_limits, self._time_guess = _times(final_time, final_time_guess)
         values, constraints = split_final(final)
         self.ends = ends_of(dynamics.states, initial, values)
         self.final_rows = final_rows(dynamics, constraints)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
-        self._guess = user_guess(guess, self._leaves, self._lengths)
         self.method, self.substeps = method_of(method), int(substeps)
         self.norms = norm_controls(objective.running, objective.sign)
-        self.path = describe_path(dynamics, self.norms)
         exprs = [e for e in (objective.final, objective.running, *self.final_rows.residuals) if e is not None]
         known = {leaf.name for leaf in dynamics.parameters}
         #: Parameters that the system does not have.
@@ -106,8 +108,21 @@ class Problem:
             for leaf in leaves_of(expr)
             if isinstance(leaf, Parameter) and leaf.name not in known
         }
+        reads, seen = dynamics._functions.reads, {leaf.name for expr in exprs for leaf in leaves_of(expr)}
+        seen |= reads["rates"] | reads["constraints"]
+        readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
+        baked = {leaf.name for leaf in dynamics.system.parameters} - known
+        self.border = Border(("final time",), np.array([time_limits]), boxes_of(free, readable, baked))
+        self.path = describe_path(dynamics, self.norms, {box.name for box in self.border.boxes})
+        self._guess = self._checked(guess)
         self.params = self._prepared(params)
         self._build()
+
+    @property
+    def time_limits(self) -> tuple[float, float]:
+        """Low and high, equal where the final time is fixed."""
+        low, high = self.border.time_limits[0].tolist()
+        return low, high
 
     def _build(self) -> None:
         """What compiles."""
@@ -121,7 +136,7 @@ class Problem:
             norms=self.norms,
             ends=self.ends,
             final=self.final_rows,
-            free_time=self.time_limits[0] < self.time_limits[1],
+            border=self.border,
         )
         self._solvers: dict[float, Solver] = {}
         #: The path rows as users wrote them, at many points.
@@ -164,8 +179,9 @@ class Problem:
             final_time_guess: where a free final time starts.
             guesses: how many tries. Without a seed the first starts from the guess itself.
             seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
-                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time by a
-                sixth of its limits' distance (and stays within them).
+                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
+                parameters by a sixth of their limits' distance (and stay within them), by 0.4 of a scale where those
+                are open.
             callback: called with (iteration, cost, violation) before each step.
             max_iterations: iterations a try may use.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
@@ -189,7 +205,7 @@ class Problem:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
         with jax.enable_x64(True):
             begin = time.perf_counter()
-            plain = self._start(self._guess | user_guess(guess, self._leaves, self._lengths), ends, time_guess)
+            plain = self._start(self._guess | self._checked(guess), ends, own, time_guess)
             given = self._given(ends, own, limits)
             solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
@@ -198,7 +214,7 @@ class Problem:
                 start = plain
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
-                    start = solver.perturbed(plain, given, rng, limits)
+                    start = solver.perturbed(plain, given, rng)
                 outcomes.append(solver.run(start, given, max_iterations, report))
             done = time.perf_counter()
         return best_result(self, outcomes, own, tolerance, compiled - begin, done - compiled)
@@ -219,7 +235,7 @@ class Problem:
         for _ in range(2):
             d = np.zeros((self.nodes, shooting.n))
             d[-1] = 0.3 * rng.normal(size=shooting.n)
-            step = Step(d, np.zeros((self.nodes - 1, shooting.m)), np.zeros(1))
+            step = Step(d, np.zeros((self.nodes - 1, shooting.m)), np.zeros(self.border.size))
             found.append(jax.jit(shooting.move)(point, step))
         return found
 
@@ -255,29 +271,34 @@ class Problem:
         if limits is None and guess is None:
             return self.time_limits, self._time_guess
         found = _times(self.time_limits if limits is None else limits, guess)
-        if (found[0][0] < found[0][1]) != (self.time_limits[0] < self.time_limits[1]):
-            kind = "free: (low, high)" if self.time_limits[0] < self.time_limits[1] else "fixed: a number"
+        if (found[0][0] < found[0][1]) != self.border.free[0]:
+            kind = "free: (low, high)" if self.border.free[0] else "fixed: a number"
             raise TrajectoryError(f"solve: final_time expects what the problem has, {kind}, got {limits!r}")
         return found
 
-    def _start(self, given: Mapping[str, Array], ends: Ends, time_guess: float) -> Point:
+    def _checked(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
+        """A guess by name."""
+        return user_guess(guess, self._leaves | {box.name: box for box in self.border.boxes}, self._lengths)
+
+    def _start(self, given: Mapping[str, Array], ends: Ends, params: Mapping[str, Array], time_guess: float) -> Point:
         count = self.nodes - 1
         xs = {
             s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.nodes)
             for s in self.dynamics.states
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
+        border = self.border.start(np.array([time_guess]), params, given)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         return jax.tree.map(
-            jnp.asarray, Point(xs, np.concatenate([*flat, *self._norm_guess(us)], axis=1), np.asarray(time_guess))
+            jnp.asarray, Point(xs, np.concatenate([*flat, *self._norm_guess(us, border)], axis=1), border)
         )
 
-    def _norm_guess(self, us: Mapping[str, Array]) -> list[Array]:
+    def _norm_guess(self, us: Mapping[str, Array], border: Array) -> list[Array]:
         """The bounds on norms in the running cost: a little above the norms of the guess."""
 
         if not self.norms.controls:
             return []
-        params = {name: jnp.asarray(value) for name, value in self.params.items()}
+        params = {name: jnp.asarray(value) for name, value in (self.params | self.border.params(border)).items()}
 
         def norms(u: dict[str, jax.Array]) -> list[jax.Array]:
             inputs = Inputs(jnp.zeros(()), {}, u, params, jnp.zeros(()).dtype)
@@ -296,11 +317,14 @@ class Problem:
             if isinstance(state.group, Euclidean):
                 value = np.nan_to_num(np.zeros(state.shape) if value is None else value)
             final[state.name] = np.asarray(state.group.identity(float)) if value is None else value
-        return jax.tree.map(jnp.asarray, Given(dict(params), final, np.asarray(limits)))
+        return jax.tree.map(jnp.asarray, Given(dict(params), final, np.array([limits, *self.border.limits[1:]])))
 
     def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
         """All parameters as double-precision arrays, those of the objective and the final conditions too; checked."""
-        given = dict(params or {})
+        valued = {leaf.name for leaf in (*self.dynamics.parameters, *self._own.values()) if leaf.value is not None}
+        # A free parameter without a value starts in the middle of its box.
+        middle = {box.name: control_guess(box, None, 1)[0] for box in self.border.boxes if box.name not in valued}
+        given = middle | dict(params or {})
         own = {name: given.pop(name) for name in self._own if name in given}
         with jax.enable_x64(True):
             zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
@@ -309,6 +333,10 @@ class Problem:
             inputs = self.dynamics._functions.prepare(0.0, zeros_x, zeros_u, given or None, reads=families)
             found = {name: np.asarray(value) for name, value in inputs.params.items()}
         for name, leaf in self._own.items():
+            if name not in own and leaf.value is None:
+                raise InputError(
+                    f"the problem reads the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
+                )
             found[name] = reals(f"params[{name!r}]", own.get(name, leaf.value), InputError)
             if found[name].shape != leaf.shape:
                 raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")

@@ -68,7 +68,7 @@ class TrajectoryResult:
         status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
         iterations: steps of the solver in the try that gave this result.
         tries: one line (status, cost, violation, iterations) for every guess.
-        params: the parameters it was solved for.
+        params: the parameters it was solved for, and those that were found.
         compile_seconds, solve_seconds: wall time.
     """
 
@@ -172,7 +172,10 @@ def best_result(
         return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
 
     best = min(outcomes, key=rank)
-    point, final_time = best.point, float(best.point.final_time)
+    point, final_time = best.point, float(best.point.border[0])
+    params = params | {
+        name: np.asarray(value) for name, value in problem.border.params(np.asarray(point.border)).items()
+    }
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
     with jax.enable_x64(True):
         violations = _violations(problem, best, params)
@@ -219,7 +222,7 @@ def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) ->
     defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
     found = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
     if path.shown:
-        ts = np.linspace(0.0, float(point.final_time), problem.nodes)
+        ts = np.linspace(0.0, float(point.border[0]), problem.nodes)
         held = shooting.local.controls.split(np.asarray(point.us))
         ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
         sizes = [
@@ -229,7 +232,7 @@ def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) ->
         found |= largest_by_name(path.shown, np.maximum(*sizes))
     inner = shooting.intervals * shooting.rows_per_interval
     last = violations(np.asarray(outcome.values.rows)[inner:], shooting.equality[inner:])
-    at_end = np.array([name.startswith("final") for name in shooting.names[inner:]], bool) & shooting.own[inner:]
+    at_end = shooting.own[inner:]
     return found | largest_by_name([str(name) for name in shooting.names[inner:][at_end]], last[at_end])
 
 

@@ -1,12 +1,13 @@
 """The Newton equations of a problem in stages, factored from the last stage to the first.
 
-The step (d, u, time) minimises
+The step (d, u, b) minimises
 
-    sum over stages  z'H z / 2 + a'z + sum over rows  weight (J z + r)^2 / 2,   z_k = [d_k, u_k, time],
+    sum over stages  z'H z / 2 + a'z + sum over rows  weight (J z + r)^2 / 2,   z_k = [d_k, u_k, b],
 
-subject to d_(k+1) = F z_k + c_k. The dynamics may be softened: a slack e costs e^2 / (2 soft). The value of what
-follows a node is quadratic in (d, time). A Riccati recursion carries it back, so the work grows with the number of
-stages, and the equations have the inertia of a minimum exactly if every Cholesky factor exists.
+subject to d_(k+1) = F z_k + c_k; the border b (g,) is shared by all stages. The dynamics may be softened: a slack e
+costs e^2 / (2 soft). The value of what follows a node is quadratic in (d, b). A Riccati recursion carries it back, so
+the work grows with the number of stages, and the equations have the inertia of a minimum exactly if every Cholesky
+factor exists.
 Source: Rao, Wright, Rawlings, Application of interior-point methods to model predictive control (1998), section 3.
 """
 
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_solve
 
 from .shooting import Derivatives, Step
@@ -38,17 +40,17 @@ class Stages(NamedTuple):
     weights: Rows
     damping: Any
     soft: Any
-    free_start: Any  # (n + 1,) of [d_0, time]: bool
+    free_start: Any  # (n + g,) of [d_0, b]: bool
 
 
 class Factors(NamedTuple):
     """The factors of the equations; `exist` says whether all of them do, and so whether there is a minimum."""
 
-    gains: Any  # (intervals, m, n + 1)
+    gains: Any  # (intervals, m, n + g)
     controls: Any  # (intervals, m, m) Cholesky factors
-    costs: Any  # (intervals, n + 1, n + 1) softened cost of what follows
+    costs: Any  # (intervals, n + g, n + g) softened cost of what follows
     softening: Any  # (intervals, n, n) Cholesky factors of I + soft P
-    start: Any  # (n + 1, n + 1) Cholesky factor
+    start: Any  # (n + g, n + g) Cholesky factor
     exist: Any
 
 
@@ -63,13 +65,12 @@ class Solution(NamedTuple):
 def factorize(stages: Stages) -> Factors:
     """Factor from the end to the start."""
     slopes, weights, soft = stages.slopes, stages.weights, stages.soft
-    n, size = slopes.defects.shape[1:]
-    m = size - n - 1
-    outer, inner = _indices(n, m)
+    n, m, g = _sizes(slopes)
+    outer, inner = _indices(n, m, g)
     end = slopes.end_hessian + (slopes.end_rows.T * weights.end[None]) @ slopes.end_rows
-    end = end + stages.damping * jnp.eye(n + 1, dtype=end.dtype)
+    end = end + stages.damping * jnp.eye(n + g, dtype=end.dtype)
     condensed = slopes.hessian + jnp.einsum("kra,kr,krb->kab", slopes.rows, weights.inner, slopes.rows)
-    lift = jnp.concatenate([jnp.ones(n + m, end.dtype), jnp.zeros(1, end.dtype)])
+    lift = jnp.repeat(jnp.array([1.0, 0.0], end.dtype), np.array([n + m, g]))
     condensed = condensed + stages.damping * jnp.diag(lift)[None]
 
     def back(cost: jax.Array, stage: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, Any]:
@@ -85,7 +86,7 @@ def factorize(stages: Stages) -> Factors:
 
     first, (gains, controls, costs, softening) = jax.lax.scan(back, end, (condensed, slopes.defects), reverse=True)
     free = stages.free_start
-    start = jnp.linalg.cholesky(jnp.where(free[:, None] & free[None, :], first, jnp.eye(n + 1, dtype=first.dtype)))
+    start = jnp.linalg.cholesky(jnp.where(free[:, None] & free[None, :], first, jnp.eye(n + g, dtype=first.dtype)))
     exist = jnp.isfinite(controls).all() & jnp.isfinite(start).all() & jnp.isfinite(softening).all()
     return Factors(gains, controls, costs, softening, start, exist)
 
@@ -93,11 +94,10 @@ def factorize(stages: Stages) -> Factors:
 def solve(
     stages: Stages, factors: Factors, pull: jax.Array, end_pull: jax.Array, defects: jax.Array, rows: Rows
 ) -> Solution:
-    """The step for the linear terms a (intervals, n + m + 1) and (n + 1,), the constants c, and the constants r."""
+    """The step for the linear terms a (intervals, n + m + g) and (n + g,), the constants c, and the constants r."""
     slopes, weights, soft = stages.slopes, stages.weights, stages.soft
-    n, size = slopes.defects.shape[1:]
-    m = size - n - 1
-    outer, inner = _indices(n, m)
+    n, m, g = _sizes(slopes)
+    outer, inner = _indices(n, m, g)
     pull = pull + jnp.einsum("kra,kr->ka", slopes.rows, weights.inner * rows.inner)
     end_pull = end_pull + slopes.end_rows.T @ (weights.end * rows.end)
 
@@ -119,19 +119,19 @@ def solve(
     )
     free = stages.free_start
     begin = -cho_solve((factors.start, True), jnp.where(free, tilt, 0.0))
-    time = begin[n:]
+    border = begin[n:]
 
     def ahead(d: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
         dynamics, constant, gains, push, cost, tilt = stage
-        u = gains @ jnp.concatenate([d, time]) + push
-        reached = dynamics @ jnp.concatenate([d, u, time]) + constant
-        multipliers = (cost @ jnp.concatenate([reached, time]) + tilt)[:n]
+        u = gains @ jnp.concatenate([d, border]) + push
+        reached = dynamics @ jnp.concatenate([d, u, border]) + constant
+        multipliers = (cost @ jnp.concatenate([reached, border]) + tilt)[:n]
         return reached - soft * multipliers, (d, u, multipliers)
 
     last, (ds, us, multipliers) = jax.lax.scan(
         ahead, begin[:n], (slopes.defects, defects, factors.gains, pushes, factors.costs, softer)
     )
-    step = Step(jnp.concatenate([ds, last[None]]), us, time)
+    step = Step(jnp.concatenate([ds, last[None]]), us, border)
     moved = along_rows(slopes, step)
     grown = Rows(weights.inner * (moved.inner + rows.inner), weights.end * (moved.end + rows.end))
     return Solution(step, multipliers, grown)
@@ -140,9 +140,10 @@ def solve(
 def refined(stages: Stages, factors: Factors, defects: jax.Array, rows: Rows) -> Solution:
     """The solution for the gradient of the stages' costs, with whole multipliers, refined against rounding."""
     slopes = stages.slopes
-    count, n, size = slopes.defects.shape
+    count = len(slopes.defects)
+    n, m, g = _sizes(slopes)
     zero = Solution(
-        Step(jnp.zeros((count + 1, n)), jnp.zeros((count, size - n - 1)), jnp.zeros(1)),
+        Step(jnp.zeros((count + 1, n)), jnp.zeros((count, m)), jnp.zeros(g)),
         jnp.zeros_like(defects),
         jax.tree.map(jnp.zeros_like, rows),
     )
@@ -158,11 +159,11 @@ def _correction(stages: Stages, factors: Factors, found: Solution, defects: jax.
     slopes, weights = stages.slopes, stages.weights
     z, end = of_stages(found.step)
     moved = along_rows(slopes, found.step)
-    lift = jnp.concatenate([jnp.ones(z.shape[1] - 1, z.dtype), jnp.zeros(1, z.dtype)])
+    n, m, g = _sizes(slopes)
+    lift = jnp.repeat(jnp.array([1.0, 0.0], z.dtype), np.array([n + m, g]))
     inner = slopes.gradient + jnp.einsum("kab,kb->ka", slopes.hessian, z) + stages.damping * lift[None] * z
     inner = inner + jnp.einsum("kn,kna->ka", found.dynamics, slopes.defects)
     inner = inner + jnp.einsum("kr,kra->ka", found.rows.inner, slopes.rows)
-    n = slopes.defects.shape[1]
     inner = inner.at[1:, :n].add(-found.dynamics[:-1])
     last = slopes.end_gradient + slopes.end_hessian @ end + stages.damping * end + found.rows.end @ slopes.end_rows
     last = last.at[:n].add(-found.dynamics[-1])
@@ -185,27 +186,32 @@ def along_rows(slopes: Derivatives, step: Step) -> Rows:
 
 
 def of_stages(step: Step) -> tuple[jax.Array, jax.Array]:
-    """z_k = [d_k, u_k, time] (intervals, n + m + 1), and [d, time] of the end."""
-    times = jnp.broadcast_to(step.time[None], (step.u.shape[0], 1))
-    return jnp.concatenate([step.d[:-1], step.u, times], axis=1), jnp.concatenate([step.d[-1], step.time])
+    """z_k = [d_k, u_k, b] (intervals, n + m + g), and [d, b] of the end."""
+    borders = jnp.broadcast_to(step.border, (step.u.shape[0], *step.border.shape))
+    return jnp.concatenate([step.d[:-1], step.u, borders], axis=1), jnp.concatenate([step.d[-1], step.border])
 
 
-def to_step(inner: jax.Array, end: jax.Array, m: int) -> Step:
+def to_step(inner: jax.Array, end: jax.Array, n: int) -> Step:
     """The sum of the stages' contributions to every unknown; adjoint of `of_stages`."""
-    n = inner.shape[1] - m - 1
-    return Step(
-        jnp.concatenate([inner[:, :n], end[None, :n]]), inner[:, n : n + m], inner[:, -1:].sum(axis=0) + end[n:]
-    )
+    d, u, border = jnp.split(inner, [n, inner.shape[1] - len(end) + n], axis=1)
+    return Step(jnp.concatenate([d, end[None, :n]]), u, border.sum(axis=0) + end[n:])
 
 
 def _lifted(cost: jax.Array, dynamics: jax.Array) -> jax.Array:
-    """The cost of what follows in terms of [d, u, time]."""
+    """The cost of what follows in terms of [d, u, b]."""
     n = dynamics.shape[0]
+    own = dynamics.shape[1] - cost.shape[0] + n
     corner = dynamics.T @ cost[:n, n:]
     whole = dynamics.T @ cost[:n, :n] @ dynamics
-    return whole.at[:, -1:].add(corner).at[-1:].add(corner.T).at[-1:, -1:].add(cost[n:, n:])
+    return whole.at[:, own:].add(corner).at[own:].add(corner.T).at[own:, own:].add(cost[n:, n:])
 
 
-def _indices(n: int, m: int) -> tuple[Any, Any]:
-    """Where [d, time] and u sit in [d, u, time]."""
-    return jnp.array([*range(n), n + m]), jnp.arange(n, n + m)
+def _sizes(slopes: Derivatives) -> tuple[int, int, int]:
+    """n, m and g."""
+    n, g = slopes.defects.shape[1], slopes.end_gradient.shape[0] - slopes.defects.shape[1]
+    return n, slopes.defects.shape[2] - n - g, g
+
+
+def _indices(n: int, m: int, g: int) -> tuple[Any, Any]:
+    """Where [d, b] and u sit in [d, u, b]."""
+    return np.array([*range(n), *range(n + m, n + m + g)]), np.arange(n, n + m)

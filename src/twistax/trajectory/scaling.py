@@ -12,8 +12,10 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..groups import Euclidean, SpecialEuclidean
+from .border import Border
 from .interior_point import Scales
-from .shooting import Derivatives, Point, Shooting
+from .riccati import of_stages
+from .shooting import Derivatives, Point, Shooting, Step
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -23,14 +25,13 @@ _CONSTANT = 0.1
 _NOTHING = 1e-4
 #: Scales stay above this share of what they were.
 _SMALL = 1e-6
-_FLOORED = ("d", "u", "time", "cost")
+_FLOORED = ("d", "u", "border", "cost")
 
 
 def unit_scales(shooting: Shooting) -> Scales:
     """Scales of 1."""
-    return Scales(
-        np.ones((1, shooting.n)), np.ones((1, shooting.m)), np.ones(1), np.ones(len(shooting.exists)), np.ones(())
-    )
+    free = shooting.free
+    return Scales(*map(np.ones, (*(a.shape for a in free), len(shooting.exists), ())))
 
 
 def measured(
@@ -39,33 +40,56 @@ def measured(
     """Scales at a point, from the derivatives there, taken in other scales; and whether the objective has slopes.
 
     States and controls count with half the spread of their values along the trajectory, or with what the leaf
-    declares. What does not move yet gets a size from what it moves, or from what moves it. Rows are divided by
+    declares. What does not move yet gets a size from what it moves, or from what moves it. Durations count as they
+    are, parameters with what changes states and rows as much as these sizes do. Rows are divided by
     their slope, the objective by what steps of these sizes do to it.
     """
-    before, end_before = (
-        np.concatenate([np.asarray(a) for a in own])
-        for own in ((scales.d[0], scales.u[0], scales.time), (scales.d[0], scales.time))
-    )
+    unit = Scales(*map(np.asarray, scales))
+    before, end_before = (np.asarray(a) for a in of_stages(Step(unit.d, unit.u, unit.border)))
     d, u = _spreads(shooting, leaves, point)
-    time = np.array([float(point.final_time)])
-    reach = np.abs(np.asarray(slopes.defects)) * np.asarray(scales.d)[0][:, None] / before
-    d, u = _completed(shooting, leaves, d, u, reach)
-    z, end = np.concatenate([d, u, time]) / before, np.concatenate([d, time]) / end_before
-    inner = np.abs(np.asarray(slopes.rows)) @ z
-    sizes = np.concatenate([inner.ravel(), np.abs(np.asarray(slopes.end_rows)) @ end]) * np.asarray(scales.rows)
+    reach = np.abs(np.asarray(slopes.defects)) * unit.d[1:, :, None] / before[:, None]
+    inner_slopes = np.abs(np.asarray(slopes.rows)) / before[:, None]
+    end_slopes = np.abs(np.asarray(slopes.end_rows)) / end_before
+    own = len(d) + len(u)
+    d, u = _completed(shooting, leaves, d, u, reach[:, :, :own].max(axis=0))
+    rows = shooting.intervals * reach.max(axis=0), inner_slopes.max(axis=0), end_slopes
+    border = _border(shooting.border, np.asarray(point.border), d, u, rows)
+    z, end = np.concatenate([d, u, border]), np.concatenate([d, border])
+    inner = inner_slopes @ z
+    sizes = np.concatenate([inner.ravel(), end_slopes @ end]) * unit.rows
     count = inner.size
     most = sizes[:count].reshape(inner.shape).max(axis=0, initial=0.0)
     sizes[:count] = np.broadcast_to(most, inner.shape).ravel()
-    gradient = (np.abs(np.asarray(slopes.gradient)) @ z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
-    cost = float(gradient) * float(scales.cost)
-    old, sloped = np.asarray(scales.rows), bool(np.isfinite(cost)) and cost > 0.0
+    gradient = (np.abs(np.asarray(slopes.gradient)) / before @ z).sum()
+    cost = float(gradient + np.abs(np.asarray(slopes.end_gradient)) / end_before @ end) * float(unit.cost)
+    sloped = bool(np.isfinite(cost)) and cost > 0.0
     return Scales(
-        d[None],
-        u[None],
-        time,
-        np.where(sizes > 0.0, sizes, old),
-        np.array(cost if sloped else scales.cost),
+        np.tile(d, (shooting.nodes, 1)),
+        np.tile(u, (shooting.intervals, 1)),
+        border,
+        np.where(sizes > 0.0, sizes, unit.rows),
+        np.array(cost if sloped else unit.cost),
     ), sloped
+
+
+def _border(border: Border, values: Array, d: Array, u: Array, slopes: tuple[Array, Array, Array]) -> Array:
+    """Sizes of durations and parameters, as `measured` says; where nothing is known the value, the limits, 1."""
+    count, (gaps, inner, end) = border.phases, slopes
+    times = np.abs(values[:count])
+    found = np.full(border.size - count, np.inf)
+    for rows, others in ((gaps, d), (inner, _moved(inner, [*d, *u, *times])), (end, _moved(end, [*d, *times]))):
+        by, size = rows[:, len(rows[0]) - len(found) :] if len(rows) else np.zeros((0, len(found))), others[:, None]
+        known = (by > 0.0) & (size > 0.0)
+        found = np.minimum(found, np.divide(size, by, out=np.full_like(by, np.inf), where=known).min(0, initial=np.inf))
+    limits = np.concatenate([np.zeros(0), *map(_from_limits, border.boxes)])
+    for known in (np.abs(values[count:]), limits, np.ones_like(found)):
+        found = np.where(np.isfinite(found) & (found > 0.0), found, known)
+    return np.concatenate([times, found])
+
+
+def _moved(slopes: Array, sizes: Sequence[float]) -> Array:
+    """How far steps of these sizes, of the first unknowns, move rows."""
+    return slopes[:, : len(sizes)] @ np.asarray(sizes)
 
 
 def declared(leaves: Sequence[State | Control]) -> Array:
@@ -132,10 +156,13 @@ def _moving(spread: Array, values: Array) -> Array:
 def _completed(
     shooting: Shooting, leaves: Mapping[str, State | Control], d: Array, u: Array, slopes: Array
 ) -> tuple[Array, Array]:
-    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1."""
+    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1.
+
+    Slopes are the largest of the dynamics, (n, n + m).
+    """
     n = shooting.n
     sizes = np.concatenate([d, u])
-    reach = shooting.intervals * slopes[:, :, :-1].max(axis=0)  # (n, n + m)
+    reach = shooting.intervals * slopes
     reach[np.arange(n), np.arange(n)] = 0.0
     limits = np.concatenate([_from_limits(leaf) for leaf in leaves.values()])
     for known in (None, limits, np.ones_like(sizes)):

@@ -1,14 +1,15 @@
 """Multiple shooting in the tangent space: values, first and second derivatives of a discrete problem.
 
-The unknowns are a step z = (d_0, du_0, ..., d_(K-1), du_(K-1), d_K, dT) away from the nodes x_k, held controls u_k and
-final time T; nodes move by x_k (+) d_k, so the chart is re-based at every iterate. Interval k is integrated in
-exponential coordinates about x_k, in time made dimensionless by T, by an explicit Runge-Kutta method. It gives
+The unknowns are a step z = (d_0, du_0, ..., d_(K-1), du_(K-1), d_K, db) away from the nodes x_k, held controls u_k, and
+the border b, which has the final time T and free parameters; nodes move by x_k (+) d_k, so the chart is re-based at
+every iterate. Interval k is integrated in exponential coordinates about x_k, in time made dimensionless by T, by an
+explicit Runge-Kutta method. It gives
 
-    F_k(d_k, du_k, dT) = Log(x_(k+1)^-1 x_k Exp(eta_k)),   and the dynamics say d_(k+1) = F_k,
+    F_k(d_k, du_k, db) = Log(x_(k+1)^-1 x_k Exp(eta_k)),   and the dynamics say d_(k+1) = F_k,
 
 the rows of constraints at the ends of its substeps, and its share of the running cost by a rule of quadrature.
 Second derivatives of sum y.F + w.rows + cost follow from the adjoints of the stages: every stage adds G' M G, with M
-the second derivative of the rates weighted by its adjoint and G its sensitivity to (d, du, dT).
+the second derivative of the rates weighted by its adjoint and G its sensitivity to (d, du, db).
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from .border import Border
 from .cones import NormControls
 from .local import Local
 from .statement import Ends, FinalRows, Objective, PathRows, Reads
 
 
 class Point(NamedTuple):
-    """Where an optimisation stands: states (nodes, ...), flat controls (nodes - 1, m), final time."""
+    """Where an optimisation stands: states (nodes, ...), flat controls (nodes - 1, m), border (g,)."""
 
     xs: Any
     us: Any
-    final_time: Any
+    border: Any
 
 
 class Given(NamedTuple):
@@ -43,7 +45,7 @@ class Given(NamedTuple):
 
     params: Any
     final: Any  # states at the end; entries that are free stand for nothing
-    time_limits: Any  # (2,)
+    limits: Any  # (g, 2) of the border
 
 
 class Step(NamedTuple):
@@ -51,7 +53,7 @@ class Step(NamedTuple):
 
     d: Any  # (nodes, n)
     u: Any  # (intervals, m)
-    time: Any  # (1,)
+    border: Any  # (g,)
 
 
 class Values(NamedTuple):
@@ -63,15 +65,15 @@ class Values(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """Derivatives at a point, by z_k = [d_k, du_k, dT] of each interval and z_K = [d_K, dT] of the end."""
+    """Derivatives at a point, by z_k = [d_k, du_k, db] of each interval and z_K = [d_K, db] of the end."""
 
-    defects: Any  # (intervals, n, n + m + 1)
-    rows: Any  # (intervals, R, n + m + 1)
-    end_rows: Any  # (R_end, n + 1)
-    gradient: Any  # (intervals, n + m + 1) of the cost
-    end_gradient: Any  # (n + 1,)
-    hessian: Any  # (intervals, n + m + 1, n + m + 1) of cost + y.defects + w.rows
-    end_hessian: Any  # (n + 1, n + 1)
+    defects: Any  # (intervals, n, n + m + g)
+    rows: Any  # (intervals, R, n + m + g)
+    end_rows: Any  # (R_end, n + g)
+    gradient: Any  # (intervals, n + m + g) of the cost
+    end_gradient: Any  # (n + g,)
+    hessian: Any  # (intervals, n + m + g, n + m + g) of cost + y.defects + w.rows
+    end_hessian: Any  # (n + g, n + g)
 
 
 class Shooting:
@@ -97,21 +99,22 @@ class Shooting:
         norms: NormControls,
         ends: Ends,
         final: FinalRows,
-        free_time: bool,
+        border: Border,
     ) -> None:
         self.dynamics, self.nodes, self.substeps = dynamics, nodes, substeps
         self.intervals = nodes - 1
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
-        self.size = self.n + self.m + 1
+        self.border = border
+        self.size = self.n + self.m + border.size
         tableau = method.tableau
         self._a, self._c = tableau.counted
         self._b = tableau.b[: len(self._c)]
         self._weights = _weights(substeps)
         self.turns = _turns(dynamics)
-        self._describe(path, ends, final, free_time)
+        self._describe(path, ends, final)
 
-    def _describe(self, path: PathRows, ends: Ends, final: FinalRows, free_time: bool) -> None:
+    def _describe(self, path: PathRows, ends: Ends, final: FinalRows) -> None:
         """Which rows there are, and which unknowns may move."""
         count, points, rows = self.intervals, self.substeps + 1, len(path.names)
         asked = path.asked(count, self.substeps)
@@ -120,7 +123,7 @@ class Shooting:
         flat = asked.reshape(count, -1)
         self._row_count = rows
         self._kept = kept = np.flatnonzero(flat.any(axis=0))
-        states = np.flatnonzero([reads is Reads.STATE for reads in path.reads])
+        states = np.flatnonzero([reads in (Reads.STATE, Reads.NOTHING) for reads in path.reads])
         self._end_states = states
         self._fixed = np.flatnonzero(ends.final_mask)
         tangents = [
@@ -128,12 +131,12 @@ class Shooting:
             for name, part in self.dynamics.group.slices.items()
             for i in range(part.stop - part.start)
         ]
-        time = ["final time: lower limit", "final time: upper limit"] if free_time else []
+        limits = self.border.row_names
         end_names = [
             *(f"final: {n}" for n in final.names),
             *(f"final {tangents[i]}" for i in self._fixed),
             *(path.names[i] for i in states),
-            *time,
+            *limits,
         ]
         place = np.array(
             [
@@ -151,18 +154,20 @@ class Shooting:
         place = np.repeat(place.reshape(count, points, 1), rows, axis=2).reshape(count, -1)[:, kept]
         self.names = np.array([*np.tile(np.array(path.names, object)[kept % max(rows, 1)], count), *end_names], object)
         self.places = np.array([*place.ravel(), *[f"at node {count}"] * len(end_names)], object)
-        end_equality = [*final.equality, *[True] * len(self._fixed), *path.equality[states], *[False] * len(time)]
+        end_equality = [*final.equality, *[True] * len(self._fixed), *path.equality[states], *[False] * len(limits)]
         self.equality = np.array([*np.tile(path.equality[kept % max(rows, 1)], count), *end_equality], bool)
         end_decided = np.zeros(len(end_names), bool)
         first = len(final.names) + len(self._fixed)
-        end_decided[first : first + len(states)] = path.decided(ends.final_fixed, not free_time)[states]
-        #: Rows of the end alone: conditions, fixed entries, limits of time.
+        end_decided[first : first + len(states)] = path.decided(
+            ends.final_fixed, not self.border.free[: self.border.phases].any()
+        )[states]
+        #: Rows of the end alone: conditions, fixed entries, limits of the border.
         self.own = np.concatenate(
             [
                 np.zeros(count * len(kept), bool),
                 np.ones(first, bool),
                 np.zeros(len(states), bool),
-                np.ones(len(time), bool),
+                np.ones(len(limits), bool),
             ]
         )
         self.decided = np.concatenate([(decided.reshape(count, -1) & flat)[:, kept].ravel(), end_decided])
@@ -173,8 +178,7 @@ class Shooting:
         self.states = tangents
         free_d = np.ones((self.nodes, self.n), bool)
         free_d[0] = ~ends.initial_mask
-        self.free = Step(free_d, np.ones((count, self.m), bool), np.array([free_time]))
-        self._free_time = free_time
+        self.free = Step(free_d, np.ones((count, self.m), bool), self.border.free)
 
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
         """Take path rows out of the end that the equalities there decide: their slopes lie in the span of those.
@@ -185,7 +189,7 @@ class Shooting:
         equality, own = self.equality[inner:], (self.exists & ~self.equality)[inner:]
         if not equality.any() or not own.any():
             return
-        zero = np.zeros(self.n + 1)
+        zero = np.zeros(self.n + self.border.size)
         slopes = jax.jit(jax.jacfwd(lambda z, last, given: self._end_of(last, given, z)[0]))
         pinned = own.copy()
         for point in samples:
@@ -204,7 +208,7 @@ class Shooting:
     def move(self, point: Point, step: Step) -> Point:
         """The point after a step."""
         xs = jax.vmap(self.dynamics.group.retract)(point.xs, step.d)
-        return Point(xs, point.us + step.u, point.final_time + step.time[0])
+        return Point(xs, point.us + step.u, point.border + step.border)
 
     # ---- values -------------------------------------------------------------------------------------------------
 
@@ -212,27 +216,32 @@ class Shooting:
         """Cost, defects and rows at a point."""
         left, right = _sides(point.xs)
         etas, _ = jax.vmap(self._roll, in_axes=(0, 0, 0, None, None))(
-            self._numbers(point), left, point.us, point.final_time, given.params
+            self._numbers(point), left, point.us, point.border, given.params
         )
         rows, density = self._at_points(point, left, etas, given.params)
         defects = jax.vmap(self.local.gap)(etas[:, -1], left, right)
         cost = jnp.sum(density @ jnp.asarray(self._weights, density.dtype)) / self.intervals
-        end_rows, end_cost = self._end_of(self._last(point), given, jnp.zeros(self.n + 1, density.dtype))
+        end_rows, end_cost = self._end_of(self._last(point), given, jnp.zeros(self.n + self.border.size, density.dtype))
         return Values(cost + end_cost, defects, jnp.concatenate([rows.reshape(-1), end_rows]))
 
     def _numbers(self, point: Point) -> jax.Array:
         return jnp.arange(self.intervals, dtype=point.us.dtype)
 
     def _last(self, point: Point) -> tuple[Arrays, jax.Array]:
-        return {name: a[-1] for name, a in point.xs.items()}, point.final_time
+        return {name: a[-1] for name, a in point.xs.items()}, point.border
 
     def _rate(self, share: jax.Array, q: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
-        """d eta / d(t / T) at time share * T, of q = [eta, u, T]."""
-        n, m = self.n, self.m
-        return q[-1] * self.local.rate(share * q[-1], q[:n], q[n : n + m], base, params)
+        """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
+        eta, u, final_time, params = self._parts(q, params)
+        return final_time * self.local.rate(share * final_time, eta, u, base, params)
+
+    def _parts(self, q: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array, jax.Array, Arrays]:
+        """eta, u, the final time, and all parameters."""
+        eta, u, b = jnp.split(q, [self.n, self.n + self.m])
+        return eta, u, b[0], params | self.border.params(b)
 
     def _roll(
-        self, number: jax.Array, base: Arrays, u: jax.Array, final_time: jax.Array, params: Arrays
+        self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays
     ) -> tuple[jax.Array, jax.Array]:
         """eta at the ends of the substeps (S + 1, n), and of all stages (S, s, n)."""
         length = 1.0 / (self.intervals * self.substeps)
@@ -245,15 +254,15 @@ class Shooting:
                 at = eta + sum(length * self._a[i, j] * slopes[j] for j in range(i) if self._a[i, j])
                 own.append(at)
                 time = share + (s + self._c[i]) * length
-                slopes.append(self._rate(time, self._joined(at, u, final_time), base, params))
+                slopes.append(self._rate(time, self._joined(at, u, border), base, params))
             eta = eta + length * (jnp.asarray(self._b, u.dtype) @ jnp.stack(slopes))
             ends.append(eta)
             stages.append(jnp.stack(own))
         return jnp.stack(ends), jnp.stack(stages)
 
     @staticmethod
-    def _joined(eta: jax.Array, u: jax.Array, final_time: jax.Array) -> jax.Array:
-        return jnp.concatenate([eta, u, final_time[None]])
+    def _joined(eta: jax.Array, u: jax.Array, border: jax.Array) -> jax.Array:
+        return jnp.concatenate([eta, u, border])
 
     def _shares(self, number: jax.Array) -> jax.Array:
         """t / T at the ends of the substeps."""
@@ -261,28 +270,27 @@ class Shooting:
 
     def _of_point(self, share: jax.Array, q: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """The path rows, and the running cost times T."""
-        n, m = self.n, self.m
-        rows, density = self.local.point(share * q[-1], q[:n], q[n : n + m], base, params)
-        return rows, q[-1] * density
+        eta, u, final_time, params = self._parts(q, params)
+        rows, density = self.local.point(share * final_time, eta, u, base, params)
+        return rows, final_time * density
 
     def _at_points(self, point: Point, left: Arrays, etas: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """Rows (intervals, R) and T times the running cost (intervals, S + 1)."""
 
         def one(share: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays) -> tuple[jax.Array, jax.Array]:
-            return self._of_point(share, self._joined(eta, u, point.final_time), base, params)
+            return self._of_point(share, self._joined(eta, u, point.border), base, params)
 
         shares = jax.vmap(self._shares)(self._numbers(point))
         rows, density = jax.vmap(jax.vmap(one, in_axes=(0, 0, None, None)))(shares, etas, point.us, left)
         return rows.reshape(self.intervals, -1)[:, self._kept], density
 
     def _end_of(self, last: tuple[Arrays, jax.Array], given: Given, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The rows of the end and the final cost after a step z = [d, dT] of the last node."""
-        base, final_time = last
-        t = final_time + z[-1]
-        conditions, gap, path, cost = self.local.end(t, z[:-1], base, given.final, given.params)
-        limits = [given.time_limits[0] - t, t - given.time_limits[1]] if self._free_time else []
-        parts = [conditions, gap[self._fixed], path[self._end_states]]
-        return jnp.concatenate([*parts, jnp.stack(limits)] if limits else parts), cost
+        """The rows of the end and the final cost after a step z = [d, db] of the last node."""
+        base, b = last[0], last[1] + z[self.n :]
+        params = given.params | self.border.params(b)
+        conditions, gap, path, cost = self.local.end(b[0], z[: self.n], base, given.final, params)
+        limits = self.border.rows(b, given.limits)
+        return jnp.concatenate([conditions, gap[self._fixed], path[self._end_states], limits]), cost
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
@@ -292,11 +300,11 @@ class Shooting:
         split = self.intervals * self.rows_per_interval
         own = w[:split].reshape(self.intervals, -1)
         found = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, 0, 0, None, None))(
-            self._numbers(point), left, point.us, right, y, own, point.final_time, given.params
+            self._numbers(point), left, point.us, right, y, own, point.border, given.params
         )
         defects, rows, gradient, hessian = found
         last = self._last(point)
-        zero = jnp.zeros(self.n + 1, y.dtype)
+        zero = jnp.zeros(self.n + self.border.size, y.dtype)
 
         def weighted(z: jax.Array) -> jax.Array:
             rows, cost = self._end_of(last, given, z)
@@ -314,15 +322,15 @@ class Shooting:
         target: Arrays,
         y: jax.Array,
         w: jax.Array,
-        final_time: jax.Array,
+        border: jax.Array,
         params: Arrays,
     ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Derivatives of F and of the rows, gradient of the cost, second derivative of the weighted sum."""
         n, size, substeps = self.n, self.size, self.substeps
         stages, length = len(self._b), 1.0 / (self.intervals * self.substeps)
         a, b = jnp.asarray(self._a, u.dtype), jnp.asarray(self._b, u.dtype)
-        etas, points = self._roll(number, base, u, final_time, params)
-        join = lambda e: self._joined(e, u, final_time)  # noqa: E731
+        etas, points = self._roll(number, base, u, border, params)
+        join = lambda e: self._joined(e, u, border)  # noqa: E731
 
         # Sensitivities of the stages and of the ends of the substeps to z.
         shares = number / self.intervals + length * (np.arange(substeps)[:, None] + self._c[None, :])

@@ -97,14 +97,16 @@ class Solver:
         slopes = self._derivatives(state, given)
         self._step.lower(self._measured(state, slopes), slopes, given).compile()
 
-    def perturbed(self, point: Point, given: Given, rng: np.random.Generator, limits: Any) -> Point:
-        """A point with every free entry of states, controls and time moved by a random step."""
+    def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
+        """A point with every free entry of states, controls and border moved by a random step."""
         scales, _ = self._first_scales(point, given)
-        free, (low, high) = self._shooting.free, limits
+        free = self._shooting.free
         d = np.where(free.d, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
-        time = np.clip(float(point.final_time) + rng.normal() * (high - low) / 6.0, low, high) - float(point.final_time)
-        return self._move(point, Step(d, u, np.array([time])))
+        here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
+        spread = np.where(np.isfinite(high - low), (high - low) / 6.0, 0.4 * np.asarray(scales.border))
+        border = np.clip(here + np.where(free.border, rng.normal(size=here.shape) * spread, 0.0), low, high)
+        return self._move(point, Step(d, u, border - here))
 
     def _first_scales(self, point: Point, given: Given) -> tuple[Scales, bool]:
         """Scales at a point, and whether the objective has slopes there."""
@@ -244,7 +246,7 @@ class Solver:
         rng, free, scales = np.random.default_rng(0), self._shooting.free, state.scales
         d = np.where(free.d, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
-        return self._move(state.point, Step(d, u, np.zeros(1)))
+        return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 
     def _row_violations(self, state: Iterate) -> Array:
         """Scaled, of all rows."""
@@ -253,13 +255,13 @@ class Solver:
 
     def _outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
         scales = state.scales
-        defects = np.abs(np.asarray(state.values.defects) / np.asarray(scales.d)).ravel()
+        defects = np.abs(np.asarray(state.values.defects) / np.asarray(scales.d)[1:]).ravel()
         rows = np.where(self._shooting.exists | self._shooting.decided, self._row_violations(state), 0.0)
         return Outcome(
             point=state.point,
             values=state.values,
             errors=Errors(*(float(e) for e in state.errors)),
-            dynamics=np.asarray(state.dynamics * scales.cost / scales.d),
+            dynamics=np.asarray(state.dynamics * scales.cost / scales.d[1:]),
             rows=np.where(self._shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
             scaled_rows=np.where(self._shooting.exists, np.asarray(state.rows), 0.0),
             violations=np.concatenate([defects, rows]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import prod
 from typing import Any, ClassVar
 
@@ -90,6 +90,7 @@ class Maximize(Objective):
 class Reads(enum.Enum):
     """What a constraint depends on, and so at which points of an interval with held controls it has to be asked."""
 
+    NOTHING = "parameters alone: once, at the end"
     CONTROL = "controls alone: once an interval"
     STATE = "states and time: at every point, shared ends once"
     BOTH = "states and controls: at every point, shared ends from both sides"
@@ -121,6 +122,7 @@ class PathRows:
     reads: tuple[Reads, ...]  # of every row
     states: tuple[frozenset[str], ...]  # that every row reads
     timed: Array  # which rows read the time
+    free: Array  # which rows read a free parameter
     bounds: tuple[Bound, ...]  # the boxes
     shown: tuple[str, ...]  # the rows as users wrote them: inequalities, equalities, boxes
     shown_equality: Array
@@ -128,6 +130,7 @@ class PathRows:
     def asked(self, intervals: int, substeps: int) -> Array:
         """Where rows are asked: bool (intervals, substeps + 1, rows). States at a node belong to what follows it."""
         mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
+        mask[:, :, [reads is Reads.NOTHING for reads in self.reads]] = False
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
         mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
         return mask
@@ -135,13 +138,14 @@ class PathRows:
     def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
         """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
         whole = {name for name, mask in fixed.items() if mask.all()}
-        rows = [reads is Reads.STATE and states <= whole for reads, states in zip(self.reads, self.states)]
+        alone = (Reads.STATE, Reads.NOTHING)
+        rows = [reads in alone and states <= whole for reads, states in zip(self.reads, self.states)]
         boxes = [b.reads is Reads.STATE and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
-        return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed)
+        return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
 
 
-def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
-    """The rows of a compiled system, of bounds on norms, and the leaves' boxes."""
+def describe_path(dynamics: Dynamics, norms: NormControls, free: Collection[str]) -> PathRows:
+    """The rows of a compiled system, of bounds on norms, and the leaves' boxes; and which read free parameters."""
     functions = dynamics._functions
     residuals: list[Expr] = []
     names: list[str] = []
@@ -149,6 +153,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
     reads: list[Reads] = []
     states: list[frozenset[str]] = []
     timed: list[bool] = []
+    loose: list[bool] = []
     for kind, own in functions.constraints.items():
         for name, residual in own.items():
             for row in [residual] if kind == "equality" else without_norms(residual):
@@ -159,6 +164,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
                 reads += [_reads(leaves)] * entries
                 states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
                 timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
+                loose += [any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)] * entries
     for name, row in norms.rows:
         residuals.append(row)
         names.append(name)
@@ -166,6 +172,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
         reads.append(Reads.CONTROL)
         states.append(frozenset())
         timed.append(False)
+        loose.append(any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves_of(row)))
     bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
     boxes, named = [b.name for b in bounds], functions.constraint_names
     shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]
@@ -176,6 +183,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
         reads=(*reads, *(b.reads for b in bounds)),
         states=(*states, *(frozenset([b.leaf]) for b in bounds)),
         timed=np.array([*timed, *[False] * len(boxes)], bool),
+        free=np.array([*loose, *[False] * len(boxes)], bool),
         bounds=bounds,
         shown=(*named["inequality"], *named["equality"], *boxes),
         shown_equality=np.concatenate(shown),
@@ -185,7 +193,7 @@ def describe_path(dynamics: Dynamics, norms: NormControls) -> PathRows:
 def _reads(leaves: Sequence[Leaf]) -> Reads:
     kinds = [type(leaf) for leaf in leaves]
     if Control not in kinds:
-        return Reads.STATE
+        return Reads.STATE if State in kinds or Time in kinds else Reads.NOTHING
     return Reads.BOTH if State in kinds or Time in kinds else Reads.CONTROL
 
 
@@ -338,5 +346,3 @@ def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) 
                 f"{place} reads the parameter {leaf.name!r}, which was baked into the dynamics.\n"
                 "  fix: use its value, or do not bake it"
             )
-        if isinstance(leaf, Parameter) and leaf.name not in known and leaf.value is None:
-            raise ModelError(f"{place} reads the parameter {leaf.name!r}, which has no value")

@@ -1,0 +1,130 @@
+"""The unknowns that all intervals share: how long each phase takes, then the free parameters, in one vector b."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import listed, short
+from ..errors import ModelError, TrajectoryError
+from ..expr import Control, Parameter
+from ..system import name_of
+from .discretize import Controls
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Border:
+    """Where durations and free parameters sit in b, and their limits.
+
+    Attributes:
+        times: what the duration of each phase is called.
+        time_limits: (phases, 2), equal where a duration is fixed.
+        boxes: the free parameters, each with its box.
+    """
+
+    times: tuple[str, ...]
+    time_limits: Array
+    boxes: tuple[Control, ...] = ()
+
+    @functools.cached_property
+    def limits(self) -> Array:
+        """(g, 2), infinite where there is none."""
+        return np.concatenate([np.reshape(self.time_limits, (-1, 2)), *map(_sides, self.boxes)])
+
+    @property
+    def size(self) -> int:
+        return len(self.limits)
+
+    @property
+    def phases(self) -> int:
+        return len(self.times)
+
+    @property
+    def free(self) -> Array:
+        """(g,) which entries may move."""
+        return self.limits[:, 0] < self.limits[:, 1]
+
+    @functools.cached_property
+    def names(self) -> list[str]:
+        """Of every entry."""
+        entries = [(box.name, np.ndindex(box.shape)) for box in self.boxes]
+        return [*self.times, *(f"{name}{list(at) if at else ''}" for name, places in entries for at in places)]
+
+    @functools.cached_property
+    def _finite(self) -> list[tuple[int, int]]:
+        """(entry, side) of every limit that there is."""
+        there = np.isfinite(self.limits) & self.free[:, None]
+        return [(int(i), int(side)) for i, side in np.argwhere(there)]
+
+    @property
+    def row_names(self) -> list[str]:
+        return [f"{self.names[i]}: {('lower', 'upper')[side]} limit" for i, side in self._finite]
+
+    def rows(self, b: jax.Array, limits: jax.Array) -> jax.Array:
+        """What must be <= 0."""
+        found = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self._finite]
+        return jnp.stack(found) if found else jnp.zeros(0, b.dtype)
+
+    def params(self, b: Any) -> dict[str, Any]:
+        """The free parameters by name."""
+        return Controls(self.boxes).split(b[self.phases :])
+
+    def start(self, durations: Array, params: Mapping[str, Array], guess: Mapping[str, Array]) -> Array:
+        """b at the start: guesses, else what is nearest to the parameters' values.
+
+        Raises:
+            TrajectoryError: a guess outside its box.
+        """
+        parts = [np.ravel(durations)]
+        for box in self.boxes:
+            asked = np.ravel(guess.get(box.name, params[box.name])).astype(float)
+            parts.append(np.clip(asked, *_sides(box).T))
+            if box.name in guess and (asked != parts[-1]).any():
+                raise TrajectoryError(f"guess[{box.name!r}] must be within its limits, got {short(guess[box.name])}")
+        return np.concatenate(parts)
+
+
+def _sides(box: Control) -> Array:
+    """(entries, 2) the limits of a leaf."""
+    ends = [np.full(box.shape, far) if end is None else end for end, far in ((box.min, -np.inf), (box.max, np.inf))]
+    return np.stack([np.ravel(end) for end in ends], axis=1)
+
+
+def boxes_of(free: Any, parameters: Iterable[Parameter], baked: Iterable[str]) -> tuple[Control, ...]:
+    """The free parameters with their boxes, from `free={parameter or name: (low, high)}`.
+
+    Raises:
+        ModelError: what is no parameter of the problem, or was baked; limits that are no pair, or low above high.
+        ShapeError: limits that do not broadcast to the parameter's shape.
+    """
+    if isinstance(free, (list, tuple)):
+        free = dict.fromkeys(free, (None, None))
+    if free is not None and not isinstance(free, Mapping):
+        raise ModelError(
+            f"free must be a dict from parameters to limits (low, high) or a list of parameters, got {short(free)}; "
+            "e.g. free={'mass': (1.0, 3.0)}"
+        )
+    known, gone, boxes = {leaf.name: leaf for leaf in parameters}, set(baked), []
+    for key, limits in (free or {}).items():
+        name = name_of(key)
+        if name in gone:
+            raise ModelError(
+                f"free names the parameter {name!r}, which was baked into the dynamics.\n  fix: do not bake it"
+            )
+        if name not in known or not isinstance(key, (str, Parameter)):
+            raise ModelError(f"free names {name!r}, but the problem reads the parameters: {listed(known, name)}")
+        if not isinstance(limits, (tuple, list)) or len(limits) != 2:
+            raise ModelError(f"free[{name!r}] expects limits (low, high), got {short(limits)}")
+        low, high = limits
+        try:
+            boxes.append(Control(name, known[name].shape, min=low, max=high))
+        except ModelError as error:
+            raise ModelError(f"free: {error}") from None
+    return tuple(boxes)
