@@ -1,6 +1,6 @@
 """A system in exponential coordinates about a node, x = base Exp(eta): all that a transcription differentiates.
 
-Each function is compiled as scalars, so that its derivatives, of second order too, are small programs.
+Written to be compiled as scalars, so that derivatives, of second order too, are small programs.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from ..expr import Expr, Inputs, evaluate_all
 from ..groups import Euclidean
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from ..lowering.fast import fast
-from ..lowering.native.backend import Auto
 from .cones import NormControls
 from .discretize import Controls
 from .statement import FinalRows, Objective, PathRows
@@ -36,13 +34,8 @@ class Local:
         self._dynamics, self._path, self._objective, self._final = dynamics, path, objective, final
         self._running = norms.running
         self._group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
-        backend: Any = "auto" if isinstance(dynamics.backend, Auto) else dynamics.backend
-        self.rate = fast(self._rate, backend=backend)
-        self.point = fast(self._point, backend=backend)
-        self.gap = fast(self._gap, backend=backend)
-        self.end = fast(self._end, backend=backend)
 
-    def _rate(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+    def rate(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         x = self._group.retract(base, eta)
         rates = self._dynamics._functions.as_written("rates", t, x, self.controls.split(u), params)
         parts = []
@@ -53,7 +46,7 @@ class Local:
             parts.append(rate)
         return jnp.concatenate(parts)
 
-    def _point(
+    def point(
         self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays
     ) -> tuple[jax.Array, jax.Array]:
         """The path rows at a point, and the running cost."""
@@ -76,11 +69,11 @@ class Local:
         dtype = next(iter(flat.values())).dtype
         return jnp.concatenate([jnp.zeros(0, dtype), *(jnp.reshape(a, -1).astype(dtype) for a in (*rows, *boxes))])
 
-    def _gap(self, eta: jax.Array, base: Arrays, target: Arrays) -> jax.Array:
+    def gap(self, eta: jax.Array, base: Arrays, target: Arrays) -> jax.Array:
         """Log(target^-1 base Exp(eta))."""
         return self._group.difference(target, self._group.retract(base, eta))
 
-    def _end(
+    def end(
         self, t: jax.Array, eta: jax.Array, base: Arrays, target: Arrays, params: Arrays
     ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Of a final node: conditions, the difference from target, path rows (with zero controls), final cost."""

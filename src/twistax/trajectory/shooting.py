@@ -14,7 +14,7 @@ the second derivative of the rates weighted by its adjoint and G its sensitivity
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,11 +24,14 @@ from numpy import ndarray as Array
 
 from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK
-from ..lowering import Dynamics
+from ..lowering import XLA, Dynamics
+from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
+from ..lowering.native.backend import Auto, Native, installed
 from .border import Border
 from .cones import NormControls
 from .local import Local
+from .smooth import Smooth
 from .statement import Ends, FinalRows, Objective, PathRows, Reads
 
 
@@ -107,6 +110,11 @@ class Shooting:
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border
         self.size = self.n + self.m + border.size
+        backend = chosen(
+            "auto" if isinstance(dynamics.backend, Auto) else dynamics.backend, Native() if installed() else XLA()
+        )
+        self._rate, self._point = Smooth(self._rate_at, backend), Smooth(self._point_at, backend)
+        self._gap, self._end = Smooth(self.local.gap, backend), Smooth(self._end_at, backend)
         tableau = method.tableau
         self._a, self._c = tableau.counted
         self._b = tableau.b[: len(self._c)]
@@ -190,7 +198,7 @@ class Shooting:
         if not equality.any() or not own.any():
             return
         zero = np.zeros(self.n + self.border.size)
-        slopes = jax.jit(jax.jacfwd(lambda z, last, given: self._end_of(last, given, z)[0]))
+        slopes = jax.jit(lambda *args: self._end.slopes(*args)[:-1])
         pinned = own.copy()
         for point in samples:
             found = np.asarray(slopes(zero, self._last(point), given))
@@ -219,10 +227,10 @@ class Shooting:
             self._numbers(point), left, point.us, point.border, given.params
         )
         rows, density = self._at_points(point, left, etas, given.params)
-        defects = jax.vmap(self.local.gap)(etas[:, -1], left, right)
+        defects = jax.vmap(self._gap)(etas[:, -1], left, right)
         cost = jnp.sum(density @ jnp.asarray(self._weights, density.dtype)) / self.intervals
-        end_rows, end_cost = self._end_of(self._last(point), given, jnp.zeros(self.n + self.border.size, density.dtype))
-        return Values(cost + end_cost, defects, jnp.concatenate([rows.reshape(-1), end_rows]))
+        end = self._end(jnp.zeros(self.n + self.border.size, density.dtype), self._last(point), given)
+        return Values(cost + end[-1], defects, jnp.concatenate([rows.reshape(-1), end[:-1]]))
 
     def _numbers(self, point: Point) -> jax.Array:
         return jnp.arange(self.intervals, dtype=point.us.dtype)
@@ -230,7 +238,7 @@ class Shooting:
     def _last(self, point: Point) -> tuple[Arrays, jax.Array]:
         return {name: a[-1] for name, a in point.xs.items()}, point.border
 
-    def _rate(self, share: jax.Array, q: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+    def _rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
         eta, u, final_time, params = self._parts(q, params)
         return final_time * self.local.rate(share * final_time, eta, u, base, params)
@@ -254,7 +262,7 @@ class Shooting:
                 at = eta + sum(length * self._a[i, j] * slopes[j] for j in range(i) if self._a[i, j])
                 own.append(at)
                 time = share + (s + self._c[i]) * length
-                slopes.append(self._rate(time, self._joined(at, u, border), base, params))
+                slopes.append(self._rate(self._joined(at, u, border), jnp.asarray(time), base, params))
             eta = eta + length * (jnp.asarray(self._b, u.dtype) @ jnp.stack(slopes))
             ends.append(eta)
             stages.append(jnp.stack(own))
@@ -268,29 +276,29 @@ class Shooting:
         """t / T at the ends of the substeps."""
         return (number + jnp.linspace(0.0, 1.0, self.substeps + 1, dtype=number.dtype)) / self.intervals
 
-    def _of_point(self, share: jax.Array, q: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
+    def _point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """The path rows, and the running cost times T."""
         eta, u, final_time, params = self._parts(q, params)
         rows, density = self.local.point(share * final_time, eta, u, base, params)
-        return rows, final_time * density
+        return jnp.append(rows, final_time * density)
 
     def _at_points(self, point: Point, left: Arrays, etas: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """Rows (intervals, R) and T times the running cost (intervals, S + 1)."""
 
-        def one(share: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays) -> tuple[jax.Array, jax.Array]:
-            return self._of_point(share, self._joined(eta, u, point.border), base, params)
+        def one(share: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays) -> jax.Array:
+            return self._point(self._joined(eta, u, point.border), share, base, params)
 
         shares = jax.vmap(self._shares)(self._numbers(point))
-        rows, density = jax.vmap(jax.vmap(one, in_axes=(0, 0, None, None)))(shares, etas, point.us, left)
-        return rows.reshape(self.intervals, -1)[:, self._kept], density
+        found = jax.vmap(jax.vmap(one, in_axes=(0, 0, None, None)))(shares, etas, point.us, left)
+        return found[..., :-1].reshape(self.intervals, -1)[:, self._kept], found[..., -1]
 
-    def _end_of(self, last: tuple[Arrays, jax.Array], given: Given, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""
         base, b = last[0], last[1] + z[self.n :]
         params = given.params | self.border.params(b)
         conditions, gap, path, cost = self.local.end(b[0], z[: self.n], base, given.final, params)
         limits = self.border.rows(b, given.limits)
-        return jnp.concatenate([conditions, gap[self._fixed], path[self._end_states], limits]), cost
+        return jnp.concatenate([conditions, gap[self._fixed], path[self._end_states], limits, cost[None]])
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
@@ -305,14 +313,9 @@ class Shooting:
         defects, rows, gradient, hessian = found
         last = self._last(point)
         zero = jnp.zeros(self.n + self.border.size, y.dtype)
-
-        def weighted(z: jax.Array) -> jax.Array:
-            rows, cost = self._end_of(last, given, z)
-            return w[split:] @ rows + cost
-
-        end_rows, end_gradient = jax.jacfwd(lambda z: self._end_of(last, given, z))(zero)
-        end_hessian = jax.jacfwd(jax.grad(weighted))(zero)
-        return Derivatives(defects, rows, end_rows, gradient, end_gradient, hessian, end_hessian)
+        end = self._end.slopes(zero, last, given)
+        end_hessian = self._end.bends(jnp.append(w[split:], 1.0), zero, last, given)
+        return Derivatives(defects, rows, end[:-1], gradient, end[-1], hessian, end_hessian)
 
     def _interval(
         self,
@@ -334,10 +337,9 @@ class Shooting:
 
         # Sensitivities of the stages and of the ends of the substeps to z.
         shares = number / self.intervals + length * (np.arange(substeps)[:, None] + self._c[None, :])
-        rate = lambda share, q: self._rate(share, q, base, params)  # noqa: E731
-        both = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
-        qs = both(join)(points)
-        slopes = both(jax.jacfwd(rate, argnums=1))(shares, qs)  # (S, s, n, size)
+        qs = jax.vmap(jax.vmap(join))(points)
+        every = lambda f: jax.vmap(f, in_axes=(0, 0, None, None))  # noqa: E731
+        slopes = every(every(self._rate.slopes))(qs, jnp.asarray(shares), base, params)  # (S, s, n, size)
         tail = jnp.eye(size, dtype=u.dtype)[n:]
         sensitivity = jnp.eye(n, size, dtype=u.dtype)
         ends, inner = [sensitivity], []
@@ -366,25 +368,17 @@ class Shooting:
         # Rows, cost and the gap.
         times, end_qs = self._shares(number), jax.vmap(join)(etas)
         weights = jnp.asarray(self._weights, u.dtype) / self.intervals
-        every = jnp.zeros((substeps + 1) * self._row_count, u.dtype).at[self._kept].set(w).reshape(substeps + 1, -1)
-
-        def of_point(share: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return self._of_point(share, q, base, params)
-
-        def weighted_point(share: jax.Array, q: jax.Array, own: jax.Array, weight: jax.Array) -> jax.Array:
-            rows, density = of_point(share, q)
-            return own @ rows + weight * density
-
-        row_slopes, cost_slopes = jax.vmap(jax.jacfwd(of_point, argnums=1))(times, end_qs)
-        point_bends = jax.vmap(_hessian(weighted_point))(times, end_qs, every, weights)
-        gap = lambda eta: self.local.gap(eta, base, target)  # noqa: E731
-        gap_slope = jax.jacfwd(gap)(etas[-1])
-        gap_bend = jax.jacfwd(jax.grad(lambda eta: y @ gap(eta)))(etas[-1])
-        rows = (row_slopes @ end_maps).reshape(-1, size)[self._kept]
-        gradient = jnp.einsum("p,pi,piz->z", weights, cost_slopes, end_maps)
+        asked = jnp.zeros((substeps + 1) * self._row_count, u.dtype).at[self._kept].set(w).reshape(substeps + 1, -1)
+        pushes = jnp.concatenate([asked, weights[:, None]], axis=1)
+        point_slopes = every(self._point.slopes)(end_qs, times, base, params)
+        point_bends = jax.vmap(self._point.bends, in_axes=(0, 0, 0, None, None))(pushes, end_qs, times, base, params)
+        gap_slope = self._gap.slopes(etas[-1], base, target)
+        gap_bend = self._gap.bends(y, etas[-1], base, target)
+        rows = (point_slopes[:, :-1] @ end_maps).reshape(-1, size)[self._kept]
+        gradient = jnp.einsum("p,pi,piz->z", weights, point_slopes[:, -1], end_maps)
 
         # Adjoints, last substep first.
-        pulls = jnp.einsum("pr,pri->pi", every, row_slopes) + weights[:, None] * cost_slopes
+        pulls = jnp.einsum("pr,pri->pi", pushes, point_slopes)
         adjoint = y @ gap_slope + pulls[-1, :n]
         adjoints: list[Any] = [None] * (substeps * stages)
         for s in reversed(range(substeps)):
@@ -397,8 +391,8 @@ class Shooting:
                 adjoints[s * stages + i] = own
                 through[i] = own @ slopes[s, i, :, :n]
             adjoint = adjoint + sum(through) + pulls[s, :n]
-        bends = jax.vmap(_hessian(lambda share, q, own: own @ rate(share, q)))(
-            shares.reshape(-1), qs.reshape(-1, size), jnp.stack(adjoints)
+        bends = jax.vmap(self._rate.bends, in_axes=(0, 0, 0, None, None))(
+            jnp.stack(adjoints), qs.reshape(-1, size), jnp.asarray(shares).reshape(-1), base, params
         )
         hessian = jnp.einsum("kia,kij,kjb->ab", maps, bends, maps)
         hessian = hessian + jnp.einsum("kia,kij,kjb->ab", end_maps, point_bends, end_maps)
@@ -414,11 +408,6 @@ def _turns(dynamics: Dynamics) -> Array:
             turns = np.asarray(factor.order.from_linear_first(np.repeat([0.0, 1.0], 3))) > 0.0
         parts.append(turns)
     return np.concatenate(parts)
-
-
-def _hessian(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The second derivative by the second argument."""
-    return jax.jacfwd(jax.grad(function, argnums=1), argnums=1)
 
 
 def _sides(xs: Arrays) -> tuple[Arrays, Arrays]:

@@ -128,7 +128,9 @@ class Solver:
     def _bends_down(self, state: Iterate, given: Given) -> bool:
         """Whether the objective falls to second order along what the constraints leave free."""
         # A step from memory of a small damping tries none, a third of it, then more.
-        probe = self._step(state._replace(damping=jnp.asarray(3.0 * _CURVED)), self._derivatives(state, given), given)
+        probe = self._step(
+            state._replace(damping=jnp.full_like(state.damping, 3.0 * _CURVED)), self._derivatives(state, given), given
+        )
         return float(probe.raised) > 1.5 * _CURVED
 
     def _run(

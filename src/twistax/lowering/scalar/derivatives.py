@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -176,22 +177,21 @@ def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]], wanted
     for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):
         found = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
         active = tuple(k for k, a in enumerate(call.arguments) if any(i in found for i in flat(a)))
-        if active not in call.tangents:
-            call.tangents[active] = _tangents(g, call, active)
+        along = _tangents(_function(g, call), active)
         given = [*call.arguments, *(_gathered(g, found, call.arguments[k]) for k in active)]
-        for i, tangent in zip(flat(*call.results), flat(*Reader(g).read(call.tangents[active], given)), strict=True):
+        for i, tangent in zip(flat(*call.results), flat(*Reader(g).read(along, given)), strict=True):
             if tangent != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact):
                 carried.setdefault(i, {})[column] = tangent
 
 
-def _tangents(g: Graph, call: Call, active: Sequence[int]) -> ClosedJaxpr:
+@functools.lru_cache(512)
+def _tangents(called: _Called, active: tuple[int, ...]) -> ClosedJaxpr:
     """The derivative of the function of a call: (arguments, tangents of the active ones)."""
-    shapes = [_shape(g, a) for a in call.arguments]
 
     def along(values: list[Any], tangents: list[Any]) -> list[Any]:
-        return jax.jvp(_of_some(call, active, values), [values[k] for k in active], tangents)[1]
+        return jax.jvp(_of_some(called.jaxpr, active, values), [values[k] for k in active], tangents)[1]
 
-    return jax.make_jaxpr(along)(shapes, [shapes[k] for k in active])
+    return jax.make_jaxpr(along)(list(called.arguments), [called.arguments[k] for k in active])
 
 
 # ---- reverse ---------------------------------------------------------------------------------------------------------
@@ -219,32 +219,55 @@ def _pull(g: Graph, live: Sequence[int], found: dict[int, int], depending: Colle
 def _pulled_call(g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]) -> list[tuple[int, int]]:
     """The arguments of a call and their cotangents."""
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
-    active = [
+    active = tuple(
         k
         for k, a in enumerate(call.arguments)
         if jnp.issubdtype(g.dtype_of(a), jnp.inexact) and any(i in depending for i in flat(a))
-    ]
+    )
+    given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
+    results = Reader(g).read(_cotangents(_function(g, call), active, tuple(real)), given)
+    return list(zip(flat(*(call.arguments[k] for k in active)), flat(*results), strict=True))
+
+
+@functools.lru_cache(512)
+def _cotangents(called: _Called, active: tuple[int, ...], real: tuple[int, ...]) -> ClosedJaxpr:
+    """The transpose of the function of a call: (arguments, cotangents of the real results)."""
 
     def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
-        moving = _of_some(call, active, values)
+        moving = _of_some(called.jaxpr, active, values)
         given = [values[k] for k in active]
         return list(jax.vjp(lambda *some: [moving(*some)[k] for k in real], *given)[1](cotangents))
 
-    shapes = [_shape(g, a) for a in call.arguments], [_shape(g, call.results[k]) for k in real]
-    given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
-    results = Reader(g).read(jax.make_jaxpr(back)(*shapes), given)
-    return list(zip(flat(*(call.arguments[k] for k in active)), flat(*results), strict=True))
+    return jax.make_jaxpr(back)(list(called.arguments), [called.results[k] for k in real])
+
+
+# ---- the functions of calls ------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _Called:
+    """The function of a call. Equal where the calls do the same, in whatever graph: its derivatives are traced once."""
+
+    key: Any
+    arguments: tuple[jax.ShapeDtypeStruct, ...]
+    results: tuple[jax.ShapeDtypeStruct, ...]
+    jaxpr: ClosedJaxpr = dataclasses.field(compare=False)
+
+
+def _function(g: Graph, call: Call) -> _Called:
+    arguments, results = (tuple(_shape(g, a) for a in own) for own in (call.arguments, call.results))
+    return _Called(call.key, arguments, results, call.jaxpr)
 
 
 # ---- arrays of nodes -------------------------------------------------------------------------------------------------
 
 
-def _of_some(call: Call, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
-    """The function of a call, of its arguments `active` alone."""
+def _of_some(jaxpr: ClosedJaxpr, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
+    """A function of its arguments `active` alone."""
 
     def function(*some: Any) -> Any:
         given = dict(zip(active, some, strict=True))
-        return jaxpr_as_fun(call.jaxpr)(*(given.get(k, value) for k, value in enumerate(values)))
+        return jaxpr_as_fun(jaxpr)(*(given.get(k, value) for k, value in enumerate(values)))
 
     return function
 

@@ -42,7 +42,6 @@ class Call:
         arguments: arrays of nodes.
         results: the arrays of nodes that it gives.
         inline: whether emitters may write the function out: it is a call only for its own derivative.
-        tangents: its derivatives along some of its arguments, once they were asked for.
     """
 
     jaxpr: ClosedJaxpr
@@ -50,7 +49,6 @@ class Call:
     arguments: tuple[Nodes, ...]
     results: tuple[Nodes, ...]
     inline: bool
-    tangents: dict[tuple[int, ...], ClosedJaxpr] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,15 +121,15 @@ class Graph:
     def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Call:
         """A call of a function, once for each set of arguments."""
         arguments = tuple(arguments)
-        key = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
-        if key not in self._called:
+        called = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
+        if called not in self._called:
             number, results = len(self.calls), []
             for k, aval in enumerate(v.aval for v in jaxpr.jaxpr.outvars):
                 own = [self._intern((_RESULT, number, k, place), np.dtype(aval.dtype)) for place in range(aval.size)]
                 results.append(nodes(own, aval.shape))
-            self._called[key] = Call(jaxpr, key, arguments, tuple(results), inline)
-            self.calls.append(self._called[key])
-        return self._called[key]
+            self._called[called] = Call(jaxpr, key, arguments, tuple(results), inline)
+            self.calls.append(self._called[called])
+        return self._called[called]
 
     def node(self, operation: Operation, *arguments: int) -> int:
         """The node of an operation, folded where all arguments are numbers."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
@@ -34,18 +36,29 @@ Value = TypeVar("Value")
 # ---- reading ---------------------------------------------------------------------------------------------------------
 
 
+#: The directory of this package.
+_PACKAGE = str(Path(__file__).parents[2]) + os.sep
+
+
 class _OwnDerivative:
-    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare."""
+    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare.
+
+    Those of this package, by name and place, have one derivative, which is not traced for it.
+    """
 
     def __init__(self, name: str, own: ClosedJaxpr, equation: ClosedJaxpr) -> None:
         self._alone = equation
-        self._key = (name, source_of(own), _fingerprint(equation))
+        source = source_of(own) or ""
+        self._key = (name, source, _fingerprint(equation))
+        self._named = f" at {_PACKAGE}" in source
 
     def __hash__(self) -> int:
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OwnDerivative) and self._key == other._key and self._back == other._back
+        return (
+            isinstance(other, _OwnDerivative) and self._key == other._key and (self._named or self._back == other._back)
+        )
 
     @functools.cached_property
     def _back(self) -> Any:
