@@ -762,6 +762,24 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/warm.py",
+        (
+            "a warm start with the barrier of a cold one",
+            "barrier = jnp.clip(_SHARE * error, _LEAST, _MOST)",
+            "barrier = jnp.full_like(error, _MOST)",
+            "trajectory/test_warm.py",
+        ),
+    ),
+    *_at(
+        "trajectory/smooth.py",
+        (
+            "a Hessian without its weights",
+            "*jax.tree.leaves(others), weights)[0]",
+            "*jax.tree.leaves(others), jnp.ones_like(weights))[0]",
+            "trajectory/test_smooth.py",
+        ),
+    ),
+    *_at(
         "trajectory/solver.py",
         (
             "a worst trajectory as the best",

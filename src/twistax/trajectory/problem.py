@@ -27,6 +27,7 @@ from .result import TrajectoryResult, best_result
 from .shooting import Given, Point, Shooting, Step
 from .solver import Callback, Solver
 from .statement import Ends, Objective, check_leaves, describe_path, ends_of, final_rows, split_final
+from .warm import WarmStart, warm_start, with_ends
 
 
 class Problem:
@@ -139,12 +140,13 @@ class Problem:
             border=self.border,
         )
         self._solvers: dict[float, Solver] = {}
+        self.advanced = jax.jit(self.shooting.advanced)
         #: The path rows as users wrote them, at many points.
         self.shown_rows = jax.jit(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "shown_rows", "_solvers")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "shown_rows", "_solvers")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
@@ -156,6 +158,7 @@ class Problem:
         self,
         guess: Mapping[Any, Any] | None = None,
         *,
+        warm: Any = None,
         initial: Mapping[Any, Any] | None = None,
         final: Mapping[Any, Any] | None = None,
         params: Mapping[str, Any] | None = None,
@@ -173,6 +176,8 @@ class Problem:
 
         Args:
             guess: values by leaf or name on top of the problem's own guess.
+            warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
+                scales, and a barrier that fits how far it is from what is asked now.
             initial, final: values by state or name in place of the problem's own. The same entries are fixed.
             params: values of parameters in place of the problem's own.
             final_time: a number where the problem has one, limits where it has limits.
@@ -187,9 +192,14 @@ class Problem:
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
-            TrajectoryError: other entries fixed, times or numbers without meaning.
+            TrajectoryError: other entries fixed, times or numbers without meaning; a warm start of another problem, or
+                beside a guess.
         """
         whole("guesses", guesses, 1, TrajectoryError)
+        given_too = {"guess": guess, "final_time_guess": final_time_guess, "seed": seed}
+        if warm is not None and any(value is not None for value in given_too.values()):
+            names = ", ".join(name for name, value in given_too.items() if value is not None)
+            raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
         whole("max_iterations", max_iterations, 1, TrajectoryError)
         number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
         if seed is not None:
@@ -211,7 +221,7 @@ class Problem:
             compiled = time.perf_counter()
             outcomes = []
             for attempt in range(guesses):
-                start = plain
+                start = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
                     start = solver.perturbed(plain, given, rng)

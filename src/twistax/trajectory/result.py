@@ -20,6 +20,7 @@ from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
 from .solver import Outcome, Status
 from .statement import largest_by_name, violations
+from .warm import WarmStart
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -70,6 +71,7 @@ class TrajectoryResult:
         tries: one line (status, cost, violation, iterations) for every guess.
         params: the parameters it was solved for, and those that were found.
         compile_seconds, solve_seconds: wall time.
+        warm: what `solve(warm=...)` starts from.
     """
 
     problem: Problem
@@ -90,6 +92,17 @@ class TrajectoryResult:
     params: dict[str, Array]
     compile_seconds: float
     solve_seconds: float
+    warm: WarmStart
+
+    def shifted(self, steps: int = 1) -> WarmStart:
+        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
+
+        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
+
+        Raises:
+            TrajectoryError: steps is no positive whole number.
+        """
+        return self.warm.shifted(steps)
 
     @property
     def solved(self) -> bool:
@@ -198,6 +211,7 @@ def best_result(
         params=params,
         compile_seconds=compile_seconds,
         solve_seconds=solve_seconds,
+        warm=WarmStart(problem, jax.tree.map(np.asarray, point), best.dynamics, best.rows, best.scales, params),
     )
 
 

@@ -232,6 +232,11 @@ class Shooting:
         end = self._end(jnp.zeros(self.n + self.border.size, density.dtype), self._last(point), given)
         return Values(cost + end[-1], defects, jnp.concatenate([rows.reshape(-1), end[:-1]]))
 
+    def advanced(self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays) -> Arrays:
+        """The end of an interval, given its number, that starts at a node."""
+        etas, _ = self._roll(number, base, u, border, params)
+        return self.dynamics.group.retract(base, etas[-1])
+
     def _numbers(self, point: Point) -> jax.Array:
         return jnp.arange(self.intervals, dtype=point.us.dtype)
 

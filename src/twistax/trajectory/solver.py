@@ -13,10 +13,11 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..jax_inside import quick_compile
-from . import feasibility, scaling
+from . import feasibility, scaling, warm
 from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
 from .shooting import Derivatives, Given, Point, Shooting, Step, Values
+from .warm import WarmStart
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
@@ -63,6 +64,7 @@ class Outcome(NamedTuple):
     rows: Array  # (rows,)
     scaled_rows: Array  # (rows,) multipliers, scaled
     violations: Array  # (intervals * n + rows,) scaled: of the dynamics, then of the rows
+    scales: Scales
     status: Status
     iterations: int
 
@@ -83,6 +85,7 @@ class Solver:
         method = self._method = InteriorPoint(shooting, tolerance)
         self._move = _jit(shooting.move)
         self._start = _jit(method.start)
+        self._warm = _jit(lambda *args: warm.begin(method, *args))
         self._derivatives = _jit(method.derivatives)
         self._measured = _jit(method.measured)
         self._step = _jit(method.step)
@@ -115,13 +118,14 @@ class Solver:
         slopes = self._derivatives(state, given)
         return scaling.measured(self._shooting, self._leaves, point, slopes, unit)
 
-    def run(self, point: Point, given: Given, max_iterations: int, callback: Callback | None = None) -> Outcome:
-        """Solve from a point; where a solution is no minimum once more, a random step away, and take the better."""
-        first, state = self._run(point, given, max_iterations, callback)
+    def run(
+        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
+    ) -> Outcome:
+        """Solve from a start; where a solution is no minimum once more, a random step away, and take the better."""
+        first, state = self._run(start, given, max_iterations, callback)
         if first.status is not Status.SOLVED or not self._bends_down(state, given):
             return first
-        start = self._step_away(state)
-        other, _ = self._run(start, given, max(1, max_iterations - first.iterations), callback)
+        other, _ = self._run(self._step_away(state), given, max(1, max_iterations - first.iterations), callback)
         better = other.status is Status.SOLVED and other.cost < first.cost - self._tolerance * float(state.scales.cost)
         return (other if better else first)._replace(iterations=first.iterations + other.iterations)
 
@@ -133,18 +137,24 @@ class Solver:
         )
         return float(probe.raised) > 1.5 * _CURVED
 
-    def _run(
-        self, point: Point, given: Given, max_iterations: int, callback: Callback | None
-    ) -> tuple[Outcome, Iterate]:
-        scales, sloped = self._first_scales(point, given)
+    def _begun(self, start: Point | WarmStart, given: Given) -> tuple[Iterate, Scales]:
+        """The first state, and the largest scales seen."""
+        if isinstance(start, WarmStart):
+            return self._warm(start.point, start.dynamics, start.rows, start.scales, given), start.scales
+        scales, sloped = self._first_scales(start, given)
         _, seen = scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)
-        state = self._start(point, given, scales)
+        return self._start(start, given, scales), seen
+
+    def _run(
+        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+    ) -> tuple[Outcome, Iterate]:
+        state, seen = self._begun(start, given)
         shooting = self._shooting
 
         def ended(state: Iterate, status: Status, count: int) -> tuple[Outcome, Iterate]:
             return self._outcome(state, status, max(count, 1)), state
 
-        if not _finite((scales, state.values)):
+        if not _finite((state.scales, state.values)):
             return ended(state, Status.NON_FINITE, 1)
         lost = np.where(shooting.decided & ~shooting.pinned, self._row_violations(state), 0.0)
         if lost.max(initial=0.0) > self._tolerance:
@@ -267,6 +277,7 @@ class Solver:
             rows=np.where(self._shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
             scaled_rows=np.where(self._shooting.exists, np.asarray(state.rows), 0.0),
             violations=np.concatenate([defects, rows]),
+            scales=jax.tree.map(np.asarray, scales),
             status=status,
             iterations=count,
         )

@@ -1,0 +1,135 @@
+"""Warm starts: states, controls, times, multipliers and scales of a solution, and a barrier that fits the distance."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import short, whole
+from ..errors import TrajectoryError
+from .guess import state_guess
+from .interior_point import InteriorPoint, Scales, State
+from .shooting import Given, Point
+from .statement import Ends
+
+if TYPE_CHECKING:
+    from .problem import Problem
+
+#: The barrier parameter of a start over its largest violation, and the limits of that parameter.
+_SHARE, _LEAST, _MOST = 1e-3, 1e-7, 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WarmStart:
+    """Where a solve may start instead of at a guess: `problem.solve(warm=...)`.
+
+    Attributes:
+        problem: whose solution it was.
+        point: states, controls with the bounds on norms among them, times and free parameters.
+        dynamics, rows: multipliers in the problem's units.
+        scales: of unknowns, rows and objective.
+        params: the parameters that it was solved for.
+    """
+
+    problem: Problem
+    point: Point
+    dynamics: Array  # (intervals, n)
+    rows: Array  # (rows,)
+    scales: Scales
+    params: dict[str, Array]
+
+    def shifted(self, steps: int = 1) -> WarmStart:
+        """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
+
+        Raises:
+            TrajectoryError: steps is no positive whole number.
+        """
+        whole("steps", steps, 1, TrajectoryError)
+        problem, point = self.problem, self.point
+        shooting = problem.shooting
+        xs: dict[str, list[Array]] = {name: list(a) for name, a in point.xs.items()}
+        with jax.enable_x64(True):
+            for _ in range(steps):
+                last = {name: a[-1] for name, a in xs.items()}
+                number = np.asarray(shooting.intervals - 1.0)
+                for name, value in problem.advanced(number, last, point.us[-1], point.border, self.params).items():
+                    xs[name].append(np.asarray(value))
+        inner, end = np.split(self.rows, [shooting.intervals * shooting.rows_per_interval])
+        return dataclasses.replace(
+            self,
+            point=Point(
+                {name: np.stack(a[steps:]) for name, a in xs.items()}, _moved_on(point.us, steps), point.border
+            ),
+            dynamics=_moved_on(self.dynamics, steps),
+            rows=np.concatenate([_moved_on(inner.reshape(shooting.intervals, -1), steps).ravel(), end]),
+        )
+
+
+def _moved_on(values: Array, steps: int) -> Array:
+    """What comes so many intervals later, the last again and again."""
+    return values[np.minimum(np.arange(len(values)) + steps, len(values) - 1)]
+
+
+def warm_start(given: Any) -> WarmStart:
+    """The warm start that was given, or of the result that was.
+
+    Raises:
+        TrajectoryError: it is neither.
+    """
+    found = given if isinstance(given, WarmStart) else getattr(given, "warm", None)
+    if not isinstance(found, WarmStart):
+        raise TrajectoryError(f"solve: warm must be a result, or what result.shifted() gives; got {short(given)}")
+    return found
+
+
+def with_ends(warm: WarmStart, problem: Problem, ends: Ends, given: Given) -> WarmStart:
+    """The warm start at other ends, and within the limits of times and free parameters.
+
+    Raises:
+        TrajectoryError: it is of a problem with other states, controls, nodes or constraints.
+    """
+    shooting, point = problem.shooting, warm.point
+    shapes = [np.shape(a) for a in (point.us, warm.dynamics, warm.rows, point.border)]
+    expected = [(shooting.intervals, k) for k in (shooting.m, shooting.n)]
+    expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
+    if set(point.xs) != {s.name for s in problem.dynamics.states} or shapes != expected:
+        raise TrajectoryError(
+            "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
+            "  fix: give its xs and us as guess"
+        )
+    xs = {
+        s.name: state_guess(s, point.xs[s.name], ends.initial[s.name], ends.final[s.name], problem.nodes)
+        for s in problem.dynamics.states
+    }
+    border = np.clip(point.border, *np.asarray(given.limits).T)
+    return dataclasses.replace(warm, point=Point(xs, point.us, border))
+
+
+def begin(method: InteriorPoint, point: Point, dynamics: Any, rows: Any, scales: Scales, given: Given) -> State:
+    """The state at a warm start. The further its rows and dynamics are from holding, the higher its barrier.
+
+    Every product of a slack and its multiplier is the barrier parameter. Rows with a multiplier keep it, and their
+    slacks are pushed off zero; the others keep their slacks.
+    """
+    state = method.start(point, given, scales)
+    values = method.scaled(state.values, scales)
+    free = jnp.maximum(-values.rows, 0.0)
+    broken = jnp.abs(method.violation(values, jnp.where(method.inequality, free, 1.0))).max(initial=0.0)
+    error = jnp.maximum(jnp.abs(values.defects).max(initial=0.0), broken)
+    barrier = jnp.clip(_SHARE * error, _LEAST, _MOST)
+    rows = jnp.where(method.exists, rows * scales.rows / scales.cost, 0.0)
+    # A row that hardly matters and is broken is pushed off by its size at most.
+    pushed = jnp.minimum(barrier / jnp.maximum(rows, 1e-300), jnp.sqrt(barrier))
+    slack = jnp.where(method.inequality, jnp.maximum(free, pushed), 1.0)
+    return state._replace(
+        slack=slack,
+        dynamics=dynamics * scales.d[1:] / scales.cost,
+        rows=jnp.where(method.inequality, barrier / slack, rows),
+        barrier=barrier,
+        first=method.theta(values, slack),
+    )
