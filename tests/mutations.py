@@ -726,12 +726,30 @@ MUTATIONS: list[Mutation] = [
         ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
     ),
     *_at(
+        "trajectory/conditions.py",
+        (
+            "attitude and position of a half-free pose exchanged",
+            "np.repeat([not np.isnan(value[:3, 3]).any(), not np.isnan(value[:3, :3]).any()], 3)",
+            "np.repeat([not np.isnan(value[:3, :3]).any(), not np.isnan(value[:3, 3]).any()], 3)",
+            "trajectory/test_conditions.py",
+        ),
+    ),
+    *_at(
         "trajectory/border.py",
         (
             "upper limits that hold from below",
             "(limits[i, 0] - b[i], b[i] - limits[i, 1])[side]",
             "(limits[i, 0] - b[i], limits[i, 1] - b[i])[side]",
             "trajectory/test_free_parameters.py",
+        ),
+    ),
+    *_at(
+        "trajectory/shooting.py",
+        (
+            "no second derivatives of conditions at nodes",
+            "hessian = hessian.at[k].add(bend)",
+            "pass",
+            "trajectory/test_shooting.py",
         ),
     ),
     *_at(

@@ -1,5 +1,6 @@
 """Every derivative the optimiser sees against finite differences, on a problem that has every kind of row."""
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -17,6 +18,7 @@ FINAL_TIME = 0.12
 DIRECTIONS = 4
 
 
+@functools.cache
 def rich_problem(nodes: int = NODES, substeps: int = 2) -> Problem:
     """A ball under torque and a push that changes with time; limits on states, on controls and on both."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,), max=[1.5, None, 2.0])
@@ -40,7 +42,8 @@ def rich_problem(nodes: int = NODES, substeps: int = 2) -> Problem:
         nodes=nodes,
         substeps=substeps,
         final_time=(0.05, 3.0),
-        initial={"R": np.eye(3)},
+        initial=[{"R": np.eye(3)}, w @ w <= gain[0] ** 2],
+        at={1: [R[0, 1] * w[1] <= gain[1] ** 3, R[2, 2] ** 2 + t * w[0] == 1.0]},
         final=[{"w": [None, None, 0.3]}, w[1] <= 0.3 * gain[0] ** 3, R[0, 2] == 0.0],
         free={"gain": ([0.2, None], 3.0)},
     )
@@ -167,7 +170,8 @@ def test_there_is_every_kind_of_row(sample: Sample) -> None:
         "gain[1]: upper limit",
         "gains",
     ]
-    assert sum(name.startswith("final: ") for name in names) == 2
+    for place, count in (("final", 2), ("initial", 1), ("node 1", 2)):
+        assert sum(name.startswith(f"{place}: ") for name in names) == count
     assert sum(name.startswith("bound on ") for name in names) == 1
 
 

@@ -114,7 +114,7 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": {"p": np.zeros(2)}}, tx.ShapeError, "'p'"),
     ({"final": {"nope": 0.0}}, tx.ModelError, "nope"),
     ({"final": [3.0]}, tx.ModelError, "float"),
-    ({"final": [tx.Control("u") <= 1.0]}, tx.ModelError, "no value at the final node"),
+    ({"final": [tx.Control("u") <= 1.0]}, tx.ModelError, "no value at a node"),
     ({"final": [tx.State("stranger") == 1.0]}, tx.ModelError, "stranger"),
     ({"objective": tx.Minimize(tx.State("stranger"))}, tx.ModelError, "stranger"),
     ({"objective": tx.State("p")}, tx.ModelError, "tx.Minimize"),

@@ -351,6 +351,22 @@ def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any
 _ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
 
 
+def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndarray:
+    """A pose whose position or attitude is open, NaN; any other entries cannot be."""
+    blocks = (np.s_[:3, :3], np.s_[:3, 3]) if isinstance(group, SpecialEuclidean) else ()
+    rest = array.copy()
+    for block in blocks:
+        if np.isnan(array[block]).all():
+            rest[block] = 0.0
+    if np.isnan(rest).any():
+        raise ModelError(
+            f"{name!r}: {what} of {group.name} can leave the whole position or the whole attitude of a pose free, "
+            f"no other entries, got\n{array}\n"
+            f"  fix: use constraints, e.g. {what}=[{name}[2, 3] == 0.0, {name}[:2, 2] == 0.0]"
+        )
+    return array
+
+
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
     """A start or an end: an element of a group, or numbers of which some may be None."""
     if value is None or isinstance(group, Euclidean):
@@ -360,8 +376,10 @@ def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | No
         return found
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
-    array = reals(f"{name!r}: {what}", value, ModelError).astype(np.float64)
-    defect = element_defect(array)
+    array = reals(f"{name!r}: {what}", value, ModelError, free=True).astype(np.float64)
+    if np.isnan(array).any():
+        array = _half_free(name, what, array, group)
+    defect = element_defect(np.where(np.isnan(array), np.eye(len(array)), array))
     if not defect <= _ROTATION_TOLERANCE:
         raise ModelError(
             f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"

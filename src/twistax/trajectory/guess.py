@@ -48,7 +48,7 @@ def state_guess(leaf: State, given: Array | None, initial: Array | None, final: 
         rest = np.zeros(leaf.shape)
         if isinstance(leaf.group, Euclidean):
             rest = _middle(leaf.min, leaf.max, rest)
-        elif initial is None and final is None:
+        else:
             rest = np.asarray(leaf.group.identity(float))
         first, last = _known(initial, _known(final, rest)), _known(final, _known(initial, rest))
         source = np.stack([first, last])

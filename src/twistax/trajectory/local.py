@@ -15,9 +15,10 @@ from ..expr import Expr, Inputs, evaluate_all
 from ..groups import Euclidean
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from .conditions import Conditions
 from .cones import NormControls
 from .discretize import Controls
-from .statement import FinalRows, Objective, PathRows
+from .statement import Objective, PathRows
 
 
 class Local:
@@ -29,7 +30,12 @@ class Local:
     """
 
     def __init__(
-        self, dynamics: Dynamics, path: PathRows, objective: Objective, norms: NormControls, final: FinalRows
+        self,
+        dynamics: Dynamics,
+        path: PathRows,
+        objective: Objective,
+        norms: NormControls,
+        final: Conditions,
     ) -> None:
         self._dynamics, self._path, self._objective, self._final = dynamics, path, objective, final
         self._running = norms.running

@@ -20,14 +20,15 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..system import name_of
 from .border import Border, boxes_of
+from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
 from .discretize import method_of
 from .guess import control_guess, state_guess, user_guess
 from .result import TrajectoryResult, best_result
 from .shooting import Given, Point, Shooting, Step
 from .solver import Callback, Solver
-from .statement import Ends, Objective, check_leaves, describe_path, ends_of, final_rows, split_final
-from .warm import WarmStart, warm_start, with_ends
+from .statement import Objective, check_leaves, describe_path
+from .warm import warm_start, with_ends
 
 
 class Problem:
@@ -44,8 +45,10 @@ class Problem:
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
         nodes: number of state nodes, two or more.
         final_time: a number in s, or limits (low, high) to leave it free.
-        initial: values by state or name, on top of the leaves' own; NaN or None entries are free.
-        final: values likewise, or constraints on the final node such as `g[:3, 3] == 0`, or a list of both.
+        initial, final: values by state or name, on top of the leaves' own, or constraints on the first or last node
+            such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
+            position or the whole attitude may be.
+        at: constraints at inner nodes by the number of the node, 1 to nodes - 2, each one or a list.
         params: values of the parameters, the objective's too; those left out take their own.
         free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
             of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
@@ -70,8 +73,9 @@ class Problem:
         *,
         nodes: Any = 25,
         final_time: Any,
-        initial: Mapping[Any, Any] | None = None,
+        initial: Any = None,
         final: Any = None,
+        at: Any = None,
         params: Mapping[str, Any] | None = None,
         free: Any = None,
         guess: Mapping[Any, Any] | None = None,
@@ -92,15 +96,20 @@ class Problem:
         self.dynamics, self.nodes = dynamics, int(nodes)
         self.objective: Objective = objective
         time_limits, self._time_guess = _times(final_time, final_time_guess)
-        values, constraints = split_final(final)
-        self.ends = ends_of(dynamics.states, initial, values)
-        self.final_rows = final_rows(dynamics, constraints)
+        (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
+        self.ends = ends_of(dynamics.states, first, last)
+        self.final_rows = conditions(dynamics, "final", asked_last)
+        #: Conditions at nodes before the last.
+        self.node_rows = at_nodes(dynamics, at, self.nodes)
+        if asked_first:
+            self.node_rows[0] = conditions(dynamics, "initial", asked_first)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self.method, self.substeps = method_of(method), int(substeps)
         self.norms = norm_controls(objective.running, objective.sign)
-        exprs = [e for e in (objective.final, objective.running, *self.final_rows.residuals) if e is not None]
+        asked = [e for own in (self.final_rows, *self.node_rows.values()) for e in own.residuals]
+        exprs = [e for e in (objective.final, objective.running, *asked) if e is not None]
         known = {leaf.name for leaf in dynamics.parameters}
         #: Parameters that the system does not have.
         self._own = {
@@ -137,6 +146,7 @@ class Problem:
             norms=self.norms,
             ends=self.ends,
             final=self.final_rows,
+            at_nodes=self.node_rows,
             border=self.border,
         )
         self._solvers: dict[float, Solver] = {}
@@ -240,11 +250,10 @@ class Problem:
         return self._solvers[tolerance]
 
     def _samples(self, point: Point) -> list[Point]:
-        """Points whose last node is moved at random."""
+        """Points whose nodes are moved at random."""
         rng, shooting, found = np.random.default_rng(0), self.shooting, []
         for _ in range(2):
-            d = np.zeros((self.nodes, shooting.n))
-            d[-1] = 0.3 * rng.normal(size=shooting.n)
+            d = np.where(shooting.free.d, 0.3 * rng.normal(size=(self.nodes, shooting.n)), 0.0)
             step = Step(d, np.zeros((self.nodes - 1, shooting.m)), np.zeros(self.border.size))
             found.append(jax.jit(shooting.move)(point, step))
         return found
@@ -324,9 +333,10 @@ class Problem:
         final = {}
         for state in self.dynamics.states:
             value = ends.final[state.name]
-            if isinstance(state.group, Euclidean):
-                value = np.nan_to_num(np.zeros(state.shape) if value is None else value)
-            final[state.name] = np.asarray(state.group.identity(float)) if value is None else value
+            rest = np.zeros(state.shape)
+            if not isinstance(state.group, Euclidean):
+                rest = np.asarray(state.group.identity(float))
+            final[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
         return jax.tree.map(jnp.asarray, Given(dict(params), final, np.array([limits, *self.border.limits[1:]])))
 
     def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:

@@ -244,10 +244,9 @@ def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) ->
             for x, t in ends
         ]
         found |= largest_by_name(path.shown, np.maximum(*sizes))
-    inner = shooting.intervals * shooting.rows_per_interval
-    last = violations(np.asarray(outcome.values.rows)[inner:], shooting.equality[inner:])
-    at_end = shooting.own[inner:]
-    return found | largest_by_name([str(name) for name in shooting.names[inner:][at_end]], last[at_end])
+    own = shooting.own
+    lost = violations(np.asarray(outcome.values.rows), shooting.equality)
+    return found | largest_by_name([str(name) for name in shooting.names[own]], lost[own])
 
 
 def _message(problem: Problem, outcome: Outcome, sizes: dict[str, float], tolerance: float) -> str:
@@ -286,7 +285,7 @@ class Replay:
         vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
         violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
             where it holds; each interval is looked at with its own control, both ends included.
-        final: name of a final condition -> its violation at the end of the rollout.
+        final: name of a condition at a node -> its violation there, of the rollout.
     """
 
     ts: Array
@@ -380,7 +379,7 @@ def _judged(result: TrajectoryResult, xs: dict[str, Array], steps: int) -> Repla
         misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
         vectors=vectors,
         violations=_path_violations(result, ts, xs, steps),
-        final=_final_violations(result, end),
+        final=_node_violations(result, ts, xs, steps),
     )
 
 
@@ -407,7 +406,10 @@ def _path_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], 
     return largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0))
 
 
-def _final_violations(result: TrajectoryResult, end: dict[str, Array]) -> dict[str, float]:
-    rows = result.problem.final_rows
-    values = np.asarray(jax.jit(rows.values)(jnp.asarray(result.final_time), end, result.params))
-    return largest_by_name(rows.names, violations(values, rows.equality))
+def _node_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+    problem, found = result.problem, dict[str, float]()
+    for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
+        here = {name: values[k * steps] for name, values in xs.items()}
+        values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, result.params))
+        found |= largest_by_name(rows.names, violations(values, rows.equality))
+    return found

@@ -14,7 +14,8 @@ the second derivative of the rates weighted by its adjoint and G its sensitivity
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -29,10 +30,11 @@ from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
 from .border import Border
+from .conditions import Conditions, Ends
 from .cones import NormControls
 from .local import Local
 from .smooth import Smooth
-from .statement import Ends, FinalRows, Objective, PathRows, Reads
+from .statement import Objective, PathRows, Reads
 
 
 class Point(NamedTuple):
@@ -101,7 +103,8 @@ class Shooting:
         path: PathRows,
         norms: NormControls,
         ends: Ends,
-        final: FinalRows,
+        final: Conditions,
+        at_nodes: Mapping[int, Conditions],
         border: Border,
     ) -> None:
         self.dynamics, self.nodes, self.substeps = dynamics, nodes, substeps
@@ -115,14 +118,17 @@ class Shooting:
         )
         self._rate, self._point = Smooth(self._rate_at, backend), Smooth(self._point_at, backend)
         self._gap, self._end = Smooth(self.local.gap, backend), Smooth(self._end_at, backend)
+        self._nodes = {k: Smooth(functools.partial(self._node_at, k, own), backend) for k, own in at_nodes.items()}
+        #: Where [d, b] sit in [d, u, b].
+        self._seen = np.array([*range(self.n), *range(self.n + self.m, self.size)])
         tableau = method.tableau
         self._a, self._c = tableau.counted
         self._b = tableau.b[: len(self._c)]
         self._weights = _weights(substeps)
         self.turns = _turns(dynamics)
-        self._describe(path, ends, final)
+        self._describe(path, ends, final, at_nodes)
 
-    def _describe(self, path: PathRows, ends: Ends, final: FinalRows) -> None:
+    def _describe(self, path: PathRows, ends: Ends, final: Conditions, at_nodes: Mapping[int, Conditions]) -> None:
         """Which rows there are, and which unknowns may move."""
         count, points, rows = self.intervals, self.substeps + 1, len(path.names)
         asked = path.asked(count, self.substeps)
@@ -141,7 +147,7 @@ class Shooting:
         ]
         limits = self.border.row_names
         end_names = [
-            *(f"final: {n}" for n in final.names),
+            *final.names,
             *(f"final {tangents[i]}" for i in self._fixed),
             *(path.names[i] for i in states),
             *limits,
@@ -160,56 +166,80 @@ class Shooting:
             ]
         )
         place = np.repeat(place.reshape(count, points, 1), rows, axis=2).reshape(count, -1)[:, kept]
-        self.names = np.array([*np.tile(np.array(path.names, object)[kept % max(rows, 1)], count), *end_names], object)
-        self.places = np.array([*place.ravel(), *[f"at node {count}"] * len(end_names)], object)
+        most = max((len(own.names) for own in at_nodes.values()), default=0)
+        node_names = np.full((count, most), "", object)
+        node_equality, node_decided = np.zeros((2, count, most), bool)
+        for k, own in at_nodes.items():
+            here = slice(len(own.names))
+            node_names[k, here], node_equality[k, here] = own.names, own.equality
+            if k == 0:
+                node_decided[0, here] = own.decided(ends.initial_fixed, [box.name for box in self.border.boxes], True)
+        node_places = np.repeat(np.array([[f"at node {k}"] for k in range(count)], object), most, axis=1)
+
+        def joined(inner: Any, at_node: Array, end: Any) -> Array:
+            return np.concatenate([np.concatenate([inner, at_node], axis=1).ravel(), end])
+
+        inner_names = np.tile(np.array(path.names, object)[kept % max(rows, 1)], (count, 1))
+        self.names = joined(inner_names, node_names, np.array(end_names, object))
+        self.places = joined(place, node_places, np.full(len(end_names), f"at node {count}", object))
         end_equality = [*final.equality, *[True] * len(self._fixed), *path.equality[states], *[False] * len(limits)]
-        self.equality = np.array([*np.tile(path.equality[kept % max(rows, 1)], count), *end_equality], bool)
+        inner_equality = np.tile(path.equality[kept % max(rows, 1)], (count, 1))
+        self.equality = joined(inner_equality, node_equality, np.array(end_equality, bool))
         end_decided = np.zeros(len(end_names), bool)
         first = len(final.names) + len(self._fixed)
         end_decided[first : first + len(states)] = path.decided(
             ends.final_fixed, not self.border.free[: self.border.phases].any()
         )[states]
-        #: Rows of the end alone: conditions, fixed entries, limits of the border.
-        self.own = np.concatenate(
-            [
-                np.zeros(count * len(kept), bool),
-                np.ones(first, bool),
-                np.zeros(len(states), bool),
-                np.ones(len(limits), bool),
-            ]
-        )
-        self.decided = np.concatenate([(decided.reshape(count, -1) & flat)[:, kept].ravel(), end_decided])
-        every = np.concatenate([flat[:, kept].ravel(), np.ones(len(end_names), bool)])
+        #: Rows of single nodes: conditions, fixed entries, limits of the border.
+        end_own = np.repeat([True, False, True], [first, len(states), len(limits)])
+        self.own = joined(np.zeros((count, len(kept)), bool), node_names != "", end_own)
+        self.decided = joined((decided.reshape(count, -1) & flat)[:, kept], node_decided, end_decided)
+        every = joined(flat[:, kept], node_names != "", np.ones(len(end_names), bool))
         self.exists = every & ~self.decided
         self.pinned = np.zeros_like(self.exists)
-        self.rows_per_interval = len(kept)
+        self._node_counts = {k: len(own.names) for k, own in at_nodes.items()}
+        self._node_rows, self.rows_per_interval = most, len(kept) + most
         self.states = tangents
         free_d = np.ones((self.nodes, self.n), bool)
         free_d[0] = ~ends.initial_mask
         self.free = Step(free_d, np.ones((count, self.m), bool), self.border.free)
 
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
-        """Take path rows out of the end that the equalities there decide: their slopes lie in the span of those.
+        """Take inequalities at nodes out that the equalities there decide: their slopes lie in the span of those.
 
         Two such rows leave no room for slacks. They count as decided, if it is so at all sample points.
         """
-        inner = self.intervals * self.rows_per_interval
-        equality, own = self.equality[inner:], (self.exists & ~self.equality)[inner:]
-        if not equality.any() or not own.any():
+        inner, zero = self.intervals * self.rows_per_interval, np.zeros(self.n + self.border.size)
+        ends = jax.jit(lambda z, point: self._end.slopes(z, self._here(-1, point), given)[:-1])
+        self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda p: ends(zero, p), samples)
+        held = np.eye(self.n, self.size)[~self.free.d[0]]
+        for k in sorted({0, *self._nodes}):
+            slopes = jax.jit(functools.partial(self._slopes_at_node, k, given))
+            at_start = np.flatnonzero(self._kept < self._row_count)
+            places = np.concatenate([at_start, len(self._kept) + np.arange(self._node_counts.get(k, 0))])
+            places = k * self.rows_per_interval + places
+            self._drop(places, held if k == 0 else held[:0], slopes, samples)
+
+    def _slopes_at_node(self, k: int, given: Given, point: Point) -> jax.Array:
+        """Of the path rows at the start of an interval and of the conditions there, by [d, u, b]."""
+        base, zero = {name: a[k] for name, a in point.xs.items()}, jnp.zeros(self.n, point.us.dtype)
+        share, q = jnp.asarray(k / self.intervals, zero.dtype), self._joined(zero, point.us[k], point.border)
+        rows = self._point.slopes(q, share, base, given.params)[self._kept[self._kept < self._row_count]]
+        return jnp.concatenate([rows, self._node_slopes(k, point, given)]) if k in self._nodes else rows
+
+    def _drop(self, at: Array, held: Array, slopes: Callable[[Point], Any], samples: Sequence[Point]) -> None:
+        """Take rows out that lie in the span of the equalities among them and of what is held, at all samples."""
+        equality, pinned = (self.exists & self.equality)[at], (self.exists & ~self.equality)[at]
+        if not (equality.any() or len(held)) or not pinned.any():
             return
-        zero = np.zeros(self.n + self.border.size)
-        slopes = jax.jit(lambda *args: self._end.slopes(*args)[:-1])
-        pinned = own.copy()
-        for point in samples:
-            found = np.asarray(slopes(zero, self._last(point), given))
-            base, rows = found[equality].T, found.T
+        for found in (np.asarray(slopes(point)) for point in samples):
+            base, rows = np.concatenate([held, found[equality]]).T, found.T
             left = rows - base @ np.linalg.lstsq(base, rows, rcond=None)[0]
             size = np.linalg.norm(rows, axis=0)
-            pinned &= (size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size)
-        self.exists, self.decided = self.exists.copy(), self.decided.copy()
-        self.exists[inner:] &= ~pinned
-        self.pinned[inner:] |= pinned
-        self.decided |= self.pinned
+            pinned = pinned & (size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size)
+        self.exists, self.decided, self.pinned = (np.array(a) for a in (self.exists, self.decided, self.pinned))
+        self.exists[at[pinned]] = False
+        self.pinned[at[pinned]] = self.decided[at[pinned]] = True
 
     # ---- moves --------------------------------------------------------------------------------------------------
 
@@ -229,7 +259,10 @@ class Shooting:
         rows, density = self._at_points(point, left, etas, given.params)
         defects = jax.vmap(self._gap)(etas[:, -1], left, right)
         cost = jnp.sum(density @ jnp.asarray(self._weights, density.dtype)) / self.intervals
-        end = self._end(jnp.zeros(self.n + self.border.size, density.dtype), self._last(point), given)
+        zero = jnp.zeros(self.n + self.border.size, density.dtype)
+        end = self._end(zero, self._here(-1, point), given)
+        at_nodes = {k: node(zero, self._here(k, point), given.params) for k, node in self._nodes.items()}
+        rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
         return Values(cost + end[-1], defects, jnp.concatenate([rows.reshape(-1), end[:-1]]))
 
     def advanced(self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays) -> Arrays:
@@ -237,11 +270,27 @@ class Shooting:
         etas, _ = self._roll(number, base, u, border, params)
         return self.dynamics.group.retract(base, etas[-1])
 
+    def _node_at(
+        self, k: int, conditions: Conditions, z: jax.Array, here: tuple[Arrays, jax.Array], params: Arrays
+    ) -> jax.Array:
+        """The conditions at a node after a step z = [d, db] of it."""
+        b = here[1] + z[self.n :]
+        x = self.dynamics.group.retract(here[0], z[: self.n])
+        return conditions.values(k / self.intervals * b[0], x, params | self.border.params(b))
+
+    def _spread(self, parts: Mapping[int, jax.Array], like: jax.Array) -> jax.Array:
+        """Rows of single nodes among those of all intervals."""
+        found = jnp.zeros((self.intervals, self._node_rows, *like.shape[2:]), like.dtype)
+        for k, rows in parts.items():
+            found = found.at[k, : len(rows)].set(rows)
+        return found
+
     def _numbers(self, point: Point) -> jax.Array:
         return jnp.arange(self.intervals, dtype=point.us.dtype)
 
-    def _last(self, point: Point) -> tuple[Arrays, jax.Array]:
-        return {name: a[-1] for name, a in point.xs.items()}, point.border
+    def _here(self, k: int, point: Point) -> tuple[Arrays, jax.Array]:
+        """A node and the border."""
+        return {name: a[k] for name, a in point.xs.items()}, point.border
 
     def _rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
@@ -313,14 +362,33 @@ class Shooting:
         split = self.intervals * self.rows_per_interval
         own = w[:split].reshape(self.intervals, -1)
         found = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, 0, 0, None, None))(
-            self._numbers(point), left, point.us, right, y, own, point.border, given.params
+            self._numbers(point), left, point.us, right, y, own[:, : len(self._kept)], point.border, given.params
         )
         defects, rows, gradient, hessian = found
-        last = self._last(point)
+        slopes, hessian = self._node_derivatives(point, own[:, len(self._kept) :], given, rows, hessian)
+        rows = jnp.concatenate([rows, slopes], axis=1)
+        last = self._here(-1, point)
         zero = jnp.zeros(self.n + self.border.size, y.dtype)
         end = self._end.slopes(zero, last, given)
         end_hessian = self._end.bends(jnp.append(w[split:], 1.0), zero, last, given)
         return Derivatives(defects, rows, end[:-1], gradient, end[-1], hessian, end_hessian)
+
+    def _node_derivatives(
+        self, point: Point, w: jax.Array, given: Given, rows: jax.Array, hessian: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Slopes of the conditions at nodes, and the second derivatives with theirs."""
+        zero, found = jnp.zeros(self.n + self.border.size, w.dtype), {}
+        for k, node in self._nodes.items():
+            found[k] = self._node_slopes(k, point, given)
+            bend = node.bends(w[k, : len(found[k])], zero, self._here(k, point), given.params)
+            hessian = hessian.at[k, self._seen[:, None], self._seen[None]].add(bend)
+        return self._spread(found, rows), hessian
+
+    def _node_slopes(self, k: int, point: Point, given: Given) -> jax.Array:
+        """Of the conditions at a node by [d, u, b]."""
+        zero = jnp.zeros(self.n + self.border.size, point.us.dtype)
+        slopes = self._nodes[k].slopes(zero, self._here(k, point), given.params)
+        return jnp.zeros((len(slopes), self.size), zero.dtype).at[:, self._seen].set(slopes)
 
     def _interval(
         self,

@@ -1,4 +1,4 @@
-"""What a problem asks for: its objective, the rows of its residuals along the path, and its two ends."""
+"""What a problem asks for: its objective, and the rows of its residuals along the path."""
 
 from __future__ import annotations
 
@@ -8,30 +8,21 @@ from collections.abc import Collection, Mapping, Sequence
 from math import prod
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import listed
-from ..errors import ModelError, ShapeError, TrajectoryError
+from ..errors import ModelError, ShapeError
 from ..expr import (
-    Constraint,
     Control,
-    Equality,
     Expr,
-    Inputs,
     Leaf,
     Parameter,
     State,
     Time,
-    evaluate_all,
     leaves_of,
     to_expr,
 )
-from ..groups import Euclidean
 from ..lowering import Dynamics
-from ..system import free_name, name_of
 from .cones import NormControls, without_norms
 
 
@@ -223,112 +214,6 @@ def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
     return found
 
 
-# ---- the ends ----------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class FinalRows:
-    """Conditions on the final node: inequalities (<= 0) first, then equalities."""
-
-    names: list[str]  # one for every entry
-    residuals: list[Expr]  # canonical
-    equality: Array  # which entries are equalities
-
-    def values(self, t: jax.Array, x: Any, params: Any) -> jax.Array:
-        inputs = Inputs(t, x, {}, params, t.dtype)
-        values = evaluate_all(self.residuals, lambda leaf: leaf.read(inputs))
-        return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
-
-
-def split_final(final: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
-    """Values and named constraints from what `final=` may be: a mapping, a constraint, or a list of both."""
-    values: dict[Any, Any] = {}
-    constraints: dict[str, Constraint] = {}
-    items: Sequence[Any] = list(final) if isinstance(final, (list, tuple)) else [] if final is None else [final]
-    for item in items:
-        if isinstance(item, Mapping):
-            values |= item
-        elif isinstance(item, Constraint):
-            constraints[free_name(repr(item), constraints)] = item
-        else:
-            raise ModelError(
-                f"final expects values by name and constraints, got a {type(item).__name__}; "
-                "e.g. final=[{'V': 0.0}, g[2, 3] == 0]"
-            )
-    return values, constraints
-
-
-def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | None) -> dict[str, Array | None]:
-    """The initial or final value of every state, NaN where an entry is free, None where all are."""
-    leaves = {state.name: state for state in states}
-    values: dict[str, Array | None] = {name: getattr(state, what) for name, state in leaves.items()}
-    if given is not None and not isinstance(given, Mapping):
-        raise ModelError(f"{what} must be a mapping from state names to values, got {type(given).__name__}")
-    for key, value in (given or {}).items():
-        name = name_of(key)
-        if name not in leaves:
-            raise ModelError(f"{what} names {name!r}; the states are: {listed(leaves, name)}")
-        values[name] = getattr(leaves[name].replace(**{what: value}), what)
-    for bound in bounds_of(states):
-        array = values[bound.leaf]
-        found = np.nan if array is None else array.ravel()[bound.entry]
-        if bound.sign * (found - bound.limit) > 0.0:
-            symbol = ">" if bound.sign > 0.0 else "<"
-            raise TrajectoryError(
-                f"the {what} value of {bound.place} must keep its bound, but is {found:g}: "
-                f"{found:g} {symbol} {bound.limit:g}"
-            )
-    return values
-
-
-@dataclasses.dataclass(frozen=True)
-class Ends:
-    """Values of the states at both ends, NaN where an entry is free, None where all are."""
-
-    initial: Mapping[str, Array | None]
-    final: Mapping[str, Array | None]
-    initial_fixed: dict[str, Array]  # name -> (dimension,) which entries of its tangent are fixed
-    final_fixed: dict[str, Array]
-
-    @property
-    def initial_mask(self) -> Array:
-        return np.concatenate([*self.initial_fixed.values(), np.zeros(0, bool)])
-
-    @property
-    def final_mask(self) -> Array:
-        return np.concatenate([*self.final_fixed.values(), np.zeros(0, bool)])
-
-
-def ends_of(states: Sequence[State], initial: Any, final: Any) -> Ends:
-    """Both ends, checked."""
-    first, last = end_values(states, "initial", initial), end_values(states, "final", final)
-    fixed = [{s.name: fixed_entries(s, own[s.name]) for s in states} for own in (first, last)]
-    return Ends(first, last, *fixed)
-
-
-def fixed_entries(state: State, value: Array | None) -> Array:
-    """(dimension,) which entries of a state's tangent are fixed by an end value."""
-    if value is None:
-        return np.zeros(state.group.dimension, bool)
-    if not isinstance(state.group, Euclidean):
-        return np.ones(state.group.dimension, bool)
-    return ~np.isnan(value.ravel())
-
-
-def final_rows(dynamics: Dynamics, constraints: Mapping[str, Constraint]) -> FinalRows:
-    """The residuals of the constraints on the final node."""
-    names: list[str] = []
-    residuals: list[Expr] = []
-    equality: list[bool] = []
-    for name, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
-        check_leaves(dynamics, f"final: {name}", constraint, controls=False)
-        shape = constraint.check_shape()
-        names += [f"{name}[{i}]" for i in range(prod(shape))] if shape else [name]
-        residuals.append(constraint.residual().canonicalize())
-        equality += [isinstance(constraint, Equality)] * prod(shape)
-    return FinalRows(names, residuals, np.array(equality, bool))
-
-
 def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:
     """Raise ModelError if an expression reads something the compiled system cannot give it."""
     known: dict[str, Leaf] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
@@ -336,7 +221,7 @@ def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) 
     for leaf in leaves_of(expr):
         if isinstance(leaf, Control) and not controls:
             raise ModelError(
-                f"{place} reads the control {leaf.name!r}, which has no value at the final node.\n"
+                f"{place} reads the control {leaf.name!r}, which has no value at a node.\n"
                 "  fix: make it a constraint of the system, or a running cost"
             )
         if isinstance(leaf, (State, Control)) and (leaf.name not in known or known[leaf.name].key() != leaf.key()):

@@ -12,10 +12,10 @@ from numpy import ndarray as Array
 
 from ..checks import short, whole
 from ..errors import TrajectoryError
+from .conditions import Ends
 from .guess import state_guess
 from .interior_point import InteriorPoint, Scales, State
 from .shooting import Given, Point
-from .statement import Ends
 
 if TYPE_CHECKING:
     from .problem import Problem

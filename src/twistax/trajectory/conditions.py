@@ -1,0 +1,168 @@
+"""What is asked at single nodes: values of the states at both ends, and constraints at any node."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from math import prod
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import listed, short
+from ..errors import ModelError, TrajectoryError
+from ..expr import Constraint, Equality, Expr, Inputs, Parameter, State, Time, evaluate_all, leaves_of
+from ..groups import Euclidean, SpecialEuclidean
+from ..lowering import Dynamics
+from ..system import free_name, name_of
+from .statement import bounds_of, check_leaves
+
+
+@dataclasses.dataclass(frozen=True)
+class Conditions:
+    """Constraints on a node: inequalities (<= 0) first, then equalities."""
+
+    names: tuple[str, ...]  # one for every entry
+    residuals: tuple[Expr, ...]  # canonical
+    equality: Array  # which entries are equalities
+
+    def values(self, t: jax.Array, x: Any, params: Any) -> jax.Array:
+        inputs = Inputs(t, x, {}, params, t.dtype)
+        values = evaluate_all(self.residuals, lambda leaf: leaf.read(inputs))
+        return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
+
+    def decided(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
+        """(entries,) those that nothing can change where these entries of the states are fixed."""
+        whole, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
+        found: list[bool] = []
+        for residual in self.residuals:
+            leaves = list(leaves_of(residual))
+            moves = any(
+                (isinstance(leaf, State) and leaf.name not in whole)
+                or (isinstance(leaf, Parameter) and leaf.name in loose)
+                or (isinstance(leaf, Time) and not at_known_time)
+                for leaf in leaves
+            )
+            found += [not moves] * prod(residual.shape)
+        return np.array(found, bool)
+
+
+def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constraint]) -> Conditions:
+    """The residuals of constraints on a node, with the place in their names."""
+    names: list[str] = []
+    residuals: list[Expr] = []
+    equality: list[bool] = []
+    for own, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
+        name = f"{place}: {own}"
+        check_leaves(dynamics, name, constraint, controls=False)
+        shape = constraint.check_shape()
+        names += [f"{name}[{i}]" for i in range(prod(shape))] if shape else [name]
+        residuals.append(constraint.residual().canonicalize())
+        equality += [isinstance(constraint, Equality)] * prod(shape)
+    return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))
+
+
+def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
+    """Values and named constraints from what an end may be: a mapping, a constraint, or a list of both."""
+    values: dict[Any, Any] = {}
+    constraints: dict[str, Constraint] = {}
+    items: Sequence[Any] = list(given) if isinstance(given, (list, tuple)) else [] if given is None else [given]
+    for item in items:
+        if isinstance(item, Mapping):
+            values |= item
+        elif isinstance(item, Constraint):
+            constraints[free_name(repr(item), constraints)] = item
+        else:
+            raise ModelError(
+                f"{what} expects values by name and constraints, got a {type(item).__name__}; "
+                f"e.g. {what}=[{{'V': 0.0}}, g[2, 3] == 0]"
+            )
+    return values, constraints
+
+
+def at_nodes(dynamics: Dynamics, at: Any, nodes: int) -> dict[int, Conditions]:
+    """The conditions at inner nodes, from `at={node: constraint or a list of them}`."""
+    if at is not None and not isinstance(at, Mapping):
+        raise ModelError(
+            f"at must be a dict from numbers of nodes to constraints, got {short(at)}; e.g. at={{5: p >= 1}}"
+        )
+    found = {}
+    for node, given in (at or {}).items():
+        if isinstance(node, bool) or not isinstance(node, (int, np.integer)) or not 0 < node < nodes - 1:
+            raise TrajectoryError(
+                f"at names the node {short(node)}; inner nodes have the numbers 1 to {nodes - 2}.\n"
+                "  fix: conditions on the first and the last node belong to initial= and final="
+            )
+        values, constraints = split(f"at[{node}]", given)
+        if values:
+            raise ModelError(
+                f"at[{node}] expects constraints, got values of {listed(map(name_of, values))}; e.g. p == 1.0"
+            )
+        found[int(node)] = conditions(dynamics, f"node {node}", constraints)
+    return found
+
+
+def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | None) -> dict[str, Array | None]:
+    """The initial or final value of every state, NaN where an entry is free, None where all are."""
+    leaves = {state.name: state for state in states}
+    values: dict[str, Array | None] = {name: getattr(state, what) for name, state in leaves.items()}
+    if given is not None and not isinstance(given, Mapping):
+        raise ModelError(f"{what} must be a mapping from state names to values, got {type(given).__name__}")
+    for key, value in (given or {}).items():
+        name = name_of(key)
+        if name not in leaves:
+            raise ModelError(f"{what} names {name!r}; the states are: {listed(leaves, name)}")
+        values[name] = getattr(leaves[name].replace(**{what: value}), what)
+    for bound in bounds_of(states):
+        array = values[bound.leaf]
+        found = np.nan if array is None else array.ravel()[bound.entry]
+        if bound.sign * (found - bound.limit) > 0.0:
+            symbol = ">" if bound.sign > 0.0 else "<"
+            raise TrajectoryError(
+                f"the {what} value of {bound.place} must keep its bound, but is {found:g}: "
+                f"{found:g} {symbol} {bound.limit:g}"
+            )
+    return values
+
+
+@dataclasses.dataclass(frozen=True)
+class Ends:
+    """Values of the states at both ends, NaN where an entry is free, None where all are."""
+
+    initial: Mapping[str, Array | None]
+    final: Mapping[str, Array | None]
+    initial_fixed: dict[str, Array]  # name -> (dimension,) which entries of its tangent are fixed
+    final_fixed: dict[str, Array]
+
+    @property
+    def initial_mask(self) -> Array:
+        return np.concatenate([*self.initial_fixed.values(), np.zeros(0, bool)])
+
+    @property
+    def final_mask(self) -> Array:
+        return np.concatenate([*self.final_fixed.values(), np.zeros(0, bool)])
+
+
+def ends_of(states: Sequence[State], initial: Any, final: Any) -> Ends:
+    """Both ends, checked."""
+    first, last = end_values(states, "initial", initial), end_values(states, "final", final)
+    fixed = [{s.name: fixed_entries(s, own[s.name]) for s in states} for own in (first, last)]
+    return Ends(first, last, *fixed)
+
+
+def fixed_entries(state: State, value: Array | None) -> Array:
+    """(dimension,) which entries of a state's tangent are fixed by an end value.
+
+    A turn x Exp([0; w]) keeps the position of a pose and a shift x Exp([v; 0]) its attitude, so either may be free.
+    """
+    if value is None:
+        return np.zeros(state.group.dimension, bool)
+    if isinstance(state.group, Euclidean):
+        return ~np.isnan(value.ravel())
+    if isinstance(state.group, SpecialEuclidean):
+        known = np.repeat([not np.isnan(value[:3, 3]).any(), not np.isnan(value[:3, :3]).any()], 3)
+        return np.asarray(state.group.order.from_linear_first(known.astype(float))) > 0.0
+    return np.ones(state.group.dimension, bool)

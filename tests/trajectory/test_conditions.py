@@ -1,0 +1,143 @@
+"""Conditions on the start and at named nodes, and poses of which half is given: known optima, and what is refused."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from trajectory_systems import double_integrator, free_flyer
+
+import twistax as tx
+from twistax.trajectory import Problem, TrajectoryResult
+
+
+def test_a_start_on_a_circle_is_the_nearest_point_of_it() -> None:
+    """x' = u from a circle about the origin to (3, 4): |x(1)| - radius along a line."""
+    x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,))
+    problem = Problem(
+        tx.compile(tx.System(rates={x: u})),
+        tx.Minimize(running=u @ u),
+        nodes=3,
+        final_time=1.0,
+        initial=[x @ x == 4.0, x[0] <= 1.5],
+        final={x: [3.0, 4.0]},
+        guess={x: [1.0, 1.0]},
+    )
+    result = problem.solve()
+    assert result.solved
+    np.testing.assert_allclose(result.xs["x"][0], [1.2, 1.6], atol=1e-5)
+    assert result.cost == pytest.approx(9.0, rel=1e-5)
+    # d cost / d(radius^2) = -2 (5 - radius) / (2 radius), and the multiplier is its negative.
+    assert result.multipliers[f"initial: {x @ x == 4.0!r}"] == pytest.approx([1.5], rel=1e-4)
+    assert any(name.startswith("initial: ") for name in result.violations)
+    assert max(value for name, value in result.replay(steps=2).final.items() if name.startswith("initial")) < 1e-6
+
+
+def test_a_launch_angle_is_found() -> None:
+    """How far a stone flies: v^2 / g at 45 deg."""
+    p, v = tx.State("p", shape=(2,)), tx.State("v", shape=(2,))
+    dynamics = tx.compile(tx.System(rates={p: v, v: np.array([0.0, -10.0])}))
+    problem = Problem(
+        dynamics,
+        tx.Maximize(p[0]),
+        nodes=4,
+        final_time=(0.1, 5.0),
+        initial=[{p: [0.0, 0.0]}, tx.linalg.Norm(v) <= 20.0],
+        final=[p[1] == 0.0],
+        guess={v: [5.0, 5.0]},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(40.0, rel=1e-6)
+    np.testing.assert_allclose(result.xs["v"][0], [np.sqrt(200.0)] * 2, rtol=1e-4)
+
+
+def test_a_gate_at_a_named_node_is_passed() -> None:
+    """Least energy through p = 1 at half time and back, which a spline of two cubics is; v there is free."""
+    dynamics = tx.compile(double_integrator())
+    p, v, u = *dynamics.states, *dynamics.controls
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=u * u),
+        nodes=41,
+        final_time=2.0,
+        initial={p: 0.0, v: 0.0},
+        final={p: 0.0, v: 0.0},
+        at={20: [p == 1.0, v <= 2.0], 10: p >= -1.0},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.xs["p"][20] == pytest.approx(1.0, abs=1e-6)
+    # Twice a rest-to-rest motion of 20 held controls, each 12 distance^2 / time^3 / (1 - 1 / 20^2).
+    assert result.cost == pytest.approx(24.0 / (1.0 - 1.0 / 400.0), rel=1e-6)
+    (gate,) = (name for name in result.multipliers if name.startswith("node 20") and "==" in name)
+    assert abs(result.multipliers[gate][0]) == pytest.approx(48.0, rel=1e-2)
+    assert result.replay(steps=3).final[gate] < 1e-5
+
+
+ANGLE, SHIFT = 1.1, np.array([1.0, 2.0, -0.5])
+POSE = tx.pose(position=SHIFT, rotation=np.asarray(tx.SO3.exp(ANGLE * np.array([0.6, 0.0, 0.8]))))
+
+
+def flown(**ends: Any) -> TrajectoryResult:
+    """Least |v|^2 + |w|^2 in a second."""
+    dynamics = tx.compile(free_flyer())
+    V = dynamics.controls[0]
+    return Problem(dynamics, tx.Minimize(running=V @ V), nodes=4, final_time=1.0, **ends).solve()
+
+
+def half(pose: np.ndarray, block: Any) -> np.ndarray:
+    pose = np.array(pose)
+    pose[block] = np.nan
+    return pose
+
+
+@pytest.mark.parametrize("side", ["initial", "final"])
+@pytest.mark.parametrize("block", [np.s_[:3, :3], np.s_[:3, 3]], ids=["attitude free", "position free"])
+def test_half_of_a_pose_is_free(side: str, block: Any) -> None:
+    """What is free moves nothing: only the distance, or only the turn, is paid for."""
+    other = {"initial": "final", "final": "initial"}[side]
+    result = flown(**{side: {"g": half(POSE, block)}, other: {"g": np.eye(4)}})
+    assert result.solved
+    cost = ANGLE**2 if block == np.s_[:3, 3] else SHIFT @ SHIFT
+    assert result.cost == pytest.approx(cost, rel=1e-3)
+    given = np.s_[:3, :3] if block == np.s_[:3, 3] else np.s_[:3, 3]
+    np.testing.assert_allclose(result.xs["g"][0 if side == "initial" else -1][given], POSE[given], atol=1e-6)
+
+
+def test_a_limit_that_the_given_half_decides_leaves_room() -> None:
+    """A start on the ground with a free attitude, and one whose constraint says so."""
+    g = tx.State("g", group=tx.SE3)
+    V = tx.Control("V", shape=(6,))
+    dynamics = tx.compile(tx.System(rates={g: V}, constraints={"ground": g[2, 3] >= 0.0}))
+    options: dict[str, Any] = {"nodes": 3, "final_time": 1.0, "final": [g[:3, 3] == SHIFT * np.array([1, 1, -1])]}
+    for initial in ({g: half(np.eye(4), np.s_[:3, :3])}, [g[:3, 3] == np.zeros(3)]):
+        problem = Problem(dynamics, tx.Minimize(running=V @ V), initial=initial, **options)
+        result = problem.solve()
+        assert result.solved
+        assert result.cost == pytest.approx(SHIFT @ SHIFT, rel=1e-3)
+        names = problem.shooting.names[problem.shooting.pinned]
+        assert list(names) == ["ground", "ground"]
+
+
+p, v = tx.State("p"), tx.State("v")
+BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({"at": {0: p == 1.0}}, tx.TrajectoryError, r"(?s)node 0.*1 to 6.*initial="),
+    ({"at": {7: p == 1.0}}, tx.TrajectoryError, "node 7"),
+    ({"at": {3: {"p": 1.0}}}, tx.ModelError, r"at\[3\] expects constraints"),
+    ({"at": [p == 1.0]}, tx.ModelError, "at must be a dict"),
+    ({"at": {3: tx.State("stranger") == 1.0}}, tx.ModelError, "stranger"),
+    ({"initial": [3.0]}, tx.ModelError, "initial expects values"),
+    ({"initial": [tx.Control("u") == 1.0]}, tx.ModelError, "no value at a node"),
+]
+
+
+@pytest.mark.parametrize(("changes", "error", "text"), BAD, ids=[str(number) for number in range(len(BAD))])
+def test_conditions_that_cannot_be_are_refused(changes: dict[str, Any], error: type[Exception], text: str) -> None:
+    dynamics = tx.compile(double_integrator())
+    with pytest.raises(error, match=text):
+        Problem(dynamics, tx.Minimize(dynamics.states[0]), nodes=8, final_time=1.0, **changes)
+
+
+def test_single_entries_of_a_pose_are_constraints() -> None:
+    with pytest.raises(tx.ModelError, match=r"(?s)whole position or the whole attitude.*use constraints"):
+        flown(final={"g": half(POSE, np.s_[0, 3])})
