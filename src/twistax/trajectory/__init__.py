@@ -1,12 +1,14 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
+from .cases import TrajectoryResults
 from .discretize import Discretization, Linearization, discretize, linearize
 from .problem import Problem
 from .result import Optimality, TrajectoryResult
-from .solver import Status
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
 from .statement import Minimize as Minimize
 from .statement import Objective
+from .warm import WarmStart
+from .watch import Status
 
 __all__ = [
     "Discretization",
@@ -16,6 +18,8 @@ __all__ = [
     "Problem",
     "Status",
     "TrajectoryResult",
+    "TrajectoryResults",
+    "WarmStart",
     "discretize",
     "linearize",
 ]

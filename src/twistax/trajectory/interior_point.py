@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..jax_inside import any_of_batch
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
 from .shooting import Derivatives, Given, Point, Shooting, Step, Values
 
@@ -364,8 +365,12 @@ class InteriorPoint:
             return jnp.maximum(_LEAST_SHARE * jnp.where(tilt < 0.0, small, _THETA_GAIN), 1e-14)
 
         def advance(search: _Search) -> _Search:
-            fresh = lambda: direction(search.defects, search.rows)  # noqa: E731
-            way = jax.lax.cond(search.pending, fresh, lambda: search.way)
+            def fresh() -> _Direction:
+                found = direction(search.defects, search.rows)
+                return jax.tree.map(lambda a, b: jnp.where(search.pending, a, b), found, search.way)
+
+            # Of a batch: computed only where some member needs one.
+            way = jax.lax.cond(any_of_batch(search.pending), fresh, lambda: search.way)
             begins = search.pending & (search.corrections == 0)
             first = jax.tree.map(lambda a, b: jnp.where(begins, a, b), way, search.first)
             share = jnp.where(search.pending, way.primal, search.share)

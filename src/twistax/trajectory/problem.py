@@ -20,10 +20,12 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..system import name_of
 from .border import Border, boxes_of
+from .cases import Cases, TrajectoryResults, prepared, results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
 from .discretize import method_of
 from .guess import control_guess, state_guess, user_guess
+from .many import LANES, Lanes, solve_all
 from .result import TrajectoryResult, best_result
 from .shooting import Given, Point, Shooting, Step
 from .solver import Callback, Solver
@@ -150,13 +152,18 @@ class Problem:
             border=self.border,
         )
         self._solvers: dict[float, Solver] = {}
+        self._all_lanes: dict[tuple[Solver, int], Lanes] = {}
         self.advanced = jax.jit(self.shooting.advanced)
         #: The path rows as users wrote them, at many points.
         self.shown_rows = jax.jit(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "shown_rows", "_solvers")}
+        return {
+            k: v
+            for k, v in self.__dict__.items()
+            if k not in ("shooting", "advanced", "shown_rows", "_solvers", "_all_lanes")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
@@ -210,34 +217,66 @@ class Problem:
         if warm is not None and any(value is not None for value in given_too.values()):
             names = ", ".join(name for name, value in given_too.items() if value is not None)
             raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
-        whole("max_iterations", max_iterations, 1, TrajectoryError)
-        number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
+        _check_options(max_iterations, tolerance)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
-        ends = self._ends(initial, final)
-        limits, time_guess = self._final_time(final_time, final_time_guess)
-        own = self.params if params is None else self._prepared({**self.params, **params})
         sign = self.objective.sign
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
         with jax.enable_x64(True):
             begin = time.perf_counter()
-            plain = self._start(self._guess | self._checked(guess), ends, own, time_guess)
-            given = self._given(ends, own, limits)
+            plain, given, own = self.started(guess, initial, final, params, final_time, final_time_guess)
             solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
             for attempt in range(guesses):
-                start = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
+                start = plain if warm is None else with_ends(warm_start(warm), self, self._ends(initial, final), given)
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
                     start = solver.perturbed(plain, given, rng)
                 outcomes.append(solver.run(start, given, max_iterations, report))
             done = time.perf_counter()
         return best_result(self, outcomes, own, tolerance, compiled - begin, done - compiled)
+
+    def solve_many(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[str, Any] | None = None,
+        final_time: Any = None,
+        max_iterations: int = 500,
+        tolerance: float = 1e-6,
+    ) -> TrajectoryResults:
+        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+
+        Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
+        A guess with an axis of cases has one of nodes or intervals too.
+
+        Cases step together, in lanes on all processors; a lane whose case has ended takes the next. Those that need a
+        search for feasible points, or a second search, are solved one by one afterwards.
+
+        Raises:
+            ShapeError: arguments for different numbers of cases.
+            TrajectoryError: no argument has an axis of cases.
+            TwistaxError: as `solve` does, with the number of the case.
+        """
+        _check_options(max_iterations, tolerance)
+        given = {"guess": guess, "initial": initial, "final": final, "params": params}
+        cases = Cases(self, given, final_time)
+        with jax.enable_x64(True):
+            begin = time.perf_counter()
+            points, givens, own = prepared(self, cases)
+            solver = self._solver(float(tolerance), *jax.tree.map(lambda a: jnp.asarray(a[0]), (points, givens)))
+            lanes = self._lanes(solver, cases.count)
+            compiled = time.perf_counter()
+            outcomes = solve_all(solver, lanes, points, givens, max_iterations)
+            done = time.perf_counter()
+        return results(self, outcomes, own, float(tolerance), compiled - begin, done - compiled)
 
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
         """The solver for a tolerance, compiled."""
@@ -249,6 +288,13 @@ class Problem:
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
 
+    def _lanes(self, solver: Solver, count: int) -> Lanes:
+        """Lanes for so many cases, compiled once for each width."""
+        width = min(LANES, count)
+        if (solver, width) not in self._all_lanes:
+            self._all_lanes[solver, width] = Lanes(solver, width)
+        return self._all_lanes[solver, width]
+
     def _samples(self, point: Point) -> list[Point]:
         """Points whose nodes are moved at random."""
         rng, shooting, found = np.random.default_rng(0), self.shooting, []
@@ -259,6 +305,22 @@ class Problem:
         return found
 
     # ---- what a solve starts from ---------------------------------------------------------------------------------
+
+    def started(
+        self,
+        guess: Mapping[Any, Any] | None,
+        initial: Mapping[Any, Any] | None,
+        final: Mapping[Any, Any] | None,
+        params: Mapping[str, Any] | None,
+        final_time: Any,
+        final_time_guess: Any = None,
+    ) -> tuple[Point, Given, dict[str, Array]]:
+        """Where `solve` with these arguments starts, what it is for, and its parameters; in double precision."""
+        ends = self._ends(initial, final)
+        limits, time_guess = self._final_time(final_time, final_time_guess)
+        own = self.params if params is None else self._prepared({**self.params, **params})
+        start = self._start(self._guess | self._checked(guess), ends, own, time_guess)
+        return start, self._given(ends, own, limits), own
 
     def _ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
         if initial is None and final is None:
@@ -364,6 +426,11 @@ class Problem:
             if not np.isfinite(value).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {value}")
         return found
+
+
+def _check_options(max_iterations: Any, tolerance: Any) -> None:
+    whole("max_iterations", max_iterations, 1, TrajectoryError)
+    number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
 
 
 def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:

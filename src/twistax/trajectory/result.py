@@ -18,9 +18,10 @@ from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
-from .solver import Outcome, Status
+from .solver import Outcome
 from .statement import largest_by_name, violations
 from .warm import WarmStart
+from .watch import Status
 
 if TYPE_CHECKING:
     from .problem import Problem

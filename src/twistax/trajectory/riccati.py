@@ -185,10 +185,11 @@ def along_rows(slopes: Derivatives, step: Step) -> Rows:
     return Rows(jnp.einsum("kra,ka->kr", slopes.rows, z), slopes.end_rows @ end)
 
 
-def of_stages(step: Step) -> tuple[jax.Array, jax.Array]:
-    """z_k = [d_k, u_k, b] (intervals, n + m + g), and [d, b] of the end."""
-    borders = jnp.broadcast_to(step.border, (step.u.shape[0], *step.border.shape))
-    return jnp.concatenate([step.d[:-1], step.u, borders], axis=1), jnp.concatenate([step.d[-1], step.border])
+def of_stages(step: Step) -> tuple[Any, Any]:
+    """z_k = [d_k, u_k, b] (intervals, n + m + g), and [d, b] of the end; of NumPy's arrays by NumPy."""
+    own: Any = np if isinstance(step.u, np.ndarray) else jnp
+    borders = own.broadcast_to(step.border, (step.u.shape[0], *step.border.shape))
+    return own.concatenate([step.d[:-1], step.u, borders], axis=1), own.concatenate([step.d[-1], step.border])
 
 
 def to_step(inner: jax.Array, end: jax.Array, n: int) -> Step:

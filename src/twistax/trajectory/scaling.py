@@ -133,7 +133,7 @@ def _spreads(shooting: Shooting, leaves: Mapping[str, State | Control], point: P
             d[part] = np.ravel(leaf.scale)
         elif isinstance(factor, SpecialEuclidean):
             length = float(np.ptp(values[:, :3, 3], axis=0).max()) / 2.0
-            d[part] = np.asarray(factor.order.from_linear_first(np.array([length] * 3 + [_TURN] * 3)))
+            d[part] = np.where(shooting.turns[part], _TURN, length)
         elif isinstance(factor, Euclidean):
             flat = values.reshape(len(values), -1)
             d[part] = _moving(np.ptp(flat, axis=0) / 2.0, flat)

@@ -413,7 +413,6 @@ class Shooting:
         qs = jax.vmap(jax.vmap(join))(points)
         every = lambda f: jax.vmap(f, in_axes=(0, 0, None, None))  # noqa: E731
         slopes = every(every(self._rate.slopes))(qs, jnp.asarray(shares), base, params)  # (S, s, n, size)
-        tail = jnp.eye(size, dtype=u.dtype)[n:]
         sensitivity = jnp.eye(n, size, dtype=u.dtype)
         ends, inner = [sensitivity], []
         for s in range(substeps):
@@ -423,20 +422,20 @@ class Shooting:
                     (length * a[i, j] * moved[j] for j in range(i) if self._a[i, j]), jnp.zeros_like(sensitivity)
                 )
                 inner.append(at)
-                moved.append(slopes[s, i] @ jnp.concatenate([at, tail]))
+                moved.append((slopes[s, i, :, :n] @ at).at[:, n:].add(slopes[s, i, :, n:]))
             sensitivity = sensitivity + length * jnp.einsum("i,ijk->jk", b, jnp.stack(moved))
             ends.append(sensitivity)
-        tails = jnp.broadcast_to(tail, (substeps * stages, *tail.shape))
-        maps = jnp.concatenate([jnp.stack(inner), tails], axis=1)
-        end_maps = jnp.concatenate(
-            [
-                jnp.stack(ends),
-                tails[: substeps + 1]
-                if substeps * stages > substeps
-                else jnp.broadcast_to(tail, (substeps + 1, *tail.shape)),
-            ],
-            axis=1,
-        )
+        maps, end_maps = jnp.stack(inner), jnp.stack(ends)
+
+        def along(rows: jax.Array, maps: jax.Array) -> jax.Array:
+            """Slopes (..., n + m + g) by q along the sensitivities of eta; the rest of q are unknowns themselves."""
+            return (rows[..., :n] @ maps).at[..., n:].add(rows[..., n:])
+
+        def bent(bends: jax.Array, maps: jax.Array) -> jax.Array:
+            """The sum of second derivatives (k, n + m + g, n + m + g) by q along sensitivities (k, n, n + m + g)."""
+            moved = along(bends, maps)
+            found = maps.reshape(-1, size).T @ moved[:, :n].reshape(-1, size)
+            return found.at[n:].add(moved[:, n:].sum(axis=0))
 
         # Rows, cost and the gap.
         times, end_qs = self._shares(number), jax.vmap(join)(etas)
@@ -447,8 +446,9 @@ class Shooting:
         point_bends = jax.vmap(self._point.bends, in_axes=(0, 0, 0, None, None))(pushes, end_qs, times, base, params)
         gap_slope = self._gap.slopes(etas[-1], base, target)
         gap_bend = self._gap.bends(y, etas[-1], base, target)
-        rows = (point_slopes[:, :-1] @ end_maps).reshape(-1, size)[self._kept]
-        gradient = jnp.einsum("p,pi,piz->z", weights, point_slopes[:, -1], end_maps)
+        moved_points = along(point_slopes, end_maps)
+        rows = moved_points[:, :-1].reshape(-1, size)[self._kept]
+        gradient = weights @ moved_points[:, -1]
 
         # Adjoints, last substep first.
         pulls = jnp.einsum("pr,pri->pi", pushes, point_slopes)
@@ -467,9 +467,7 @@ class Shooting:
         bends = jax.vmap(self._rate.bends, in_axes=(0, 0, 0, None, None))(
             jnp.stack(adjoints), qs.reshape(-1, size), jnp.asarray(shares).reshape(-1), base, params
         )
-        hessian = jnp.einsum("kia,kij,kjb->ab", maps, bends, maps)
-        hessian = hessian + jnp.einsum("kia,kij,kjb->ab", end_maps, point_bends, end_maps)
-        hessian = hessian + ends[-1].T @ gap_bend @ ends[-1]
+        hessian = bent(bends, maps) + bent(point_bends, end_maps) + ends[-1].T @ gap_bend @ ends[-1]
         return gap_slope @ ends[-1], rows, gradient, 0.5 * (hessian + hessian.T)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -18,16 +17,13 @@ from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
 from .shooting import Derivatives, Given, Point, Shooting, Step, Values
 from .warm import WarmStart
+from .watch import Status, Watch, error, row_violations
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
 
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
-#: Scales are renewed once they are off by this factor. A result stands in scales that are not.
-_RENEW = 3.0
-#: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
-_EARLY = (1, 3, 6)
 #: A feasible point is worth leaving the search for if it takes off so much of the violation.
 _WORTH = 0.5
 #: Of a search for feasible points: relative slope of a stationary point, its damping, and how often it starts anew.
@@ -36,22 +32,6 @@ _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 _SLACK, _SHAKE = 1e-3, 0.1
 #: A solution that needs more than this on the diagonal, scaled, is no minimum.
 _CURVED = 1e-6
-
-
-class Status(enum.Enum):
-    """How an optimisation ended, as a sentence."""
-
-    SOLVED = "the first-order conditions of an optimum hold within the tolerance"
-    ACCEPTABLE = (
-        "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
-    )
-    INFEASIBLE = "no trajectory was found that meets every constraint"
-    MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
-    STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
-    NON_FINITE = "the problem has values or slopes that are not finite"
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.value}"
 
 
 class Outcome(NamedTuple):
@@ -78,32 +58,39 @@ class Outcome(NamedTuple):
 
 
 class Solver:
-    """Solves a transcribed problem again and again; what it needs compiles once."""
+    """Solves a transcribed problem again and again; what it needs compiles once.
+
+    Attributes:
+        probe, bent: a step from memory of the damping `probe` tries none, a third of it, then more; raised above `bent`
+            the objective falls to second order along what the constraints leave free.
+    """
+
+    probe, bent = 3.0 * _CURVED, 1.5 * _CURVED
 
     def __init__(self, shooting: Shooting, leaves: Mapping[str, State | Control], tolerance: float) -> None:
-        self._shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
-        method = self._method = InteriorPoint(shooting, tolerance)
-        self._move = _jit(shooting.move)
-        self._start = _jit(method.start)
-        self._warm = _jit(lambda *args: warm.begin(method, *args))
-        self._derivatives = _jit(method.derivatives)
-        self._measured = _jit(method.measured)
-        self._step = _jit(method.step)
-        self._rescaled = _jit(method.rescaled)
-        self._begin = _jit(lambda state: feasibility.begin(method, state))
-        self._reduce = _jit(lambda *args: feasibility.reduce(method, *args))
-        self._judged = _jit(self._judge)
+        self.shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
+        method = self.method = InteriorPoint(shooting, tolerance)
+        self._move = jitted(shooting.move)
+        self._start = jitted(method.start)
+        self._warm = jitted(lambda *args: warm.begin(method, *args))
+        self._derivatives = jitted(method.derivatives)
+        self._measured = jitted(method.measured)
+        self._step = jitted(method.step)
+        self._rescaled = jitted(method.rescaled)
+        self._begin = jitted(lambda state: feasibility.begin(method, state))
+        self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
+        self._judged = jitted(self._judge)
 
     def prepare(self, point: Point, given: Given) -> None:
         """Compile what every run needs."""
-        state = self._start(point, given, scaling.unit_scales(self._shooting))
+        state = self._start(point, given, scaling.unit_scales(self.shooting))
         slopes = self._derivatives(state, given)
         self._step.lower(self._measured(state, slopes), slopes, given).compile()
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step."""
         scales, _ = self._first_scales(point, given)
-        free = self._shooting.free
+        free = self.shooting.free
         d = np.where(free.d, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
         here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
@@ -111,12 +98,17 @@ class Solver:
         border = np.clip(here + np.where(free.border, rng.normal(size=here.shape) * spread, 0.0), low, high)
         return self._move(point, Step(d, u, border - here))
 
-    def _first_scales(self, point: Point, given: Given) -> tuple[Scales, bool]:
-        """Scales at a point, and whether the objective has slopes there."""
-        unit = scaling.unit_scales(self._shooting)
+    def _first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
+        """Scales at a point, and the largest seen."""
+        unit = scaling.unit_scales(self.shooting)
         state = self._start(point, given, unit)
         slopes = self._derivatives(state, given)
-        return scaling.measured(self._shooting, self._leaves, point, slopes, unit)
+        return self.scales_of(point, slopes, unit)
+
+    def scales_of(self, point: Point, slopes: Derivatives, before: Scales) -> tuple[Scales, Scales]:
+        """Scales from derivatives at a point, taken in other scales, and the largest seen."""
+        scales, sloped = scaling.measured(self.shooting, self._leaves, point, slopes, before)
+        return scales, scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)[1]
 
     def run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
@@ -131,70 +123,56 @@ class Solver:
 
     def _bends_down(self, state: Iterate, given: Given) -> bool:
         """Whether the objective falls to second order along what the constraints leave free."""
-        # A step from memory of a small damping tries none, a third of it, then more.
-        probe = self._step(
-            state._replace(damping=jnp.full_like(state.damping, 3.0 * _CURVED)), self._derivatives(state, given), given
-        )
-        return float(probe.raised) > 1.5 * _CURVED
+        probed = state._replace(damping=jnp.full_like(state.damping, self.probe))
+        return float(self._step(probed, self._derivatives(state, given), given).raised) > self.bent
 
     def _begun(self, start: Point | WarmStart, given: Given) -> tuple[Iterate, Scales]:
         """The first state, and the largest scales seen."""
         if isinstance(start, WarmStart):
             return self._warm(start.point, start.dynamics, start.rows, start.scales, given), start.scales
-        scales, sloped = self._first_scales(start, given)
-        _, seen = scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)
+        scales, seen = self._first_scales(start, given)
         return self._start(start, given, scales), seen
 
     def _run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
     ) -> tuple[Outcome, Iterate]:
         state, seen = self._begun(start, given)
-        shooting = self._shooting
+        watch = self.watch(seen, max_iterations)
 
-        def ended(state: Iterate, status: Status, count: int) -> tuple[Outcome, Iterate]:
-            return self._outcome(state, status, max(count, 1)), state
+        def ended(state: Iterate, status: Status) -> tuple[Outcome, Iterate]:
+            return self.outcome(state, status, watch.count), state
 
-        if not _finite((state.scales, state.values)):
-            return ended(state, Status.NON_FINITE, 1)
-        lost = np.where(shooting.decided & ~shooting.pinned, self._row_violations(state), 0.0)
-        if lost.max(initial=0.0) > self._tolerance:
-            return ended(state, Status.INFEASIBLE, 1)
-        count, searches, rests, shaken = 0, 0, 0, False
+        status = watch.at_once(state)
+        if status is not None:
+            return ended(state, status)
+        searches, rests, shaken = 0, 0, False
         while True:
             before = float(state.barrier)
             slopes, state = self._looked_at(state, given)
-            if self._error(state) <= self._tolerance or count in _EARLY or float(state.barrier) < before:
-                fresh, sloped = scaling.measured(shooting, self._leaves, state.point, slopes, state.scales)
-                fresh, seen = scaling.not_below(fresh, seen, sloped)
-                if scaling.change(fresh, state.scales) > _RENEW:
-                    slopes, state = self._looked_at(self._rescaled(state, fresh), given)
-            error = self._error(state)
-            if error <= self._tolerance:
-                pinned = np.where(shooting.pinned, self._row_violations(state), 0.0)
-                broken = pinned.max(initial=0.0) > 10.0 * self._tolerance
-                return ended(state, Status.INFEASIBLE if broken else Status.SOLVED, count)
-            if not np.isfinite(error):
-                return ended(state, Status.NON_FINITE, count)
-            if count >= max_iterations:
-                return ended(state, Status.MAX_ITERATIONS, count)
+            fresh = watch.renewed(state, slopes, before)
+            if fresh is not None:
+                slopes, state = self._looked_at(self._rescaled(state, fresh), given)
+            status = watch.ended(state)
+            if status is not None:
+                return ended(state, status)
             if callback is not None:
-                callback(count, float(state.values.cost), float(state.errors.feasibility))
+                callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
             last, state = state, self._step(state, slopes, given)
-            count += 1
+            watch.count += 1
             if not bool(state.stuck):
                 continue
             searches += 1
             if searches > _SEARCHES and shaken:
-                good = error <= _ACCEPTABLE * self._tolerance
-                return ended(last, Status.ACCEPTABLE if good else Status.STALLED, count)
+                good = error(last) <= _ACCEPTABLE * self._tolerance
+                return ended(last, Status.ACCEPTABLE if good else Status.STALLED)
             if searches > _SEARCHES:
                 searches, shaken, state = 0, True, self._shaken(last, given)
                 continue
-            state, used, stationary = self._feasible(state, given, max_iterations - count)
-            count += used
+            state, used, stationary = self._feasible(state, given, max_iterations - watch.count)
+            watch.count += used
             rests += stationary
             if rests > 1:
-                return ended(state, Status.INFEASIBLE, count)
+                return ended(state, Status.INFEASIBLE)
             if stationary:
                 state = self._shaken(state, given)
 
@@ -202,11 +180,6 @@ class Solver:
         """The derivatives at a state, and the state with its errors."""
         slopes = self._derivatives(state, given)
         return slopes, self._measured(state, slopes)
-
-    @staticmethod
-    def _error(state: Iterate) -> float:
-        """The largest of what SOLVED asks for."""
-        return max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
 
     def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, bool]:
         """A point that violates less; how many steps it took; whether the violation is stationary instead."""
@@ -226,7 +199,7 @@ class Solver:
                 stationary = float(search.largest) > self._tolerance
                 break
         _, _, slack = self._judged(state, search)
-        rows = jnp.where(self._method.inequality, state.barrier / slack, 0.0)
+        rows = jnp.where(self.method.inequality, state.barrier / slack, 0.0)
         state = state._replace(
             point=search.point,
             values=search.values,
@@ -240,7 +213,7 @@ class Solver:
 
     def _judge(self, state: Iterate, search: feasibility.Search) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Violation, whether the filter knows better, and slacks of a feasible point."""
-        method = self._method
+        method = self.method
         values = method.scaled(search.values, state.scales)
         slack = jnp.where(method.inequality, jnp.maximum(-values.rows, _SLACK), 1.0)
         theta, phi = method.theta(values, slack), method.phi(values, slack, state.barrier)
@@ -255,37 +228,31 @@ class Solver:
 
     def _step_away(self, state: Iterate) -> Point:
         """The point after a random step."""
-        rng, free, scales = np.random.default_rng(0), self._shooting.free, state.scales
+        rng, free, scales = np.random.default_rng(0), self.shooting.free, state.scales
         d = np.where(free.d, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 
-    def _row_violations(self, state: Iterate) -> Array:
-        """Scaled, of all rows."""
-        rows = np.asarray(state.values.rows) / np.asarray(state.scales.rows)
-        return np.where(self._shooting.equality, np.abs(rows), np.maximum(rows, 0.0))
+    def watch(self, seen: Scales, most: int) -> Watch:
+        return Watch(self.shooting, self._leaves, self._tolerance, seen, most)
 
-    def _outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
+    def outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
         scales = state.scales
         defects = np.abs(np.asarray(state.values.defects) / np.asarray(scales.d)[1:]).ravel()
-        rows = np.where(self._shooting.exists | self._shooting.decided, self._row_violations(state), 0.0)
+        rows = np.where(self.shooting.exists | self.shooting.decided, row_violations(self.shooting, state), 0.0)
         return Outcome(
             point=state.point,
             values=state.values,
             errors=Errors(*(float(e) for e in state.errors)),
             dynamics=np.asarray(state.dynamics * scales.cost / scales.d[1:]),
-            rows=np.where(self._shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
-            scaled_rows=np.where(self._shooting.exists, np.asarray(state.rows), 0.0),
+            rows=np.where(self.shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
+            scaled_rows=np.where(self.shooting.exists, np.asarray(state.rows), 0.0),
             violations=np.concatenate([defects, rows]),
             scales=jax.tree.map(np.asarray, scales),
             status=status,
-            iterations=count,
+            iterations=max(count, 1),
         )
 
 
-def _jit(function: Callable[..., Any]) -> Any:
+def jitted(function: Callable[..., Any]) -> Any:
     return jax.jit(function, compiler_options=quick_compile())
-
-
-def _finite(tree: Any) -> bool:
-    return all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(tree))

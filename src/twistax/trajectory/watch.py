@@ -1,0 +1,102 @@
+"""What is decided between the steps of a run: new scales, or its end. One run at a time, or each of a batch."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..expr import Control, State
+from . import scaling
+from .interior_point import Scales
+from .interior_point import State as Iterate
+from .shooting import Derivatives, Shooting
+
+#: Scales are renewed once they are off by this factor. A result stands in scales that are not.
+_RENEW = 3.0
+#: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
+_EARLY = (1, 3, 6)
+
+
+class Status(enum.Enum):
+    """How an optimisation ended, as a sentence."""
+
+    SOLVED = "the first-order conditions of an optimum hold within the tolerance"
+    ACCEPTABLE = (
+        "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
+    )
+    INFEASIBLE = "no trajectory was found that meets every constraint"
+    MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
+    STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
+    NON_FINITE = "the problem has values or slopes that are not finite"
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.value}"
+
+
+class Watch:
+    """Watches one run.
+
+    Args:
+        seen: the largest scales seen at its start.
+        most: iterations it may take.
+
+    Attributes:
+        count: iterations so far.
+    """
+
+    def __init__(
+        self,
+        shooting: Shooting,
+        leaves: Mapping[str, State | Control],
+        tolerance: float,
+        seen: Scales,
+        most: int,
+    ) -> None:
+        self._shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
+        self._seen, self._most = seen, most
+        self.count = 0
+
+    def at_once(self, state: Iterate) -> Status | None:
+        """How it ends before the first step."""
+        if not all(np.isfinite(np.asarray(a)).all() for a in (*state.scales, *state.values)):
+            return Status.NON_FINITE
+        shooting = self._shooting
+        lost = np.where(shooting.decided & ~shooting.pinned, row_violations(shooting, state), 0.0)
+        return Status.INFEASIBLE if lost.max(initial=0.0) > self._tolerance else None
+
+    def renewed(self, state: Iterate, slopes: Derivatives, before: float) -> Scales | None:
+        """New scales for a measured state, where its own are off.
+
+        Args:
+            before: the barrier parameter before the state was measured.
+        """
+        if not (error(state) <= self._tolerance or self.count in _EARLY or float(state.barrier) < before):
+            return None
+        fresh, sloped = scaling.measured(self._shooting, self._leaves, state.point, slopes, state.scales)
+        fresh, self._seen = scaling.not_below(fresh, self._seen, sloped)
+        return fresh if scaling.change(fresh, state.scales) > _RENEW else None
+
+    def ended(self, state: Iterate) -> Status | None:
+        """How a measured state in good scales ends the run, if it does."""
+        size = error(state)
+        if size <= self._tolerance:
+            pinned = np.where(self._shooting.pinned, row_violations(self._shooting, state), 0.0)
+            return Status.INFEASIBLE if pinned.max(initial=0.0) > 10.0 * self._tolerance else Status.SOLVED
+        if not np.isfinite(size):
+            return Status.NON_FINITE
+        return Status.MAX_ITERATIONS if self.count >= self._most else None
+
+
+def error(state: Iterate) -> float:
+    """The largest of what SOLVED asks for."""
+    return max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
+
+
+def row_violations(shooting: Shooting, state: Any) -> Array:
+    """Scaled, of all rows."""
+    rows = np.asarray(state.values.rows) / np.asarray(state.scales.rows)
+    return np.where(shooting.equality, np.abs(rows), np.maximum(rows, 0.0))

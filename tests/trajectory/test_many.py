@@ -1,0 +1,76 @@
+"""Many cases at once end as each does alone."""
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.trajectory import Problem, Status
+
+
+@functools.cache
+def parking() -> Problem:
+    """A mass goes to a place in least time and effort, past no wall, with a limited force."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    mass = tx.Parameter("mass", value=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u / mass}, constraints={"wall": p <= 2.0}))
+    return Problem(
+        dynamics,
+        tx.Minimize(tx.Time(), running=0.1 * u**2),
+        nodes=9,
+        final_time=(0.5, 20.0),
+        initial={p: 0.0, v: 0.0},
+        final={p: 1.0, v: 0.0},
+    )
+
+
+#: Cases: ordinary ones; the fifth starts beyond the wall, and the seventh has a mass of nothing.
+STARTS, MASSES = [0.0, -1.0, 0.5, -3.0, 3.0, 1.2, 0.1], [1.0, 2.0, 0.3, 1.0, 1.0, 0.7, 0.0]
+
+
+def arguments(case: Any = slice(None)) -> dict[str, Any]:
+    return {"initial": {"p": np.array(STARTS)[case]}, "params": {"mass": np.array(MASSES)[case]}}
+
+
+def test_every_case_ends_as_it_does_alone() -> None:
+    problem = parking()
+    many = problem.solve_many(**arguments())
+    assert len(many) == len(STARTS)
+    for case in range(len(STARTS)):
+        alone, own = problem.solve(**arguments(case)), many[case]
+        assert many.status[case] is own.status is alone.status
+        assert many.iterations[case] == alone.iterations
+        if alone.solved:
+            assert many.cost[case] == own.cost == pytest.approx(alone.cost, rel=1e-9)
+            np.testing.assert_allclose(many.us["u"][case], alone.us["u"], atol=1e-6)
+            np.testing.assert_allclose(many.xs["p"][case], alone.xs["p"], atol=1e-6)
+            assert own.optimality.gap == many.optimality["gap"][case] <= 1e-6
+    assert many.status[4] is Status.INFEASIBLE
+    assert many.status[6] is Status.NON_FINITE
+    assert many.solved.tolist() == [True, True, True, True, False, True, False]
+    assert "1 INFEASIBLE (case 4)" in repr(many)
+
+
+def test_what_an_argument_shares_and_what_it_has_for_each() -> None:
+    problem = parking()
+    times, guesses = np.array([[0.5, 20.0], [4.0, 20.0]]), np.linspace(0.0, 1.0, 9) * np.ones((2, 1))
+    many = problem.solve_many({"p": guesses}, final={"p": 1.0}, final_time=times)
+    assert many.solved.all()
+    assert many.final_time[0] < 3.0
+    assert many.final_time[1] == pytest.approx(4.0, rel=1e-5)
+
+
+BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({"initial": {"p": 0.0}}, tx.TrajectoryError, "no argument has an axis of cases"),
+    ({"initial": {"p": np.zeros(3)}, "params": {"mass": np.ones(2)}}, tx.ShapeError, r"has 3, params\['mass'\] has 2"),
+    ({"initial": {"p": [0.0, np.nan]}}, tx.TrajectoryError, r"case 1: solve: initial\['p'\] must fix"),
+    ({"initial": {"q": np.zeros(2)}}, tx.ModelError, "case 0: initial names 'q'"),
+]
+
+
+@pytest.mark.parametrize(("case", "error", "text"), BAD, ids=["none", "counts", "free", "name"])
+def test_nonsense_is_refused(case: dict[str, Any], error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        parking().solve_many(**case)
