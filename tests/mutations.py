@@ -816,6 +816,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/program.py",
+        (
+            "multipliers left in the charts of the reference",
+            "np.linalg.solve(J.T, own)",
+            "own",
+            "trajectory/test_external.py",
+        ),
+        (
+            "the objective's weight forgotten",
+            "weight * of(multipliers / weight)",
+            "of(multipliers)",
+            "trajectory/test_external.py",
+        ),
+    ),
+    *_at(
         "trajectory/solver.py",
         (
             "a worst trajectory as the best",

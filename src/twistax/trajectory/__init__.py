@@ -2,6 +2,7 @@
 
 from .cases import TrajectoryResults
 from .discretize import Discretization, Linearization, discretize, linearize
+from .external import IPOPT, Fatrop
 from .problem import Problem
 from .result import Optimality, TrajectoryResult
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
@@ -11,7 +12,9 @@ from .warm import WarmStart
 from .watch import Status
 
 __all__ = [
+    "IPOPT",
     "Discretization",
+    "Fatrop",
     "Linearization",
     "Objective",
     "Optimality",

@@ -145,15 +145,21 @@ class InteriorPoint:
 
     def derivatives(self, state: State, given: Given) -> Derivatives:
         """The scaled derivatives, second ones with the multipliers of the state."""
-        s = state.scales
-        y, w = state.dynamics * s.cost / s.d[1:], state.rows * s.cost / s.rows
-        raw = self._shooting.derivatives(state.point, y, jnp.where(self._shooting.exists, w, 0.0), given)
+        return self.derivatives_at(state.point, state.dynamics, state.rows, state.scales, given)
+
+    def derivatives_at(
+        self, point: Point, dynamics: jax.Array, rows: jax.Array, scales: Scales, given: Given, d: Any = None
+    ) -> Derivatives:
+        """The scaled derivatives at a point, second ones with scaled multipliers; d as `Shooting.values` has it."""
+        s = scales
+        y, w = dynamics * s.cost / s.d[1:], rows * s.cost / s.rows
+        raw = self._shooting.derivatives(point, y, jnp.where(self._shooting.exists, w, 0.0), given, d)
         z, end = of_stages(Step(s.d, s.u, s.border))
-        rows, exists = self.split(s.rows), self.split(jnp.asarray(self.exists))
+        sizes, exists = self.split(s.rows), self.split(jnp.asarray(self.exists))
         return Derivatives(
             raw.defects * z[:, None] / s.d[1:, :, None],
-            _kept(exists.inner[..., None], raw.rows * z[:, None] / rows.inner[..., None]),
-            _kept(exists.end[:, None], raw.end_rows * end[None] / rows.end[:, None]),
+            _kept(exists.inner[..., None], raw.rows * z[:, None] / sizes.inner[..., None]),
+            _kept(exists.end[:, None], raw.end_rows * end[None] / sizes.end[:, None]),
             raw.gradient * z / s.cost,
             raw.end_gradient * end / s.cost,
             raw.hessian * (z[:, :, None] * z[:, None]) / s.cost,

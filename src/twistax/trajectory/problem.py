@@ -24,6 +24,7 @@ from .cases import Cases, TrajectoryResults, prepared, results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
 from .discretize import method_of
+from .external import SolvedBy
 from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
 from .result import TrajectoryResult, best_result
@@ -186,6 +187,7 @@ class Problem:
         callback: Callback | None = None,
         max_iterations: int = 500,
         tolerance: float = 1e-6,
+        solver: Any = None,
     ) -> TrajectoryResult:
         """Optimise, from one guess or from several, and return the best result.
 
@@ -207,6 +209,8 @@ class Problem:
             callback: called with (iteration, cost, violation) before each step.
             max_iterations: iterations a try may use.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
+            solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
+                interior point of this package if left out.
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
             TrajectoryError: other entries fixed, times or numbers without meaning; a warm start of another problem, or
@@ -220,6 +224,10 @@ class Problem:
         _check_options(max_iterations, tolerance)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
+        if solver is not None and not isinstance(solver, SolvedBy):
+            raise TrajectoryError(
+                f"solver expects tx.trajectory.IPOPT() or tx.trajectory.Fatrop(), or nothing, got {solver!r}"
+            )
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
         sign = self.objective.sign
@@ -229,15 +237,18 @@ class Problem:
         with jax.enable_x64(True):
             begin = time.perf_counter()
             plain, given, own = self.started(guess, initial, final, params, final_time, final_time_guess)
-            solver = self._solver(float(tolerance), plain, given)
+            own_solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
             for attempt in range(guesses):
                 start = plain if warm is None else with_ends(warm_start(warm), self, self._ends(initial, final), given)
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
-                    start = solver.perturbed(plain, given, rng)
-                outcomes.append(solver.run(start, given, max_iterations, report))
+                    start = own_solver.perturbed(plain, given, rng)
+                if solver is None:
+                    outcomes.append(own_solver.run(start, given, max_iterations, report))
+                else:
+                    outcomes.append(solver.run(own_solver, start, given, max_iterations, report))
             done = time.perf_counter()
         return best_result(self, outcomes, own, tolerance, compiled - begin, done - compiled)
 

@@ -225,7 +225,11 @@ class Shooting:
         base, zero = {name: a[k] for name, a in point.xs.items()}, jnp.zeros(self.n, point.us.dtype)
         share, q = jnp.asarray(k / self.intervals, zero.dtype), self._joined(zero, point.us[k], point.border)
         rows = self._point.slopes(q, share, base, given.params)[self._kept[self._kept < self._row_count]]
-        return jnp.concatenate([rows, self._node_slopes(k, point, given)]) if k in self._nodes else rows
+        return (
+            jnp.concatenate([rows, self._node_slopes(k, point, jnp.zeros((self.nodes, self.n)), given)])
+            if k in self._nodes
+            else rows
+        )
 
     def _drop(self, at: Array, held: Array, slopes: Callable[[Point], Any], samples: Sequence[Point]) -> None:
         """Take rows out that lie in the span of the equalities among them and of what is held, at all samples."""
@@ -248,26 +252,35 @@ class Shooting:
         xs = jax.vmap(self.dynamics.group.retract)(point.xs, step.d)
         return Point(xs, point.us + step.u, point.border + step.border)
 
+    def charts(self, xs: Arrays, d: jax.Array) -> jax.Array:
+        """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
+        group = self.dynamics.group
+
+        def change(base: Arrays, d: jax.Array, e: jax.Array) -> jax.Array:
+            return group.difference(group.retract(base, d), group.retract(base, d + e))
+
+        return jax.vmap(jax.jacfwd(change, argnums=2), in_axes=(0, 0, None))(xs, d, jnp.zeros(self.n, d.dtype))
+
     # ---- values -------------------------------------------------------------------------------------------------
 
-    def values(self, point: Point, given: Given) -> Values:
-        """Cost, defects and rows at a point."""
+    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
+        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
         left, right = _sides(point.xs)
-        etas, _ = jax.vmap(self._roll, in_axes=(0, 0, 0, None, None))(
-            self._numbers(point), left, point.us, point.border, given.params
+        d = jnp.zeros((self.nodes, self.n), point.us.dtype) if d is None else d
+        etas, _ = jax.vmap(self._roll, in_axes=(0, 0, 0, 0, None, None))(
+            self._numbers(point), left, d[:-1], point.us, point.border, given.params
         )
         rows, density = self._at_points(point, left, etas, given.params)
-        defects = jax.vmap(self._gap)(etas[:, -1], left, right)
+        defects = jax.vmap(self._gap)(etas[:, -1], left, right) - d[1:]
         cost = jnp.sum(density @ jnp.asarray(self._weights, density.dtype)) / self.intervals
-        zero = jnp.zeros(self.n + self.border.size, density.dtype)
-        end = self._end(zero, self._here(-1, point), given)
-        at_nodes = {k: node(zero, self._here(k, point), given.params) for k, node in self._nodes.items()}
+        end = self._end(self._place(-1, d), self._here(-1, point), given)
+        at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
         return Values(cost + end[-1], defects, jnp.concatenate([rows.reshape(-1), end[:-1]]))
 
     def advanced(self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays) -> Arrays:
         """The end of an interval, given its number, that starts at a node."""
-        etas, _ = self._roll(number, base, u, border, params)
+        etas, _ = self._roll(number, base, jnp.zeros(self.n, u.dtype), u, border, params)
         return self.dynamics.group.retract(base, etas[-1])
 
     def _node_at(
@@ -292,6 +305,10 @@ class Shooting:
         """A node and the border."""
         return {name: a[k] for name, a in point.xs.items()}, point.border
 
+    def _place(self, k: int, d: jax.Array) -> jax.Array:
+        """[d, db] of a node."""
+        return jnp.concatenate([d[k], jnp.zeros(self.border.size, d.dtype)])
+
     def _rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
         eta, u, final_time, params = self._parts(q, params)
@@ -303,11 +320,11 @@ class Shooting:
         return eta, u, b[0], params | self.border.params(b)
 
     def _roll(
-        self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays
+        self, number: jax.Array, base: Arrays, eta: jax.Array, u: jax.Array, border: jax.Array, params: Arrays
     ) -> tuple[jax.Array, jax.Array]:
         """eta at the ends of the substeps (S + 1, n), and of all stages (S, s, n)."""
         length = 1.0 / (self.intervals * self.substeps)
-        share, eta = number / self.intervals, jnp.zeros(self.n, u.dtype)
+        share = number / self.intervals
         ends, stages = [eta], []
         for s in range(self.substeps):
             slopes: list[jax.Array] = []
@@ -356,44 +373,55 @@ class Shooting:
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
-    def derivatives(self, point: Point, y: jax.Array, w: jax.Array, given: Given) -> Derivatives:
+    def derivatives(
+        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
+    ) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
         left, right = _sides(point.xs)
+        d = jnp.zeros((self.nodes, self.n), y.dtype) if d is None else d
         split = self.intervals * self.rows_per_interval
-        own = w[:split].reshape(self.intervals, -1)
-        found = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, 0, 0, None, None))(
-            self._numbers(point), left, point.us, right, y, own[:, : len(self._kept)], point.border, given.params
+        inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self._kept)], axis=1)
+        found = jax.vmap(self._interval, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
+            self._numbers(point),
+            left,
+            d[:-1],
+            point.us,
+            right,
+            y,
+            inner,
+            point.border,
+            given.params,
         )
         defects, rows, gradient, hessian = found
-        slopes, hessian = self._node_derivatives(point, own[:, len(self._kept) :], given, rows, hessian)
+        slopes, hessian = self._node_derivatives(point, d, own, given, rows, hessian)
         rows = jnp.concatenate([rows, slopes], axis=1)
         last = self._here(-1, point)
-        zero = jnp.zeros(self.n + self.border.size, y.dtype)
-        end = self._end.slopes(zero, last, given)
-        end_hessian = self._end.bends(jnp.append(w[split:], 1.0), zero, last, given)
+        at = self._place(-1, d)
+        end = self._end.slopes(at, last, given)
+        end_hessian = self._end.bends(jnp.append(w[split:], 1.0), at, last, given)
         return Derivatives(defects, rows, end[:-1], gradient, end[-1], hessian, end_hessian)
 
     def _node_derivatives(
-        self, point: Point, w: jax.Array, given: Given, rows: jax.Array, hessian: jax.Array
+        self, point: Point, d: jax.Array, w: jax.Array, given: Given, rows: jax.Array, hessian: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Slopes of the conditions at nodes, and the second derivatives with theirs."""
-        zero, found = jnp.zeros(self.n + self.border.size, w.dtype), {}
+        found = {}
         for k, node in self._nodes.items():
-            found[k] = self._node_slopes(k, point, given)
-            bend = node.bends(w[k, : len(found[k])], zero, self._here(k, point), given.params)
+            found[k] = self._node_slopes(k, point, d, given)
+            bend = node.bends(w[k, : len(found[k])], self._place(k, d), self._here(k, point), given.params)
             hessian = hessian.at[k, self._seen[:, None], self._seen[None]].add(bend)
         return self._spread(found, rows), hessian
 
-    def _node_slopes(self, k: int, point: Point, given: Given) -> jax.Array:
+    def _node_slopes(self, k: int, point: Point, d: jax.Array, given: Given) -> jax.Array:
         """Of the conditions at a node by [d, u, b]."""
-        zero = jnp.zeros(self.n + self.border.size, point.us.dtype)
-        slopes = self._nodes[k].slopes(zero, self._here(k, point), given.params)
-        return jnp.zeros((len(slopes), self.size), zero.dtype).at[:, self._seen].set(slopes)
+        slopes = self._nodes[k].slopes(self._place(k, d), self._here(k, point), given.params)
+        return jnp.zeros((len(slopes), self.size), slopes.dtype).at[:, self._seen].set(slopes)
 
     def _interval(
         self,
         number: jax.Array,
         base: Arrays,
+        start: jax.Array,
         u: jax.Array,
         target: Arrays,
         y: jax.Array,
@@ -405,7 +433,7 @@ class Shooting:
         n, size, substeps = self.n, self.size, self.substeps
         stages, length = len(self._b), 1.0 / (self.intervals * self.substeps)
         a, b = jnp.asarray(self._a, u.dtype), jnp.asarray(self._b, u.dtype)
-        etas, points = self._roll(number, base, u, border, params)
+        etas, points = self._roll(number, base, start, u, border, params)
         join = lambda e: self._joined(e, u, border)  # noqa: E731
 
         # Sensitivities of the stages and of the ends of the substeps to z.

@@ -15,6 +15,7 @@ from ..jax_inside import quick_compile
 from . import feasibility, scaling, warm
 from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
+from .program import Program
 from .shooting import Derivatives, Given, Point, Shooting, Step, Values
 from .warm import WarmStart
 from .watch import Status, Watch, error, row_violations
@@ -68,7 +69,7 @@ class Solver:
     probe, bent = 3.0 * _CURVED, 1.5 * _CURVED
 
     def __init__(self, shooting: Shooting, leaves: Mapping[str, State | Control], tolerance: float) -> None:
-        self.shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
+        self.shooting, self._leaves, self.tolerance = shooting, leaves, tolerance
         method = self.method = InteriorPoint(shooting, tolerance)
         self._move = jitted(shooting.move)
         self._start = jitted(method.start)
@@ -80,6 +81,8 @@ class Solver:
         self._begin = jitted(lambda state: feasibility.begin(method, state))
         self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
         self._judged = jitted(self._judge)
+        #: What solvers of others made of the problem, by solver.
+        self.made: dict[Any, Any] = {}
 
     def prepare(self, point: Point, given: Given) -> None:
         """Compile what every run needs."""
@@ -89,7 +92,7 @@ class Solver:
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step."""
-        scales, _ = self._first_scales(point, given)
+        scales, _ = self.first_scales(point, given)
         free = self.shooting.free
         d = np.where(free.d, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
@@ -98,7 +101,7 @@ class Solver:
         border = np.clip(here + np.where(free.border, rng.normal(size=here.shape) * spread, 0.0), low, high)
         return self._move(point, Step(d, u, border - here))
 
-    def _first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
+    def first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
         """Scales at a point, and the largest seen."""
         unit = scaling.unit_scales(self.shooting)
         state = self._start(point, given, unit)
@@ -118,7 +121,7 @@ class Solver:
         if first.status is not Status.SOLVED or not self._bends_down(state, given):
             return first
         other, _ = self._run(self._step_away(state), given, max(1, max_iterations - first.iterations), callback)
-        better = other.status is Status.SOLVED and other.cost < first.cost - self._tolerance * float(state.scales.cost)
+        better = other.status is Status.SOLVED and other.cost < first.cost - self.tolerance * float(state.scales.cost)
         return (other if better else first)._replace(iterations=first.iterations + other.iterations)
 
     def _bends_down(self, state: Iterate, given: Given) -> bool:
@@ -130,7 +133,7 @@ class Solver:
         """The first state, and the largest scales seen."""
         if isinstance(start, WarmStart):
             return self._warm(start.point, start.dynamics, start.rows, start.scales, given), start.scales
-        scales, seen = self._first_scales(start, given)
+        scales, seen = self.first_scales(start, given)
         return self._start(start, given, scales), seen
 
     def _run(
@@ -163,8 +166,7 @@ class Solver:
                 continue
             searches += 1
             if searches > _SEARCHES and shaken:
-                good = error(last) <= _ACCEPTABLE * self._tolerance
-                return ended(last, Status.ACCEPTABLE if good else Status.STALLED)
+                return ended(last, self.at_rest(last))
             if searches > _SEARCHES:
                 searches, shaken, state = 0, True, self._shaken(last, given)
                 continue
@@ -181,6 +183,35 @@ class Solver:
         slopes = self._derivatives(state, given)
         return slopes, self._measured(state, slopes)
 
+    def at_rest(self, state: Iterate) -> Status:
+        """The status where no step does better."""
+        return Status.ACCEPTABLE if error(state) <= _ACCEPTABLE * self.tolerance else Status.STALLED
+
+    # ---- for solvers of others --------------------------------------------------------------------------------------
+
+    def program(self, with_copies: bool) -> Program:
+        """The problem as a nonlinear program."""
+        return Program(self.shooting, self.method, with_copies=with_copies)
+
+    def weighed(
+        self, point: Point, given: Given, scales: Scales, dynamics: Any = 0.0, rows: Any = None
+    ) -> tuple[Derivatives, Iterate]:
+        """Derivatives at a point, and the state there with scaled multipliers, its errors measured."""
+        state = self._start(point, given, scales)
+        inequality = self.method.inequality
+        if rows is not None:
+            values = self.method.scaled(state.values, scales)
+            slack = jnp.where(inequality, jnp.maximum(-values.rows, 0.0), 1.0)
+            rows = jnp.where(inequality, jnp.maximum(rows, 0.0), rows)
+            state = state._replace(dynamics=jnp.asarray(dynamics), rows=jnp.asarray(rows), slack=slack)
+        return self._looked_at(state, given)
+
+    def rescaled(self, state: Iterate, scales: Scales, given: Given) -> Iterate:
+        """The state in other scales, its errors measured."""
+        return self._looked_at(self._rescaled(state, scales), given)[1]
+
+    # ---- a search for feasible points -------------------------------------------------------------------------------
+
     def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, bool]:
         """A point that violates less; how many steps it took; whether the violation is stationary instead."""
         search = self._begin(state)
@@ -191,12 +222,12 @@ class Solver:
             search = self._reduce(search, state, slopes, given)
             count += 1
             reached, known, _ = self._judged(state, search)
-            if float(search.largest) <= 0.1 * self._tolerance:
+            if float(search.largest) <= 0.1 * self.tolerance:
                 break
             if float(reached) <= _WORTH * float(theta) and not bool(known):
                 break
             if float(search.slope) <= _FLAT * float(search.size) ** 0.5 or float(search.damping) > _MOST_DAMPING:
-                stationary = float(search.largest) > self._tolerance
+                stationary = float(search.largest) > self.tolerance
                 break
         _, _, slack = self._judged(state, search)
         rows = jnp.where(self.method.inequality, state.barrier / slack, 0.0)
@@ -223,7 +254,7 @@ class Solver:
     def _shaken(self, state: Iterate, given: Given) -> Iterate:
         """A start after a small random step, for a stationary point may be a saddle."""
         point = self._step_away(state)
-        scales, _ = self._first_scales(point, given)
+        scales, _ = self.first_scales(point, given)
         return self._start(point, given, scales)
 
     def _step_away(self, state: Iterate) -> Point:
@@ -234,7 +265,7 @@ class Solver:
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 
     def watch(self, seen: Scales, most: int) -> Watch:
-        return Watch(self.shooting, self._leaves, self._tolerance, seen, most)
+        return Watch(self.shooting, self._leaves, self.tolerance, seen, most)
 
     def outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
         scales = state.scales

@@ -1,0 +1,225 @@
+"""A `Program` as CasADi sees it: functions that call back, with sparse first and second derivatives of their own.
+
+CasADi derives what its solvers need from reverse derivatives, so the program is four functions: f and g; their
+Jacobian; the gradient of weight f + multipliers . g; and its Jacobian, the Hessian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import casadi
+import numpy as np
+from numpy import ndarray as Array
+
+from .program import Entries, Program, Reference
+
+
+class Attempt(NamedTuple):
+    """What a solver of CasADi's came back with."""
+
+    z: Array
+    multipliers: Array  # of g
+    iterations: int
+    success: bool
+    word: str  # the solver's for how it ended
+
+
+class CasadiProgram:
+    """A program that CasADi's solvers solve; made once, for any reference."""
+
+    def __init__(self, program: Program, plugin: str, options: Mapping[str, Any]) -> None:
+        self.program = program
+        self._plugin = plugin
+        self._memory: dict[str, tuple[bytes, Any]] = {}
+        self._values = _Values(self)
+        z = casadi.MX.sym("z", program.size)
+        f, g = self._values(z)
+        self._nlp = {"x": z, "f": f, "g": g}
+        self._solvers: dict[tuple[Any, ...], Any] = {}
+        self._options = options
+
+    def solve(
+        self, reference: Reference, multipliers: Array | None, own: Mapping[str, Any], seen: Callable[..., None] | None
+    ) -> Attempt:
+        """Solve from the reference itself; `own` are options of the plugin on top of those it was made with."""
+        self._reference, self._seen, self._memory = reference, seen, {}
+        key = tuple(sorted(own.items()))
+        if key not in self._solvers:
+            whole = dict(self._options)
+            whole[self._plugin] = {**whole.get(self._plugin, {}), **own}
+            self._solvers[key] = casadi.nlpsol("solver", self._plugin, self._nlp, whole)
+        solver, program = self._solvers[key], self.program
+        start = {"lam_g0": multipliers} if multipliers is not None else {}
+        found = solver(x0=np.zeros(program.size), lbg=program.lower, ubg=program.upper, **start)
+        stats = solver.stats()
+        return Attempt(
+            np.asarray(found["x"]).ravel(),
+            np.asarray(found["lam_g"]).ravel(),
+            int(stats.get("iter_count", 0)),
+            bool(stats["success"]),
+            str(stats["return_status"]),
+        )
+
+    # ---- evaluations, the last of each kept -----------------------------------------------------------------------
+
+    def _kept(self, what: str, key: bytes, make: Callable[[], Any]) -> Any:
+        known = self._memory.get(what)
+        if known is None or known[0] != key:
+            known = self._memory[what] = key, make()
+        return known[1]
+
+    def values(self, z: Array) -> tuple[float, Array]:
+        return self._kept("values", z.tobytes(), lambda: self.program.values(z, self._reference))
+
+    def slopes(self, z: Array) -> tuple[Array, Array]:
+        def make() -> tuple[Array, Array]:
+            if self._seen is not None:
+                self._seen(*self.values(z))
+            return self.program.slopes(z, self._reference)
+
+        return self._kept("slopes", z.tobytes(), make)
+
+    def pull(self, z: Array, weight: float, multipliers: Array) -> Array:
+        """The gradient of weight f + multipliers . g."""
+        gradient, numbers = self.slopes(z)
+        entries = self.program.jacobian
+        found = np.bincount(entries.columns, numbers * multipliers[entries.rows], minlength=self.program.size)
+        return weight * gradient + found
+
+    def bend(self, z: Array, weight: float, multipliers: Array) -> Array:
+        key = z.tobytes() + multipliers.tobytes() + np.float64(weight).tobytes()
+        return self._kept("bend", key, lambda: self.program.bend(z, self._reference, weight, multipliers))
+
+
+def sparsity(rows: int, columns: int, entries: Entries) -> Any:
+    """CasADi's pattern of entries that are sorted by columns."""
+    starts = np.searchsorted(entries.columns, np.arange(columns + 1))
+    return casadi.Sparsity(rows, columns, starts.tolist(), entries.rows.tolist())
+
+
+class _Callback(casadi.Callback):
+    """A function that calls back, by the patterns of what goes in and what comes out."""
+
+    def __init__(self, program: CasadiProgram, inputs: list[Any], outputs: list[Any], names: Any = None) -> None:
+        casadi.Callback.__init__(self)
+        self._program, self._inputs, self._outputs, self._names = program, inputs, outputs, names
+        self._derived: list[Any] = []  # CasADi does not keep them alive
+        self.construct(names[0] if names else "values", {})
+
+    def get_n_in(self) -> int:
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        return len(self._outputs)
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return self._inputs[i]
+
+    def get_sparsity_out(self, i: int) -> Any:
+        return self._outputs[i]
+
+    def get_name_in(self, i: int) -> str:
+        return self._names[1][i] if self._names else f"i{i}"
+
+    def get_name_out(self, i: int) -> str:
+        return self._names[2][i] if self._names else f"o{i}"
+
+    def _keep(self, derived: Any) -> Any:
+        self._derived.append(derived)
+        return derived
+
+
+def _vector(size: int, dense: bool = True) -> Any:
+    return casadi.Sparsity.dense(size, 1) if dense else casadi.Sparsity(size, 1)
+
+
+def _numbers(value: Any) -> Array:
+    return np.asarray(value.full()).ravel()
+
+
+class _Values(_Callback):
+    """z -> f, g."""
+
+    def __init__(self, program: CasadiProgram) -> None:
+        own = program.program
+        super().__init__(program, [_vector(own.size)], [_vector(1), _vector(own.count)])
+
+    def eval(self, given: Sequence[Any]) -> list[Any]:
+        return list(self._program.values(_numbers(given[0])))
+
+    def has_jacobian(self) -> bool:
+        return True
+
+    def has_jac_sparsity(self, output: int, given: int) -> bool:
+        return True
+
+    def get_jac_sparsity(self, output: int, given: int, symmetric: bool) -> Any:
+        own = self._program.program
+        return sparsity(own.count, own.size, own.jacobian) if output else casadi.Sparsity.dense(1, own.size)
+
+    def get_jacobian(self, name: str, inputs: Sequence[str], outputs: Sequence[str], options: Any) -> Any:
+        own = self._program.program
+        given = [_vector(own.size), _vector(1, False), _vector(own.count, False)]
+        patterns = [self.get_jac_sparsity(i, 0, False) for i in range(2)]
+        return self._keep(_Jacobian(self._program, given, patterns, (name, inputs, outputs)))
+
+    def has_reverse(self, count: int) -> bool:
+        return count == 1
+
+    def get_reverse(self, count: int, name: str, inputs: Sequence[str], outputs: Sequence[str], options: Any) -> Any:
+        own = self._program.program
+        given = [_vector(own.size), _vector(1, False), _vector(own.count, False), _vector(1), _vector(own.count)]
+        return self._keep(_Gradient(self._program, given, [_vector(own.size)], (name, inputs, outputs)))
+
+
+class _Jacobian(_Callback):
+    """z, (f, g) -> f', g'."""
+
+    def eval(self, given: Sequence[Any]) -> list[Any]:
+        gradient, numbers = self._program.slopes(_numbers(given[0]))
+        return [casadi.DM(self._outputs[0], gradient), casadi.DM(self._outputs[1], numbers)]
+
+
+class _Gradient(_Callback):
+    """z, (f, g), weight, multipliers -> gradient of weight f + multipliers . g."""
+
+    def eval(self, given: Sequence[Any]) -> list[Any]:
+        z, weight, multipliers = (_numbers(given[i]) for i in (0, 3, 4))
+        return [self._program.pull(z, float(weight[0]), multipliers)]
+
+    def has_jacobian(self) -> bool:
+        return True
+
+    def has_jac_sparsity(self, output: int, given: int) -> bool:
+        return True
+
+    def get_jac_sparsity(self, output: int, given: int, symmetric: bool) -> Any:
+        own = self._program.program
+        sides = [
+            sparsity(own.size, own.size, own.hessian),
+            casadi.Sparsity(own.size, 1),
+            casadi.Sparsity(own.size, own.count),
+            casadi.Sparsity.dense(own.size, 1),
+            sparsity(own.count, own.size, own.jacobian).T,
+        ]
+        return sides[given]
+
+    def get_jacobian(self, name: str, inputs: Sequence[str], outputs: Sequence[str], options: Any) -> Any:
+        patterns = [self.get_jac_sparsity(0, i, False) for i in range(5)]
+        given = [*self._inputs, _vector(self._program.program.size, False)]
+        return self._keep(_Hessian(self._program, given, patterns, (name, inputs, outputs)))
+
+
+class _Hessian(_Callback):
+    """z, (f, g), weight, multipliers, (gradient) -> its Jacobian by each."""
+
+    def eval(self, given: Sequence[Any]) -> list[Any]:
+        z, weight, multipliers = (_numbers(given[i]) for i in (0, 3, 4))
+        gradient, numbers = self._program.slopes(z)
+        bend = self._program.bend(z, float(weight[0]), multipliers)
+        own, jacobian = self._program.program, self._program.program.jacobian
+        across = casadi.DM(sparsity(own.count, own.size, jacobian), numbers).T
+        first, one, two = self._outputs[:3]
+        return [casadi.DM(first, bend), casadi.DM(one), casadi.DM(two), casadi.DM(gradient), across]

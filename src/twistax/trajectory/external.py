@@ -1,0 +1,185 @@
+"""Solvers of others, on the same discrete problem: IPOPT and Fatrop, both inside CasADi's wheel.
+
+Each works in the tangent spaces at nodes that stay while it runs. The nodes then move to what it found, and it starts
+again from there, until it finds nothing to turn. What comes out is measured as everything else is: by the first-order
+conditions, in this package's own scales.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from ..errors import TrajectoryError
+from .program import Program, Reference
+from .shooting import Given, Point
+from .solver import Callback, Outcome, Solver, Status
+from .warm import WarmStart
+
+if TYPE_CHECKING:
+    from .casadi_program import CasadiProgram
+
+#: How often nodes may move to what was found; the first barrier parameter and distance from limits then; no turn, rad.
+_PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
+
+
+@runtime_checkable
+class SolvedBy(Protocol):
+    """A solver of others: what `Problem.solve(solver=...)` takes."""
+
+    def run(
+        self, solver: Solver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+    ) -> Outcome:
+        """Solve from a start; `solver` measures what comes out."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class _Casadi:
+    """A solver of CasADi's.
+
+    Args:
+        options: of the solver itself, on top of what this package sets.
+    """
+
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    plugin: ClassVar[str]
+    copies: ClassVar[bool] = False
+    #: What its words for an end mean that another start does not mend.
+    ends: ClassVar[dict[str, Status]] = {}
+
+    def _made(self, program: Program, tolerance: float) -> CasadiProgram:
+        try:
+            from .casadi_program import CasadiProgram
+        except ImportError as error:
+            raise TrajectoryError(
+                f"solver={type(self).__name__}() needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'"
+            ) from None
+        inequalities = int((program.lower < program.upper).sum())
+        # What SOLVED asks of complementarity is the sum over all inequalities.
+        own = {**self._settings(0.1 * tolerance, 0.1 * tolerance / max(1, inequalities)), **self.options}
+        return CasadiProgram(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: own})
+
+    def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
+        """Options for a tolerance, and for the largest product of a slack and its multiplier."""
+        raise NotImplementedError
+
+    def _structure(self, program: Program) -> dict[str, Any]:
+        return {}
+
+    def _of_pass(self, first: bool, left: int) -> dict[str, Any]:
+        raise NotImplementedError
+
+    def run(
+        self, solver: Solver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+    ) -> Outcome:
+        """Solve from a start."""
+        key = type(self), repr(sorted(self.options.items()))
+        if key not in solver.made:
+            solver.made[key] = self._made(solver.program(self.copies), solver.tolerance)
+        made = solver.made[key]
+        program = made.program
+        multipliers, failed = None, False
+        if isinstance(start, WarmStart):
+            point, scales, most = start.point, start.scales, start.scales
+            dynamics = start.dynamics * np.asarray(scales.d)[1:] / float(scales.cost)
+            multipliers = program.flat_multipliers(dynamics, start.rows * np.asarray(scales.rows) / float(scales.cost))
+        else:
+            point, (scales, most) = start, solver.first_scales(start, given)
+        watch = solver.watch(most, max_iterations)
+        seen = None
+        if callback is not None:
+
+            def seen(cost: float, rows: Any) -> None:
+                worst = np.maximum(np.maximum(rows - program.upper, program.lower - rows), 0.0)
+                callback(watch.count, cost * float(np.asarray(scales.cost)), float(worst.max(initial=0.0)))
+
+        _, state = solver.weighed(point, given, scales)
+        status = watch.at_once(state)
+        passes = 0
+        while status is None:
+            reference, passes = Reference(point, scales, given), passes + 1
+            own = self._of_pass(multipliers is None, max_iterations - watch.count)
+            attempt = made.solve(reference, multipliers, own, seen)
+            watch.count += attempt.iterations
+            if not np.isfinite(attempt.z).all():
+                status = Status.NON_FINITE
+                break
+            reached = program.reached(attempt.z, reference, attempt.multipliers)
+            point = reached.point
+            slopes, state = solver.weighed(point, given, scales, reached.dynamics, reached.rows)
+            fresh = watch.renewed(state, slopes, np.inf)
+            if fresh is not None:
+                scales, state = fresh, solver.rescaled(state, fresh, given)
+            multipliers = program.flat_multipliers(state.dynamics, state.rows)
+            status = watch.ended(state)
+            if status is None:
+                status = self.ends.get(attempt.word)
+            settled = reached.turn <= _SMALL_TURN and fresh is None
+            if status is None and (settled or (failed and not attempt.success) or passes >= _PASSES):
+                status = solver.at_rest(state)
+            failed = not attempt.success
+        return solver.outcome(state, status, watch.count)
+
+
+@dataclasses.dataclass(frozen=True)
+class IPOPT(_Casadi):
+    """IPOPT by CasADi, on this package's transcription: `problem.solve(solver=tx.trajectory.IPOPT())`.
+
+    Source: Wachter and Biegler, Mathematical Programming 106 (2006).
+
+    Args:
+        options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
+    """
+
+    plugin: ClassVar[str] = "ipopt"
+    ends: ClassVar[dict[str, Status]] = {
+        "Infeasible_Problem_Detected": Status.INFEASIBLE,
+        "Invalid_Number_Detected": Status.NON_FINITE,
+    }
+
+    def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
+        quiet = {"print_level": 0, "sb": "yes"}
+        return {**quiet, "tol": tolerance, "compl_inf_tol": product, "nlp_scaling_method": "none"}
+
+    def _of_pass(self, first: bool, left: int) -> dict[str, Any]:
+        if first:
+            return {"max_iter": max(left, 1)}
+        pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+        near = {f"warm_start_{name}": _WARM_PUSH for name in pushes}
+        return {"max_iter": max(left, 1), "warm_start_init_point": "yes", "mu_init": _WARM_BARRIER, **near}
+
+
+@dataclasses.dataclass(frozen=True)
+class Fatrop(_Casadi):
+    """Fatrop by CasADi, which factors stage by stage as this package's own solver does.
+
+    Source: Vanroye, Sathya, De Schutter, Decre, FATROP, arXiv:2303.16746.
+
+    Args:
+        options: Fatrop's own, such as {"print_level": 1}.
+    """
+
+    plugin: ClassVar[str] = "fatrop"
+    copies: ClassVar[bool] = True
+
+    def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
+        return {"print_level": 0, "tolerance": min(tolerance, product)}
+
+    def _structure(self, program: Program) -> dict[str, Any]:
+        states, controls, rows = (list(a) for a in zip(*program.stages))
+        return {
+            "structure_detection": "manual",
+            "N": len(states) - 1,
+            "nx": states,
+            "nu": controls,
+            "ng": rows,
+            "equality": (program.lower == program.upper).tolist(),
+        }
+
+    def _of_pass(self, first: bool, left: int) -> dict[str, Any]:
+        return {"max_iter": max(left, 1), **({} if first else {"mu_init": _WARM_BARRIER})}

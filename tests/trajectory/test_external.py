@@ -1,0 +1,127 @@
+"""IPOPT and Fatrop on the same transcription: their derivatives, their answers, and what their ends mean."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.sparse
+from trajectory_systems import double_integrator
+
+import twistax as tx
+from twistax.trajectory.interior_point import InteriorPoint
+from twistax.trajectory.program import Program, Reference
+from twistax.trajectory.scaling import unit_scales
+from twistax.trajectory.shooting import Given, Point
+
+casadi = pytest.importorskip("casadi")
+
+SOLVERS = [tx.trajectory.IPOPT(), tx.trajectory.Fatrop()]
+
+
+@pytest.fixture(scope="module")
+def turning() -> tx.trajectory.Problem:
+    """The fastest turn of an asymmetric body, with a rate limit."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    M = tx.Control("M", shape=(3,), min=-1.0, max=1.0)
+    J = np.diag([1.0, 1.2, 0.7])
+    rate = tx.linalg.Solve(J, M - tx.linalg.Cross(w, J @ w))
+    system = tx.System(rates={R: w, w: rate}, constraints={"slow": tx.linalg.Norm(w) <= 1.8})
+    return tx.trajectory.Problem(
+        tx.compile(system),
+        tx.Minimize(tx.Time(), running=0.01 * M @ M),
+        nodes=9,
+        final_time=(0.5, 10.0),
+        initial={R: np.eye(3), w: np.zeros(3)},
+        final={R: np.asarray(tx.SO3.exp(jnp.array([0.6, 2.2, -1.0]))), w: np.zeros(3)},
+    )
+
+
+def somewhere(problem: tx.trajectory.Problem) -> Reference:
+    """A point with motion, in scales of 1."""
+    rng, shooting = np.random.default_rng(0), problem.shooting
+    Rs = np.stack([np.asarray(tx.SO3.exp(jnp.asarray(a))) for a in 0.4 * rng.normal(size=(9, 3))])
+    point = Point({"R": jnp.asarray(Rs), "w": jnp.asarray(rng.normal(size=(9, 3)))}, rng.normal(size=(8, 3)), [3.0])
+    point = Point(point.xs, jnp.asarray(point.us), jnp.asarray(point.border))
+    final = {"R": jnp.eye(3), "w": jnp.zeros(3)}
+    return Reference(point, unit_scales(shooting), Given({}, final, jnp.array([[0.5, 10.0]])))
+
+
+@pytest.mark.parametrize("copies", [False, True])
+def test_derivatives_of_the_program_are_those_of_its_values(turning: tx.trajectory.Problem, copies: bool) -> None:
+    program = Program(turning.shooting, InteriorPoint(turning.shooting, 1e-6), with_copies=copies)
+    reference, rng, h = somewhere(turning), np.random.default_rng(1), 1e-5
+    # Away from the reference, where charts are curved; copies of the time agree, as values take for granted.
+    border = program._places[1][:, 0]
+    z, dz, multipliers = (
+        0.3 * rng.normal(size=program.size),
+        rng.normal(size=program.size),
+        rng.normal(size=program.count),
+    )
+    z[border], dz[border] = 0.2, 0.7
+
+    def slopes(z: np.ndarray) -> tuple[np.ndarray, scipy.sparse.csc_matrix]:
+        gradient, numbers = program.slopes(z, reference)
+        places = program.jacobian
+        shape = program.count, program.size
+        return gradient, scipy.sparse.csc_matrix((numbers, (places.rows, places.columns)), shape)
+
+    (f1, g1), (f0, g0) = (program.values(z + s * h * dz, reference) for s in (1.0, -1.0))
+    gradient, jacobian = slopes(z)
+    assert gradient @ dz == pytest.approx((f1 - f0) / (2 * h), rel=1e-8)
+    assert np.allclose(jacobian @ dz, (g1 - g0) / (2 * h), rtol=0.0, atol=1e-8)
+
+    pull = [(lambda f, g: 2.0 * f + g.T @ multipliers)(*slopes(z + s * h * dz)) for s in (1.0, -1.0)]
+    places = program.hessian
+    numbers = program.bend(z, reference, 2.0, multipliers)
+    hessian = scipy.sparse.csc_matrix((numbers, (places.rows, places.columns)), (program.size, program.size))
+    own, wanted = hessian @ dz, (pull[0] - pull[1]) / (2 * h)
+    others = np.setdiff1d(np.arange(program.size), border)
+    assert np.allclose(own[others], wanted[others], rtol=0.0, atol=1e-6)
+    once = np.unique(border)
+    assert own[once].sum() == pytest.approx(wanted[once].sum(), abs=1e-6)
+    without = program.bend(z, reference, 0.0, multipliers) + 2.0 * program.bend(z, reference, 1.0, 0.0 * multipliers)
+    assert np.allclose(without, numbers, rtol=0.0, atol=1e-9)
+
+
+def test_they_find_what_the_interior_point_finds(turning: tx.trajectory.Problem) -> None:
+    plain = turning.solve()
+    assert plain.solved
+    for solver in SOLVERS:
+        result = turning.solve(solver=solver)
+        assert result.solved, result.message
+        assert result.cost == pytest.approx(plain.cost, rel=1e-6)
+        assert np.allclose(result.us["M"], plain.us["M"], atol=2e-3)
+        assert np.allclose(result.multipliers["dynamics of w"], plain.multipliers["dynamics of w"], atol=1e-4)
+        assert result.optimality.stationarity <= 1e-6
+        assert turning.solve(warm=result, solver=solver).iterations < result.iterations
+        short = turning.solve(solver=solver, max_iterations=3)
+        assert short.status is tx.trajectory.Status.MAX_ITERATIONS
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=["ipopt", "fatrop"])
+def test_their_ends_are_said(solver: tx.trajectory.IPOPT | tx.trajectory.Fatrop) -> None:
+    dynamics = tx.compile(double_integrator())
+    ends = {"initial": {"p": 0.0, "v": 0.0}, "final": {"p": 1.0, "v": 0.0}}
+    objective = tx.Minimize(running=tx.Control("u") ** 2)
+    problem = tx.trajectory.Problem(dynamics, objective, nodes=6, final_time=1.0, **ends)
+    seen: list[int] = []
+    result = problem.solve(solver=solver, callback=lambda count, cost, violation: seen.append(count))
+    assert result.solved
+    assert result.multipliers["final p"].shape == (1,)
+    # Held over five intervals: 12 * 25 / 24.
+    assert result.cost == pytest.approx(12.5, rel=1e-7)
+    assert seen
+
+
+def test_ipopt_says_infeasible() -> None:
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    ends = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}}
+    problem = tx.trajectory.Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends)
+    assert problem.solve(solver=SOLVERS[0]).status is tx.trajectory.Status.INFEASIBLE
+    assert problem.solve(solver=SOLVERS[1]).status is tx.trajectory.Status.STALLED
+
+
+def test_what_is_no_solver_is_refused() -> None:
+    problem = tx.trajectory.Problem(tx.compile(double_integrator()), tx.Minimize(tx.Time()), nodes=3, final_time=1.0)
+    with pytest.raises(tx.TrajectoryError, match="solver expects"):
+        problem.solve(solver="ipopt")
