@@ -652,18 +652,42 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "mechanics/chain_dynamics.py",
+        "mechanics/motion.py",
         (
             "Coriolis acceleration of a slide",
-            "linear=Cross(before + w, slide)",
-            "linear=Cross(before, slide)",
+            "linear=Cross(before + w, linear(across))",
+            "linear=Cross(before, linear(across))",
             "mechanics/test_serial_chain.py",
         ),
         (
             "gravity upwards",
-            "linear=-chain.gravity",
-            "linear=chain.gravity",
+            "linear=-gravity",
+            "linear=gravity",
             "mechanics/test_serial_chain.py",
+        ),
+    ),
+    *_at(
+        "mechanics/dynamics.py",
+        (
+            "rotor of a follower once",
+            "add(a, c, value, own**2)",
+            "add(a, c, value, own)",
+            "mechanics/test_mechanisms.py",
+        ),
+        (
+            "outer wrenches the wrong way",
+            "needed if given is None else needed - given",
+            "needed if given is None else needed + given",
+            "mechanics/test_mechanisms.py",
+        ),
+    ),
+    *_at(
+        "mechanics/jacobians.py",
+        (
+            "Jacobian's rate without the frame's own motion",
+            "AdjointAction(T, twists[j], inverse=True) - V",
+            "AdjointAction(T, twists[j], inverse=True)",
+            "mechanics/test_mechanisms.py",
         ),
     ),
     *_at(

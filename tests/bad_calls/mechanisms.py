@@ -6,7 +6,7 @@ import numpy as np
 from table import bad
 
 import twistax as tx
-from twistax.mechanics import Chain, Link, SpatialInertia, chain_models, joints
+from twistax.mechanics import Chain, Drive, Link, Mechanism, Mimic, SpatialInertia, chain_models, joints
 from twistax.mechanics.environment import atmosphere, earth, gravity
 
 q = tx.State("q", 2)
@@ -17,8 +17,8 @@ def body(mass=1.0, inertia=UNIT, **other):
     return SpatialInertia(mass=mass, inertia=inertia, **other)
 
 
-def link(joint=None, mount=ORIGIN):
-    return Link(joint or joints.Revolute("a", (0.0, 0.0, 1.0)), body(), mount)
+def link(joint=None, mount=ORIGIN, **other):
+    return Link(joint or joints.Revolute("a", (0.0, 0.0, 1.0)), body(), mount, **other)
 
 
 @functools.cache
@@ -90,8 +90,23 @@ ROWS = [
     bad("a chain of bodies", lambda: Chain([body()]), "Chain", "SpatialInertia"),
     bad("a chain of a number", lambda: Chain(3), "Chain", "3"),
     bad("a link without a joint", lambda: Link(None, body(), np.eye(4)), "Link", "None"),
-    bad("a link on a ball", lambda: link(joints.Spherical("a")), "Link", "Spherical"),
-    bad("a link without a body", lambda: Link(joints.Revolute("a", (0.0, 0.0, 1.0)), None, np.eye(4)), "Link", "None"),
+    bad("a link with a number as body", lambda: Link(joints.Fixed("a"), 3.0, np.eye(4)), "Link", "3.0"),
+    bad("a chain without mass", lambda: Chain([Link(joints.Revolute("a", (0.0, 0.0, 1.0)), None, np.eye(4))]), "'a'"),
+    bad("a follower of nothing", lambda: Mechanism([link(mimic=Mimic("b"))]), "'a'", "'b'"),
+    bad("a ratio of text", lambda: Mimic("b", ratio="half"), "Mimic", "ratio", "half"),
+    bad("a negative damping", lambda: Drive(damping=-1.0), "Drive", "damping", "-1.0"),
+    bad("a stiffness of text", lambda: Drive(stiffness="soft"), "Drive", "stiffness", "soft"),
+    bad("bounds the wrong way round", lambda: Drive(lower=1.0, upper=-1.0), "lower", "1.0"),
+    bad("a frame that is not there", lambda: arm().pose("tip"), "'tip'", "joint0"),
+    bad("axes by name", lambda: tx.mechanics.frame_jacobian(arm(), "joint1", q, "world"), "axes", "'world'"),
+    bad(
+        "a wrench of three",
+        lambda: tx.mechanics.aba(arm(), q, q, q, wrenches={"joint0": np.zeros(3)}),
+        "joint0",
+        "(3,)",
+    ),
+    bad("wrenches in a list", lambda: tx.mechanics.aba(arm(), q, q, q, wrenches=[np.zeros(6)]), "wrenches", "list"),
+    bad("motors of nobody", lambda: arm().system(controls=["joint9"]), "'joint9'", "joint1"),
     bad("a mount that is no pose", lambda: link(mount=np.zeros((4, 4))), "Link", "mount"),
     bad("a mount of three", lambda: link(mount=UNIT), "Link", "mount", "(3, 3)"),
     bad("gravity as a number", lambda: Chain([link()], gravity=-9.81), "Chain", "gravity", "()"),

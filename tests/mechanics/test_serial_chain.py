@@ -232,10 +232,8 @@ def test_thirty_equal_links() -> None:
 
 def test_what_is_no_chain_is_refused(unchecked: None) -> None:
     hinge, rod = joints.Revolute("a", (0.0, 0.0, 1.0)), double_pendulum().links[0].body
-    with pytest.raises(tx.ModelError, match=r"joint of one freedom, got Spherical\('ball'\)"):
-        Link(joints.Spherical("ball"), rod, np.eye(4))
-    with pytest.raises(tx.ModelError, match=r"one freedom, got Fixed(.|\n)*before \+ body\.in_frame\(mount\)"):
-        Link(joints.Fixed("weld"), rod, np.eye(4))
+    with pytest.raises(tx.ModelError, match=r"Link expects a joint, such as joints.Revolute, got 3"):
+        Link(3, rod, np.eye(4))
     with pytest.raises(tx.ModelError, match="SpatialInertia as body, got 3"):
         Link(hinge, 3, np.eye(4))
     with pytest.raises(tx.ModelError, match="Link expects mount to be a pose"):

@@ -1,13 +1,39 @@
-"""Mechanics in the language: joints, bodies and the environment around them, all of them expressions."""
+"""Mechanics in the language: joints, bodies, mechanisms and the environment around them, all of them expressions."""
 
 from . import chain_models, environment, joints
 from .bodies import SpatialInertia, power
-from .chain import Chain, Link
-from .chain_dynamics import aba, forward_dynamics, inverse_dynamics, mass_matrix, rnea
+from .chain import Chain
+from .drives import Drive
+from .dynamics import (
+    aba,
+    bias_forces,
+    coriolis_forces,
+    forward_dynamics,
+    gravity_forces,
+    inverse_dynamics,
+    mass_matrix,
+    rnea,
+)
+from .jacobians import ALIGNED, BODY, WORLD, frame_jacobian, frame_jacobian_rate, frame_twist
+from .joint_wrenches import joint_wrench
+from .mechanism import Mechanism
+from .momentum import (
+    center_of_mass,
+    centroidal_matrix,
+    centroidal_momentum,
+    kinetic_energy,
+    potential_energy,
+    spatial_momentum,
+    total_mass,
+)
+from .tree import Link, Mimic
 
 # fmt: off
 __all__ = [
-    "Chain", "Link", "SpatialInertia", "aba", "chain_models", "environment", "forward_dynamics", "inverse_dynamics",
-    "joints", "mass_matrix", "power", "rnea",
+    "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "Link", "Mechanism", "Mimic", "SpatialInertia", "aba", "bias_forces",
+    "center_of_mass", "centroidal_matrix", "centroidal_momentum", "chain_models", "coriolis_forces", "environment",
+    "forward_dynamics", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "gravity_forces", "inverse_dynamics",
+    "joint_wrench", "joints", "kinetic_energy", "mass_matrix", "potential_energy", "power", "rnea", "spatial_momentum",
+    "total_mass",
 ]
 # fmt: on

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from ..checks import whole
 from ..errors import ModelError
 from .bodies import SpatialInertia
-from .chain import Chain, Link
+from .chain import Chain
 from .joints import Revolute
+from .tree import Link
 
 __all__ = ["equal_links", "modified_dh", "panda"]
 

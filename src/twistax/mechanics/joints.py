@@ -19,16 +19,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import reals
+from ..checks import number, reals
 from ..errors import ModelError, ShapeError
-from ..expr import Constant, Expr, State
+from ..expr import Concat, Constant, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
 
-__all__ = ["Fixed", "Free", "Joint", "Prismatic", "Revolute", "Screws", "Spherical"]
+# fmt: off
+__all__ = [
+    "Cylindrical", "Fixed", "Free", "Helical", "Joint", "Planar", "Prismatic", "Revolute", "Screws", "Spherical",
+    "universal",
+]
+# fmt: on
 
 #: How far h*^T H may be from the identity.
 _ROUND_OFF = 1e-12
@@ -198,6 +203,10 @@ class Joint(_Subspaces, ABC):
     def placement(self, position: Expr) -> Expr:
         """T_pc (4, 4) of the position, of shape (0,) where there is none; its rate must be T_pc (H velocity)^."""
 
+    def rate(self, position: Expr, velocity: Expr) -> Expr:
+        """The rate of the position: the velocity, unless a subclass says otherwise."""
+        return velocity
+
     @functools.cached_property
     def transform(self) -> Expr:
         """T_pc (4, 4): maps coordinates of the child's joint frame to the parent's.
@@ -214,8 +223,10 @@ class Joint(_Subspaces, ABC):
 
     @property
     def rates(self) -> dict[State | str, ExprLike]:
-        """The kinematics {position: velocity}, for the rates of a System; empty where nothing moves."""
-        return {} if self.position is None or self.velocity is None else {self.position: self.velocity}
+        """The kinematics {position: its rate}, for the rates of a System; empty where nothing moves."""
+        if self.position is None or self.velocity is None:
+            return {}
+        return {self.position: self.rate(self.position, self.velocity)}
 
     @property
     def twist(self) -> Expr:
@@ -278,6 +289,69 @@ class Prismatic(Joint):
         return Pose(np.eye(3), self.axis * position[0])
 
 
+class Helical(Joint):
+    """A screw: a turn about a fixed axis a with a translation along it, H = [h a; a], q in rad.
+
+    The motor is a torque about the axis: h* = [0; a].
+
+    Args:
+        name, axis: as for `Revolute`.
+        pitch: h in m/rad, the way along the axis for each rad; finite.
+    Raises:
+        ShapeError: axis is not of shape (3,).
+        ModelError: no name; an axis that is zero or not finite; a pitch that is no finite number.
+    """
+
+    def __init__(self, name: str, axis: Any, pitch: float) -> None:
+        self.axis = unit_vector(f"Helical {name!r}", "axis", axis)
+        self.pitch = number(f"Helical {name!r}: pitch", pitch, error=ModelError)
+        motor = np.concatenate([np.zeros(3), self.axis])
+        super().__init__(name, np.concatenate([self.pitch * self.axis, self.axis]), motor)
+
+    def placement(self, position: Expr) -> Expr:
+        return Pose(AxisRotation(position[0], self.axis), (self.pitch * self.axis) * position[0])
+
+
+class Cylindrical(Joint):
+    """A slide along a fixed axis a and a turn about it: H = [a 0; 0 a], q = [way in m, angle in rad].
+
+    Args:
+        name, axis: as for `Revolute`.
+    Raises:
+        ShapeError, ModelError: as for `Revolute`.
+    """
+
+    def __init__(self, name: str, axis: Any) -> None:
+        self.axis = unit_vector(f"Cylindrical {name!r}", "axis", axis)
+        zero = np.zeros(3)
+        super().__init__(name, np.block([[self.axis, zero], [zero, self.axis]]).T)
+
+    def placement(self, position: Expr) -> Expr:
+        return Pose(AxisRotation(position[1], self.axis), self.axis * position[0])
+
+
+class Planar(Joint):
+    """All motions in the parent's plane through the origin with normal z: q = [x, y, angle], in m and rad.
+
+    The velocity is [v_x, v_y, w] in the CHILD's axes, so that H is constant there: x' and y' are it, turned by the
+    angle. Mount the joint with z along the normal that is wanted.
+
+    Args:
+        name: of the joint.
+    Raises: ModelError for no name.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, motion=np.eye(6)[:, [0, 1, 5]])
+
+    def placement(self, position: Expr) -> Expr:
+        return Pose(AxisRotation(position[2], (0.0, 0.0, 1.0)), Concat(position[0], position[1], 0.0))
+
+    def rate(self, position: Expr, velocity: Expr) -> Expr:
+        turned = AxisRotation(position[2], (0.0, 0.0, 1.0)) @ Concat(velocity[0], velocity[1], 0.0)
+        return Concat(turned[0], turned[1], velocity[2])
+
+
 class Spherical(Joint):
     """All turns about the joint's origin: H = [0; I], T_pc = [R 0; 0 1].
 
@@ -314,3 +388,21 @@ class Free(Joint):
 
     def placement(self, position: Expr) -> Expr:
         return position
+
+
+def universal(name: str, first: Any, second: Any) -> tuple[Revolute, Revolute]:
+    """A universal joint, two turns in a row: about an axis of the parent, then about one of the child.
+
+    Its H changes in its own child frame, so it is two joints, `<name>_1` and `<name>_2`. Put a link without a body and
+    with an identity mount between them.
+
+    Args:
+        name: begins the names of both.
+        first, second: their axes (3,), the same in both frames when both angles are zero.
+    Raises:
+        ShapeError, ModelError: as for `Revolute`; axes along one line.
+    """
+    joints = Revolute(f"{name}_1", first), Revolute(f"{name}_2", second)
+    if np.linalg.norm(np.cross(joints[0].axis, joints[1].axis)) < _ROUND_OFF:
+        raise ModelError(f"universal {name!r} expects two axes in different directions, got {first} and {second}")
+    return joints

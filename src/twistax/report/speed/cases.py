@@ -180,10 +180,17 @@ FREE_BODY = Case(
 )
 
 
+def _numbers_of(chain: Chain) -> list[tuple[Any, Any]]:
+    return [
+        (numbers(link.mount), numbers(body.matrix))
+        for link, body in zip(chain.links, chain.bodies.values(), strict=True)
+    ]
+
+
 def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> Case:
     """Of positions, velocities and accelerations of a chain the forces of its motors, or the other way round."""
     chain = functools.cache(model)  # made when first asked for: the command line only needs names
-    links = functools.cache(lambda: [(numbers(each.mount), numbers(each.body.matrix)) for each in chain().links])
+    links = functools.cache(lambda: _numbers_of(chain()))
     ours: Any = inverse_dynamics if inverse else forward_dynamics
     plain: Any = rnea_by_hand if inverse else aba_by_hand
 

@@ -272,8 +272,9 @@ def _pinocchio(case: Case, quantity: Quantity) -> Task:
     if quantity not in (VALUE, JACOBIAN):
         raise Lacks("it has Jacobians only")
     begin, model, before, inverse = time.perf_counter(), pin.Model(), 0, case.inverse
-    for number, link in enumerate(case.chain().links):
-        mount, body = numbers(link.mount), link.body
+    chain = case.chain()
+    for number, (link, body) in enumerate(zip(chain.links, chain.bodies.values(), strict=True)):
+        mount = numbers(link.mount)
         before = model.addJoint(before, pin.JointModelRZ(), pin.SE3(mount[:3, :3], mount[:3, 3]), f"joint{number}")
         own = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
         model.appendBodyToJoint(before, own, pin.SE3.Identity())

@@ -1,0 +1,100 @@
+"""What a joint has beside its geometry: rotor, friction, spring, gear, and limits."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ..checks import reals
+from ..errors import ModelError
+from ..expr import Constant, Expr, Tanh, to_expr
+from ..expr.fields import ExprLike
+
+#: Numbers only: they become bounds of states and controls.
+_LIMITS = ("lower", "upper", "speed", "effort")
+_AMOUNTS = ("armature", "damping", "friction", "stiffness", "rest", "gear", "friction_speed")
+_NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed", "effort")
+
+
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """Motor, friction, spring and limits of a joint; every freedom of the joint has the same.
+
+    The generalised force on a freedom with position q, velocity v and control u is
+
+        gear u - damping v - friction tanh(v / friction_speed) - stiffness (q - rest).
+
+    Attributes:
+        armature: inertia of the rotor as the joint feels it, gear^2 times its own: kg m2 about an axis, kg along one.
+        damping: N m s/rad or N s/m.
+        friction: what dry friction comes to when sliding, N m or N; at rest the force is smooth.
+        friction_speed: where it has come to 76 % of that, rad/s or m/s, positive.
+        stiffness, rest: of a spring, N m/rad or N/m, and the position where it gives no force. A joint with a position
+            on a group has none.
+        gear: force of the joint for each unit of control.
+        lower, upper: bounds of the position; None for none.
+        speed, effort: largest absolute velocity, and largest absolute control; None for none.
+
+        Limits are numbers. The others are numbers or expressions.
+    Raises:
+        ModelError: something that is no number or scalar expression, or negative where that means nothing; bounds that
+            exclude each other.
+    """
+
+    armature: ExprLike = 0.0
+    damping: ExprLike = 0.0
+    friction: ExprLike = 0.0
+    friction_speed: ExprLike = 0.01
+    stiffness: ExprLike = 0.0
+    rest: ExprLike = 0.0
+    gear: ExprLike = 1.0
+    lower: float | None = None
+    upper: float | None = None
+    speed: float | None = None
+    effort: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in _AMOUNTS:
+            value = getattr(self, name)
+            expr = value if isinstance(value, Expr) else Constant(reals(f"Drive: {name}", value, ModelError))
+            self._check(name, expr.value if isinstance(expr, Constant) else None, expr.shape)
+        for name in _LIMITS:
+            limit = getattr(self, name)
+            if limit is not None:
+                self._check(name, reals(f"Drive: {name}", limit, ModelError), np.shape(limit))
+        if self.lower is not None and self.upper is not None and self.lower > self.upper:
+            raise ModelError(f"Drive expects lower to be at most upper, got {self.lower} and {self.upper}")
+        if isinstance(self.friction_speed, (int, float)) and self.friction_speed <= 0.0:
+            raise ModelError(f"Drive expects friction_speed to be positive, got {self.friction_speed}")
+
+    @staticmethod
+    def _check(name: str, value: Any, shape: tuple[int, ...]) -> None:
+        if shape:
+            raise ModelError(f"Drive expects {name} to be a scalar, got the shape {shape}")
+        if value is not None and not np.isfinite(value):
+            raise ModelError(f"Drive expects {name} to be finite, got {value}")
+        if value is not None and name in _NOT_NEGATIVE and value < 0.0:
+            raise ModelError(f"Drive expects {name} not to be negative, got {value}")
+
+    @property
+    def rotor(self) -> Expr | None:
+        """The armature as an expression; None where it is known to be zero."""
+        return None if _is_zero(self.armature) else to_expr(self.armature)
+
+    def passive(self, position: Expr | None, velocity: Expr) -> Expr | None:
+        """What damping, friction and spring do to one freedom (); None where there is none of them."""
+        terms: list[Expr] = []
+        if not _is_zero(self.damping):
+            terms.append(-(to_expr(self.damping) * velocity))
+        if not _is_zero(self.friction):
+            terms.append(-(to_expr(self.friction) * Tanh(velocity / self.friction_speed)))
+        if position is not None and not _is_zero(self.stiffness):
+            terms.append(-(to_expr(self.stiffness) * (position - self.rest)))
+        return sum(terms[1:], terms[0]) if terms else None
+
+
+def _is_zero(value: ExprLike) -> bool:
+    number = value.value if isinstance(value, Constant) else value
+    return not isinstance(number, Expr) and not np.any(number)

@@ -1,0 +1,312 @@
+"""Dynamics of mechanisms as expressions: forces of accelerations (RNEA), the reverse (ABA), mass matrix (CRBA).
+
+`motion.py` says what the recursions carry from body to body.
+
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008): section 5.3 for RNEA, 6.2 for CRBA, 7.3 for ABA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..errors import ModelError
+from ..expr import Block, Concat, Constant, Dot, Expr, Outer, Solve
+from ..expr.fields import ExprLike
+from ..expr.lie import CoadjointAction
+from .arguments import of_shape
+from .inertia_frames import in_frame, mirrored
+from .mechanism import Mechanism, Positions
+from .motion import Moving, acceleration_of_base, inertia_of, motion
+
+#: Wrenches (6,) by the names of the frames they act in, at their origins and in their axes.
+Wrenches = Mapping[str, ExprLike]
+
+_NOTHING = Constant(0.0)
+
+
+def inverse_dynamics(
+    mechanism: Mechanism,
+    q: Positions | None = None,
+    qd: ExprLike | None = None,
+    qdd: ExprLike | None = None,
+    *,
+    wrenches: Wrenches | None = None,
+) -> Expr:
+    """The forces of the joints (n,) that give a mechanism the accelerations qdd: N for a slide, N m for a turn.
+
+    The recursive Newton-Euler algorithm (RNEA). From base to tips the motion, from tips to base
+
+        F = M B + ad*_W(M W) - wrenches + the sum of Ad*_T F over the segments that sit on it,    tau = H' F.
+
+    Args:
+        mechanism: a tree or a chain.
+        q, qd: positions and velocities (n,); the mechanism's own states unless given.
+        qdd: accelerations (n,), the rates of qd; zero unless given.
+        wrenches: what acts on the mechanism from outside.
+    Raises:
+        ShapeError: an argument of another shape.
+        ModelError: positions or frames that are not known.
+    """
+    checked("inverse_dynamics", mechanism)
+    rates = mechanism.coordinates("inverse_dynamics", "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
+    return _gathered(mechanism, carried_wrenches("inverse_dynamics", mechanism, q, qd, rates, wrenches), rates)
+
+
+def carried_wrenches(
+    owner: str,
+    mechanism: Mechanism,
+    q: Positions | None,
+    qd: ExprLike | None,
+    qdd: Expr,
+    wrenches: Wrenches | None,
+    gravity: Expr | None = None,
+) -> list[Expr]:
+    """F (6,) of every segment, in its frame: what its joint has to give."""
+    moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
+    outside = _outside(owner, mechanism, wrenches)
+    accelerations: list[Expr] = []
+    needed: list[Expr] = []
+    for each, pushed in zip(moving, outside, strict=True):
+        before = each.segment.before
+        base = acceleration_of_base(mechanism.gravity if gravity is None else gravity)
+        B = each.carried(base if before < 0 else accelerations[before])
+        accelerations.append(B + mechanism.along(each.segment, qdd))
+        needed.append(_less(each.inertia @ accelerations[-1] + each.gyroscopic, pushed))
+    for i in reversed(range(len(moving))):
+        if moving[i].segment.before >= 0:
+            needed[moving[i].segment.before] += CoadjointAction(moving[i].T, needed[i])
+    return needed
+
+
+def _gathered(mechanism: Mechanism, needed: list[Expr], qdd: Expr) -> Expr:
+    """H' F of all joints, followers with their leaders, and what the rotors take (n,)."""
+    tau: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
+    for segment, F in zip(mechanism.segments, needed, strict=True):
+        ratio = 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
+        for k, i in enumerate(segment.freedoms):
+            own = Dot(segment.link.joint.motion_subspace[:, k], F)
+            tau[i].append(own if segment.link.mimic is None else ratio * own)
+            if segment.link.drive.rotor is not None:
+                tau[i].append(segment.link.drive.rotor * ratio**2 * qdd[i])
+    return Concat(*(sum(terms[1:], terms[0]) for terms in tau))
+
+
+def bias_forces(
+    mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None, *, wrenches: Wrenches | None = None
+) -> Expr:
+    """b (n,) of M qdd + b = tau: gravity, Coriolis and centrifugal forces, less the wrenches. Raises as RNEA does."""
+    return inverse_dynamics(mechanism, q, qd, wrenches=wrenches)
+
+
+def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+    """g(q) (n,): the forces of the joints that hold the mechanism at rest. Raises as `inverse_dynamics` does."""
+    checked("gravity_forces", mechanism)
+    return inverse_dynamics(mechanism, q, np.zeros(mechanism.dofs))
+
+
+def coriolis_forces(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+    """c(q, qd) = C(q, qd) qd (n,): Coriolis and centrifugal forces, no gravity. Raises as `inverse_dynamics` does."""
+    owner, still = "coriolis_forces", Constant(np.zeros(checked("coriolis_forces", mechanism).dofs))
+    weightless = Constant(np.zeros(3))
+    return _gathered(mechanism, carried_wrenches(owner, mechanism, q, qd, still, None, weightless), still)
+
+
+def forward_dynamics(
+    mechanism: Mechanism,
+    q: Positions | None = None,
+    qd: ExprLike | None = None,
+    tau: ExprLike | None = None,
+    *,
+    wrenches: Wrenches | None = None,
+) -> Expr:
+    """The accelerations (n,) of a mechanism whose joints have the forces tau: m/s2 for a slide, rad/s2 for a turn.
+
+    The articulated-body algorithm (ABA). From tips to base it finds what a segment and all that hangs on it need for
+    the acceleration B of the segment, the wrench I B + b; from base to tips the accelerations. Where joints mimic
+    others the equations of the mass matrix are solved instead.
+
+    Args:
+        mechanism: a tree or a chain.
+        q, qd: positions and velocities (n,); the mechanism's own states unless given.
+        tau: forces of the joints (n,), N for a slide, N m for a turn; zero unless given.
+        wrenches: what acts on the mechanism from outside.
+    Raises:
+        ShapeError: an argument of another shape.
+        ModelError: positions or frames that are not known.
+    """
+    owner = "forward_dynamics"
+    checked(owner, mechanism)
+    forces = mechanism.coordinates(owner, "tau", np.zeros(mechanism.dofs) if tau is None else tau)
+    if any(segment.link.mimic for segment in mechanism.segments):
+        return Solve(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))
+    moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
+    I = [each.inertia for each in moving]
+    b = [_less(each.gyroscopic, out) for each, out in zip(moving, _outside(owner, mechanism, wrenches), strict=True)]
+    hinges: list[_Hinge] = []
+    for i in reversed(range(len(moving))):
+        hinges.append(_Hinge(moving[i], I[i], b[i], forces))
+        before = moving[i].segment.before
+        if before >= 0:
+            felt_I, felt_b = hinges[-1].felt_before()
+            I[before], b[before] = I[before] + felt_I, b[before] + felt_b
+    accelerations: list[Expr] = []
+    qdd: list[Expr] = [_NOTHING] * mechanism.dofs
+    for hinge in reversed(hinges):
+        before = hinge.moving.segment.before
+        base = acceleration_of_base(mechanism.gravity) if before < 0 else accelerations[before]
+        B = hinge.moving.carried(base)
+        for i, freedom in zip(hinge.moving.segment.freedoms, hinge.freedoms, strict=True):
+            qdd[i] = freedom.acceleration(B)
+            B = B + freedom.H * qdd[i]
+        accelerations.append(B)
+    return Concat(*qdd)
+
+
+#: The field's short names.
+rnea, aba = inverse_dynamics, forward_dynamics
+
+
+def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+    """The inertia M (n, n) of a mechanism: kinetic energy qd.M qd / 2, forces of the joints M qdd + b(q, qd).
+
+    The composite-rigid-body algorithm (CRBA). From tips to base I_c, the inertia of a segment with all that hangs on it
+    as if it were rigid; M_ij = H_j' Ad* I_c H_i for every j between the base and i. Rotors add to the diagonal.
+
+    Args:
+        mechanism: a tree or a chain; gravity has no part in it.
+        q: positions; the mechanism's own states unless given.
+    Raises: ShapeError, ModelError: positions of another shape or name.
+    """
+    checked("mass_matrix", mechanism)
+    places = mechanism.positions("mass_matrix", q)
+    T = [segment.link.transform(place) for segment, place in zip(mechanism.segments, places, strict=True)]
+    I = composite_inertias(mechanism, places)
+    n = mechanism.dofs
+    M: list[list[list[Expr]]] = [[[] for _ in range(n)] for _ in range(n)]
+
+    def add(a: int, b: int, value: Expr, ratio: float) -> None:
+        M[a][b].append(value if ratio == 1.0 else ratio * value)
+
+    for i, segment in enumerate(mechanism.segments):
+        rotor, own = segment.link.drive.rotor, _ratio(segment.link.mimic)
+        for k, a in enumerate(segment.freedoms):
+            F = I[i] @ segment.link.joint.motion_subspace[:, k]
+            for other, c in enumerate(segment.freedoms[: k + 1]):
+                value: Expr = Dot(segment.link.joint.motion_subspace[:, other], F)
+                if c == a and rotor is not None:
+                    value = value + rotor
+                add(a, c, value, own**2)
+                if c != a:
+                    add(c, a, value, 1.0)
+            j = i
+            while mechanism.segments[j].before >= 0:
+                F, j = CoadjointAction(T[j], F), mechanism.segments[j].before
+                ahead = mechanism.segments[j]
+                for other, c in enumerate(ahead.freedoms):
+                    value = Dot(ahead.link.joint.motion_subspace[:, other], F)
+                    add(a, c, value, own * _ratio(ahead.link.mimic))
+                    add(c, a, value, own * _ratio(ahead.link.mimic))
+    return Block([[sum(terms[1:], terms[0]) if terms else _NOTHING for terms in row] for row in M])
+
+
+def _ratio(mimic: object) -> float:
+    return getattr(mimic, "ratio", 1.0)
+
+
+def composite_inertias(mechanism: Mechanism, positions: list[Expr]) -> list[Expr]:
+    """I_c (6, 6) of each segment with all that hangs on it, as if it were rigid, in its frame."""
+    I = [inertia_of(segment) for segment in mechanism.segments]
+    for i in reversed(range(len(I))):
+        link, before = mechanism.segments[i].link, mechanism.segments[i].before
+        if before >= 0:
+            I[before] = I[before] + in_frame(link.mount, in_frame(link.joint.placement(positions[i]), I[i]))
+    return I
+
+
+def checked(owner: str, mechanism: Mechanism) -> Mechanism:
+    """The mechanism itself. Raises ModelError for anything else."""
+    if not isinstance(mechanism, Mechanism):
+        raise ModelError(
+            f"{owner} expects a mechanism, such as tx.mechanics.Chain(links), got {type(mechanism).__name__}"
+        )
+    return mechanism
+
+
+def _outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
+    """The sum of the outer wrenches on each segment, in its frame; None where there is none."""
+    found: list[Expr | None] = [None] * len(mechanism.segments)
+    if wrenches is not None and not isinstance(wrenches, Mapping):
+        raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")
+    for name, value in (wrenches or {}).items():
+        at = mechanism.frame(name)
+        F = of_shape(owner, f"the wrench at {name!r}", value, (6,), "[f; tau] in the frame's axes")
+        if at.segment >= 0:
+            F, before = CoadjointAction(at.T, F), found[at.segment]
+            found[at.segment] = F if before is None else before + F
+    return found
+
+
+def _less(needed: Expr, given: Expr | None) -> Expr:
+    return needed if given is None else needed - given
+
+
+class _Hinge:
+    """A joint with all that hangs on it, which needs the wrench I B + b. Its freedoms are eliminated one by one."""
+
+    def __init__(self, moving: Moving, I: Expr, b: Expr, forces: Expr) -> None:
+        self.moving, self.freedoms = moving, list[_Freedom]()
+        for k in reversed(range(len(moving.segment.freedoms))):
+            if self.freedoms:
+                I, b = self.freedoms[0].eliminated()
+            self.freedoms.insert(0, _Freedom(moving, k, I, b, forces[moving.segment.freedoms[k]]))
+        self.rigid = None if self.freedoms else (I, b)
+
+    def felt_before(self) -> tuple[Expr, Expr]:
+        """What it adds to I and b of the segment before, in its frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
+
+        c is what B gets from the velocities.
+        """
+        moving, link = self.moving, self.moving.segment.link
+        if self.rigid is None:
+            I, b = self.freedoms[0].eliminated()
+        else:
+            I, b = self.rigid
+        felt = in_frame(link.mount, in_frame(moving.placement, I))
+        return felt, CoadjointAction(moving.T, b + I @ moving.coriolis) + felt @ moving.centripetal
+
+
+class _Freedom:
+    """One freedom of a joint, the column H of its motions, on bodies that need the wrench I B + b.
+
+    With U = I H and D = H' U + the rotor's inertia it accelerates by (tau - H' b - U' B) / D, B that of the segment but
+    for this freedom's. Without a rotor U / D is h* + U_R / D, with h* the working wrench and U_R what the bearing
+    carries of U: written so, the entries of I - U U' / D along the joint are exact zeros.
+    """
+
+    def __init__(self, moving: Moving, k: int, I: Expr, b: Expr, tau: Expr) -> None:
+        joint = moving.segment.link.joint
+        self.I, self.b, self.tau = I, b, tau
+        self.H, self.working = joint.motion_subspace[:, k], joint.actuation_basis[:, k]
+        self.U = I @ self.H
+        self.rotor = moving.segment.link.drive.rotor
+        felt = Dot(self.H, self.U)
+        self.D = felt if self.rotor is None else felt + self.rotor
+        self.left = tau - Dot(self.H, b)
+        self.carried = self._reaction(self.U) / self.D
+        self.share = self.working + self.carried if self.rotor is None else self.U / self.D
+
+    def _reaction(self, F: Expr) -> Expr:
+        return F - self.working * Dot(self.H, F)
+
+    def acceleration(self, B: Expr) -> Expr:
+        """The acceleration () where the segment has the acceleration B (6,) but for this freedom's."""
+        return self.left / self.D - Dot(self.share, B)
+
+    def eliminated(self) -> tuple[Expr, Expr]:
+        """I_a = I - U U' / D and b_a = b + U (tau - H' b) / D; without a rotor the working part of b_a is tau."""
+        I = mirrored(self.I - Outer(self.U, self.share))
+        if self.rotor is not None:
+            return I, self.b + self.share * self.left
+        return I, self._reaction(self.b) + self.carried * self.left + self.working * self.tau

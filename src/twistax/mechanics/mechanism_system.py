@@ -1,0 +1,84 @@
+"""A mechanism as a system: its states on their groups, its motors as controls, its limits as bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+from ..errors import ModelError
+from ..expr import Concat, Constant, Constraint, Expr, State
+from ..expr.fields import ExprLike
+from ..system import System
+from .dynamics import Wrenches, forward_dynamics
+from .mechanism import Mechanism
+
+
+def system_of(
+    mechanism: Mechanism,
+    *,
+    controls: Collection[str] | None = None,
+    forces: ExprLike | None = None,
+    wrenches: Wrenches | None = None,
+    outputs: Mapping[str, ExprLike] | None = None,
+    constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
+) -> System:
+    """The mechanism as a `tx.System`, with the states `mechanism.q` and `mechanism.qd`.
+
+    The rate of qd is the forward dynamics under the motors, gears, damping, friction and springs of the links' drives.
+    Limits are the bounds of states and controls.
+
+    Args:
+        mechanism: a tree or a chain.
+        controls: the joints that motors drive; all but the free ones unless given. Their commands are the Control
+            "tau", one entry a freedom, in the order of the joints named. None named, none made.
+        forces: further forces of the joints (n,), N or N m, such as those of a feedback.
+        wrenches: what acts on the mechanism from outside, by frame.
+        outputs, constraints: as for `tx.System`; of `mechanism.q` and `mechanism.qd`, or anything else.
+    Raises:
+        ModelError: a joint or frame that is not known; a mechanism in which nothing moves.
+        ShapeError: an argument of another shape.
+    """
+    if not mechanism.dofs:
+        raise ModelError("system expects a mechanism with a joint that moves, got none")
+    if controls is None:
+        controls = [s.link.joint.name for s in mechanism.segments if s.link.joint.dofs < 6 and s.link.mimic is None]
+    driven = mechanism.freedoms(controls)
+    tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
+    command = mechanism.motors(controls) if driven else None
+    places = mechanism.positions("system", None)
+    for segment, place in zip(mechanism.segments, places, strict=True):
+        drive, mimic = segment.link.drive, segment.link.mimic
+        ratio = 1.0 if mimic is None else mimic.ratio
+        for k, i in enumerate(segment.freedoms):
+            own = mechanism.qd[i] if mimic is None else ratio * mechanism.qd[i]
+            passive = drive.passive(place[k] if segment.link.joint.group is None else None, own)
+            if passive is not None:
+                tau[i] = tau[i] + (passive if mimic is None else ratio * passive)
+            if command is not None and mimic is None and i in driven:
+                tau[i] = tau[i] + drive.gear * command[driven.index(i)]
+    total: Expr = Concat(*tau)
+    if forces is not None:
+        total = total + mechanism.coordinates("system", "forces", forces)
+    accelerations = forward_dynamics(mechanism, tau=total, wrenches=wrenches)
+    return System(
+        rates={**_kinematics(mechanism, places), mechanism.qd: accelerations},
+        outputs=outputs,
+        constraints=constraints,
+    )
+
+
+def _kinematics(mechanism: Mechanism, places: list[Expr]) -> dict[Any, Expr]:
+    """The rates of all positions."""
+    q = mechanism.q
+    vector = q if isinstance(q, State) else q.get("q")
+    found: dict[Any, Expr] = {}
+    rows: list[Expr] = []
+    for segment, place in zip(mechanism.segments, places, strict=True):
+        if segment.link.mimic is not None or not segment.freedoms:
+            continue
+        own = mechanism.qd[segment.freedoms[0] : segment.freedoms[-1] + 1]
+        if segment.link.joint.group is None:
+            rows.append(segment.link.joint.rate(place, own))
+        else:
+            found[place] = segment.link.joint.rate(place, own)
+    return {vector: Concat(*rows), **found} if rows else found

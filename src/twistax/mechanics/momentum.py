@@ -1,0 +1,94 @@
+"""Energies and momenta of mechanisms as expressions.
+
+The centroidal momentum is that of all bodies about their common centre of mass, in axes parallel to the base's.
+
+Source: D. Orin, A. Goswami, S. Lee, Centroidal dynamics of a humanoid robot, Autonomous Robots (2013).
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+
+import numpy as np
+
+from ..errors import ModelError
+from ..expr import Constant, Dot, Expr, Stack
+from ..expr.fields import ExprLike
+from ..expr.lie import Act, CoadjointAction, translation
+from .dynamics import checked, composite_inertias
+from .mechanism import Mechanism, Positions
+
+_NOTHING = Constant(0.0)
+
+
+def _sum(terms: list[Expr], empty: Expr = _NOTHING) -> Expr:
+    return functools.reduce(operator.add, terms) if terms else empty
+
+
+def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+    """The sum of V.M V / 2 over all bodies (), J, and of the rotors. Raises ShapeError."""
+    twists = checked("kinetic_energy", mechanism).twists(q, qd)
+    terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
+    rates = mechanism.coordinates("kinetic_energy", "qd", qd)
+    for segment in mechanism.segments:
+        rotor, mimic = segment.link.drive.rotor, segment.link.mimic
+        for i in segment.freedoms if rotor is not None else ():
+            own = rates[i] if mimic is None else mimic.ratio * rates[i]
+            terms.append(0.5 * (rotor * own * own))
+    return _sum(terms)
+
+
+def potential_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+    """Minus the sum of m g . c over all bodies (), J: zero for masses at the base. Raises ShapeError."""
+    poses = checked("potential_energy", mechanism).poses(q)
+    lifted = [
+        body.mass * Dot(mechanism.gravity, Act(poses[i], body.center_of_mass)) for i, body in mechanism.bodies.items()
+    ]
+    return -_sum(lifted)
+
+
+def total_mass(mechanism: Mechanism) -> Expr:
+    """The mass of all bodies that move (), kg. Raises ModelError where there is none."""
+    found = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
+    if not found:
+        raise ModelError("total_mass expects a mechanism with bodies, got rotors only")
+    return _sum(found)
+
+
+def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+    """Of all bodies that move (3,), m, in the base. Raises ShapeError; ModelError where there is no mass."""
+    poses = checked("center_of_mass", mechanism).poses(q)
+    moments = [body.mass * Act(poses[i], body.center_of_mass) for i, body in mechanism.bodies.items()]
+    return _sum(moments) / total_mass(mechanism)
+
+
+def spatial_momentum(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+    """[p; L] (6,) of all bodies about the BASE's origin, in its axes: the sum of Ad*_T M V. Raises ShapeError.
+
+    Where nothing but gravity acts from outside, L changes by the moment of gravity and p by its force.
+    """
+    poses, twists = checked("spatial_momentum", mechanism).poses(q), mechanism.twists(q, qd)
+    terms: list[Expr] = [CoadjointAction(poses[i], body.momentum(twists[i])) for i, body in mechanism.bodies.items()]
+    return _sum(terms, Constant(np.zeros(6)))
+
+
+def centroidal_momentum(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+    """[p; L] (6,) of all bodies about their centre of mass, in the base's axes: N s and N m s. Raises ShapeError."""
+    about_base = spatial_momentum(mechanism, q, qd)
+    return CoadjointAction(translation(center_of_mass(mechanism, q)), about_base, inverse=True)
+
+
+def centroidal_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+    """A (6, n) with A qd the centroidal momentum; columns Ad*_T I_c H, about the centre of mass. Raises ShapeError."""
+    places = checked("centroidal_matrix", mechanism).positions("centroidal_matrix", q)
+    poses, I = mechanism.poses(q), composite_inertias(mechanism, places)
+    columns: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
+    for i, segment in enumerate(mechanism.segments):
+        ratio = 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
+        for k, a in enumerate(segment.freedoms):
+            H = segment.link.joint.motion_subspace[:, k]
+            column = CoadjointAction(poses[i], I[i] @ H)
+            columns[a].append(column if segment.link.mimic is None else ratio * column)
+    about_base = Stack(*(_sum(column) for column in columns)).T
+    return CoadjointAction(translation(center_of_mass(mechanism, q)), about_base, inverse=True)

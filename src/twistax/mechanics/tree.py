@@ -1,0 +1,228 @@
+"""Trees of bodies and joints: links as an engineer writes them, and what the recursions make of them.
+
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 4, for trees; [v; w] here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..checks import listed, reals
+from ..errors import ModelError
+from ..expr import Constant, Expr, canonicalize_all
+from ..expr.lie import Act, Compose, Pose
+from ..expr.lie.elements import parts_of_pose
+from .arguments import pose
+from .bodies import SpatialInertia
+from .drives import Drive
+from .joints import Joint
+
+
+@dataclasses.dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: its position is ratio times that of the other, plus offset.
+
+    Attributes:
+        joint: the name of the joint that leads.
+        ratio, offset: finite numbers; the offset in rad or m.
+    Raises: ModelError if they are not.
+    """
+
+    joint: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("ratio", "offset"):
+            value = reals(f"Mimic of {self.joint!r}: {name}", getattr(self, name), ModelError)
+            if value.shape or not np.isfinite(value):
+                raise ModelError(f"Mimic of {self.joint!r} expects {name} to be a finite number, got {value.tolist()}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Link:
+    """A body, the joint that carries it, and where that joint sits. The link's frame is the joint's child frame.
+
+    A link on a `Fixed` joint is merged with the one it sits on; its frame stays known by its name. So a link on a Fixed
+    joint without a body is a frame and nothing else.
+
+    Attributes:
+        joint: of any kind.
+        body: mass, centre of mass and inertia in the link's frame; None for a link without mass.
+        mount: T (4, 4) of the joint's parent frame in the frame of the link before, or of the base; numbers, or an
+            expression that does not change with the motion.
+        parent: the name of the link before; None for the base. In a `Chain` it is the one before in the list.
+        name: the link's; the joint's unless given.
+        drive: what the joint has beside its geometry: rotor, damping, friction, spring, gear and limits.
+        mimic: the joint it follows, if it does not move on its own.
+    Raises:
+        ModelError: no joint; a body that is none; a mount made of numbers and no pose; a drive or mimic that is none; a
+            follower with a position on a group.
+        ShapeError: mount is not of shape (4, 4).
+    """
+
+    joint: Joint
+    body: SpatialInertia | None
+    mount: Any
+    parent: str | None = None
+    name: str = ""
+    drive: Drive = dataclasses.field(default_factory=Drive)
+    mimic: Mimic | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.joint, Joint):
+            raise ModelError(f"Link expects a joint, such as joints.Revolute, got {self.joint!r}")
+        if self.body is not None and not isinstance(self.body, SpatialInertia):
+            raise ModelError(f"Link expects a SpatialInertia as body, got {self.body!r}")
+        if not isinstance(self.drive, Drive):
+            raise ModelError(f"Link expects a Drive as drive, got {self.drive!r}")
+        if self.mimic is not None and (not isinstance(self.mimic, Mimic) or self.joint.dofs != 1):
+            raise ModelError(
+                f"Link expects mimic to be a Mimic, of a joint with one freedom, got {self.mimic!r} of {self.joint!r}"
+            )
+        object.__setattr__(self, "mount", pose("Link", "mount", self.mount))
+        object.__setattr__(self, "name", self.name or self.joint.name)
+
+    def transform(self, position: Expr) -> Expr:
+        """T (4, 4) of the link's frame in that of the link before, of the joint's position."""
+        R, _ = parts_of_pose(self.mount)
+        turn, shift = parts_of_pose(self.joint.placement(position))
+        return Pose(Compose(R, turn), Act(self.mount, shift))
+
+
+@dataclasses.dataclass(frozen=True)
+class Segment:
+    """A link with all that is fixed to it, as the recursions see it.
+
+    Attributes:
+        link: its mount is in the segment before.
+        body: merged with what is fixed to it; None without mass.
+        before: the number of the segment before; -1 for the base.
+        freedoms: the entries of the velocity that move it, those of the leader for a follower.
+        coordinates: the entries of the position vector; None for a position on a group.
+    """
+
+    link: Link
+    body: SpatialInertia | None
+    before: int
+    freedoms: tuple[int, ...]
+    coordinates: slice | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """A frame fixed to a segment, or to the base where `segment` is -1: T (4, 4) of it in the segment's frame."""
+
+    segment: int
+    T: Expr
+
+
+def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
+    """The links, every one after the one it sits on; branches one after the other.
+
+    Raises: ModelError for no links; something else among them; two of one name; a parent that is not there; a circle.
+    """
+    if not isinstance(links, Iterable):
+        raise ModelError(f"expected links made by Link, got {links!r}")
+    links = tuple(links)
+    for link in links:
+        if not isinstance(link, Link):
+            raise ModelError(f"expected links made by Link, got {link!r}")
+    if not links:
+        raise ModelError("expected at least one link, got none")
+    for kind, names in (("links", [link.name for link in links]), ("joints", [link.joint.name for link in links])):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ModelError(f"two {kind} are named {twice[0]!r}.\n  fix: names are unique within a mechanism")
+    known = [link.name for link in links]
+    children: dict[str | None, list[Link]] = {}
+    for link in links:
+        parent = None if link.parent == base and base not in known else link.parent
+        if parent is not None and parent not in known:
+            raise ModelError(
+                f"link {link.name!r} sits on {parent!r}, and there is no link of that name; known are "
+                f"{listed(sorted(known), parent)}.\n  fix: parent=None stands for the base"
+            )
+        children.setdefault(parent, []).append(link)
+    order: list[Link] = []
+    waiting = list(reversed(children.get(None, [])))
+    while waiting:
+        order.append(waiting.pop())
+        waiting += reversed(children.get(order[-1].name, []))
+    if len(order) < len(links):
+        left = sorted(set(known) - {link.name for link in order})
+        raise ModelError(
+            f"the links {listed(left)} do not hang on the base.\n"
+            "  fix: a mechanism is a tree: follow parent= from each of them, one has to end in None"
+        )
+    return tuple(order)
+
+
+def segments_of(
+    links: tuple[Link, ...], keep: Collection[str], base: str
+) -> tuple[tuple[Segment, ...], dict[str, Frame]]:
+    """The links that move, with those merged that do not, and the frame of every link.
+
+    Raises: ModelError for a follower of something that does not move by itself with one freedom.
+    """
+    frames = {base: Frame(-1, Constant(np.eye(4)))}
+    moving: list[tuple[Link, int]] = []
+    bodies: list[list[SpatialInertia]] = []
+    for link in links:
+        at = frames[base if link.parent is None else link.parent]
+        mount = _folded(Compose(at.T, link.mount))
+        if link.joint.dofs or link.joint.name in keep:
+            frames[link.name] = Frame(len(moving), Constant(np.eye(4)))
+            moving.append((dataclasses.replace(link, mount=mount), at.segment))
+            bodies.append([] if link.body is None else [link.body])
+        else:
+            frames[link.name] = Frame(at.segment, mount)
+            if link.body is not None and at.segment >= 0:
+                bodies[at.segment].append(link.body.in_frame(mount))
+    freedoms, coordinates = _numbered([link for link, _ in moving])
+    segments = tuple(
+        Segment(link, merged(parts), before, freedoms[link.joint.name], coordinates[link.joint.name])
+        for (link, before), parts in zip(moving, bodies, strict=True)
+    )
+    return segments, frames
+
+
+def merged(bodies: list[SpatialInertia]) -> SpatialInertia | None:
+    """All of them as one; None where there is none."""
+    return functools.reduce(SpatialInertia.merge, bodies) if bodies else None
+
+
+def _folded(T: Expr) -> Expr:
+    return canonicalize_all([T])[0]
+
+
+def _numbered(links: list[Link]) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, slice | None]]:
+    """Which entries of the velocity and of the position vector belong to each joint."""
+    freedoms: dict[str, tuple[int, ...]] = {}
+    coordinates: dict[str, slice | None] = {}
+    free, coordinate = 0, 0
+    for link in links:
+        name, k = link.joint.name, link.joint.dofs
+        if link.mimic is not None:
+            continue
+        freedoms[name] = tuple(range(free, free + k))
+        free += k
+        grouped = link.joint.group is not None
+        coordinates[name] = None if grouped else slice(coordinate, coordinate + k)
+        coordinate += 0 if grouped else k
+    for link in links:
+        if link.mimic is None:
+            continue
+        leader = link.mimic.joint
+        if len(freedoms.get(leader, ())) != 1:
+            raise ModelError(
+                f"joint {link.joint.name!r} follows {leader!r}, and no joint of one freedom that moves by itself has "
+                f"that name; such are {listed(sorted(name for name, at in freedoms.items() if len(at) == 1))}"
+            )
+        freedoms[link.joint.name], coordinates[link.joint.name] = freedoms[leader], coordinates[leader]
+    return freedoms, coordinates

@@ -1,0 +1,380 @@
+"""Trees with joints of every kind against Lagrange's equations of point masses."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_oracles import Cloud, hat, pose
+from scipy.linalg import expm
+
+import twistax as tx
+from twistax import mechanics
+from twistax.expr.graph import leaves_of
+from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimic, SpatialInertia, joints
+
+GRAVITY = np.array([0.7, -1.1, -9.6])
+AXIS = np.array([0.6, 0.0, -0.8])
+
+
+def body_of(cloud: Cloud) -> SpatialInertia:
+    return SpatialInertia(mass=cloud.mass, center_of_mass=cloud.center, inertia=cloud.tensor_about(cloud.center))
+
+
+class Tree:
+    """A mechanism, and where its points are, by matrix exponentials along the motions of its joints."""
+
+    def __init__(self, mimic: Mimic | None = None, **drives: Drive) -> None:
+        rng = np.random.default_rng(7)
+        one, two = joints.universal("cardan", (0.0, 1.0, 0.0), AXIS)
+        #: A joint, what it sits on, and whether its link has mass.
+        plan = [
+            (joints.Free("root"), None, True),
+            (joints.Cylindrical("rod", AXIS), "root", True),
+            (joints.Spherical("ball"), "rod", True),
+            (joints.Helical("screw", (0.0, -1.0, 0.0), 0.3), "ball", True),
+            (joints.Planar("table"), "root", True),
+            (one, "table", False),
+            (two, "cardan_1", True),
+            (joints.Prismatic("slide", AXIS), "table", True),
+            (joints.Revolute("hinge", (1.0, 0.0, 0.0)), "slide", True),
+            (joints.Fixed("tool"), "ball", True),
+        ]
+        self.plan = [
+            (joint, parent, pose(rng), Cloud.random(rng, 4) if heavy else None) for joint, parent, heavy in plan
+        ]
+        links = [
+            Link(
+                joint,
+                None if cloud is None else body_of(cloud),
+                mount,
+                parent=parent,
+                drive=drives.get(joint.name, Drive()),
+                mimic=mimic if joint.name == "hinge" else None,
+            )
+            for joint, parent, mount, cloud in self.plan
+        ]
+        self.mechanism, self.mimic = Mechanism(reversed(links), GRAVITY), mimic
+        self.start = {
+            "q": rng.normal(size=self.mechanism.q["q"].shape),
+            "root": pose(rng),
+            "ball": pose(rng)[:3, :3],
+        }
+
+    def placement(self, joint: joints.Joint) -> np.ndarray:
+        """The pose of a joint at the start."""
+        H, at = np.asarray(joint.motion_subspace.value), self.mechanism.segment_of(joint.name).coordinates
+        if joint.name in ("root", "ball"):
+            T = np.eye(4)
+            T[: len(self.start[joint.name]), : len(self.start[joint.name])] = self.start[joint.name]
+            return T
+        q = self.start["q"][at]
+        if joint.name == "table":
+            T = np.array(expm(hat(np.array([0.0, 0.0, 0.0, 0.0, 0.0, q[2]]))))
+            T[:2, 3] = q[:2]
+            return T
+        if self.mimic is not None and joint.name == "hinge":
+            q = self.mimic.ratio * q + self.mimic.offset
+        return np.array(expm(hat(H @ q)))
+
+    def poses(self, d: jax.Array) -> dict[str, jax.Array]:
+        """T of every link when each joint has moved by Exp(H d) from the start."""
+        found: dict[str | None, Any] = {None: jnp.eye(4)}
+        units = np.stack([hat(unit) for unit in np.eye(6)])
+        for joint, parent, mount, _ in self.plan:
+            T = found[parent] @ mount
+            if joint.dofs:
+                own = d[np.array(self.mechanism.segment_of(joint.name).freedoms)]
+                if self.mimic is not None and joint.name == "hinge":
+                    own = self.mimic.ratio * own
+                xi = jnp.tensordot(joint.motion_subspace.value @ own, units, 1)
+                # Exp(xi) to third order: what is asked of it are derivatives at zero.
+                T = T @ self.placement(joint) @ (np.eye(4) + xi + xi @ xi / 2.0 + xi @ xi @ xi / 6.0)
+            found[joint.name] = T
+        return found  # type: ignore[return-value]
+
+    def points(self, d: jax.Array) -> tuple[np.ndarray, jax.Array]:
+        poses = self.poses(d)
+        parts = [(poses[joint.name], cloud) for joint, _, _, cloud in self.plan if cloud is not None]
+        places = [cloud.points @ T[:3, :3].T + T[:3, 3][None] for T, cloud in parts]
+        return np.concatenate([cloud.masses for _, cloud in parts]), jnp.concatenate(places)
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def lagrange(self, qd: jax.Array, qdd: jax.Array) -> jax.Array:
+        """d/dt dL/dd' - dL/dd at d = 0, where the rates of d are the velocities to second order."""
+
+        def lagrangian(d: jax.Array, rate: jax.Array) -> jax.Array:
+            place, velocity = jax.jvp(lambda d: self.points(d)[1], (d,), (rate,))
+            return self.points(d)[0] @ (0.5 * jnp.sum(velocity**2, axis=1) + place @ GRAVITY)
+
+        momentum, d = jax.grad(lagrangian, 1), jnp.zeros(self.mechanism.dofs)
+        return jax.jvp(momentum, (d, qd), (qd, qdd))[1] - jax.grad(lagrangian, 0)(d, qd)
+
+    def inputs(self, **others: Any) -> dict[str, Any]:
+        names = {"q": "q", "root": "root_position", "ball": "ball_position"}
+        return {**{names[name]: value for name, value in self.start.items()}, **others}
+
+
+@functools.cache
+def free_tree() -> Tree:
+    return Tree()
+
+
+@functools.cache
+def mimicking_tree() -> Tree:
+    return Tree(Mimic("slide", ratio=-1.7, offset=0.4))
+
+
+def evaluated(expressions: Mapping[str, tx.Expr], inputs: dict[str, Any]) -> dict[str, np.ndarray]:
+    used = {leaf.name for leaf in leaves_of(*expressions.values())}
+    values = {name: value for name, value in inputs.items() if name in used}
+    return {name: np.asarray(value) for name, value in jax.jit(tx.lower(dict(expressions)))(0.0, values).items()}
+
+
+@pytest.mark.parametrize("tree", [free_tree, mimicking_tree])
+def test_trees_follow_lagrange(tree: Any) -> None:
+    tree = tree()
+    robot = tree.mechanism
+    x = tx.State("x", (robot.dofs,))
+    qd, other = np.random.default_rng(1).normal(size=(2, robot.dofs))
+    found = evaluated(
+        {
+            "forces": mechanics.inverse_dynamics(robot, qdd=x),
+            "accelerations": mechanics.forward_dynamics(robot, tau=x),
+            "mass": mechanics.mass_matrix(robot),
+            "bias": mechanics.bias_forces(robot),
+            "gravity": mechanics.gravity_forces(robot),
+            "coriolis": mechanics.coriolis_forces(robot),
+        },
+        tree.inputs(qd=qd, x=other),
+    )
+    expected = tree.lagrange(qd, other)
+    np.testing.assert_allclose(found["forces"], expected, rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(tree.lagrange(qd, found["accelerations"]), other, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(found["mass"] @ other + found["bias"], expected, rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(found["gravity"], tree.lagrange(0.0 * qd, 0.0 * qd), rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(found["gravity"] + found["coriolis"], found["bias"], rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(found["mass"], found["mass"].T, rtol=0.0, atol=1e-13)
+
+
+def test_momentum_and_energy_are_those_of_the_points() -> None:
+    tree = mimicking_tree()
+    robot = tree.mechanism
+    qd = np.random.default_rng(2).normal(size=robot.dofs)
+    found = evaluated(
+        {
+            "center": mechanics.center_of_mass(robot),
+            "momentum": mechanics.centroidal_momentum(robot),
+            "matrix": mechanics.centroidal_matrix(robot),
+            "kinetic": mechanics.kinetic_energy(robot),
+            "potential": mechanics.potential_energy(robot),
+            "mass": mechanics.total_mass(robot),
+        },
+        tree.inputs(qd=qd),
+    )
+    masses, places = map(np.asarray, tree.points(jnp.zeros(robot.dofs)))
+    _, velocities = jax.jvp(lambda d: tree.points(d)[1], (jnp.zeros(robot.dofs),), (jnp.asarray(qd),))
+    velocities = np.asarray(velocities)
+    center, carried = masses @ places / masses.sum(), masses[:, None] * velocities
+    expected = np.concatenate([carried.sum(axis=0), np.cross(places - center, carried).sum(axis=0)])
+    np.testing.assert_allclose(found["center"], center, rtol=1e-12)
+    np.testing.assert_allclose(found["momentum"], expected, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(found["matrix"] @ qd, expected, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(found["kinetic"], 0.5 * masses @ np.sum(velocities**2, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(found["potential"], -masses @ places @ GRAVITY, rtol=1e-12)
+    np.testing.assert_allclose(found["mass"], masses.sum(), rtol=1e-14)
+
+
+def test_frames_move_as_their_jacobians_say() -> None:
+    tree = mimicking_tree()
+    robot = tree.mechanism
+    qd, qdd = np.random.default_rng(3).normal(size=(2, robot.dofs))
+    kinds = {"body": BODY, "world": WORLD, "aligned": ALIGNED}
+    wanted: dict[str, tx.Expr] = {"pose": robot.pose("tool"), "hinge": robot.pose("hinge", relative_to="tool")}
+    for frame in ("tool", "hinge"):
+        for name, axes in kinds.items():
+            wanted[f"{frame} J {name}"] = mechanics.frame_jacobian(robot, frame, axes=axes)
+            wanted[f"{frame} rate {name}"] = mechanics.frame_jacobian_rate(robot, frame, axes=axes)
+            wanted[f"{frame} V {name}"] = mechanics.frame_twist(robot, frame, axes=axes)
+    found = evaluated(wanted, tree.inputs(qd=qd))
+    zero = jnp.zeros(robot.dofs)
+    at = tree.poses(zero)
+    np.testing.assert_allclose(found["pose"], at["tool"], atol=1e-13)
+    np.testing.assert_allclose(found["hinge"], np.linalg.inv(at["tool"]) @ at["hinge"], atol=1e-12)
+
+    def twists(d: jax.Array, rate: jax.Array, frame: str) -> dict[str, jax.Array]:
+        T, dT = jax.jvp(lambda d: tree.poses(d)[frame], (d,), (rate,))
+        turning = dT[:3, :3] @ T[:3, :3].T
+        w = jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
+        aligned = jnp.concatenate([dT[:3, 3], w])
+        world = jnp.concatenate([dT[:3, 3] + jnp.cross(T[:3, 3], w), w])
+        turned = jnp.concatenate([T[:3, :3].T @ dT[:3, 3], T[:3, :3].T @ w])
+        return {"body": turned, "world": world, "aligned": aligned}
+
+    for frame in ("tool", "hinge"):
+        ours = jax.jit(functools.partial(twists, frame=frame))
+        V, rate = jax.jvp(ours, (zero, jnp.asarray(qd)), (jnp.asarray(qd), jnp.asarray(qdd)))
+        for name in kinds:
+            J = found[f"{frame} J {name}"]
+            np.testing.assert_allclose(J @ qd, V[name], rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(found[f"{frame} V {name}"], V[name], rtol=1e-11, atol=1e-11)
+            expected = J @ qdd + found[f"{frame} rate {name}"] @ qd
+            np.testing.assert_allclose(expected, rate[name], rtol=1e-10, atol=1e-9)
+
+
+def test_outer_wrenches_act_through_the_jacobian() -> None:
+    tree = free_tree()
+    robot = tree.mechanism
+    qd, qdd, F = np.random.default_rng(4).normal(size=(3, robot.dofs))
+    wrench = {"tool": F[:6], "hinge": F[6:12]}
+    found = evaluated(
+        {
+            "with": mechanics.inverse_dynamics(robot, qdd=qdd, wrenches=wrench),
+            "without": mechanics.inverse_dynamics(robot, qdd=qdd),
+            "tool": mechanics.frame_jacobian(robot, "tool"),
+            "hinge": mechanics.frame_jacobian(robot, "hinge"),
+            "back": mechanics.forward_dynamics(
+                robot, tau=mechanics.inverse_dynamics(robot, qdd=qdd, wrenches=wrench), wrenches=wrench
+            ),
+        },
+        tree.inputs(qd=qd),
+    )
+    pushed = found["tool"].T @ F[:6] + found["hinge"].T @ F[6:12]
+    np.testing.assert_allclose(found["without"] - found["with"], pushed, rtol=1e-11, atol=1e-10)
+    np.testing.assert_allclose(found["back"], qdd, rtol=1e-9, atol=1e-8)
+
+
+def test_wrench_of_a_joint_is_what_its_bodies_need() -> None:
+    """Of the ball's link and all beyond it: rate of momentum less gravity, about the origin of the ball's frame."""
+    tree = free_tree()
+    robot = tree.mechanism
+    qd, qdd = np.random.default_rng(5).normal(size=(2, robot.dofs))
+    found = evaluated(
+        {
+            "own": mechanics.joint_wrench(robot, "ball", qdd=qdd),
+            "base": mechanics.joint_wrench(robot, "ball", qdd=qdd, frame="base"),
+        },
+        tree.inputs(qd=qd),
+    )
+
+    def beyond(d: jax.Array) -> jax.Array:
+        poses = tree.poses(d)
+        parts = [
+            (poses[joint.name], cloud) for joint, _, _, cloud in tree.plan if joint.name in ("ball", "screw", "tool")
+        ]
+        return jnp.concatenate([cloud.points @ T[:3, :3].T + T[:3, 3][None] for T, cloud in parts if cloud is not None])
+
+    masses = np.concatenate([c.masses for joint, _, _, c in tree.plan if joint.name in ("ball", "screw", "tool") and c])
+    zero = jnp.zeros(robot.dofs)
+    velocity = lambda d, rate: jax.jvp(beyond, (d,), (rate,))[1]  # noqa: E731
+    _, acceleration = jax.jvp(velocity, (zero, jnp.asarray(qd)), (jnp.asarray(qd), jnp.asarray(qdd)))
+    force = masses[:, None] * (np.asarray(acceleration) - GRAVITY)
+    places, T = np.asarray(beyond(zero)), np.asarray(tree.poses(zero)["ball"])
+    np.testing.assert_allclose(
+        found["base"], np.concatenate([force.sum(axis=0), np.cross(places, force).sum(axis=0)]), rtol=1e-10, atol=1e-9
+    )
+    local, arms = force @ T[:3, :3], (places - T[:3, 3]) @ T[:3, :3]
+    np.testing.assert_allclose(
+        found["own"], np.concatenate([local.sum(axis=0), np.cross(arms, local).sum(axis=0)]), rtol=1e-10, atol=1e-9
+    )
+
+
+DRIVES = {
+    "rod": Drive(armature=0.4, damping=0.3, gear=3.0, effort=5.0, lower=-1.0, upper=2.0),
+    "ball": Drive(armature=0.2),
+    "hinge": Drive(stiffness=4.0, rest=0.3, friction=0.6, friction_speed=0.05, damping=0.1),
+}
+
+
+@pytest.mark.parametrize("mimic", [None, Mimic("slide", ratio=-1.7, offset=0.4)])
+def test_drives_enter_the_dynamics(mimic: Mimic | None) -> None:
+    tree = Tree(mimic, **DRIVES)
+    robot, bare = tree.mechanism, Tree(mimic).mechanism
+    dynamics = tx.compile(robot.system(controls=["slide", "rod"]), backend=tx.JAX())
+    qd = np.random.default_rng(6).normal(size=robot.dofs)
+    state, command = tree.inputs(qd=qd), {"tau": np.array([0.5, 0.7, -0.4])}
+    rate = np.asarray(dynamics(0.0, state, command)["qd"])
+    tau = np.zeros(robot.dofs)
+    tau[robot.freedoms(["slide", "rod"])] = 0.5, 3.0 * 0.7, 3.0 * -0.4
+    at = robot.freedoms(["rod"])
+    tau[at] -= 0.3 * qd[at]
+    (i,), where = robot.freedoms(["hinge"]), robot.segment_of("hinge").coordinates
+    ratio, offset = (1.0, 0.0) if mimic is None else (mimic.ratio, mimic.offset)
+    position, speed = ratio * tree.start["q"][where][0] + offset, ratio * qd[i]
+    tau[i] -= ratio * (0.1 * speed + 0.6 * np.tanh(speed / 0.05) + 4.0 * (position - 0.3))
+    rotors = np.zeros(robot.dofs)
+    rotors[at], rotors[robot.freedoms(["ball"])] = 0.4, 0.2
+    x = tx.State("x", (robot.dofs,))
+    need = evaluated(
+        {"tau": mechanics.inverse_dynamics(bare, qdd=x), "with": mechanics.inverse_dynamics(robot, qdd=x)},
+        state | {"x": rate},
+    )
+    np.testing.assert_allclose(need["tau"] + rotors * rate, tau, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(need["with"], tau, rtol=1e-9, atol=1e-8)
+    mass = evaluated({"a": mechanics.mass_matrix(robot), "b": mechanics.mass_matrix(bare)}, state)
+    np.testing.assert_allclose(mass["a"] - mass["b"], np.diag(rotors), atol=1e-12)
+
+
+def test_limits_are_bounds_of_states_and_controls() -> None:
+    robot = Tree(None, rod=DRIVES["rod"], hinge=Drive(speed=2.5)).mechanism
+    system = robot.system(controls=["rod", "slide"])
+    q, tau = (next(leaf for leaf in (*system.states, *system.controls) if leaf.name == name) for name in ("q", "tau"))
+    at = robot.segment_of("rod").coordinates
+    assert np.isneginf(q.min).sum() == len(q.min) - 2
+    np.testing.assert_array_equal([q.min[at], q.max[at]], [[-1.0, -1.0], [2.0, 2.0]])
+    np.testing.assert_array_equal(tau.max, [5.0, 5.0, np.inf])
+    (i,) = robot.freedoms(["hinge"])
+    assert robot.qd.max[i] == 2.5
+    assert robot.qd.min[i] == -2.5
+
+
+def test_what_is_no_tree_is_refused(unchecked: None) -> None:
+    ball = SpatialInertia(mass=1.0, inertia=np.eye(3))
+
+    def link(name: str, parent: str | None = None, body: SpatialInertia | None = ball, **other: Any) -> Link:
+        return Link(joints.Revolute(name, (0.0, 0.0, 1.0)), body, np.eye(4), parent=parent, **other)
+
+    with pytest.raises(tx.ModelError, match=r"'b' sits on 'arm'(.|\n)*did you mean 'arm1'"):
+        Mechanism([link("arm1"), link("b", "arm")])
+    with pytest.raises(tx.ModelError, match=r"'a', 'b' do not hang on the base"):
+        Mechanism([link("a", "b"), link("b", "a"), link("c")])
+    with pytest.raises(tx.ModelError, match="two links are named 'a'"):
+        Mechanism([link("a"), link("a")])
+    with pytest.raises(tx.ModelError, match="joint 'b' moves no mass"):
+        Mechanism([link("a"), link("b", "a", None)])
+    with pytest.raises(tx.ModelError, match="'b' follows 'c'"):
+        Mechanism([link("a"), link("b", "a", mimic=Mimic("c"))])
+    with pytest.raises(tx.ModelError, match="mimic to be a Mimic, of a joint with one freedom"):
+        Link(joints.Spherical("ball"), ball, np.eye(4), mimic=Mimic("a"))
+    with pytest.raises(tx.ModelError, match="damping not to be negative, got -1"):
+        Drive(damping=-1.0)
+    with pytest.raises(tx.ModelError, match="lower to be at most upper"):
+        Drive(lower=1.0, upper=-1.0)
+    tree = free_tree().mechanism
+    with pytest.raises(tx.ModelError, match="positions of 'root', 'ball' are on groups"):
+        mechanics.mass_matrix(tree, np.zeros(3))
+    with pytest.raises(tx.ModelError, match=r"no frame 'tol'(.|\n)*did you mean 'tool'"):
+        tree.pose("tol")
+    with pytest.raises(tx.ModelError, match=r"no joint 'tool' moves here(.|\n)*keep="):
+        mechanics.joint_wrench(tree, "tool")
+
+
+def test_a_kept_joint_that_is_fixed_carries_the_wrench_of_what_is_beyond() -> None:
+    ball = SpatialInertia(mass=2.0, center_of_mass=(0.1, 0.0, 0.0), inertia=np.eye(3))
+    links = [
+        Link(joints.Revolute("hinge", (0.0, 1.0, 0.0)), ball, np.eye(4)),
+        Link(joints.Fixed("sensor"), ball, tx.pose(position=[0.5, 0.0, 0.0]), parent="hinge"),
+    ]
+    robot = Mechanism(links, keep=["sensor"])
+    zero = np.zeros(1)
+    F = tx.lower(mechanics.joint_wrench(robot, "sensor", zero, zero))(0.0)
+    np.testing.assert_allclose(F, [0.0, 0.0, 2.0 * 9.81, 0.0, -0.1 * 2.0 * 9.81, 0.0], atol=1e-12)
+    merged = Mechanism(links)
+    x = np.array([0.7])
+    both = [tx.lower(mechanics.forward_dynamics(each, x, x, x))(0.0) for each in (robot, merged)]
+    np.testing.assert_allclose(*both, rtol=1e-13)
