@@ -822,6 +822,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/sensitivity.py",
+        (
+            "a change of an optimum that is not refined",
+            "_REFINEMENTS = 6",
+            "_REFINEMENTS = 1",
+            "trajectory/test_sensitivity.py",
+        ),
+    ),
+    *_at(
         "trajectory/warm.py",
         (
             "a warm start with the barrier of a cold one",

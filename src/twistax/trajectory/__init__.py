@@ -5,6 +5,7 @@ from .discretize import Discretization, Linearization, discretize, linearize
 from .external import IPOPT, Fatrop
 from .problem import Problem
 from .result import Optimality, TrajectoryResult
+from .sensitivity import Solution, solution
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
 from .statement import Minimize as Minimize
 from .statement import Objective
@@ -19,10 +20,12 @@ __all__ = [
     "Objective",
     "Optimality",
     "Problem",
+    "Solution",
     "Status",
     "TrajectoryResult",
     "TrajectoryResults",
     "WarmStart",
     "discretize",
     "linearize",
+    "solution",
 ]

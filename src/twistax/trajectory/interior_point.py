@@ -287,7 +287,7 @@ class InteriorPoint:
         state = state._replace(rows=jnp.where(self.exists, state.rows, 1.0))
         slack, w, barrier = state.slack, state.rows, state.barrier
         inequality, equality = self.inequality, self.equality
-        weights = self.split(jnp.where(inequality, w / slack, jnp.where(equality, 1.0 / _EQUALITY, 0.0)))
+        weights = self.weights(slack, w)
         stages, factors = self._inertia(slopes, weights, state)
         shift = jnp.where(inequality, slack + barrier / w, jnp.where(equality, _EQUALITY * w, 0.0))
 
@@ -427,6 +427,11 @@ class InteriorPoint:
         return jax.lax.while_loop(going, advance, begin)
 
     # ---- the equations ------------------------------------------------------------------------------------------
+
+    def weights(self, slack: jax.Array, rows: jax.Array) -> Rows:
+        """By how much the multiplier of a row grows with it, all scaled."""
+        grown = jnp.where(self.inequality, rows / slack, 0.0)
+        return self.split(jnp.where(self.equality, 1.0 / _EQUALITY, grown))
 
     def _inertia(self, slopes: Derivatives, weights: Rows, state: State) -> tuple[Stages, Any]:
         """Factors of the equations with as little added to the diagonal as gives them the inertia of a minimum."""

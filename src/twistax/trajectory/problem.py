@@ -331,7 +331,7 @@ class Problem:
         limits, time_guess = self._final_time(final_time, final_time_guess)
         own = self.params if params is None else self._prepared({**self.params, **params})
         start = self._start(self._guess | self._checked(guess), ends, own, time_guess)
-        return start, self._given(ends, own, limits), own
+        return start, self.given(ends, own, limits), own
 
     def _ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
         if initial is None and final is None:
@@ -402,7 +402,8 @@ class Problem:
             found.append((values + 0.1 * (values.max() or 1.0))[:, None])
         return found
 
-    def _given(self, ends: Ends, params: Mapping[str, Array], limits: tuple[float, float]) -> Given:
+    def given(self, ends: Ends, params: Mapping[str, Array], limits: tuple[float, float]) -> Given:
+        """What a solve with these ends, parameters and limits of the final time is for."""
         final = {}
         for state in self.dynamics.states:
             value = ends.final[state.name]

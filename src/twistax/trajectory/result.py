@@ -73,6 +73,7 @@ class TrajectoryResult:
         params: the parameters it was solved for, and those that were found.
         compile_seconds, solve_seconds: wall time.
         warm: what `solve(warm=...)` starts from.
+        slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
     """
 
     problem: Problem
@@ -94,6 +95,7 @@ class TrajectoryResult:
     compile_seconds: float
     solve_seconds: float
     warm: WarmStart
+    slacks: Array
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
@@ -213,6 +215,7 @@ def best_result(
         compile_seconds=compile_seconds,
         solve_seconds=solve_seconds,
         warm=WarmStart(problem, jax.tree.map(np.asarray, point), best.dynamics, best.rows, best.scales, params),
+        slacks=best.slack,
     )
 
 

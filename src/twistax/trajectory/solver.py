@@ -44,6 +44,7 @@ class Outcome(NamedTuple):
     dynamics: Array  # (intervals, n) multipliers in the problem's units
     rows: Array  # (rows,)
     scaled_rows: Array  # (rows,) multipliers, scaled
+    slack: Array  # (rows,) in the problem's units
     violations: Array  # (intervals * n + rows,) scaled: of the dynamics, then of the rows
     scales: Scales
     status: Status
@@ -278,6 +279,7 @@ class Solver:
             dynamics=np.asarray(state.dynamics * scales.cost / scales.d[1:]),
             rows=np.where(self.shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
             scaled_rows=np.where(self.shooting.exists, np.asarray(state.rows), 0.0),
+            slack=np.asarray(state.slack * scales.rows),
             violations=np.concatenate([defects, rows]),
             scales=jax.tree.map(np.asarray, scales),
             status=status,

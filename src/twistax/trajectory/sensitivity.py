@@ -1,0 +1,274 @@
+"""Derivatives of an optimum by what it was solved for, through the implicit function theorem.
+
+At an optimum with displacement z = 0 of the unknowns, multipliers y of the dynamics, w of the rows, and slacks s, the
+conditions grad_z L = 0, F = 0, c = 0, g + s = 0, s w = mu hold for all arguments theta. So along a change of theta
+
+    K (dz, dy, dw) = -(d/dtheta)(grad_z L, F, c, g) . dtheta,
+
+with K the matrix of the last Newton step, which the Riccati recursion factors. On groups K is exact but for the error
+of the mesh, as an interval is differentiated in coordinates about a node that stays; refinement with the derivative of
+the conditions themselves takes that out.
+Source: Fiacco, Introduction to sensitivity and stability analysis in nonlinear programming (1983), theorem 3.2.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import short
+from ..errors import TrajectoryError
+from ..jax_inside import is_traced
+from ..system import name_of
+from .interior_point import InteriorPoint, Scales, State, in_units
+from .riccati import Factors, Rows, Stages, factorize, refined
+from .shooting import Given, Point, Step
+
+if TYPE_CHECKING:
+    from .problem import Problem
+
+#: How often the change of an optimum is refined.
+_REFINEMENTS = 6
+
+
+class Solution(NamedTuple):
+    """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters."""
+
+    cost: jax.Array
+    xs: dict[str, jax.Array]
+    us: dict[str, jax.Array]
+    final_time: jax.Array
+    free: dict[str, jax.Array]
+
+
+class _Theta(NamedTuple):
+    """What was asked for; entries that were not are missing."""
+
+    params: dict[str, Any]
+    initial: dict[str, Any]
+    final: dict[str, Any]
+    final_time: dict[str, Any]  # {} or {"final_time": number}
+
+
+class _Optimum(NamedTuple):
+    """Where the solver ended; multipliers and slacks in the problem's units."""
+
+    point: Point
+    cost: Any
+    dynamics: Any
+    rows: Any
+    slack: Any
+    scales: Scales
+
+
+class _Moved(NamedTuple):
+    """How unknowns and multipliers change, scaled."""
+
+    step: Step
+    dynamics: Any
+    rows: Rows
+
+
+class _Residuals(NamedTuple):
+    """What the conditions leave: the Lagrangian's gradient, defects and rows, scaled."""
+
+    gradient: Step
+    defects: Any
+    rows: Any
+
+
+def solution(
+    problem: Problem, *, guess: Any = None, warm: Any = None, tolerance: float = 1e-8, max_iterations: int = 500
+) -> Callable[..., Solution]:
+    """The optimum as a function of parameters and ends that JAX differentiates.
+
+    `f = tx.trajectory.solution(problem)`, then `f(params=..., initial=..., final=..., final_time=...)` takes what
+    `problem.solve` does, all optional, and gives a `Solution`. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.vmap` and
+    `jax.jit` apply. A fixed final time is an argument as well. Derivatives by poses and rotations are by the entries of
+    their matrices, to be used along curves on the group, as `group.retract` makes them.
+
+    The objective has a derivative wherever the optimum is regular; the trajectory where no limit is about to become
+    active or inactive (strict complementarity), and where it is a strict minimum.
+
+    Args:
+        guess, warm, max_iterations: as in `problem.solve`.
+        tolerance: likewise; derivatives are no more exact than the solution.
+
+    Raises:
+        TrajectoryError: in double precision alone (`jax_enable_x64`); when called: the problem was not solved, or what
+            was found is no strict minimum and is to be differentiated.
+    """
+    if jnp.result_type(float) != np.float64:
+        raise TrajectoryError(
+            "solution: derivatives need double precision\n  fix: jax.config.update('jax_enable_x64', True)"
+        )
+    return _Differentiable(problem, {"guess": guess, "warm": warm, "max_iterations": max_iterations}, tolerance)
+
+
+class _Differentiable:
+    """See `solution`."""
+
+    def __init__(self, problem: Problem, options: dict[str, Any], tolerance: float) -> None:
+        self._problem, self._options, self._tolerance = problem, options, tolerance
+        self._own = problem.given(problem.ends, problem.params, problem.time_limits)
+        self._jitted_tangent = jax.jit(self._tangent)
+        self._jitted_factors = jax.jit(self._factors)
+        optimum = jax.custom_jvp(self._optimum)
+        optimum.defjvp(self._jvp)
+        self._found: Callable[[_Theta], _Optimum] = optimum
+
+    def __call__(
+        self,
+        *,
+        params: Mapping[str, Any] | None = None,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+    ) -> Solution:
+        named = lambda own: {name_of(key): _double(value) for key, value in (own or {}).items()}  # noqa: E731
+        times = {} if final_time is None else {"final_time": _double(final_time)}
+        theta = _Theta(named(params), named(initial), named(final), times)
+        if final_time is not None and self._problem.border.free[0]:
+            raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
+        found = self._found(theta)
+        held = self._problem.shooting.local.controls.split(found.point.us)
+        return Solution(
+            self._problem.objective.sign * found.cost,
+            found.point.xs,
+            {c.name: held[c.name] for c in self._problem.dynamics.controls},
+            found.point.border[0],
+            self._problem.border.params(found.point.border),
+        )
+
+    # ---- the solve ----------------------------------------------------------------------------------------------
+
+    def _optimum(self, theta: _Theta) -> _Optimum:
+        if not is_traced(theta):
+            return jax.tree.map(jnp.asarray, self._solved(theta))
+        shooting, border = self._problem.shooting, self._problem.border
+        array = lambda *shape: jax.ShapeDtypeStruct(shape, np.dtype(float))  # noqa: E731
+        rows, free = len(shooting.exists), shooting.free
+        shapes = _Optimum(
+            Point(
+                {s.name: array(shooting.nodes, *s.shape) for s in self._problem.dynamics.states},
+                array(shooting.intervals, shooting.m),
+                array(border.size),
+            ),
+            array(),
+            array(shooting.intervals, shooting.n),
+            array(rows),
+            array(rows),
+            Scales(array(*free.d.shape), array(*free.u.shape), array(border.size), array(rows), array()),
+        )
+        return jax.pure_callback(self._solved, shapes, theta, vmap_method="sequential")
+
+    def _solved(self, theta: _Theta) -> _Optimum:
+        """The solve itself, of numbers."""
+        own: _Theta = jax.tree.map(np.asarray, theta)
+        asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
+        result = self._problem.solve(**self._options, **asked, **own.final_time, tolerance=self._tolerance)
+        if not result.solved:
+            raise TrajectoryError(f"solution: the problem was not solved. {result.message}")
+        warm = result.warm
+        found = _Optimum(
+            warm.point,
+            np.asarray(self._problem.objective.sign * result.cost),
+            warm.dynamics,
+            warm.rows,
+            result.slacks,
+            warm.scales,
+        )
+        return jax.tree.map(np.asarray, found)
+
+    # ---- its derivatives ----------------------------------------------------------------------------------------
+
+    def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[_Optimum, _Optimum]:
+        (theta,), (along,) = primals, tangents
+        found = self._found(theta)
+        stages, factors = self._jitted_factors(found, theta)
+        if not is_traced(factors.exist) and not bool(factors.exist):
+            raise TrajectoryError("solution: the trajectory is no strict minimum, and has no derivative")
+        return found, self._jitted_tangent(theta, along, found, stages, factors)
+
+    def _given(self, found: _Optimum, theta: _Theta) -> tuple[Point, Given]:
+        """The optimum's point and arguments as functions of what was asked for."""
+        point = found.point
+        given = self._own
+        put = lambda value, otherwise: jnp.where(jnp.isnan(value), otherwise, value)  # noqa: E731
+        xs = {n: a.at[0].set(put(theta.initial[n], a[0])) if n in theta.initial else a for n, a in point.xs.items()}
+        final = given.final | {n: put(value, given.final[n]) for n, value in theta.final.items()}
+        border = point.border.at[0].set(theta.final_time.get("final_time", point.border[0]))
+        return Point(xs, point.us, border), given._replace(params=given.params | theta.params, final=final)
+
+    def _state(self, method: InteriorPoint, point: Point, given: Given, found: _Optimum) -> State:
+        """The solver's state at a point, with the multipliers and slacks of the optimum."""
+        scales = found.scales
+        return method.start(point, given, scales)._replace(
+            slack=jnp.where(method.inequality, found.slack / scales.rows, 1.0),
+            dynamics=found.dynamics * scales.d[1:] / scales.cost,
+            rows=jnp.where(method.exists, found.rows * scales.rows / scales.cost, 0.0),
+        )
+
+    def _factors(self, found: _Optimum, theta: _Theta) -> tuple[Stages, Factors]:
+        """The matrix of the last Newton step, factored."""
+        method = InteriorPoint(self._problem.shooting, self._tolerance)
+        point, given = self._given(found, theta)
+        state, zero = self._state(method, point, given, found), jnp.zeros(())
+        weights = method.weights(state.slack, state.rows)
+        stages = Stages(method.derivatives(state, given), weights, zero, zero, method.free_start)
+        return stages, factorize(stages)
+
+    def _tangent(self, theta: _Theta, along: _Theta, found: _Optimum, stages: Stages, factors: Factors) -> _Optimum:
+        """How the optimum moves along a change of what was asked for."""
+        shooting, scales = self._problem.shooting, found.scales
+        method = InteriorPoint(shooting, self._tolerance)
+
+        def residuals(theta: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
+            """Of the conditions, after the unknowns and multipliers moved; the objective and the point with them."""
+            base, given = self._given(found, theta)
+            point = shooting.move(base, in_units(moved.step, scales, jnp.ones(())))
+            state = self._state(method, point, given, found)
+            y, w = state.dynamics + moved.dynamics, state.rows + method.join(moved.rows)
+            state, values = state._replace(dynamics=y, rows=w), method.scaled(state.values, scales)
+            gradient = method.lagrangian(method.derivatives(state, given), y, w)
+            return _Residuals(gradient, values.defects, values.rows), state.values.cost, point
+
+        def change(along: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
+            found: tuple[_Residuals, Any, Any] = jax.jvp(residuals, (theta, still), (along, moved))[1]
+            return found
+
+        def refine(_: Any, moved: _Moved) -> _Moved:
+            left = change(along, moved)[0]
+            gradient, rows = left.gradient, method.split(jnp.where(jnp.asarray(shooting.exists), left.rows, 0.0))
+            nothing = jnp.zeros((shooting.intervals, len(gradient.border)))
+            pushed = stages.slopes._replace(
+                gradient=jnp.concatenate([gradient.d[:-1], gradient.u, nothing], axis=1),
+                end_gradient=jnp.concatenate([gradient.d[-1], gradient.border]),
+            )
+            # A slack takes up what its multiplier changes; an equality holds.
+            taken = jax.tree.map(lambda r, grown, own: r - grown * own, rows, moved.rows, softness)
+            own = refined(stages._replace(slopes=pushed), factors, left.defects, taken)
+            return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows))
+
+        weights = stages.weights
+        unequal = method.split(jnp.asarray(method.inequality))
+        softness = jax.tree.map(lambda w, own: jnp.where(own, 1.0 / jnp.where(own, w, 1.0), 0.0), weights, unequal)
+        still = _Moved(
+            Step(*(jnp.zeros(np.shape(a)) for a in shooting.free)),
+            jnp.zeros_like(found.dynamics),
+            jax.tree.map(jnp.zeros_like, weights),
+        )
+        moved = jax.lax.fori_loop(0, _REFINEMENTS, refine, still)
+        _, cost, point = change(along, moved)
+        zero_rows = jnp.zeros(len(shooting.exists))
+        return _Optimum(
+            point, cost, jnp.zeros_like(found.dynamics), zero_rows, zero_rows, jax.tree.map(jnp.zeros_like, scales)
+        )
+
+
+def _double(value: Any) -> jax.Array:
+    return jnp.asarray(value, float)

@@ -1,0 +1,110 @@
+"""Derivatives of optima against differences of tight solves."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.trajectory import Problem, Solution, solution
+
+
+def centred(function: Callable[[Any], Any], at: np.ndarray, size: float) -> np.ndarray:
+    """Extrapolated central differences, columns last."""
+    near, far = (
+        np.stack([(np.asarray(function(at + e * way)) - function(at - e * way)) / (2.0 * e) for way in np.eye(len(at))])
+        for e in (size, 2.0 * size)
+    )
+    return np.moveaxis((4.0 * near - far) / 3.0, 0, -1)
+
+
+def flat(found: Solution) -> Any:
+    """All of it but the objective."""
+    return jnp.concatenate([jnp.ravel(a) for a in jax.tree.leaves(found[1:])])
+
+
+@functools.cache
+def crane() -> Callable[..., Solution]:
+    """Least time and effort over a distance, with force and speed at their limits on the way."""
+    p, v, u = tx.State("p"), tx.State("v", max=0.8), tx.Control("u", min=-1.0, max=1.0)
+    mass, price = tx.Parameter("mass", value=1.0), tx.Parameter("price", value=0.1)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u / mass}))
+    problem = Problem(
+        dynamics,
+        tx.Minimize(tx.Time(), running=price * u**2),
+        nodes=9,
+        final_time=(0.5, 20.0),
+        initial={p: 0.0, v: 0.0},
+        final={p: 1.5, v: 0.0},
+    )
+    assert {"v <= 0.8", "u <= 1"} <= set(problem.solve(params={"mass": 0.9}, tolerance=1e-8).active)
+    return solution(problem)
+
+
+def of_crane(z: Any) -> Solution:
+    initial, final = {"p": z[2], "v": z[3]}, {"p": z[4], "v": 0.0}
+    return crane()(params={"mass": z[0], "price": z[1]}, initial=initial, final=final)
+
+
+POINT = np.array([0.9, 0.12, 0.1, 0.05, 1.5])
+
+
+def test_the_optimal_value() -> None:
+    expected = centred(lambda z: of_crane(z).cost, POINT, 1e-3)
+    np.testing.assert_allclose(jax.grad(lambda z: of_crane(z).cost)(POINT), expected, atol=1e-6)
+
+
+def test_the_trajectory() -> None:
+    expected = centred(lambda z: flat(of_crane(z)), POINT, 1e-3)
+    forward, back = (of(lambda z: flat(of_crane(z)))(POINT) for of in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_allclose(forward, expected, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(back, forward, atol=1e-10)
+
+
+def test_under_jit() -> None:
+    value = lambda z: of_crane(z).cost  # noqa: E731
+    np.testing.assert_allclose(jax.jit(jax.grad(value))(POINT), jax.grad(value)(POINT), rtol=1e-9)
+
+
+def test_poses_a_fixed_time_and_a_free_parameter() -> None:
+    """A ball turns and stops; its start moves on the group, and a push is chosen with the torques."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    u, push = tx.Control("u", shape=(3,), min=-2.0, max=2.0), tx.Parameter("push", value=0.0)
+    spin = u - tx.linalg.Cross(w, np.array([1.0, 2.0, 3.0]) * w) + push * np.array([1.0, 0.0, 0.5])
+    problem = Problem(
+        tx.compile(tx.System(rates={R: w, w: spin})),
+        tx.Minimize(w @ w + 0.1 * push**2, running=u @ u),
+        nodes=6,
+        final_time=2.0,
+        initial={R: np.eye(3), w: np.zeros(3)},
+        final={R: np.asarray(tx.SO3.exp(np.array([0.3, -0.8, 1.1])))},
+        free={push: (-1.0, 1.0)},
+    )
+    optimum, goal = solution(problem), np.asarray(tx.SO3.exp(np.array([0.3, -0.8, 1.1])))
+
+    def found(z: Any) -> Solution:
+        start = tx.SO3.retract(np.eye(3), z[:3])
+        return optimum(initial={"R": start, "w": z[3:6]}, final={"R": goal @ tx.SO3.exp(z[6:9])}, final_time=z[9])
+
+    ways = np.random.default_rng(0).normal(size=(10, 2))
+
+    def both(s: Any) -> Any:
+        own = found(np.append(0.1 * np.arange(9.0), 2.0) + ways @ s)
+        return jnp.concatenate([flat(own), own.free["push"][None], own.cost[None]])
+
+    expected, own = centred(both, np.zeros(2), 1e-3), jax.jacfwd(both)(np.zeros(2))
+    np.testing.assert_allclose(own, expected, atol=1e-6 * np.abs(expected).max())
+    assert np.abs(expected[-2]).max() > 1e-3
+
+
+def test_what_is_not_solved_is_said() -> None:
+    with pytest.raises(tx.TrajectoryError, match=r"the problem was not solved. INFEASIBLE"):
+        crane()(initial={"p": 0.0, "v": 0.9 - 0.1}, final={"p": -1e-3, "v": 0.8}, params={"mass": 1e6})
+    with pytest.raises(tx.TrajectoryError, match="the final time is free"):
+        crane()(final_time=2.0)
+    with jax.enable_x64(False), pytest.raises(tx.TrajectoryError, match="double precision"):
+        solution(crane()._problem)  # type: ignore[attr-defined]
