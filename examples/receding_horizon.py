@@ -73,12 +73,11 @@ for _ in range(STEPS):
         print(plan.message)
 
 # The first warm solve compiled its start.
+milliseconds, left = 1e3 * np.array(times[1:]), np.linalg.norm(path[-1] - GOAL)
 print(
-    f"a step: {1e3 * np.median(times):.0f} ms, {np.median(iterations):.0f} iterations; at most {1e3 * max(times[1:]):.0f} ms"
+    f"a step: {np.median(milliseconds):.0f} ms, at most {milliseconds.max():.0f}; {np.median(iterations):.0f} iterations"
 )
-print(
-    f"{np.linalg.norm(path[-1] - GOAL):.2f} m from the goal after {STEPS * INTERVAL:.1f} s; least clearance {clearance:.2f} m"
-)
+print(f"{left:.2f} m from the goal after {STEPS * INTERVAL:.1f} s; least clearance {clearance:.2f} m")
 
 if "--picture" in sys.argv:
     import matplotlib.pyplot as plt

@@ -436,6 +436,10 @@ class Shooting:
         etas, points = self._roll(number, base, start, u, border, params)
         join = lambda e: self._joined(e, u, border)  # noqa: E731
 
+        def along(rows: jax.Array, maps: jax.Array) -> jax.Array:
+            """Slopes (..., n + m + g) by q along the sensitivities of eta; the rest of q are unknowns themselves."""
+            return rows[..., :n] @ maps + jnp.concatenate([jnp.zeros_like(rows[..., :n]), rows[..., n:]], axis=-1)
+
         # Sensitivities of the stages and of the ends of the substeps to z.
         shares = number / self.intervals + length * (np.arange(substeps)[:, None] + self._c[None, :])
         qs = jax.vmap(jax.vmap(join))(points)
@@ -450,20 +454,17 @@ class Shooting:
                     (length * a[i, j] * moved[j] for j in range(i) if self._a[i, j]), jnp.zeros_like(sensitivity)
                 )
                 inner.append(at)
-                moved.append((slopes[s, i, :, :n] @ at).at[:, n:].add(slopes[s, i, :, n:]))
+                moved.append(along(slopes[s, i], at))
             sensitivity = sensitivity + length * jnp.einsum("i,ijk->jk", b, jnp.stack(moved))
             ends.append(sensitivity)
         maps, end_maps = jnp.stack(inner), jnp.stack(ends)
-
-        def along(rows: jax.Array, maps: jax.Array) -> jax.Array:
-            """Slopes (..., n + m + g) by q along the sensitivities of eta; the rest of q are unknowns themselves."""
-            return (rows[..., :n] @ maps).at[..., n:].add(rows[..., n:])
 
         def bent(bends: jax.Array, maps: jax.Array) -> jax.Array:
             """The sum of second derivatives (k, n + m + g, n + m + g) by q along sensitivities (k, n, n + m + g)."""
             moved = along(bends, maps)
             found = maps.reshape(-1, size).T @ moved[:, :n].reshape(-1, size)
-            return found.at[n:].add(moved[:, n:].sum(axis=0))
+            rest = moved[:, n:].sum(axis=0)
+            return found + jnp.concatenate([jnp.zeros((n, size), rest.dtype), rest])
 
         # Rows, cost and the gap.
         times, end_qs = self._shares(number), jax.vmap(join)(etas)

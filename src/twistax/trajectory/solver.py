@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -86,10 +87,23 @@ class Solver:
         self.made: dict[Any, Any] = {}
 
     def prepare(self, point: Point, given: Given) -> None:
-        """Compile what every run needs."""
-        state = self._start(point, given, scaling.unit_scales(self.shooting))
-        slopes = self._derivatives(state, given)
-        self._step.lower(self._measured(state, slopes), slopes, given).compile()
+        """Compile what every run needs, side by side."""
+        unit = scaling.unit_scales(self.shooting)
+        with ThreadPoolExecutor() as pool:
+
+            def result(function: Any, *args: Any) -> Any:
+                """The shapes of what a function gives; it is traced here and compiled in another thread."""
+                lowered = function.lower(*args)
+                jobs.append(pool.submit(lowered.compile))
+                return lowered.out_info
+
+            jobs: list[Future[Any]] = []
+            state = result(self._start, point, given, unit)
+            slopes = result(self._derivatives, state, given)
+            state = result(self._measured, state, slopes)
+            result(self._step, state, slopes, given)
+            for job in jobs:
+                job.result()
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step."""
