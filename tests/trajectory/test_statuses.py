@@ -155,3 +155,19 @@ def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
     dynamics = tx.compile(tx.System(rates={x: k * u}), bake={"k": 3.0})
     with pytest.raises(tx.ModelError, match="baked"):
         Problem(dynamics, tx.Minimize(k * x), final_time=1.0)
+
+
+def test_perturbed_guesses_stay_where_the_end_is_given() -> None:
+    # The given end decides whether x keeps its limit there; a guess that missed the end said INFEASIBLE at once.
+    x, v, u = tx.State("x", max=1.0 / 9.0), tx.State("v"), tx.Control("u")
+    problem = tx.trajectory.Problem(
+        tx.compile(tx.System(rates={x: v, v: u})),
+        tx.Minimize(running=0.5 * u**2),
+        nodes=11,
+        final_time=1.0,
+        initial={x: 0.0, v: 1.0},
+        final={x: 0.0, v: -1.0},
+    )
+    result = problem.solve(guesses=6)
+    assert all(status is tx.trajectory.Status.SOLVED for status, *_ in result.tries), result.tries
+    assert np.ptp([cost for _, cost, *_ in result.tries]) <= 1e-5

@@ -16,6 +16,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "stability": "another report: what happens at the edges, stiff, long, extreme or wrong",
         "speed": "another report: what one evaluation of dynamics costs, ours and others'",
         "figures": "another report: every other figure of docs/measured.md",
+        "optimal": "another report: trajectory problems with published optima, beside IPOPT and Fatrop",
     }.items():
         kinds.add_argument(f"--{name}", action="store_true", help=text)
     quick = (
@@ -26,7 +27,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("scene", "scene", lambda: _load("..scenes").SCENES, "only this scene"),
         ("method", "method", lambda: _load(".work_precision.contenders").CONTENDERS, "only this method"),
         ("case", "case", lambda: _load(".speed.cases").CASES, "with --speed, only this function"),
-        ("only", "section", lambda: _load(".sections").EVERY, "with --stability or --figures, only this section"),
+        (
+            "only",
+            "section",
+            lambda: _load(".sections").EVERY,
+            "with --stability, --figures or --optimal, only this section",
+        ),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
         parser.add_argument(f"--{name}", type=_one_of(what, names), action="append", metavar="NAME", help=several)

@@ -26,6 +26,7 @@ _REPORTS = {
     "speed": (".speed.page", "Speed"),
     "stability": (".sections", "stability"),
     "figures": (".sections", "figures"),
+    "optimal": (".sections", "optimal_control"),
 }
 #: What leaves rows out of tables, and what leaves out whole tables.
 _PARTIAL = ("quick", "scene", "method", "case")
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.only:
         known = getattr(importlib.import_module(module, __package__), kind.upper(), {})
         if strangers := [name for name in arguments.only if name not in known]:
-            there = f"--{kind} has {', '.join(known)}" if known else "it goes with --stability or --figures"
+            there = f"--{kind} has {', '.join(known)}" if known else "it goes with --stability, --figures or --optimal"
             return _refuse(f"--only {strangers[0]}: {there}")
     return run_report(getattr(importlib.import_module(module, __package__), name)(arguments), arguments)
 

@@ -89,6 +89,8 @@ class Shooting:
         equality, exists: (rows,) which rows are equalities; which are asked at all.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
         free: Step of bool, which unknowns may move.
+        stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
+            decides are looked at where a search starts.
         turns: (n,) which tangents are rotations.
     """
 
@@ -203,6 +205,8 @@ class Shooting:
         free_d = np.ones((self.nodes, self.n), bool)
         free_d[0] = ~ends.initial_mask
         self.free = Step(free_d, np.ones((count, self.m), bool), self.border.free)
+        self.stirred = free_d.copy()
+        self.stirred[-1, self._fixed] = False
 
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
         """Take inequalities at nodes out that the equalities there decide: their slopes lie in the span of those.

@@ -109,7 +109,7 @@ class Solver:
         """A point with every free entry of states, controls and border moved by a random step."""
         scales, _ = self.first_scales(point, given)
         free = self.shooting.free
-        d = np.where(free.d, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
+        d = np.where(self.shooting.stirred, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
         here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
         spread = np.where(np.isfinite(high - low), (high - low) / 6.0, 0.4 * np.asarray(scales.border))
@@ -275,7 +275,7 @@ class Solver:
     def _step_away(self, state: Iterate) -> Point:
         """The point after a random step."""
         rng, free, scales = np.random.default_rng(0), self.shooting.free, state.scales
-        d = np.where(free.d, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
+        d = np.where(self.shooting.stirred, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 

@@ -1,9 +1,9 @@
-"""The checks of `python -m twistax report --stability` and `--figures`, by section, in the order of their pages."""
+"""The checks of `python -m twistax report --stability`, `--figures` and `--optimal`, in the order of their pages."""
 
 import functools
 
 from ..checks import Checked, Section
-from . import costs, edges, identities, keeping, maps, optima, scalars, steps, stiff
+from . import costs, edges, identities, keeping, maps, optima, optimal, scalars, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -38,6 +38,9 @@ FIGURES: dict[str, Section] = {
     "optima": optima.OPTIMA,
 }
 
-EVERY = FIGURES | STABILITY
+OPTIMAL: dict[str, Section] = {"published": optimal.PUBLISHED, "solvers": optimal.SOLVERS}
+
+EVERY = FIGURES | STABILITY | OPTIMAL
 stability = functools.partial(Checked, "stability", STABILITY)
 figures = functools.partial(Checked, "figures", FIGURES)
+optimal_control = functools.partial(Checked, "optimal", OPTIMAL)

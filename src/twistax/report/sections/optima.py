@@ -24,7 +24,7 @@ def _fastest(limit: float, times: tuple[float, float], distance: float, nodes: i
     return Problem(dynamics, tx.Minimize(tx.Time()), nodes=nodes, final_time=times, **ends)
 
 
-def _goddard() -> Problem:
+def goddard() -> Problem:
     """How high a rocket climbs through an exponential atmosphere.
 
     Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004), problem 10.
@@ -45,7 +45,7 @@ def _goddard() -> Problem:
     )
 
 
-def _rendezvous(form: str) -> Problem:
+def rendezvous(form: str) -> Problem:
     """Least fuel from an offset to rest in 8 s, |u| <= 1: convex, 1.212619 by Clarabel on the same mesh."""
     x, v = tx.State("x", shape=(3,)), tx.State("v", shape=(3,))
     u, s = tx.Control("u", shape=(3,)), tx.Control("s", min=0.0, max=1.0)
@@ -77,9 +77,9 @@ _PROBLEMS: dict[str, tuple[Any, float]] = {
     "least time, lengths of 1e6 m": (lambda: _fastest(1e6, (0.5, 6.0), 1e6), 2.0),
     "least time, up to 20,000 s allowed": (lambda: _fastest(1.0, (0.5, 20_000.0), 1.0), 2.0),
     "1 km at 10 m/s2, up to 200 s allowed": (lambda: _fastest(10.0, (1.0, 200.0), 1000.0), 20.0),
-    "Goddard's rocket, 51 nodes": (_goddard, 1.01284),
+    "Goddard's rocket, 51 nodes": (goddard, 1.01284),
     **{
-        f"least fuel, {form}": (functools.partial(_rendezvous, form), 1.212619)
+        f"least fuel, {form}": (functools.partial(rendezvous, form), 1.212619)
         for form in ("norm as cost", "norm below a slack", "squares below a slack")
     },
 }
