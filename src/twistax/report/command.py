@@ -160,7 +160,7 @@ def _tables(folder: Path, name: str, whole: bool) -> dict[str, Table]:
 def _command(arguments: argparse.Namespace) -> str:
     """The words that give this run again."""
     words = ["python -m twistax report"]
-    words += [f"--{name}" for name in ("stability", "speed", "figures", "quick") if getattr(arguments, name)]
+    words += [f"--{name}" for name in (*_REPORTS, "quick") if getattr(arguments, name, False)]
     for name in ("scene", "method", "case", "only"):
         words += [f"--{name} {value}" for value in getattr(arguments, name) or ()]
     return " ".join([*words, f"--out {arguments.out}"])

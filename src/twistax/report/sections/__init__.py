@@ -38,7 +38,11 @@ FIGURES: dict[str, Section] = {
     "optima": optima.OPTIMA,
 }
 
-OPTIMAL: dict[str, Section] = {"published": optimal.PUBLISHED, "solvers": optimal.SOLVERS}
+OPTIMAL: dict[str, Section] = {
+    "published": optimal.PUBLISHED,
+    "solvers": optimal.SOLVERS,
+    "ratios": optimal.RATIOS,
+}
 
 EVERY = FIGURES | STABILITY | OPTIMAL
 stability = functools.partial(Checked, "stability", STABILITY)

@@ -93,13 +93,15 @@ class Published:
 
 #: Controls are held, so a mesh misses a continuous optimum by the square of its intervals.
 PROBLEMS: dict[str, Published] = {
-    "brachistochrone, 51 nodes": Published(_brachistochrone, 1.80160, 1e-3),
-    "Bryson-Denham, 61 nodes": Published(_bryson_denham, 4.0, 5e-3),
-    "Goddard, 51 nodes": Published(goddard, 1.01284, 1e-5),
-    "cart-pole of Kelly, 51 nodes": Published(_cart_pole, 58.8077, 1e-2),
-    "half turn of Bilimoria and Wie, 51 nodes": Published(_reorientation, 3.24307, 1e-3),
-    "rendezvous of least fuel, 31 nodes": Published(functools.partial(rendezvous, "norm as cost"), 1.212619, 1e-5),
-    "landing of the demo, 25 nodes": Published(_landing, 27_260.0, 1e-4),
+    "brachistochrone: 1.80160 s, 51 nodes": Published(_brachistochrone, 1.80160, 1e-3),
+    "Bryson-Denham: 4, 61 nodes": Published(_bryson_denham, 4.0, 5e-3),
+    "Goddard: 1.01284, 51 nodes": Published(goddard, 1.01284, 1e-5),
+    "cart-pole of Kelly: 58.8077, 51 nodes": Published(_cart_pole, 58.8077, 1e-2),
+    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Published(_reorientation, 3.24307, 1e-3),
+    "rendezvous of least fuel: 1.212619, 31 nodes": Published(
+        functools.partial(rendezvous, "norm as cost"), 1.212619, 1e-5
+    ),
+    "landing of the demo: 27,260 kg, 25 nodes": Published(_landing, 27_260.0, 1e-4),
 }
 
 
@@ -179,8 +181,6 @@ PUBLISHED: Section = [
     check
     for name, published in PROBLEMS.items()
     for check in (
-        Check(name, "objective", between(), lambda n=name: _best(n).cost, slow=True),
-        Check(name, "published", between(), lambda n=name: PROBLEMS[n].optimum, slow=True),
         Check(name, "apart", at_most(published.bar), _apart, name, slow=True),
         Check(name, "starts that reach it, of 8", between(), _reached, name, slow=True),
         Check(name, "beyond limits between nodes", between(), _between, name, slow=True),
@@ -195,6 +195,9 @@ SOLVERS: Section = [
         for measure, unit in ((_iterations, "steps"), (_milliseconds, "ms"))
         for by in _SOLVERS
     ),
+]
+
+RATIOS: Section = [
     *(
         Check(f"ours over IPOPT's, {word}", by, at_most(bar), _ratios, measure, of, slow=True)
         for measure, by, bars in ((_iterations, "steps", (1.0, 3.0)), (_milliseconds, "time", (0.3, 1.5)))

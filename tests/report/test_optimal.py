@@ -1,0 +1,44 @@
+"""The report of published optima: a problem of it, and what its ratios leave out."""
+
+import math
+
+import pytest
+
+from twistax.report.checks import Absent
+from twistax.report.sections import OPTIMAL, optimal
+
+
+def test_every_problem_is_asked_the_same() -> None:
+    whats = {check.what for check in OPTIMAL["published"]}
+    assert whats == {check.what for check in OPTIMAL["solvers"]} == set(optimal.PROBLEMS)
+    assert len(OPTIMAL["solvers"]) == 6 * len(optimal.PROBLEMS)
+
+
+def test_a_convex_problem_is_reached_from_every_start() -> None:
+    (name,) = (name for name in optimal.PROBLEMS if name.startswith("Bryson"))
+    rows = {check.by: check.run() for check in OPTIMAL["published"] if check.what == name}
+    assert rows["apart"].holds
+    # A mesh of held controls costs more than the exact 4.
+    assert rows["apart"].value > 0.0
+    assert rows["starts that reach it, of 8"].value == 8.0
+
+
+def test_ratios_are_over_what_both_solve(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Result:
+        def __init__(self, cost: float, iterations: int) -> None:
+            self.cost, self.iterations = cost, iterations
+
+    found = {("one", "twistax"): Result(1.0, 10), ("one", "IPOPT"): Result(1.0, 20)}
+    found |= {("elsewhere", "twistax"): Result(1.0, 90), ("elsewhere", "IPOPT"): Result(2.0, 1)}
+
+    def timed(name: str, by: str) -> Result:
+        if (name, by) not in found:
+            raise Absent("ends in STALLED")
+        return found[name, by]
+
+    monkeypatch.setattr(optimal, "_timed", timed)
+    monkeypatch.setattr(optimal, "PROBLEMS", dict.fromkeys(["one", "elsewhere", "unsolved"]))
+    assert math.isclose(optimal._ratios(optimal._iterations, max), 0.5)
+    found.clear()
+    with pytest.raises(Absent, match="none"):
+        optimal._ratios(optimal._iterations, max)
