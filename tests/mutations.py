@@ -759,6 +759,30 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/joined.py",
+        (
+            "joins without second derivatives",
+            "bends = join.gap.bends(y[stages.stop, :count], *around)",
+            "bends = 0.0 * join.gap.bends(y[stages.stop, :count], *around)",
+            "trajectory/test_phases.py",
+        ),
+        (
+            "limits asked twice at a join",
+            "        if same and after.path.at_nodes()[row]:",
+            "        if False:",
+            "trajectory/test_phases.py",
+        ),
+    ),
+    *_at(
+        "trajectory/shooting.py",
+        (
+            "phases that all begin at time zero",
+            "return b[: self.phase].sum(), b[self.phase]",
+            "return 0.0 * b[0], b[self.phase]",
+            "trajectory/test_phases.py",
+        ),
+    ),
+    *_at(
         "trajectory/border.py",
         (
             "upper limits that hold from below",

@@ -3,6 +3,8 @@
 from .cases import TrajectoryResults
 from .discretize import Discretization, Linearization, discretize, linearize
 from .external import IPOPT, Fatrop
+from .phased_result import PhasedResult
+from .phases import Phase
 from .problem import Problem
 from .result import Optimality, TrajectoryResult
 from .sensitivity import Solution, solution
@@ -19,6 +21,8 @@ __all__ = [
     "Linearization",
     "Objective",
     "Optimality",
+    "Phase",
+    "PhasedResult",
     "Problem",
     "Solution",
     "Status",

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..jax_inside import any_of_batch
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
-from .shooting import Derivatives, Given, Point, Shooting, Step, Values
+from .shooting import Derivatives, Given, Point, Step, Transcribed, Values
 
 #: The first barrier parameter, and how it falls (7).
 _FIRST_BARRIER, _BARRIER_SHARE, _BARRIER_POWER, _BARRIER_ERROR = 0.1, 0.2, 1.5, 10.0
@@ -124,7 +124,7 @@ class _Search(NamedTuple):
 class InteriorPoint:
     """Newton steps for a transcribed problem; pure functions of a State, to be jitted and batched."""
 
-    def __init__(self, shooting: Shooting, tolerance: float) -> None:
+    def __init__(self, shooting: Transcribed, tolerance: float) -> None:
         self._shooting = shooting
         self.exists, self.move, self.values = shooting.exists, shooting.move, shooting.values
         self.free_start = np.concatenate([shooting.free.d[0], shooting.free.border])
@@ -456,7 +456,7 @@ class InteriorPoint:
     def in_chart(self, step: Step, state: Any) -> jax.Array:
         """The largest share of a step that keeps turns, and changes of durations and of parameters, small enough."""
         scales = state.scales
-        turn = jnp.abs(step.d * scales.d)[:, self._shooting.turns].max(initial=0.0) / _LARGEST_TURN
+        turn = jnp.where(self._shooting.turns, jnp.abs(step.d * scales.d), 0.0).max(initial=0.0) / _LARGEST_TURN
         size = jnp.abs(state.point.border)
         is_time = jnp.arange(len(size)) < self._shooting.border.phases
         most = jnp.where(is_time, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))

@@ -16,7 +16,6 @@ from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Inputs, Parameter, State, evaluate_all, leaves_of
 from ..groups import Euclidean
 from ..integrators import RKMK
-from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..system import name_of
 from .border import Border, boxes_of
@@ -28,7 +27,7 @@ from .external import SolvedBy
 from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
 from .result import TrajectoryResult, best_result
-from .shooting import Given, Point, Shooting, Step
+from .shooting import Given, Point, Shooting, Step, Transcribed
 from .solver import Callback, Solver
 from .statement import Objective, check_leaves, describe_path
 from .warm import warm_start, with_ends
@@ -69,13 +68,21 @@ class Problem:
         InputError: parameters without a value.
     """
 
+    def __new__(cls, dynamics: Any = None, *args: Any, **options: Any) -> Any:
+        """A problem, or one of several phases where a list of `Phase` is given."""
+        if not isinstance(dynamics, (list, tuple)):
+            return super().__new__(cls)
+        from .phases import PhasedProblem
+
+        return PhasedProblem(dynamics, *args, **options)
+
     def __init__(
         self,
-        dynamics: Dynamics,
-        objective: Any,
+        dynamics: Any,
+        objective: Any = None,
         *,
         nodes: Any = 25,
-        final_time: Any,
+        final_time: Any = None,
         initial: Any = None,
         final: Any = None,
         at: Any = None,
@@ -98,7 +105,7 @@ class Problem:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)
         self.dynamics, self.nodes = dynamics, int(nodes)
         self.objective: Objective = objective
-        time_limits, self._time_guess = _times(final_time, final_time_guess)
+        time_limits, self.time_guess = _times(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
         self.ends = ends_of(dynamics.states, first, last)
         self.final_rows = conditions(dynamics, "final", asked_last)
@@ -123,22 +130,29 @@ class Problem:
         }
         reads, seen = dynamics._functions.reads, {leaf.name for expr in exprs for leaf in leaves_of(expr)}
         seen |= reads["rates"] | reads["constraints"]
-        readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
-        baked = {leaf.name for leaf in dynamics.system.parameters} - known
-        self.border = Border(("final time",), np.array([time_limits]), boxes_of(free, readable, baked))
-        self.path = describe_path(dynamics, self.norms, {box.name for box in self.border.boxes})
-        self._guess = self._checked(guess)
+        #: Parameters that the problem reads, and the names of those that cannot be changed any more.
+        self.readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
+        self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
+        self.border = Border(("final time",), np.array([time_limits]), boxes_of(free, self.readable, self.baked))
+        self.phase = 0
+        self.own_guess = self._checked(guess)
         self.params = self._prepared(params)
+        self._build()
+
+    def as_phase(self, number: int, border: Border) -> None:
+        """Make it a phase of a problem with these durations and free parameters."""
+        self.phase, self.border = number, border
         self._build()
 
     @property
     def time_limits(self) -> tuple[float, float]:
         """Low and high, equal where the final time is fixed."""
-        low, high = self.border.time_limits[0].tolist()
+        low, high = self.border.time_limits[self.phase].tolist()
         return low, high
 
     def _build(self) -> None:
         """What compiles."""
+        self.path = describe_path(self.dynamics, self.norms, {box.name for box in self.border.boxes})
         self.shooting = Shooting(
             self.dynamics,
             self.objective,
@@ -151,6 +165,7 @@ class Problem:
             final=self.final_rows,
             at_nodes=self.node_rows,
             border=self.border,
+            phase=self.phase,
         )
         self._solvers: dict[float, Solver] = {}
         self._all_lanes: dict[tuple[Solver, int], Lanes] = {}
@@ -221,7 +236,7 @@ class Problem:
         if warm is not None and any(value is not None for value in given_too.values()):
             names = ", ".join(name for name, value in given_too.items() if value is not None)
             raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
-        _check_options(max_iterations, tolerance)
+        check_options(max_iterations, tolerance)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
         if solver is not None and not isinstance(solver, SolvedBy):
@@ -276,7 +291,7 @@ class Problem:
             TrajectoryError: no argument has an axis of cases.
             TwistaxError: as `solve` does, with the number of the case.
         """
-        _check_options(max_iterations, tolerance)
+        check_options(max_iterations, tolerance)
         given = {"guess": guess, "initial": initial, "final": final, "params": params}
         cases = Cases(self, given, final_time)
         with jax.enable_x64(True):
@@ -293,8 +308,8 @@ class Problem:
         """The solver for a tolerance, compiled."""
         if tolerance not in self._solvers:
             if not self._solvers:
-                self.shooting.drop_pinned(self._samples(point), given)
-            solver = Solver(self.shooting, self._leaves | {c.name: c for c in self.norms.controls}, tolerance)
+                self.shooting.drop_pinned(moved_at_random(self.shooting, point), given)
+            solver = Solver(self.shooting, tolerance)
             solver.prepare(point, given)
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
@@ -305,15 +320,6 @@ class Problem:
         if (solver, width) not in self._all_lanes:
             self._all_lanes[solver, width] = Lanes(solver, width)
         return self._all_lanes[solver, width]
-
-    def _samples(self, point: Point) -> list[Point]:
-        """Points whose nodes are moved at random."""
-        rng, shooting, found = np.random.default_rng(0), self.shooting, []
-        for _ in range(2):
-            d = np.where(shooting.free.d, 0.3 * rng.normal(size=(self.nodes, shooting.n)), 0.0)
-            step = Step(d, np.zeros((self.nodes - 1, shooting.m)), np.zeros(self.border.size))
-            found.append(jax.jit(shooting.move)(point, step))
-        return found
 
     # ---- what a solve starts from ---------------------------------------------------------------------------------
 
@@ -330,7 +336,7 @@ class Problem:
         ends = self._ends(initial, final)
         limits, time_guess = self._final_time(final_time, final_time_guess)
         own = self.params if params is None else self._prepared({**self.params, **params})
-        start = self._start(self._guess | self._checked(guess), ends, own, time_guess)
+        start = self.start(self.own_guess | self._checked(guess), ends, own, np.array([time_guess]))
         return start, self.given(ends, own, limits), own
 
     def _ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
@@ -361,7 +367,7 @@ class Problem:
 
     def _final_time(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
         if limits is None and guess is None:
-            return self.time_limits, self._time_guess
+            return self.time_limits, self.time_guess
         found = _times(self.time_limits if limits is None else limits, guess)
         if (found[0][0] < found[0][1]) != self.border.free[0]:
             kind = "free: (low, high)" if self.border.free[0] else "fixed: a number"
@@ -372,14 +378,15 @@ class Problem:
         """A guess by name."""
         return user_guess(guess, self._leaves | {box.name: box for box in self.border.boxes}, self._lengths)
 
-    def _start(self, given: Mapping[str, Array], ends: Ends, params: Mapping[str, Array], time_guess: float) -> Point:
+    def start(self, given: Mapping[str, Array], ends: Ends, params: Mapping[str, Array], durations: Array) -> Point:
+        """The point that guesses give, with these durations."""
         count = self.nodes - 1
         xs = {
             s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.nodes)
             for s in self.dynamics.states
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
-        border = self.border.start(np.array([time_guess]), params, given)
+        border = self.border.start(durations, params, given)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         return jax.tree.map(
             jnp.asarray, Point(xs, np.concatenate([*flat, *self._norm_guess(us, border)], axis=1), border)
@@ -440,7 +447,8 @@ class Problem:
         return found
 
 
-def _check_options(max_iterations: Any, tolerance: Any) -> None:
+def check_options(max_iterations: Any, tolerance: Any) -> None:
+    """Raise TrajectoryError unless both make sense."""
     whole("max_iterations", max_iterations, 1, TrajectoryError)
     number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
 
@@ -456,3 +464,12 @@ def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
     guess = 0.5 * (low + high) if guess is None else guess
     number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
     return (low, high), float(guess)
+
+
+def moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
+    """Points whose nodes are moved at random."""
+    rng, free, found = np.random.default_rng(0), shooting.free, []
+    for _ in range(2):
+        d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
+        found.append(jax.jit(shooting.move)(point, Step(d, np.zeros(free.u.shape), np.zeros(free.border.shape))))
+    return found

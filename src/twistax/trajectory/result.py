@@ -18,12 +18,15 @@ from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
+from .border import Border
+from .shooting import Point, Transcribed
 from .solver import Outcome
 from .statement import largest_by_name, violations
 from .warm import WarmStart
 from .watch import Status
 
 if TYPE_CHECKING:
+    from .phased_result import PhasedResult
     from .problem import Problem
 
 
@@ -52,28 +55,15 @@ class Optimality:
 
 
 @dataclasses.dataclass(frozen=True)
-class TrajectoryResult:
-    """A trajectory and how well it solves its problem. All arrays are NumPy, double precision.
+class Trajectory:
+    """States and controls of a problem, or of one phase of it. All arrays are NumPy, double precision.
 
     Attributes:
         xs: states by name, leading axis the nodes.
         us: controls by name, leading axis the intervals; held over each.
         ts: (nodes,) times in s.
         final_time: the last of them.
-        cost: the objective as stated (a maximum is not negated).
-        violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
-        violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
-        optimality: how far the first-order conditions are from holding.
-        multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
-            in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
-        active: names of the constraints that bind, those first that matter most to the objective.
-        status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
-        iterations: steps of the solver in the try that gave this result.
-        tries: one line (status, cost, violation, iterations) for every guess.
         params: the parameters it was solved for, and those that were found.
-        compile_seconds, solve_seconds: wall time.
-        warm: what `solve(warm=...)` starts from.
-        slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
     """
 
     problem: Problem
@@ -81,36 +71,7 @@ class TrajectoryResult:
     us: dict[str, Array]
     ts: Array
     final_time: float
-    cost: float
-    violation: float
-    violations: dict[str, float]
-    optimality: Optimality
-    multipliers: dict[str, Array]
-    active: tuple[str, ...]
-    status: Status
-    message: str
-    iterations: int
-    tries: tuple[tuple[Status, float, float, int], ...]
     params: dict[str, Array]
-    compile_seconds: float
-    solve_seconds: float
-    warm: WarmStart
-    slacks: Array
-
-    def shifted(self, steps: int = 1) -> WarmStart:
-        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
-
-        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
-
-        Raises:
-            TrajectoryError: steps is no positive whole number.
-        """
-        return self.warm.shifted(steps)
-
-    @property
-    def solved(self) -> bool:
-        """Whether the status is SOLVED."""
-        return self.status is Status.SOLVED
 
     @functools.cached_property
     def between_nodes(self) -> dict[str, float]:
@@ -121,24 +82,6 @@ class TrajectoryResult:
     def mesh_error(self) -> dict[str, dict[str, float]]:
         """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
         return self.replay(steps=10 * self.problem.substeps).misses
-
-    def explain(self) -> str:
-        """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
-        size = {name: float(np.abs(self.multipliers[name]).max()) for name in self.active}
-        errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(self.optimality).items())
-        missed = "; ".join(
-            f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
-            for name, own in self.mesh_error.items()
-        )
-        broken = {name: value for name, value in self.between_nodes.items() if value > 0.0}
-        lines = [
-            self.message,
-            f"first-order conditions: {errors}",
-            f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in self.active) or 'none'}",
-            f"misses of a finer rollout at the end: {missed}",
-            "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
-        ]
-        return "\n".join(lines)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
         """Roll out the found controls from the first node, each held over its interval, and measure what comes out.
@@ -162,12 +105,87 @@ class TrajectoryResult:
                 xs = _rollout_ambient(self, method, steps, rtol, atol)
             return _judged(self, xs, steps)
 
+
+@dataclasses.dataclass(frozen=True)
+class TrajectoryResult(Trajectory):
+    """A trajectory and how well it solves its problem. All arrays are NumPy, double precision.
+
+    Attributes:
+        xs, us, ts, final_time, params: see `Trajectory`.
+        cost: the objective as stated (a maximum is not negated).
+        violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
+        violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
+        optimality: how far the first-order conditions are from holding.
+        multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
+            in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
+        active: names of the constraints that bind, those first that matter most to the objective.
+        status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
+        iterations: steps of the solver in the try that gave this result.
+        tries: one line (status, cost, violation, iterations) for every guess.
+        compile_seconds, solve_seconds: wall time.
+        warm: what `solve(warm=...)` starts from.
+        slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
+    """
+
+    cost: float
+    violation: float
+    violations: dict[str, float]
+    optimality: Optimality
+    multipliers: dict[str, Array]
+    active: tuple[str, ...]
+    status: Status
+    message: str
+    iterations: int
+    tries: tuple[tuple[Status, float, float, int], ...]
+    compile_seconds: float
+    solve_seconds: float
+    warm: WarmStart
+    slacks: Array
+
+    def shifted(self, steps: int = 1) -> WarmStart:
+        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
+
+        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
+
+        Raises:
+            TrajectoryError: steps is no positive whole number.
+        """
+        return self.warm.shifted(steps)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    def explain(self) -> str:
+        """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
+        return explained(self)
+
     def __repr__(self) -> str:
         return (
             f"TrajectoryResult({self.message} cost={self.cost:.6g}, violation={self.violation:.1e}, "
             f"final_time={self.final_time:.6g}, iterations={self.iterations}, "
             f"compile {self.compile_seconds:.1f} s, solve {self.solve_seconds:.1f} s)"
         )
+
+
+def explained(result: TrajectoryResult | PhasedResult) -> str:
+    """How good a result is, a line each."""
+    size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
+    errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
+    missed = "; ".join(
+        f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
+        for name, own in result.mesh_error.items()
+    )
+    broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
+    lines = [
+        result.message,
+        f"first-order conditions: {errors}",
+        f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
+        f"misses of a finer rollout at the end: {missed}",
+        "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
+    ]
+    return "\n".join(lines)
 
 
 def best_result(
@@ -179,39 +197,23 @@ def best_result(
     solve_seconds: float,
 ) -> TrajectoryResult:
     """The best of several tries: a solved one of least cost, else the one that violates least."""
-    sign = problem.objective.sign
-
-    def rank(outcome: Outcome) -> tuple[int, float]:
-        order = [Status.SOLVED, Status.ACCEPTABLE]
-        if outcome.status in order:
-            return order.index(outcome.status), outcome.cost
-        return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
-
-    best = min(outcomes, key=rank)
-    point, final_time = best.point, float(best.point.border[0])
-    params = params | {
-        name: np.asarray(value) for name, value in problem.border.params(np.asarray(point.border)).items()
-    }
-    controls = problem.shooting.local.controls.split(np.asarray(point.us))
+    sign, best = problem.objective.sign, best_of(outcomes)
+    params = found_params(problem.border, best, params)
+    point = best.point
     with jax.enable_x64(True):
-        violations = _violations(problem, best, params)
+        violations = violations_of(problem, best, params)
     return TrajectoryResult(
-        problem=problem,
-        xs={name: np.asarray(values) for name, values in point.xs.items()},
-        us={c.name: controls[c.name] for c in problem.dynamics.controls},
-        ts=np.linspace(0.0, final_time, problem.nodes),
-        final_time=final_time,
+        **trajectory_at(problem, point, params),
         cost=sign * best.cost,
         violation=best.violation,
         violations=violations,
         optimality=Optimality(*best.errors),
-        multipliers=_multipliers(problem, best),
-        active=_active(problem, best),
+        multipliers=multipliers_of(problem, best),
+        active=active_of(problem.shooting, best),
         status=best.status,
         message=_message(problem, best, violations, tolerance),
         iterations=best.iterations,
         tries=tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in outcomes),
-        params=params,
         compile_seconds=compile_seconds,
         solve_seconds=solve_seconds,
         warm=WarmStart(problem, jax.tree.map(np.asarray, point), best.dynamics, best.rows, best.scales, params),
@@ -219,7 +221,45 @@ def best_result(
     )
 
 
-def _multipliers(problem: Problem, outcome: Outcome) -> dict[str, Array]:
+def best_of(outcomes: Sequence[Outcome]) -> Outcome:
+    """A solved one of least cost, else the one that violates least."""
+
+    def rank(outcome: Outcome) -> tuple[int, float]:
+        order = [Status.SOLVED, Status.ACCEPTABLE]
+        if outcome.status in order:
+            return order.index(outcome.status), outcome.cost
+        return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
+
+    return min(outcomes, key=rank)
+
+
+def found_params(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
+    """The parameters with those that were found."""
+    return params | {name: np.asarray(value) for name, value in border.params(np.asarray(outcome.point.border)).items()}
+
+
+def trajectory_at(problem: Problem, point: Point, params: dict[str, Array]) -> dict[str, Any]:
+    """The fields of a `Trajectory` at a point."""
+    controls = problem.shooting.local.controls.split(np.asarray(point.us))
+    ts = _nodes_at(problem, point)
+    return {
+        "problem": problem,
+        "xs": {name: np.asarray(values) for name, values in point.xs.items()},
+        "us": {c.name: controls[c.name] for c in problem.dynamics.controls},
+        "ts": ts,
+        "final_time": float(ts[-1]),
+        "params": params,
+    }
+
+
+def _nodes_at(problem: Problem, point: Point) -> Array:
+    """The times of the nodes."""
+    begin, length = (float(a) for a in problem.shooting.span(np.asarray(point.border)))
+    return np.linspace(begin, begin + length, problem.nodes)
+
+
+def multipliers_of(problem: Problem, outcome: Outcome) -> dict[str, Array]:
+    """By the names of rows."""
     shooting = problem.shooting
     found = {f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()}
     for name in dict.fromkeys(shooting.names[shooting.exists]):
@@ -227,20 +267,20 @@ def _multipliers(problem: Problem, outcome: Outcome) -> dict[str, Array]:
     return found
 
 
-def _active(problem: Problem, outcome: Outcome) -> tuple[str, ...]:
+def active_of(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
     """The names of rows whose multipliers, scaled, are not nothing."""
-    names, sizes = problem.shooting.names, np.abs(outcome.scaled_rows)
+    names, sizes = shooting.names, np.abs(outcome.scaled_rows)
     found = largest_by_name([str(name) for name in names], sizes)
     return tuple(sorted((name for name, size in found.items() if size > _ACTIVE), key=lambda n: -found[n]))
 
 
-def _violations(problem: Problem, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
+def violations_of(problem: Problem, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
     """At the nodes, in the constraints' own units."""
     shooting, path, point = problem.shooting, problem.path, outcome.point
     defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
     found = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
     if path.shown:
-        ts = np.linspace(0.0, float(point.border[0]), problem.nodes)
+        ts = _nodes_at(problem, point)
         held = shooting.local.controls.split(np.asarray(point.us))
         ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
         sizes = [
@@ -301,14 +341,14 @@ class Replay:
     final: dict[str, float]
 
 
-def _rollout_on_group(result: TrajectoryResult, method: Method, steps: int) -> dict[str, Array]:
+def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:
     problem = result.problem
     intervals = problem.nodes - 1
     tables = {name: ZeroOrderHold(result.ts[:-1], values) for name, values in result.us.items()}
     solution = integrate(
         problem.dynamics,
         {name: values[0] for name, values in result.xs.items()},
-        t0=0.0,
+        t0=float(result.ts[0]),
         t1=result.final_time,
         steps=intervals * steps,
         method=method,
@@ -321,7 +361,7 @@ def _rollout_on_group(result: TrajectoryResult, method: Method, steps: int) -> d
     return {name: np.asarray(values) for name, values in solution.xs.items()}
 
 
-def _rollout_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
+def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
     import diffrax
 
     if not isinstance(solver, diffrax.AbstractSolver):
@@ -364,11 +404,11 @@ def _rollout_ambient(result: TrajectoryResult, solver: Any, steps: int, rtol: fl
     return {name: np.asarray(values) for name, values in xs.items()}
 
 
-def _times(result: TrajectoryResult, steps: int) -> Array:
-    return np.linspace(0.0, result.final_time, (len(result.ts) - 1) * steps + 1)
+def _times(result: Trajectory, steps: int) -> Array:
+    return np.linspace(result.ts[0], result.final_time, (len(result.ts) - 1) * steps + 1)
 
 
-def _judged(result: TrajectoryResult, xs: dict[str, Array], steps: int) -> Replay:
+def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
     problem, ts = result.problem, _times(result, steps)
     intervals = problem.nodes - 1
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
@@ -396,7 +436,7 @@ def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[s
     return {kind: float(np.linalg.norm(vector))}
 
 
-def _path_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+def _path_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
     problem = result.problem
     path = problem.path
     if not path.shown:
@@ -410,7 +450,7 @@ def _path_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], 
     return largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0))
 
 
-def _node_violations(result: TrajectoryResult, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
     problem, found = result.problem, dict[str, float]()
     for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
         here = {name: values[k * steps] for name, values in xs.items()}

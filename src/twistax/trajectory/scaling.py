@@ -5,7 +5,7 @@ Nothing here looks at limits unless nothing else is known, so scales follow the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy import ndarray as Array
@@ -15,7 +15,7 @@ from ..groups import Euclidean, SpecialEuclidean
 from .border import Border
 from .interior_point import Scales
 from .riccati import of_stages
-from .shooting import Derivatives, Point, Shooting, Step
+from .shooting import Derivatives, Point, Shooting, Step, Transcribed
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -28,15 +28,13 @@ _SMALL = 1e-6
 _FLOORED = ("d", "u", "border", "cost")
 
 
-def unit_scales(shooting: Shooting) -> Scales:
+def unit_scales(shooting: Transcribed) -> Scales:
     """Scales of 1."""
     free = shooting.free
     return Scales(*map(np.ones, (*(a.shape for a in free), len(shooting.exists), ())))
 
 
-def measured(
-    shooting: Shooting, leaves: Mapping[str, State | Control], point: Point, slopes: Derivatives, scales: Scales
-) -> tuple[Scales, bool]:
+def measured(shooting: Transcribed, point: Point, slopes: Derivatives, scales: Scales) -> tuple[Scales, bool]:
     """Scales at a point, from the derivatives there, taken in other scales; and whether the objective has slopes.
 
     States and controls count with half the spread of their values along the trajectory, or with what the leaf
@@ -44,47 +42,51 @@ def measured(
     are, parameters with what changes states and rows as much as these sizes do. Rows are divided by
     their slope, the objective by what steps of these sizes do to it.
     """
-    unit = Scales(*map(np.asarray, scales))
+    unit, border = Scales(*map(np.asarray, scales)), shooting.border
     before, end_before = (np.asarray(a) for a in of_stages(Step(unit.d, unit.u, unit.border)))
-    d, u = _spreads(shooting, leaves, point)
     reach = np.abs(np.asarray(slopes.defects)) * unit.d[1:, :, None] / before[:, None]
     inner_slopes = np.abs(np.asarray(slopes.rows)) / before[:, None]
     end_slopes = np.abs(np.asarray(slopes.end_rows)) / end_before
-    own = len(d) + len(u)
-    d, u = _completed(shooting, leaves, d, u, reach[:, :, :own].max(axis=0))
-    rows = shooting.intervals * reach.max(axis=0), inner_slopes.max(axis=0), end_slopes
-    border = _border(shooting.border, np.asarray(point.border), d, u, rows)
-    z, end = np.concatenate([d, u, border]), np.concatenate([d, border])
-    inner = inner_slopes @ z
-    sizes = np.concatenate([inner.ravel(), end_slopes @ end]) * unit.rows
-    count = inner.size
-    most = sizes[:count].reshape(inner.shape).max(axis=0, initial=0.0)
-    sizes[:count] = np.broadcast_to(most, inner.shape).ravel()
-    gradient = (np.abs(np.asarray(slopes.gradient)) / before @ z).sum()
+    d, u, times = np.ones_like(unit.d), np.ones_like(unit.u), np.abs(np.asarray(point.border))[: border.phases]
+    moved = []
+    for part in shooting.segments:
+        own = part.shooting
+        most = reach[part.stages, : own.n].max(axis=0)
+        sizes = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns])
+        d[part.nodes, : own.n], u[part.stages, : own.m] = sizes
+        moved.append((own.intervals * most, sizes[0]))
+    for join in shooting.joins:
+        u[join.stage, : len(join.free)] = d[join.stage + 1, join.free]
+    end_others = _moved(end_slopes, [*d[-1], *times])
+    others = np.stack([_moved(rows, [*x, *c, *times]) for rows, x, c in zip(inner_slopes, d, u)])
+    moved += [(inner_slopes.max(axis=0), others.max(axis=0)), (end_slopes, end_others)]
+    b = _border(border, np.asarray(point.border), moved)
+    z, end = (np.asarray(a) for a in of_stages(Step(d, u, b)))
+    inner = np.einsum("kra,ka->kr", inner_slopes, z) * unit.rows[: inner_slopes[..., 0].size].reshape(len(z), -1)
+    for part in shooting.segments:
+        inner[part.stages] = inner[part.stages].max(axis=0, initial=0.0)
+    rows = np.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
+    gradient = (np.abs(np.asarray(slopes.gradient)) / before * z).sum()
     cost = float(gradient + np.abs(np.asarray(slopes.end_gradient)) / end_before @ end) * float(unit.cost)
     sloped = bool(np.isfinite(cost)) and cost > 0.0
-    return Scales(
-        np.tile(d, (shooting.nodes, 1)),
-        np.tile(u, (shooting.intervals, 1)),
-        border,
-        np.where(sizes > 0.0, sizes, unit.rows),
-        np.array(cost if sloped else unit.cost),
-    ), sloped
+    return Scales(d, u, b, np.where(rows > 0.0, rows, unit.rows), np.array(cost if sloped else unit.cost)), sloped
 
 
-def _border(border: Border, values: Array, d: Array, u: Array, slopes: tuple[Array, Array, Array]) -> Array:
-    """Sizes of durations and parameters, as `measured` says; where nothing is known the value, the limits, 1."""
-    count, (gaps, inner, end) = border.phases, slopes
-    times = np.abs(values[:count])
+def _border(border: Border, values: Array, moved: Sequence[tuple[Array, Array]]) -> Array:
+    """Sizes of durations and parameters, as `measured` says; where nothing is known the value, the limits, 1.
+
+    Moved are the slopes of rows, and how far the sizes of other unknowns move these.
+    """
+    count = border.phases
     found = np.full(border.size - count, np.inf)
-    for rows, others in ((gaps, d), (inner, _moved(inner, [*d, *u, *times])), (end, _moved(end, [*d, *times]))):
-        by, size = rows[:, len(rows[0]) - len(found) :] if len(rows) else np.zeros((0, len(found))), others[:, None]
+    for rows, others in moved:
+        by, size = rows[:, rows.shape[1] - len(found) :], others[:, None]
         known = (by > 0.0) & (size > 0.0)
         found = np.minimum(found, np.divide(size, by, out=np.full_like(by, np.inf), where=known).min(0, initial=np.inf))
     limits = np.concatenate([np.zeros(0), *map(_from_limits, border.boxes)])
     for known in (np.abs(values[count:]), limits, np.ones_like(found)):
         found = np.where(np.isfinite(found) & (found > 0.0), found, known)
-    return np.concatenate([times, found])
+    return np.concatenate([np.abs(values[:count]), found])
 
 
 def _moved(slopes: Array, sizes: Sequence[float]) -> Array:
@@ -123,11 +125,11 @@ def change(one: Scales, other: Scales) -> float:
     return max(float(np.maximum(r, 1.0 / r).max(initial=1.0)) for r in ratios)
 
 
-def _spreads(shooting: Shooting, leaves: Mapping[str, State | Control], point: Point) -> tuple[Array, Array]:
+def _spreads(shooting: Shooting, point: Point) -> tuple[Array, Array]:
     """Half the spread of every tangent along the trajectory; zero where nothing moves."""
     d = np.zeros(shooting.n)
     for name, factor in shooting.dynamics.group.factors.items():
-        part, leaf = shooting.dynamics.group.slices[name], leaves[name]
+        part, leaf = shooting.dynamics.group.slices[name], shooting.leaves[name]
         values = np.asarray(point.xs[name])
         if leaf.scale is not None:
             d[part] = np.ravel(leaf.scale)
@@ -141,7 +143,7 @@ def _spreads(shooting: Shooting, leaves: Mapping[str, State | Control], point: P
             d[part] = _TURN
     u = np.zeros(shooting.m)
     for name, part in shooting.local.controls.slices.items():
-        flat, leaf = np.asarray(point.us)[:, part], leaves[name]
+        flat, leaf = np.asarray(point.us)[:, part], shooting.leaves[name]
         spread = _moving(np.maximum(np.ptp(flat, axis=0) / 2.0, _CONSTANT * np.abs(flat).max(axis=0)), flat)
         u[part] = spread if leaf.scale is None else np.ravel(leaf.scale)
     return d, u
@@ -153,9 +155,7 @@ def _moving(spread: Array, values: Array) -> Array:
     return np.where(moves, spread, 0.0)
 
 
-def _completed(
-    shooting: Shooting, leaves: Mapping[str, State | Control], d: Array, u: Array, slopes: Array
-) -> tuple[Array, Array]:
+def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[Array, Array]:
     """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1.
 
     Slopes are the largest of the dynamics, (n, n + m).
@@ -164,7 +164,7 @@ def _completed(
     sizes = np.concatenate([d, u])
     reach = shooting.intervals * slopes
     reach[np.arange(n), np.arange(n)] = 0.0
-    limits = np.concatenate([_from_limits(leaf) for leaf in leaves.values()])
+    limits = np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])
     for known in (None, limits, np.ones_like(sizes)):
         if known is not None:
             sizes = np.where(sizes > 0.0, sizes, known)

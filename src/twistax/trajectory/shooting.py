@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..expr import Control, State
 from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK
 from ..lowering import XLA, Dynamics
@@ -34,7 +35,7 @@ from .conditions import Conditions, Ends
 from .cones import NormControls
 from .local import Local
 from .smooth import Smooth
-from .statement import Objective, PathRows, Reads
+from .statement import Objective, PathRows
 
 
 class Point(NamedTuple):
@@ -81,17 +82,86 @@ class Derivatives(NamedTuple):
     end_hessian: Any  # (n + g, n + g)
 
 
-class Shooting:
-    """The discrete problem behind a continuous one.
+class Segment(NamedTuple):
+    """A transcribed phase, and where its nodes, intervals, and [d, u, b] sit among those of the whole problem."""
+
+    number: int
+    shooting: Shooting
+    nodes: slice
+    stages: slice
+    columns: Any
+    alone: bool = False
+
+    def of(self, point: Point) -> Point:
+        """The point of the phase."""
+        if self.alone:
+            return point
+        return Point(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
+
+
+class Transcribed:
+    """What solvers are given: a discrete problem in stages.
 
     Attributes:
+        n, m: tangents of a node and controls of an interval, of the largest phase.
+        nodes, intervals, rows_per_interval: how many.
+        border: the unknowns that all stages share.
         names, places: of every row.
         equality, exists: (rows,) which rows are equalities; which are asked at all.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
+        pinned: (rows,) those of them that other rows decide.
+        own: (rows,) those of single nodes.
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
             decides are looked at where a search starts.
-        turns: (n,) which tangents are rotations.
+        turns: (n,) or (nodes, n) which tangents are rotations.
+        segments, joins: the phases, and what is between them.
+    """
+
+    n: int
+    m: int
+    nodes: int
+    intervals: int
+    rows_per_interval: int
+    border: Border
+    names: Array
+    places: Array
+    equality: Array
+    exists: Array
+    decided: Array
+    pinned: Array
+    own: Array
+    free: Step
+    stirred: Array
+    turns: Array
+    segments: Sequence[Segment]
+    joins: Sequence[Any]
+
+    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
+        """Take rows out that leave no room for slacks."""
+        raise NotImplementedError
+
+    def move(self, point: Point, step: Step) -> Point:
+        """The point after a step."""
+        raise NotImplementedError
+
+    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
+        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
+        raise NotImplementedError
+
+    def derivatives(
+        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
+    ) -> Derivatives:
+        """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
+        raise NotImplementedError
+
+
+class Shooting(Transcribed):
+    """The discrete problem behind a continuous one, or behind one phase of it.
+
+    Attributes:
+        phase: its number.
+        leaves: states and controls by name, in the order of the unknowns.
     """
 
     def __init__(
@@ -108,14 +178,19 @@ class Shooting:
         final: Conditions,
         at_nodes: Mapping[int, Conditions],
         border: Border,
+        phase: int = 0,
     ) -> None:
+        self.phase, self._is_last = phase, phase == border.phases - 1
+        self.leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
+        self.leaves |= {leaf.name: leaf for leaf in (*dynamics.controls, *norms.controls)}
         self.dynamics, self.nodes, self.substeps = dynamics, nodes, substeps
         self.intervals = nodes - 1
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border
         self.size = self.n + self.m + border.size
-        backend = chosen(
+        self.path = path
+        self.backend = backend = chosen(
             "auto" if isinstance(dynamics.backend, Auto) else dynamics.backend, Native() if installed() else XLA()
         )
         self._rate, self._point = Smooth(self._rate_at, backend), Smooth(self._point_at, backend)
@@ -129,17 +204,21 @@ class Shooting:
         self._weights = _weights(substeps)
         self.turns = _turns(dynamics)
         self._describe(path, ends, final, at_nodes)
+        whole = slice(0, self.nodes), slice(0, self.intervals), np.arange(self.n + self.m)
+        self.segments, self.joins = [Segment(0, self, *whole, alone=True)], []
 
     def _describe(self, path: PathRows, ends: Ends, final: Conditions, at_nodes: Mapping[int, Conditions]) -> None:
         """Which rows there are, and which unknowns may move."""
         count, points, rows = self.intervals, self.substeps + 1, len(path.names)
         asked = path.asked(count, self.substeps)
         decided = np.zeros_like(asked)
-        decided[0, 0] = path.decided(ends.initial_fixed, True)
+        times_free = self.border.free[: self.border.phases]
+        known_start = not times_free[: self.phase].any()
+        decided[0, 0] = path.decided(ends.initial_fixed, known_start)
         flat = asked.reshape(count, -1)
         self._row_count = rows
         self._kept = kept = np.flatnonzero(flat.any(axis=0))
-        states = np.flatnonzero([reads in (Reads.STATE, Reads.NOTHING) for reads in path.reads])
+        states = np.flatnonzero(path.at_nodes())
         self._end_states = states
         self._fixed = np.flatnonzero(ends.final_mask)
         tangents = [
@@ -147,7 +226,7 @@ class Shooting:
             for name, part in self.dynamics.group.slices.items()
             for i in range(part.stop - part.start)
         ]
-        limits = self.border.row_names
+        limits = self.border.row_names if self._is_last else []
         end_names = [
             *final.names,
             *(f"final {tangents[i]}" for i in self._fixed),
@@ -171,11 +250,12 @@ class Shooting:
         most = max((len(own.names) for own in at_nodes.values()), default=0)
         node_names = np.full((count, most), "", object)
         node_equality, node_decided = np.zeros((2, count, most), bool)
+        loose = [box.name for box in self.border.boxes]
         for k, own in at_nodes.items():
             here = slice(len(own.names))
             node_names[k, here], node_equality[k, here] = own.names, own.equality
             if k == 0:
-                node_decided[0, here] = own.decided(ends.initial_fixed, [box.name for box in self.border.boxes], True)
+                node_decided[0, here] = own.decided(ends.initial_fixed, loose, known_start)
         node_places = np.repeat(np.array([[f"at node {k}"] for k in range(count)], object), most, axis=1)
 
         def joined(inner: Any, at_node: Array, end: Any) -> Array:
@@ -190,7 +270,7 @@ class Shooting:
         end_decided = np.zeros(len(end_names), bool)
         first = len(final.names) + len(self._fixed)
         end_decided[first : first + len(states)] = path.decided(
-            ends.final_fixed, not self.border.free[: self.border.phases].any()
+            ends.final_fixed, not times_free[: self.phase + 1].any()
         )[states]
         #: Rows of single nodes: conditions, fixed entries, limits of the border.
         end_own = np.repeat([True, False, True], [first, len(states), len(limits)])
@@ -203,10 +283,15 @@ class Shooting:
         self._node_rows, self.rows_per_interval = most, len(kept) + most
         self.states = tangents
         free_d = np.ones((self.nodes, self.n), bool)
-        free_d[0] = ~ends.initial_mask
+        if self.phase == 0:
+            free_d[0] = ~ends.initial_mask
         self.free = Step(free_d, np.ones((count, self.m), bool), self.border.free)
         self.stirred = free_d.copy()
         self.stirred[-1, self._fixed] = False
+
+    def start_rows(self) -> list[tuple[int, int]]:
+        """Of the path rows at the first node: where they are among all rows, and which they are."""
+        return [(place, int(row)) for place, row in enumerate(self._kept) if row < self._row_count]
 
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
         """Take inequalities at nodes out that the equalities there decide: their slopes lie in the span of those.
@@ -293,7 +378,8 @@ class Shooting:
         """The conditions at a node after a step z = [d, db] of it."""
         b = here[1] + z[self.n :]
         x = self.dynamics.group.retract(here[0], z[: self.n])
-        return conditions.values(k / self.intervals * b[0], x, params | self.border.params(b))
+        begin, length = self.span(b)
+        return conditions.values(begin + k / self.intervals * length, x, params | self.border.params(b))
 
     def _spread(self, parts: Mapping[int, jax.Array], like: jax.Array) -> jax.Array:
         """Rows of single nodes among those of all intervals."""
@@ -315,13 +401,17 @@ class Shooting:
 
     def _rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
-        eta, u, final_time, params = self._parts(q, params)
-        return final_time * self.local.rate(share * final_time, eta, u, base, params)
+        eta, u, begin, length, params = self._parts(q, params)
+        return length * self.local.rate(begin + share * length, eta, u, base, params)
 
-    def _parts(self, q: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array, jax.Array, Arrays]:
-        """eta, u, the final time, and all parameters."""
+    def _parts(self, q: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, Arrays]:
+        """eta, u, when the phase begins and how long it takes, and all parameters."""
         eta, u, b = jnp.split(q, [self.n, self.n + self.m])
-        return eta, u, b[0], params | self.border.params(b)
+        return eta, u, *self.span(b), params | self.border.params(b)
+
+    def span(self, b: Any) -> tuple[Any, Any]:
+        """When the phase begins, and how long it takes."""
+        return b[: self.phase].sum(), b[self.phase]
 
     def _roll(
         self, number: jax.Array, base: Arrays, eta: jax.Array, u: jax.Array, border: jax.Array, params: Arrays
@@ -353,9 +443,9 @@ class Shooting:
 
     def _point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """The path rows, and the running cost times T."""
-        eta, u, final_time, params = self._parts(q, params)
-        rows, density = self.local.point(share * final_time, eta, u, base, params)
-        return jnp.append(rows, final_time * density)
+        eta, u, begin, length, params = self._parts(q, params)
+        rows, density = self.local.point(begin + share * length, eta, u, base, params)
+        return jnp.append(rows, length * density)
 
     def _at_points(self, point: Point, left: Arrays, etas: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """Rows (intervals, R) and T times the running cost (intervals, S + 1)."""
@@ -371,8 +461,9 @@ class Shooting:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""
         base, b = last[0], last[1] + z[self.n :]
         params = given.params | self.border.params(b)
-        conditions, gap, path, cost = self.local.end(b[0], z[: self.n], base, given.final, params)
-        limits = self.border.rows(b, given.limits)
+        begin, length = self.span(b)
+        conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, given.final, params)
+        limits = self.border.rows(b, given.limits) if self._is_last else jnp.zeros(0, b.dtype)
         return jnp.concatenate([conditions, gap[self._fixed], path[self._end_states], limits, cost[None]])
 
     # ---- derivatives --------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -11,13 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Control, State
 from ..jax_inside import quick_compile
 from . import feasibility, scaling, warm
 from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
 from .program import Program
-from .shooting import Derivatives, Given, Point, Shooting, Step, Values
+from .shooting import Derivatives, Given, Point, Step, Transcribed, Values
 from .warm import WarmStart
 from .watch import Status, Watch, error, row_violations
 
@@ -70,8 +69,8 @@ class Solver:
 
     probe, bent = 3.0 * _CURVED, 1.5 * _CURVED
 
-    def __init__(self, shooting: Shooting, leaves: Mapping[str, State | Control], tolerance: float) -> None:
-        self.shooting, self._leaves, self.tolerance = shooting, leaves, tolerance
+    def __init__(self, shooting: Transcribed, tolerance: float) -> None:
+        self.shooting, self.tolerance = shooting, tolerance
         method = self.method = InteriorPoint(shooting, tolerance)
         self._move = jitted(shooting.move)
         self._start = jitted(method.start)
@@ -125,7 +124,7 @@ class Solver:
 
     def scales_of(self, point: Point, slopes: Derivatives, before: Scales) -> tuple[Scales, Scales]:
         """Scales from derivatives at a point, taken in other scales, and the largest seen."""
-        scales, sloped = scaling.measured(self.shooting, self._leaves, point, slopes, before)
+        scales, sloped = scaling.measured(self.shooting, point, slopes, before)
         return scales, scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)[1]
 
     def run(
@@ -206,7 +205,8 @@ class Solver:
 
     def program(self, with_copies: bool) -> Program:
         """The problem as a nonlinear program."""
-        return Program(self.shooting, self.method, with_copies=with_copies)
+        (whole,) = self.shooting.segments
+        return Program(whole.shooting, self.method, with_copies=with_copies)
 
     def weighed(
         self, point: Point, given: Given, scales: Scales, dynamics: Any = 0.0, rows: Any = None
@@ -280,7 +280,7 @@ class Solver:
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 
     def watch(self, seen: Scales, most: int) -> Watch:
-        return Watch(self.shooting, self._leaves, self.tolerance, seen, most)
+        return Watch(self.shooting, self.tolerance, seen, most)
 
     def outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
         scales = state.scales

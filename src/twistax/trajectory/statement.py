@@ -126,6 +126,10 @@ class PathRows:
         mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
         return mask
 
+    def at_nodes(self) -> Array:
+        """(rows,) those that a node alone decides, controls not."""
+        return np.array([reads in (Reads.STATE, Reads.NOTHING) for reads in self.reads], bool)
+
     def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
         """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
         whole = {name for name, mask in fixed.items() if mask.all()}

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Control, State
 from . import scaling
 from .interior_point import Scales
 from .interior_point import State as Iterate
-from .shooting import Derivatives, Shooting
+from .shooting import Derivatives, Transcribed
 
 #: Scales are renewed once they are off by this factor. A result stands in scales that are not.
 _RENEW = 3.0
@@ -50,13 +48,12 @@ class Watch:
 
     def __init__(
         self,
-        shooting: Shooting,
-        leaves: Mapping[str, State | Control],
+        shooting: Transcribed,
         tolerance: float,
         seen: Scales,
         most: int,
     ) -> None:
-        self._shooting, self._leaves, self._tolerance = shooting, leaves, tolerance
+        self._shooting, self._tolerance = shooting, tolerance
         self._seen, self._most = seen, most
         self.count = 0
 
@@ -76,7 +73,7 @@ class Watch:
         """
         if not (error(state) <= self._tolerance or self.count in _EARLY or float(state.barrier) < before):
             return None
-        fresh, sloped = scaling.measured(self._shooting, self._leaves, state.point, slopes, state.scales)
+        fresh, sloped = scaling.measured(self._shooting, state.point, slopes, state.scales)
         fresh, self._seen = scaling.not_below(fresh, self._seen, sloped)
         return fresh if scaling.change(fresh, state.scales) > _RENEW else None
 
@@ -96,7 +93,7 @@ def error(state: Iterate) -> float:
     return max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
 
 
-def row_violations(shooting: Shooting, state: Any) -> Array:
+def row_violations(shooting: Transcribed, state: Any) -> Array:
     """Scaled, of all rows."""
     rows = np.asarray(state.values.rows) / np.asarray(state.scales.rows)
     return np.where(shooting.equality, np.abs(rows), np.maximum(rows, 0.0))

@@ -1,0 +1,270 @@
+"""Phases as one discrete problem: the stages of each in turn, and between two phases a stage of its own, a join.
+
+States, controls and rows of smaller phases are padded to the largest, so what a stage costs is what the largest costs.
+The last node of a phase and the first of the next are both unknown; the join says with its defect
+
+    F(d, b) = Log(x_next^-1 jump(x_last Exp(d), b)),   d_next = F,
+
+with the conditions and the cost of the phase's end as its rows and its cost. An entry of x_next that no link decides is
+the control of the join: d_next = u there, and its defect is always zero.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from math import prod
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..expr import Expr, Inputs, evaluate_all
+from ..lowering.dynamics import Arrays
+from .shooting import Derivatives, Given, Point, Segment, Shooting, Step, Transcribed, Values
+from .smooth import Smooth
+from .statement import PathRows
+
+
+class Join:
+    """What the states at the start of a phase are.
+
+    Args:
+        before, after: the phases.
+        sources: state -> an expression of the last states before, or None where the state is free.
+        given: state -> values in place of it, NaN where there are none.
+        fixed: state -> (dimension,) which tangents have such a value.
+
+    Attributes:
+        free: which tangents of the next start nothing decides.
+    """
+
+    stage = 0
+
+    def __init__(
+        self,
+        before: Shooting,
+        after: Shooting,
+        sources: Mapping[str, Expr | None],
+        given: Mapping[str, Array | None],
+        fixed: Mapping[str, Array],
+    ) -> None:
+        self._before, self._after, self._sources, self._given = before, after, sources, given
+        parts = after.dynamics.group.slices.items()
+        loose = np.zeros(after.n, bool)
+        for name, part in parts:
+            loose[part] = ~fixed[name] if sources[name] is None else False
+        self.free, self._loose = np.flatnonzero(loose), loose
+        self.gap = Smooth(self._gap_at, before.backend)
+
+    def _gap_at(self, z: jax.Array, here: tuple[Arrays, jax.Array], start: Arrays, params: Arrays) -> jax.Array:
+        """The defect after a step z = [d, db] of the last node; of other starts it is the same."""
+        before = self._before
+        x, b = before.dynamics.group.retract(here[0], z[: before.n]), here[1] + z[before.n :]
+        begin, length = before.span(b)
+        inputs = Inputs(begin + length, x, {}, params | before.border.params(b), z.dtype)
+        sources = {name: source for name, source in self._sources.items() if source is not None}
+        values = evaluate_all(list(sources.values()), lambda leaf: leaf.read(inputs))
+        target = dict(start) | dict(zip(sources, values, strict=True))
+        for name, given in self._given.items():
+            if given is not None:
+                target[name] = jnp.where(np.isnan(given), target[name], np.nan_to_num(given))
+        target = {name: jnp.asarray(a, z.dtype) for name, a in target.items()}
+        gap = self._after.dynamics.group.difference(start, target)
+        return jnp.where(self._loose, 0.0, gap)
+
+
+class Joined(Transcribed):
+    """A problem of several phases.
+
+    Points have the states of each phase in a tuple; `Given.final` likewise.
+    """
+
+    def __init__(self, shootings: Sequence[Shooting], joins: Sequence[Join], names: Sequence[str]) -> None:
+        self.joins, self._phases = joins, names
+        self.border = shootings[0].border
+        self.n = max(own.n for own in shootings)
+        self.m = max(max(own.m for own in shootings), max((len(join.free) for join in joins), default=0))
+        self.nodes = sum(own.nodes for own in shootings)
+        self.intervals = self.nodes - 1
+        self._inner = [own.intervals * own.rows_per_interval for own in shootings]
+        ends = [len(own.exists) - inner for own, inner in zip(shootings, self._inner)]
+        self.rows_per_interval = max([own.rows_per_interval for own in shootings] + ends[:-1])
+        segments, first = [], 0
+        for number, own in enumerate(shootings):
+            columns = np.concatenate([np.arange(own.n), self.n + np.arange(own.m)])
+            stages = slice(first, first + own.intervals)
+            segments.append(Segment(number, own, slice(first, first + own.nodes), stages, columns))
+            first += own.nodes
+        self.segments: Sequence[Segment] = segments
+        for part, join in zip(segments, joins):
+            join.stage = part.stages.stop
+        self._ends, self._border_columns = ends, self.n + self.m + np.arange(self.border.size)
+        self._describe()
+        self._assemble()
+
+    def _describe(self) -> None:
+        d, u = np.zeros((self.nodes, self.n), bool), np.zeros((self.intervals, self.m), bool)
+        self.turns, self.stirred = np.zeros_like(d), np.zeros_like(d)
+        for part in self.segments:
+            own = part.shooting
+            self.stirred[part.nodes, : own.n] = own.stirred
+            d[part.nodes, : own.n], u[part.stages, : own.m] = own.free.d, own.free.u
+            self.turns[part.nodes, : own.n] = own.turns
+        for join in self.joins:
+            u[join.stage, : len(join.free)] = True
+        self.free = Step(d, u, self.border.free)
+
+    def _assemble(self) -> None:
+        """Rows of the phases among all rows."""
+        limits = set(self.border.row_names)
+
+        def named(part: Segment) -> Array:
+            phase = self._phases[part.number]
+            own = [name if name in limits or not name else f"{phase}: {name}" for name in part.shooting.names]
+            return np.array(own, object)
+
+        def placed(part: Segment) -> Array:
+            return np.array([f"{place} of {self._phases[part.number]!r}" for place in part.shooting.places], object)
+
+        self.names, self.places = self._rows(named, ""), self._rows(placed, "")
+        for field in ("equality", "exists", "decided", "pinned", "own"):
+            setattr(self, field, self._rows(functools.partial(_of, field), False))
+
+    def _rows(self, of: Callable[[Segment], Array], fill: Any) -> Array:
+        inner = np.full((self.intervals, self.rows_per_interval), fill, type(fill) if fill is False else object)
+        end = np.zeros(0)
+        for part, split in zip(self.segments, self._inner):
+            own, end = np.split(of(part), [split])
+            inner[part.stages, : part.shooting.rows_per_interval] = own.reshape(part.shooting.intervals, -1)
+            if part is not self.segments[-1]:
+                inner[part.stages.stop, : len(end)] = end
+        return np.concatenate([inner.ravel(), end])
+
+    def rows_of(self, part: Segment, rows: Any) -> Any:
+        """The rows of a phase among all rows, or anything with an entry for each."""
+        split = self.intervals * self.rows_per_interval
+        inner, end = rows[:split].reshape(self.intervals, -1), rows[split:]
+        if part is not self.segments[-1]:
+            end = inner[part.stages.stop, : self._ends[part.number]]
+        joined = jnp.concatenate if isinstance(rows, jax.Array) else np.concatenate
+        return joined([inner[part.stages, : part.shooting.rows_per_interval].reshape(-1), end])
+
+    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
+        for part in self.segments:
+            part.shooting.drop_pinned([part.of(point) for point in samples], self._given(part, given))
+        self._assemble()
+
+    @staticmethod
+    def _given(part: Segment, given: Given) -> Given:
+        return given._replace(final=given.final[part.number])
+
+    # ---- values -------------------------------------------------------------------------------------------------
+
+    def move(self, point: Point, step: Step) -> Point:
+        xs = []
+        for part in self.segments:
+            own = part.shooting
+            d = jnp.asarray(step.d)[part.nodes, : own.n]
+            xs.append(jax.vmap(own.dynamics.group.retract)(point.xs[part.number], d))
+        return Point(tuple(xs), point.us + step.u, point.border + step.border)
+
+    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
+        if d is not None:
+            raise NotImplementedError("phases are not evaluated away from their nodes")
+        cost = jnp.zeros((), point.us.dtype)
+        defects = jnp.zeros((self.intervals, self.n), cost.dtype)
+        rows, end = jnp.zeros((self.intervals, self.rows_per_interval), cost.dtype), cost[None][:0]
+        for part, split in zip(self.segments, self._inner):
+            own = part.shooting
+            found = own.values(part.of(point), self._given(part, given))
+            cost, end = cost + found.cost, found.rows[split:]
+            defects = defects.at[part.stages, : own.n].set(found.defects)
+            rows = rows.at[part.stages, : own.rows_per_interval].set(found.rows[:split].reshape(own.intervals, -1))
+            if part is not self.segments[-1]:
+                rows = rows.at[part.stages.stop, : len(end)].set(end)
+        for number, join in enumerate(self.joins):
+            gap = join.gap(*self._around(number, point, given))
+            defects = defects.at[join.stage, : len(gap)].set(gap)
+        return Values(cost, defects, jnp.concatenate([rows.reshape(-1), end]))
+
+    def _around(self, number: int, point: Point, given: Given) -> tuple[Any, ...]:
+        """What the gap of a join is a function of."""
+        last = {name: a[-1] for name, a in point.xs[number].items()}
+        start = {name: a[0] for name, a in point.xs[number + 1].items()}
+        zero = jnp.zeros(self.segments[number].shooting.n + self.border.size, point.us.dtype)
+        return zero, (last, point.border), start, given.params
+
+    # ---- derivatives --------------------------------------------------------------------------------------------
+
+    def derivatives(
+        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
+    ) -> Derivatives:
+        if d is not None:
+            raise NotImplementedError("phases are not evaluated away from their nodes")
+        size, dtype = self.n + self.m + self.border.size, y.dtype
+        defects = jnp.zeros((self.intervals, self.n, size), dtype)
+        rows = jnp.zeros((self.intervals, self.rows_per_interval, size), dtype)
+        gradient = jnp.zeros((self.intervals, size), dtype)
+        # Controls that are only padding rest.
+        hessian = jnp.zeros((self.intervals, size, size), dtype)
+        padding = np.concatenate([np.zeros((self.intervals, self.n)), ~self.free.u], axis=1)
+        diagonal = np.arange(self.n + self.m)
+        hessian = hessian.at[:, diagonal, diagonal].add(padding)
+        for part in self.segments:
+            own, stages = part.shooting, part.stages
+            own_y, own_w = y[stages, : own.n], self.rows_of(part, w)
+            found = own.derivatives(part.of(point), own_y, own_w, self._given(part, given))
+            columns = np.concatenate([part.columns, self._border_columns])
+            stage = np.arange(stages.start, stages.stop)
+            defects = defects.at[np.ix_(stage, np.arange(own.n), columns)].set(found.defects)
+            rows = rows.at[np.ix_(stage, np.arange(own.rows_per_interval), columns)].set(found.rows)
+            gradient = gradient.at[np.ix_(stage, columns)].set(found.gradient)
+            hessian = hessian.at[np.ix_(stage, columns, columns)].add(found.hessian)
+            seen = np.concatenate([np.arange(own.n), self._border_columns])
+            if part is not self.segments[-1]:
+                k = [stages.stop]
+                rows = rows.at[np.ix_(k, np.arange(self._ends[part.number]), seen)].set(found.end_rows[None])
+                gradient = gradient.at[np.ix_(k, seen)].set(found.end_gradient[None])
+                hessian = hessian.at[np.ix_(k, seen, seen)].add(found.end_hessian[None])
+                join, around = self.joins[part.number], self._around(part.number, point, given)
+                count = self.segments[part.number + 1].shooting.n
+                slopes = join.gap.slopes(*around)
+                bends = join.gap.bends(y[stages.stop, :count], *around)
+                defects = defects.at[np.ix_(k, np.arange(count), seen)].set(slopes[None])
+                defects = defects.at[stages.stop, join.free, self.n + np.arange(len(join.free))].set(1.0)
+                hessian = hessian.at[np.ix_(k, seen, seen)].add(bends[None])
+        # The end, of the last phase.
+        whole = np.concatenate([np.arange(own.n), self.n + np.arange(self.border.size)])
+        of_end = self.n + self.border.size
+        return Derivatives(
+            defects,
+            rows,
+            jnp.zeros((self._ends[-1], of_end), dtype).at[:, whole].set(found.end_rows),
+            gradient,
+            jnp.zeros(of_end, dtype).at[whole].set(found.end_gradient),
+            hessian,
+            jnp.zeros((of_end, of_end), dtype).at[np.ix_(whole, whole)].set(found.end_hessian),
+        )
+
+
+def _of(field: str, part: Segment) -> Array:
+    found: Array = getattr(part.shooting, field)
+    return found
+
+
+def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
+    """Take rows out of the start of a phase that are asked, of the same states, at the end of the one before."""
+    told = {key for key, at_end in zip(_keys(before.path), before.path.at_nodes()) if at_end}
+    for place, row in after.start_rows():
+        same = after.path.states[row] <= unchanged and _keys(after.path)[row] in told
+        if same and after.path.at_nodes()[row]:
+            after.exists[place] = after.decided[place] = False
+
+
+def _keys(path: PathRows) -> list[Any]:
+    """What makes rows the same."""
+    keys: list[Any] = [(row.key(), entry) for row in path.residuals for entry in range(prod(row.shape))]
+    return keys + [(bound.leaf, bound.entry, bound.sign, bound.limit) for bound in path.bounds]

@@ -1,0 +1,339 @@
+"""Problems of several phases: each with a system of its own, one after another, joined at their ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import callable_with, listed, reals, short, whole
+from ..errors import InputError, ModelError, ShapeError, TrajectoryError, TwistaxError
+from ..expr import Constraint, Expr, Parameter, State, leaves_of, to_expr
+from ..lowering import Dynamics
+from ..lowering.dynamics import need_compiled
+from ..system import free_name, name_of
+from .border import Border, boxes_of
+from .conditions import split
+from .guess import resample
+from .joined import Join, Joined, told_before
+from .phased_result import PhasedResult, best_of_phases
+from .problem import Problem, check_options, moved_at_random
+from .shooting import Given, Point
+from .solver import Callback, Solver
+from .statement import Objective, check_leaves
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Phase:
+    """One phase of a problem: `tx.trajectory.Problem([Phase(...), Phase(...)])`.
+
+    Args:
+        dynamics: a compiled system.
+        objective: what the phase adds to the objective: at its end, where `tx.Time()` is the time since the beginning
+            of the first phase, and along it. None adds nothing.
+        nodes: number of state nodes, two or more.
+        final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
+        initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
+            phase before left.
+        guess, final_time_guess, method, substeps: as for a `Problem`.
+        name: what results and messages call it; "phase 0", "phase 1", ... unless given.
+    """
+
+    dynamics: Dynamics
+    objective: Any = None
+    _: dataclasses.KW_ONLY
+    nodes: Any = 25
+    final_time: Any
+    initial: Any = None
+    final: Any = None
+    at: Any = None
+    guess: Mapping[Any, Any] | None = None
+    final_time_guess: Any = None
+    method: Any = None
+    substeps: int = 2
+    name: str | None = None
+
+
+class PhasedProblem:
+    """Phases in order, with the sum of their objectives.
+
+    States of the same name and kind go on unchanged from phase to phase. Time goes on, too. Parameters of the same name
+    are the same in all phases.
+
+    Args:
+        phases: one or more `Phase`.
+        links: for every join, one fewer than phases, a dict from states of the next phase to expressions of the last
+            states of the phase before and of parameters, or None to leave a state free; None for a join without any.
+        params: values of parameters; those left out take their own.
+        free: parameters that the optimiser may move, as for a `Problem`; those that links read, too.
+
+    Raises:
+        ModelError, ShapeError, TrajectoryError, InputError: as for a `Problem`, with the phase's name in front.
+    """
+
+    def __init__(
+        self,
+        phases: Sequence[Any],
+        links: Sequence[Mapping[Any, Any] | None] | None = None,
+        *,
+        params: Mapping[str, Any] | None = None,
+        free: Any = None,
+    ) -> None:
+        strangers = [phase for phase in phases if not isinstance(phase, Phase)]
+        if strangers or not phases:
+            got = short(strangers[0]) if strangers else "none"
+            raise ModelError(f"Problem expects a compiled system, or a list of tx.trajectory.Phase(...), got {got}")
+        self.names: list[str] = []
+        for index, phase in enumerate(phases):
+            self.names.append(free_name(phase.name or f"phase {index}", self.names))
+        count = len(phases) - 1
+        if links is not None and (not isinstance(links, (list, tuple)) or len(links) != count):
+            raise ModelError(f"links expects a list of {count}, one for each join of two phases, got {short(links)}")
+        kinds = {type(phase.objective) for phase in phases if phase.objective is not None}
+        if not kinds or len(kinds) > 1 or not all(issubclass(kind, Objective) for kind in kinds):
+            raise ModelError(
+                "phases expect tx.Minimize(...) in one of them at least and tx.Maximize(...) in none, or the other way "
+                f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
+            )
+        self.none: Objective = kinds.pop()(0.0)
+        given, free = dict(params or {}), _as_dict(free)
+        self.parts = [self._part(index, phase, given, free) for index, phase in enumerate(phases)]
+        self.sources = [self._linked(index, (links or [None] * count)[index]) for index in range(count)]
+        self._share(given, free)
+        self.build()
+
+    def _part(self, index: int, phase: Phase, params: Mapping[str, Any], free: Mapping[Any, Any]) -> Problem:
+        """The problem that a phase alone would be."""
+        need_compiled("Phase", phase.dynamics)
+        name, last = self.names[index], index == len(self.names) - 1
+        initial, final = (
+            list(end) if isinstance(end, (list, tuple)) else [] if end is None else [end]
+            for end in (phase.initial, phase.final)
+        )
+        # What leaves declare themselves are the ends of the whole.
+        none = dict.fromkeys((s.name for s in phase.dynamics.states), None)
+        read = _names_read(phase)
+        try:
+            return Problem(
+                phase.dynamics,
+                self.none if phase.objective is None else phase.objective,
+                nodes=phase.nodes,
+                final_time=phase.final_time,
+                final_time_guess=phase.final_time_guess,
+                initial=initial if index == 0 else [none, *initial],
+                final=final if last else [none, *final],
+                at=phase.at,
+                params={key: value for key, value in params.items() if key in read},
+                free={key: value for key, value in free.items() if name_of(key) in read},
+                guess=phase.guess,
+                method=phase.method,
+                substeps=phase.substeps,
+            )
+        except ShapeError as error:
+            raise ShapeError(f"{name}: {error}") from None
+        except TwistaxError as error:
+            raise type(error)(f"{name}: {error}") from None
+
+    def _linked(self, index: int, links: Mapping[Any, Any] | None) -> dict[str, Expr | None]:
+        """State of the next phase -> what it begins as, in terms of the last states; None where that is free."""
+        before, after = (self.parts[i].dynamics for i in (index, index + 1))
+        place = f"links[{index}]"
+        if links is not None and not isinstance(links, Mapping):
+            raise ModelError(f"{place} expects a dict from states to expressions, got {short(links)}")
+        known, last = {s.name: s for s in after.states}, {s.name: s for s in before.states}
+        found: dict[str, Expr | None] = {}
+        for name, state in known.items():
+            same = name in last and last[name].key() == state.key()
+            found[name] = last[name] if same else None
+        for key, value in (links or {}).items():
+            name = name_of(key)
+            if name not in known:
+                raise ModelError(
+                    f"{place} names {name!r}; the states of {self.names[index + 1]!r} are: {listed(known, name)}"
+                )
+            found[name] = None
+            if value is not None:
+                expr = to_expr(value)
+                if expr.shape != known[name].shape:
+                    raise ShapeError(f"{place}[{name!r}] expects shape {known[name].shape}, got {expr.shape}")
+                check_leaves(before, f"{place}[{name!r}]", expr, controls=False)
+                found[name] = expr.canonicalize()
+        return found
+
+    def _share(self, params: Mapping[str, Any], free: Mapping[Any, Any]) -> None:
+        """One set of parameters and of unknowns that all phases share."""
+        links = [e for own in self.sources for e in own.values() if e is not None]
+        leaves = {leaf.name: leaf for e in links for leaf in leaves_of(e) if isinstance(leaf, Parameter)}
+        leaves |= {leaf.name: leaf for part in self.parts for leaf in part.readable}
+        unknown = [name for name in params if name not in leaves]
+        if unknown:
+            raise InputError(f"unknown key {unknown[0]!r} in params; expected: {listed(leaves, unknown[0])}")
+        baked = {name for part in self.parts for name in part.baked} - set(leaves)
+        boxes = boxes_of(free, leaves.values(), baked)
+        limits = np.array([part.time_limits for part in self.parts])
+        self.border = Border(tuple(f"duration of {name}" for name in self.names), limits, boxes)
+        self.leaves = leaves
+        self.params = self._values(params)
+
+    def _values(self, params: Mapping[str, Any]) -> dict[str, Array]:
+        """All parameters, checked."""
+        found: dict[str, Array] = {}
+        for part, name in zip(self.parts, self.names):
+            for key, value in part.params.items():
+                if key in found and not np.array_equal(found[key], value) and key not in params:
+                    raise ModelError(
+                        f"the parameter {key!r} has another value in {name!r} than in a phase before.\n"
+                        f"  fix: pass params={{{key!r}: ...}}, or give it another name"
+                    )
+                found.setdefault(key, value)
+        middle = {box.name: np.clip(np.zeros(box.shape), box.min, box.max) for box in self.border.boxes}
+        for name, leaf in self.leaves.items():
+            value = params.get(name, found.get(name, leaf.value if leaf.value is not None else middle.get(name)))
+            if value is None:
+                raise InputError(
+                    f"links read the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
+                )
+            found[name] = reals(f"params[{name!r}]", value, InputError)
+            if found[name].shape != leaf.shape:
+                raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")
+            if not np.isfinite(found[name]).all():
+                raise InputError(f"params[{name!r}] expects finite numbers, got {short(value)}")
+        return found
+
+    def build(self) -> None:
+        """What compiles."""
+        for index, part in enumerate(self.parts):
+            part.as_phase(index, self.border)
+        joins = []
+        for before, after, sources in zip(self.parts, self.parts[1:], self.sources):
+            ends = after.ends
+            joins.append(Join(before.shooting, after.shooting, sources, ends.initial, ends.initial_fixed))
+            last = {s.name: s for s in before.dynamics.states}
+            same = {name for name, source in sources.items() if source is last.get(name) and ends.initial[name] is None}
+            told_before(before.shooting, after.shooting, same)
+        self.shooting = Joined([part.shooting for part in self.parts], joins, self.names)
+        self._solvers: dict[float, Solver] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what compiles anew in another process."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state
+        self.build()
+
+    # ---- solving ----------------------------------------------------------------------------------------------
+
+    def solve(
+        self,
+        *,
+        params: Mapping[str, Any] | None = None,
+        guesses: int = 1,
+        seed: int | None = None,
+        callback: Callback | None = None,
+        max_iterations: int = 500,
+        tolerance: float = 1e-6,
+    ) -> PhasedResult:
+        """Optimise, from one guess or from several, and return the best result. See `Problem.solve` for arguments."""
+        whole("guesses", guesses, 1, TrajectoryError)
+        check_options(max_iterations, tolerance)
+        if seed is not None:
+            whole("seed", seed, 0, TrajectoryError)
+        sign, report = self.none.sign, None
+        if callback is not None:
+            callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
+            report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        unknown = [name for name in params or {} if name not in self.leaves]
+        if unknown:
+            raise InputError(f"unknown key {unknown[0]!r} in params; expected: {listed(self.leaves, unknown[0])}")
+        own = self.params if params is None else self._values(self.params | dict(params))
+        with jax.enable_x64(True):
+            begin = time.perf_counter()
+            plain = self._start(own)
+            finals = tuple(part.given(part.ends, own, part.time_limits).final for part in self.parts)
+            given = jax.tree.map(jnp.asarray, Given(dict(own), finals, self.border.limits))
+            if tolerance not in self._solvers:
+                if not self._solvers:
+                    self.shooting.drop_pinned(moved_at_random(self.shooting, plain), given)
+                self._solvers[tolerance] = Solver(self.shooting, tolerance)
+                self._solvers[tolerance].prepare(plain, given)
+            solver, compiled, outcomes = self._solvers[tolerance], time.perf_counter(), []
+            for attempt in range(guesses):
+                start = plain
+                if seed is not None or attempt > 0:
+                    start = solver.perturbed(plain, given, np.random.default_rng([seed or 0, attempt]))
+                outcomes.append(solver.run(start, given, max_iterations, report))
+            done = time.perf_counter()
+        return best_of_phases(self, outcomes, own, tolerance, compiled - begin, done - compiled)
+
+    def _start(self, params: Mapping[str, Array]) -> Point:
+        """The guesses of the phases; states without one go between what is known of them at the ends of phases."""
+        durations = np.array([part.time_guess for part in self.parts])
+        guess = {name: value for part in self.parts for name, value in part.own_guess.items()}
+        free = {box.name: guess[box.name] for box in self.border.boxes if box.name in guess}
+        us = np.zeros((self.shooting.intervals, self.shooting.m))
+        xs = []
+        for index, part in enumerate(self.parts):
+            own = self._between(index, durations) | part.own_guess | free
+            point = part.start(own, part.ends, params, durations)
+            segment = self.shooting.segments[index]
+            us[segment.stages, : segment.shooting.m] = point.us
+            xs.append(point.xs)
+        return Point(tuple(xs), jnp.asarray(us), jnp.asarray(point.border))
+
+    def _between(self, index: int, durations: Array) -> dict[str, Array]:
+        """Values at both ends of a phase, of states that go on from others or into them, along geodesics."""
+        found, times = {}, np.concatenate([[0.0], np.cumsum(durations)])
+        for state in self.parts[index].dynamics.states:
+            if state.guess is not None:
+                continue
+            known: dict[int, Array] = {}
+            for step, side in ((-1, "initial"), (1, "final")):
+                at = index
+                while 0 <= at < len(self.parts):
+                    values = getattr(self.parts[at].ends, side).get(state.name)
+                    if values is not None and not np.isnan(values).any():
+                        known[at + (side == "final")] = values
+                        break
+                    at += step
+                    join = at if step < 0 else at - 1
+                    if not 0 <= at < len(self.parts) or not self._goes_on(join, state):
+                        break
+            if len(known) == 2 and set(known) != {index, index + 1}:
+                (first, a), (last, b) = sorted(known.items())
+                share = (times[[index, index + 1]] - times[first]) / (times[last] - times[first])
+                fine = resample(state.group, np.stack([a, b]), 101)
+                found[state.name] = fine[np.rint(100.0 * share).astype(int)]
+            elif len(known) == 1:
+                found[state.name] = np.stack([*known.values()] * 2)
+        return found
+
+    def _goes_on(self, join: int, state: State) -> bool:
+        """Whether a state is the same on both sides of a join."""
+        source = self.sources[join].get(state.name)
+        return isinstance(source, State) and source.key() == state.key()
+
+
+def _as_dict(free: Any) -> dict[Any, Any]:
+    if isinstance(free, (list, tuple)):
+        return dict.fromkeys(free, (None, None))
+    if free is not None and not isinstance(free, Mapping):
+        boxes_of(free, (), ())  # which refuses it
+    return dict(free or {})
+
+
+def _names_read(phase: Phase) -> set[str]:
+    """The names that a phase reads; more than parameters."""
+    reads = phase.dynamics._functions.reads
+    names = set(reads["rates"]) | set(reads["constraints"])
+    exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
+    at = phase.at.values() if isinstance(phase.at, Mapping) else []
+    for what, given in (("initial", phase.initial), ("final", phase.final), *(("at", own) for own in at)):
+        exprs += split(what, given)[1].values()
+    return names | {leaf.name for e in exprs if isinstance(e, (Expr, Constraint)) for leaf in leaves_of(e)}

@@ -1,0 +1,259 @@
+"""Problems of several phases: known optima, joins of every kind, derivatives, and what is refused."""
+
+import functools
+import pickle
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from trajectory_systems import quick_jit
+
+import twistax as tx
+from twistax.trajectory import Phase, PhasedResult, Problem, Status
+from twistax.trajectory.shooting import Given, Point, Step
+
+G0 = 9.80665
+
+
+@functools.cache
+def pushed(push: float) -> tx.Dynamics:
+    p, v = tx.State("p"), tx.State("v")
+    return tx.compile(tx.System(rates={p: v, v: tx.Parameter(f"push {push:+g}", value=push)}))
+
+
+@functools.cache
+def bang_bang() -> Problem:
+    """Full ahead, then full back, for as long as each takes: 1 s each for a distance of 1."""
+    return Problem(
+        [
+            Phase(pushed(1.0), nodes=3, final_time=(0.1, 5.0), initial={"p": 0.0, "v": 0.0}, name="ahead"),
+            Phase(pushed(-1.0), tx.Minimize(tx.Time()), nodes=4, final_time=(0.1, 5.0), final={"p": 1.0, "v": 0.0}),
+        ]
+    )
+
+
+def test_a_switching_time_is_found_exactly() -> None:
+    result: PhasedResult = bang_bang().solve()
+    assert result.status is Status.SOLVED
+    assert result.durations == pytest.approx({"ahead": 1.0, "phase 1": 1.0}, rel=1e-6)
+    assert result.final_time == pytest.approx(2.0, rel=1e-6)
+    first, second = result.phases
+    np.testing.assert_allclose(first.ts, [0.0, 0.5, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(second.ts, np.linspace(1.0, 2.0, 4), rtol=1e-6)
+    assert second.xs["p"][0] == pytest.approx(0.5, rel=1e-6)
+    assert second.xs["v"][0] == pytest.approx(1.0, rel=1e-6)
+    # dT / dp = 1, 1 / v at the switch times the share.
+    assert abs(result.multipliers["phase 1: final p"][0]) == pytest.approx(1.0, rel=1e-5)
+    assert max(own.misses["p"]["distance"] for own in result.replay(steps=2)) < 1e-8
+    assert "duration of ahead: lower limit" in result.multipliers
+
+
+def test_time_goes_on_from_phase_to_phase() -> None:
+    """x' = t, and 1 + t along the second second: x(2) = 2, and an integral of 2.5."""
+    x, t = tx.State("x"), tx.Time()
+    dynamics = tx.compile(tx.System(rates={x: t}))
+    last = Phase(dynamics, tx.Minimize(x + 10.0 * t, running=1.0 + t), nodes=2, final_time=1.0, at=None, final=[x <= t])
+    result = Problem([Phase(dynamics, nodes=2, final_time=1.0, initial={x: 0.0}), last]).solve()
+    assert result.solved
+    assert result.cost == pytest.approx(2.0 + 20.0 + 2.5, rel=1e-9)
+    assert result.phases[1].replay(steps=3).misses["x"]["distance"] < 1e-9
+    assert result.violations["phase 1: final: x <= t"] == 0.0
+
+
+def test_phases_and_their_results_travel() -> None:
+    result = bang_bang().solve()
+    back, again = (pickle.loads(pickle.dumps(each)) for each in (result, bang_bang()))
+    np.testing.assert_array_equal(back.phases[1].xs["p"], result.phases[1].xs["p"])
+    assert back.mesh_error == result.mesh_error
+    assert again.solve().cost == result.cost
+
+
+def test_two_stages_share_the_mass_as_tsiolkovsky_says() -> None:
+    """Of 100 a payload of 1, a tenth of each stage its structure: 10 are left of it after the first."""
+    v, m, s = tx.State("v"), tx.State("m"), tx.Parameter("first stage", value=60.0)
+    dynamics = tx.compile(tx.System(rates={v: 10.0 / m, m: -10.0 + 0.0 * v}))
+    problem = Problem(
+        [
+            Phase(dynamics, nodes=13, final_time=(1.0, 12.0), initial={v: 0.0, m: 100.0}, final=[m == 100.0 - 0.9 * s]),
+            Phase(
+                dynamics,
+                tx.Maximize(v),
+                nodes=13,
+                final_time=(0.1, 12.0),
+                final=[m == 1.0 + 0.1 * (99.0 - s)],
+                guess={m: [30.0] * 12 + [5.0]},
+            ),
+        ],
+        links=[{m: m - 0.1 * s}],
+        free={s: (10.0, 98.0)},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.params["first stage"] == pytest.approx(90.0, rel=2e-3)
+    assert result.cost == pytest.approx(2.0 * np.log(100.0 / 19.0), rel=1e-4)
+    assert result.phases[0].xs["m"][-1] - result.phases[1].xs["m"][0] == pytest.approx(9.0, rel=2e-3)
+
+
+def test_a_phase_cut_in_two_is_the_phase() -> None:
+    """Least energy, rest to rest, with a limit that binds; one half has the states the other way round, and a third."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", max=1.2)
+    spare = tx.State("spare", shape=(2,))
+    first = tx.compile(tx.System(rates={p: v, v: u}))
+    second = tx.compile(tx.System(rates={spare: np.array([1.0, 2.0]) * v, v: u, p: v}))
+    cost = tx.Minimize(running=u * u)
+    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}}
+    whole = Problem(first, cost, nodes=11, final_time=2.0, final={p: 1.0, v: 0.0}, **ends).solve(tolerance=1e-8)
+    halves = Problem(
+        [
+            Phase(first, cost, nodes=6, final_time=1.0, **ends),
+            Phase(second, cost, nodes=6, final_time=1.0, initial={spare: [0.0, 0.0]}, final={p: 1.0, v: 0.0}),
+        ]
+    ).solve(tolerance=1e-8)
+    assert halves.solved
+    assert halves.cost == pytest.approx(whole.cost, rel=1e-7)
+    found = np.concatenate([own.us["u"] for own in halves.phases])
+    np.testing.assert_allclose(found, whole.us["u"], atol=1e-6)
+    shift = halves.phases[1].xs["p"][-1] - halves.phases[1].xs["p"][0]
+    np.testing.assert_allclose(halves.phases[1].xs["spare"][-1], shift * np.array([1.0, 2.0]), atol=1e-7)
+    both = np.concatenate([own_u for name, own_u in halves.multipliers.items() if name.endswith("u <= 1.2")])
+    np.testing.assert_allclose(both, whole.multipliers["u <= 1.2"], atol=1e-5)
+
+
+@pytest.mark.parametrize("link", ["impulse", "free", "value"])
+def test_an_impulse_a_free_start_and_a_value(link: str) -> None:
+    """1 s at 0.5, then 1 s to p = 2: the second leg flies at 1.5, which the first leaves where nothing jumps."""
+    p, v, dv = tx.State("p", max=2.0), tx.State("v"), tx.Parameter("dv", value=0.0)
+    drift = tx.compile(tx.System(rates={p: v, v: 0.0 * v}))
+    cost = tx.Minimize(dv * dv + (v - 1.0) ** 2) if link == "impulse" else tx.Minimize((v - 1.0) ** 2)
+    problem = Problem(
+        [
+            Phase(drift, nodes=3, final_time=1.0, initial={p: 0.0, v: 0.5}),
+            Phase(drift, cost, nodes=3, final_time=1.0, initial={v: 1.5} if link == "value" else None, final={p: 2.0}),
+        ],
+        links=[{"impulse": {v: v + dv}, "free": {v: None}, "value": None}[link]],
+        free={dv: (-5.0, 5.0)} if link == "impulse" else None,
+    )
+    result = problem.solve()
+    assert result.solved
+    np.testing.assert_allclose(result.phases[1].xs["v"], 1.5, atol=1e-6)
+    assert result.phases[1].xs["p"][0] == pytest.approx(0.5, abs=1e-6)
+    if link == "impulse":
+        assert result.params["dv"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_limit_that_the_end_of_a_phase_meets_binds_nobody_at_the_next_start() -> None:
+    p, v, u = tx.State("p", max=1.0), tx.State("v"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    cost = tx.Minimize(running=u * u)
+    result = Problem(
+        [
+            Phase(dynamics, cost, nodes=5, final_time=1.0, initial={p: 0.0, v: 0.0}, final={p: 1.0, v: 0.0}),
+            Phase(dynamics, cost, nodes=5, final_time=1.0, final={p: 0.0, v: 0.0}),
+        ]
+    ).solve()
+    assert result.solved
+    assert result.cost == pytest.approx(2.0 * 12.0 / (1.0 - 1.0 / 16.0), rel=1e-5)
+
+
+# ---- derivatives -------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def rich() -> Problem:
+    """Phases of other sizes, with time, a free parameter, a jump of a rotation, and an entry that starts free."""
+    R, w, z = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.State("z")
+    u, gain, t = tx.Control("u", shape=(3,)), tx.Parameter("gain", value=0.7), tx.Time()
+    turning = tx.compile(
+        tx.System(rates={R: w, w: u + tx.Sin(3.0 * t) * R[:, 0]}, constraints={"power": u @ w <= 9.0 + t * gain})
+    )
+    alone = tx.compile(tx.System(rates={z: 0.3 * z, R: gain * t * np.array([1.0, 2.0, -1.0]) + z * np.ones(3)}))
+    jump = R @ tx.lie.SO3Exp(gain * w)
+    return Problem(
+        [
+            Phase(
+                turning, tx.Minimize(t * w[0] ** 2, running=u @ u), nodes=4, final_time=(0.05, 3.0), final=[w[1] <= 3.0]
+            ),
+            Phase(
+                alone, tx.Minimize(gain * t**2 + z * R[0, 1]), nodes=3, final_time=(0.05, 3.0), final=[R[0, 2] <= 9.0]
+            ),
+        ],
+        links=[{R: jump}],
+        free={gain: (0.1, 5.0)},
+    )
+
+
+SIZE = 2e-3
+
+
+def test_all_derivatives_of_joined_phases() -> None:
+    """Against differences: slopes of defects, rows and cost, and the second derivative of the Lagrangian."""
+    joined, rng = rich().shooting, np.random.default_rng(2)
+    assert (joined.n, joined.m, joined.nodes, joined.intervals) == (6, 3, 7, 6)
+    rotations = [np.array(jax.vmap(tx.SO3.exp)(0.4 * rng.normal(size=(k, 3)))) for k in (4, 3)]
+    xs = ({"R": rotations[0], "w": rng.normal(size=(4, 3))}, {"z": rng.normal(size=3), "R": rotations[1]})
+    us = np.where(joined.free.u, rng.normal(size=(6, 3)), 0.0)
+    point = Point(xs, us, np.array([0.12, 0.1, 0.7]))
+    none = {"R": np.eye(3), "w": np.zeros(3)}, {"z": np.zeros(()), "R": np.eye(3)}
+    given = jax.tree.map(jnp.asarray, Given({"gain": 0.7}, none, rich().border.limits))
+    values = quick_jit(lambda step: joined.values(joined.move(point, step), given))
+    y, weights = rng.normal(size=(6, 6)), rng.normal(size=len(joined.exists))
+    weights = np.where(joined.exists, weights, 0.0)
+    for parity in (0, 1):
+        moving = np.arange(7) % 2 == parity
+        own = moving[:-1]
+        # The control of the join stands for the free entry, whose defect is zero by definition.
+        u = np.where(joined.free.u & (np.arange(6) != 3)[:, None], rng.normal(size=(6, 3)), 0.0)
+        way = Step(
+            np.where(joined.free.d & moving[:, None], rng.normal(size=(7, 6)), 0.0), u, np.array([0.03, 0.02, 0.5])
+        )
+        steps = (-2.0, -1.0, 0.0, 1.0, 2.0)
+        line = [jax.tree.map(np.asarray, values(Step(*(SIZE * k * a for a in way)))) for k in steps]
+        y_own = np.where(own[:, None], y, 0.0)
+        found = jax.tree.map(np.asarray, quick_jit(joined.derivatives)(point, y_own, weights, given))
+        z = np.concatenate([way.d[:-1], way.u, np.tile(way.border, (6, 1))], axis=1)
+        end = np.concatenate([way.d[-1], way.border])
+
+        def slope(of: Any, line: Any = line) -> Any:
+            a, b, _, c, d = (np.asarray(of(v)) for v in line)
+            return (8.0 * (c - b) - (d - a)) / (12.0 * SIZE)
+
+        def bend(of: Any, line: Any = line) -> Any:
+            a, b, m, c, d = (np.asarray(of(v)) for v in line)
+            return (16.0 * (b + c) - (a + d) - 30.0 * m) / (12.0 * SIZE**2)
+
+        defects = np.einsum("kna,ka->kn", found.defects, z)
+        np.testing.assert_allclose(defects[own], slope(lambda v: v.defects)[own], atol=1e-7)
+        rows = np.concatenate([np.einsum("kra,ka->kr", found.rows, z).ravel(), found.end_rows @ end])
+        np.testing.assert_allclose(rows, slope(lambda v: v.rows), atol=1e-7)
+        np.testing.assert_allclose(
+            (found.gradient * z).sum() + found.end_gradient @ end, slope(lambda v: v.cost), atol=1e-7
+        )
+        total = np.einsum("ka,kab,kb->", z, found.hessian, z) + end @ found.end_hessian @ end
+        of = lambda v, y=y_own: v.cost + (y * v.defects).sum() + weights @ v.rows  # noqa: E731
+        assert total == pytest.approx(bend(of), abs=2e-4)
+
+
+# ---- what is refused ---------------------------------------------------------------------------------------------
+
+AHEAD = {"final_time": 1.0, "nodes": 3}
+BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
+    ([], {}, tx.ModelError, "a list of tx.trajectory.Phase"),
+    ([3.0], {}, tx.ModelError, "a list of tx.trajectory.Phase"),
+    ([{}], {}, tx.ModelError, "phases expect tx.Minimize"),
+    ([{"objective": tx.Minimize(tx.Time())}, {"objective": tx.Maximize(tx.Time())}], {}, tx.ModelError, "Maximize"),
+    ([{"objective": tx.Minimize(tx.Time()), "nodes": 1, "name": "up"}], {}, tx.TrajectoryError, "up: nodes"),
+    ([{"objective": tx.Minimize(tx.Time())}], {"links": [{}]}, tx.ModelError, "links expects a list of 0"),
+    ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"q": 0.0}]}, tx.ModelError, "'q'"),
+    ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": [1.0, 2.0]}]}, tx.ShapeError, "'p'"),
+    ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": tx.State("q")}]}, tx.ModelError, "'q'"),
+    ([{"objective": tx.Minimize(tx.Time())}], {"params": {"mass": 1.0}}, tx.InputError, "'mass'"),
+    ([{"objective": tx.Minimize(tx.Time())}], {"free": {"mass": (1.0, 2.0)}}, tx.ModelError, "'mass'"),
+]
+
+
+@pytest.mark.parametrize(("phases", "options", "error", "text"), BAD, ids=[str(number) for number in range(len(BAD))])
+def test_what_cannot_be_is_refused(phases: Any, options: dict[str, Any], error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        Problem([Phase(pushed(1.0), **(AHEAD | own)) if isinstance(own, dict) else own for own in phases], **options)
