@@ -873,6 +873,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/between.py",
+        (
+            "a limit held where it is asked alone",
+            "np.where(over > 0.0, _MORE * over, over)",
+            "0.0 * over",
+            "trajectory/test_between.py",
+        ),
+    ),
+    *_at(
         "trajectory/program.py",
         (
             "multipliers left in the charts of the reference",

@@ -57,9 +57,9 @@ class Local:
     ) -> tuple[jax.Array, jax.Array]:
         """The path rows at a point, and the running cost."""
         x, held = self._group.retract(base, eta), self.controls.split(u)
-        return self._rows(t, x, held, params), self._value(self._running, t, x, held, params)
+        return self.rows(t, x, held, params), self._value(self._running, t, x, held, params)
 
-    def _rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
+    def rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
         """The path rows at a point, as the solver sees them."""
         inputs = Inputs(t, x, u, params, t.dtype)
         return self._with_boxes(evaluate_all(self._path.residuals, lambda leaf: leaf.read(inputs)), x, u)
@@ -88,7 +88,7 @@ class Local:
         return (
             self._final.values(t, x, params),
             self._group.difference(target, x),
-            self._rows(t, x, none, params),
+            self.rows(t, x, none, params),
             self._value(self._objective.final, t, x, {}, params),
         )
 

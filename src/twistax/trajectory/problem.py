@@ -18,6 +18,7 @@ from ..groups import Euclidean
 from ..integrators import RKMK
 from ..lowering.dynamics import need_compiled
 from ..system import name_of
+from .between import held
 from .border import Border, boxes_of
 from .cases import Cases, TrajectoryResults, prepared, results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
@@ -28,9 +29,10 @@ from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
 from .result import TrajectoryResult, best_result
 from .shooting import Given, Point, Shooting, Step, Transcribed
-from .solver import Callback, Solver
+from .solver import Callback, Outcome, Solver
 from .statement import Objective, check_leaves, describe_path
-from .warm import warm_start, with_ends
+from .warm import WarmStart, warm_start, with_ends
+from .watch import Status
 
 
 class Problem:
@@ -172,13 +174,15 @@ class Problem:
         self.advanced = jax.jit(self.shooting.advanced)
         #: The path rows as users wrote them, at many points.
         self.shown_rows = jax.jit(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)))
+        #: The same as the solver sees them.
+        self.path_rows = jax.jit(jax.vmap(self.shooting.local.rows, in_axes=(0, 0, 0, None)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
         return {
             k: v
             for k, v in self.__dict__.items()
-            if k not in ("shooting", "advanced", "shown_rows", "_solvers", "_all_lanes")
+            if k not in ("shooting", "advanced", "shown_rows", "path_rows", "_solvers", "_all_lanes")
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -203,6 +207,7 @@ class Problem:
         max_iterations: int = 500,
         tolerance: float = 1e-6,
         solver: Any = None,
+        between: float | None = None,
     ) -> TrajectoryResult:
         """Optimise, from one guess or from several, and return the best result.
 
@@ -226,6 +231,9 @@ class Problem:
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
             solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
                 interior point of this package if left out.
+            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
+                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
+                are asked.
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
             TrajectoryError: other entries fixed, times or numbers without meaning; a warm start of another problem, or
@@ -237,6 +245,8 @@ class Problem:
             names = ", ".join(name for name, value in given_too.items() if value is not None)
             raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
         check_options(max_iterations, tolerance)
+        if between is not None:
+            number("between", between, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
         if solver is not None and not isinstance(solver, SolvedBy):
@@ -255,15 +265,21 @@ class Problem:
             own_solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
+
+            def run(start: Point | WarmStart, given: Given) -> Outcome:
+                if solver is None:
+                    return own_solver.run(start, given, max_iterations, report)
+                return solver.run(own_solver, start, given, max_iterations, report)
+
             for attempt in range(guesses):
                 start = plain if warm is None else with_ends(warm_start(warm), self, self._ends(initial, final), given)
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
                     start = own_solver.perturbed(plain, given, rng)
-                if solver is None:
-                    outcomes.append(own_solver.run(start, given, max_iterations, report))
-                else:
-                    outcomes.append(solver.run(own_solver, start, given, max_iterations, report))
+                found = run(start, given)
+                if between is not None and found.status is Status.SOLVED:
+                    found = held(self, found, given, own, run, between)
+                outcomes.append(found)
             done = time.perf_counter()
         return best_result(self, outcomes, own, tolerance, compiled - begin, done - compiled)
 
@@ -418,7 +434,8 @@ class Problem:
             if not isinstance(state.group, Euclidean):
                 rest = np.asarray(state.group.identity(float))
             final[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
-        return jax.tree.map(jnp.asarray, Given(dict(params), final, np.array([limits, *self.border.limits[1:]])))
+        borders, margins = np.array([limits, *self.border.limits[1:]]), np.zeros(len(self.shooting.exists))
+        return jax.tree.map(jnp.asarray, Given(dict(params), final, borders, margins))
 
     def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
         """All parameters as double-precision arrays, those of the objective and the final conditions too; checked."""

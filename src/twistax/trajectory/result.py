@@ -225,7 +225,7 @@ def best_of(outcomes: Sequence[Outcome]) -> Outcome:
     """A solved one of least cost, else the one that violates least."""
 
     def rank(outcome: Outcome) -> tuple[int, float]:
-        order = [Status.SOLVED, Status.ACCEPTABLE]
+        order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE]
         if outcome.status in order:
             return order.index(outcome.status), outcome.cost
         return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
@@ -297,7 +297,7 @@ def _message(problem: Problem, outcome: Outcome, sizes: dict[str, float], tolera
     """The status, and where it is no success the worst constraint and the worst break of the dynamics."""
     shooting, worst = problem.shooting, []
     count = shooting.intervals * shooting.n
-    if outcome.status in (Status.SOLVED, Status.ACCEPTABLE):
+    if outcome.status in (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE):
         return f"{outcome.status}."
     rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
     if rows.max(initial=0.0) > tolerance:

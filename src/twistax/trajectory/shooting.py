@@ -52,6 +52,7 @@ class Given(NamedTuple):
     params: Any
     final: Any  # states at the end; entries that are free stand for nothing
     limits: Any  # (g, 2) of the border
+    margins: Any = 0.0  # (rows,) by which rows are tightened
 
 
 class Step(NamedTuple):
@@ -365,7 +366,21 @@ class Shooting(Transcribed):
         end = self._end(self._place(-1, d), self._here(-1, point), given)
         at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
-        return Values(cost + end[-1], defects, jnp.concatenate([rows.reshape(-1), end[:-1]]))
+        return Values(cost + end[-1], defects, jnp.concatenate([rows.reshape(-1), end[:-1]]) + given.margins)
+
+    def spread_over_points(self, of_rows: Array) -> Array:
+        """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
+        found = np.zeros((self.intervals, self.rows_per_interval))
+        found[:, : len(self._kept)] = of_rows[:, self._kept % max(self._row_count, 1)]
+        return np.concatenate([found.ravel(), np.zeros(len(self.exists) - found.size)])
+
+    def path_scales(self, rows: Array) -> Array:
+        """(path rows,) the least scale of every path row, infinite where it is asked nowhere; of the scales of rows."""
+        found, columns = np.full(self._row_count, np.inf), self._kept % max(self._row_count, 1)
+        inner = (self.intervals, self.rows_per_interval)
+        sizes, exists = (a[: inner[0] * inner[1]].reshape(inner)[:, : len(columns)] for a in (rows, self.exists))
+        np.minimum.at(found, columns, np.where(exists, sizes, np.inf).min(axis=0, initial=np.inf))
+        return found
 
     def advanced(self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays) -> Arrays:
         """The end of an interval, given its number, that starts at a node."""
