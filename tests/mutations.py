@@ -682,6 +682,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/models/urdf.py",
+        (
+            "turns in the other order",
+            "return z @ y @ x + 0.0",
+            "return x @ y @ z + 0.0",
+            "mechanics/test_models_pinocchio.py",
+        ),
+    ),
+    *_at(
         "mechanics/jacobians.py",
         (
             "Jacobian's rate without the frame's own motion",

@@ -91,7 +91,11 @@ ROWS = [
     bad("a chain of a number", lambda: Chain(3), "Chain", "3"),
     bad("a link without a joint", lambda: Link(None, body(), np.eye(4)), "Link", "None"),
     bad("a link with a number as body", lambda: Link(joints.Fixed("a"), 3.0, np.eye(4)), "Link", "3.0"),
-    bad("a chain without mass", lambda: Chain([Link(joints.Revolute("a", (0.0, 0.0, 1.0)), None, np.eye(4))]), "'a'"),
+    bad(
+        "a chain without mass",
+        lambda: Chain([Link(joints.Revolute("a", (0.0, 0.0, 1.0)), None, np.eye(4))]).system(),
+        "'a'",
+    ),
     bad("a follower of nothing", lambda: Mechanism([link(mimic=Mimic("b"))]), "'a'", "'b'"),
     bad("a ratio of text", lambda: Mimic("b", ratio="half"), "Mimic", "ratio", "half"),
     bad("a negative damping", lambda: Drive(damping=-1.0), "Drive", "damping", "-1.0"),

@@ -346,7 +346,7 @@ def test_what_is_no_tree_is_refused(unchecked: None) -> None:
     with pytest.raises(tx.ModelError, match="two links are named 'a'"):
         Mechanism([link("a"), link("a")])
     with pytest.raises(tx.ModelError, match="joint 'b' moves no mass"):
-        Mechanism([link("a"), link("b", "a", None)])
+        Mechanism([link("a"), link("b", "a", None)]).system()
     with pytest.raises(tx.ModelError, match="'b' follows 'c'"):
         Mechanism([link("a"), link("b", "a", mimic=Mimic("c"))])
     with pytest.raises(tx.ModelError, match="mimic to be a Mimic, of a joint with one freedom"):

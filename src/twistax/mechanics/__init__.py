@@ -17,6 +17,7 @@ from .dynamics import (
 from .jacobians import ALIGNED, BODY, WORLD, frame_jacobian, frame_jacobian_rate, frame_twist
 from .joint_wrenches import joint_wrench
 from .mechanism import Mechanism
+from .models import load
 from .momentum import (
     center_of_mass,
     centroidal_matrix,
@@ -33,7 +34,7 @@ __all__ = [
     "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "Link", "Mechanism", "Mimic", "SpatialInertia", "aba", "bias_forces",
     "center_of_mass", "centroidal_matrix", "centroidal_momentum", "chain_models", "coriolis_forces", "environment",
     "forward_dynamics", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "gravity_forces", "inverse_dynamics",
-    "joint_wrench", "joints", "kinetic_energy", "mass_matrix", "potential_energy", "power", "rnea", "spatial_momentum",
-    "total_mass",
+    "joint_wrench", "joints", "kinetic_energy", "load", "mass_matrix", "potential_energy", "power", "rnea",
+    "spatial_momentum", "total_mass",
 ]
 # fmt: on

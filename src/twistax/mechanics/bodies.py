@@ -36,6 +36,7 @@ class SpatialInertia:
         mass: kg, ().
         center_of_mass: m, (3,), in the frame; its origin unless given.
         inertia: kg m2, (3, 3), about the centre of mass.
+        physical: False takes numbers that no body has as they are.
 
     Raises:
         ShapeError: a value of another shape.
@@ -43,9 +44,18 @@ class SpatialInertia:
             negative principal moment, or one above the sum of the other two.
     """
 
-    def __init__(self, *, mass: ExprLike, center_of_mass: ExprLike = (0.0, 0.0, 0.0), inertia: ExprLike) -> None:
+    def __init__(
+        self,
+        *,
+        mass: ExprLike,
+        center_of_mass: ExprLike = (0.0, 0.0, 0.0),
+        inertia: ExprLike,
+        physical: bool = True,
+    ) -> None:
         self.mass, self.center_of_mass, self.inertia = _parts_of(mass, center_of_mass, inertia)
-        _check(_known(self.mass), _known(self.center_of_mass), _known(self.inertia))
+        self.physical = physical
+        if physical:
+            _check(_known(self.mass), _known(self.center_of_mass), _known(self.inertia))
 
     @classmethod
     def about_origin(cls, *, mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> SpatialInertia:
@@ -58,10 +68,10 @@ class SpatialInertia:
         return cls._derived(m, c, tensor - _steiner(m, c))
 
     @classmethod
-    def _derived(cls, mass: Expr, center_of_mass: Expr, inertia: Expr) -> SpatialInertia:
+    def _derived(cls, mass: Expr, center_of_mass: Expr, inertia: Expr, physical: bool = True) -> SpatialInertia:
         """Constants are folded, so that they are checked and print as numbers."""
         m, c, tensor = canonicalize_all([mass, center_of_mass, inertia])
-        return cls(mass=m, center_of_mass=c, inertia=tensor)
+        return cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical)
 
     def __repr__(self) -> str:
         return f"SpatialInertia(mass={self.mass!r}, center_of_mass={self.center_of_mass!r}, inertia={self.inertia!r})"
@@ -137,7 +147,7 @@ class SpatialInertia:
         """
         T_ab = pose("in_frame", "T", T)
         R = T_ab[:3, :3]
-        return self._derived(self.mass, Act(T_ab, self.center_of_mass), R @ self.inertia @ R.T)
+        return self._derived(self.mass, Act(T_ab, self.center_of_mass), R @ self.inertia @ R.T, self.physical)
 
     def merge(self, other: SpatialInertia) -> SpatialInertia:
         """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`.
@@ -150,7 +160,8 @@ class SpatialInertia:
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
         apart = self.center_of_mass - other.center_of_mass
         reduced = self.mass * other.mass / m
-        return self._derived(m, c, self.inertia + other.inertia + _steiner(reduced, apart))
+        tensor = self.inertia + other.inertia + _steiner(reduced, apart)
+        return self._derived(m, c, tensor, self.physical and other.physical)
 
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
         if not isinstance(other, SpatialInertia):

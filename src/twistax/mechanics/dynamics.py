@@ -134,10 +134,10 @@ def forward_dynamics(
         wrenches: what acts on the mechanism from outside.
     Raises:
         ShapeError: an argument of another shape.
-        ModelError: positions or frames that are not known.
+        ModelError: positions or frames that are not known; a joint that moves no mass.
     """
     owner = "forward_dynamics"
-    checked(owner, mechanism)
+    checked(owner, mechanism).check_masses(owner)
     forces = mechanism.coordinates(owner, "tau", np.zeros(mechanism.dofs) if tau is None else tau)
     if any(segment.link.mimic for segment in mechanism.segments):
         return Solve(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))

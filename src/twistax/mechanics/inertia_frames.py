@@ -35,7 +35,7 @@ def in_frame(T: Expr, I: Expr) -> Expr:
 
 def _turned_about_axis(R: AxisRotation, I: Expr) -> Expr:
     """The blocks R M R', R H R', R J R' of a turn about a fixed axis, together."""
-    C = Constant(_axes(R.axis))
+    C = Constant(rotation_to(R.axis))
 
     def turned(X: Expr) -> Expr:
         return C @ _turned_about_z(C.T @ X @ C, R.angle) @ C.T
@@ -56,7 +56,7 @@ def _turned_about_z(X: Expr, angle: Expr) -> Expr:
     return plane + R @ (_LAST_COLUMN * X) + (_LAST_ROW * X) @ R.T
 
 
-def _axes(axis: tuple[float, ...]) -> NDArray[np.float64]:
+def rotation_to(axis: tuple[float, ...]) -> NDArray[np.float64]:
     """A rotation C (3, 3) with C z = axis: a permutation, signs apart, where the axis is one of the coordinates."""
     C = np.column_stack([complement(np.array(axis)[:, None]), axis])
     return C if np.linalg.det(C) > 0.0 else C[:, [1, 0, 2]]

@@ -21,9 +21,9 @@ import numpy as np
 
 from ..checks import number, reals
 from ..errors import ModelError, ShapeError
-from ..expr import Concat, Constant, Expr, State
+from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Stack, State, Where
 from ..expr.fields import ExprLike
-from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual
+from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual, SO3Exp, twist
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
@@ -125,7 +125,8 @@ def complement(columns: np.ndarray) -> np.ndarray:
 class Joint(_Subspaces, ABC):
     """A joint between a parent and a child, with k freedoms and a motion subspace H that is constant in the child.
 
-    Subclass it to add one: call `super().__init__` with H, and write `placement`. Six-vectors are [v; w] and [f; tau].
+    Subclass it to add one: call `super().__init__` with H, and write `placement`. H may be an expression (6, 1);
+    then set `constraint_basis` yourself. Six-vectors are [v; w] and [f; tau].
 
     Args:
         name: begins the names of the states, `<name>_position` and `<name>_velocity`.
@@ -152,6 +153,20 @@ class Joint(_Subspaces, ABC):
         if not isinstance(name, str) or not name:
             raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
         self.name = name
+        if isinstance(motion, Expr):
+            self.dofs = 1
+            self.motion_subspace = self.actuation_basis = motion
+        else:
+            self._fix(motion, actuation_basis)
+        self.position: State | None = None
+        self.velocity: State | None = None
+        if self.dofs:
+            shape = (self.dofs,) if self.group is None else None
+            self.position = State(f"{name}_position", shape, group=self.group)
+            self.velocity = State(f"{name}_velocity", (self.dofs,))
+
+    def _fix(self, motion: Any, actuation_basis: Any) -> None:
+        """The subspaces of numbers."""
         H = self._motion(motion)
         self.dofs = H.shape[1]
         if self.group is not None and self.group.dimension != self.dofs:
@@ -162,12 +177,6 @@ class Joint(_Subspaces, ABC):
         h = H @ np.linalg.inv(H.T @ H) if actuation_basis is None else self._actuation(actuation_basis, H)
         self.motion_subspace, self.actuation_basis = Constant(H), Constant(h)
         self.constraint_basis = Constant(complement(H))
-        self.position: State | None = None
-        self.velocity: State | None = None
-        if self.dofs:
-            shape = (self.dofs,) if self.group is None else None
-            self.position = State(f"{name}_position", shape, group=self.group)
-            self.velocity = State(f"{name}_velocity", (self.dofs,))
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
@@ -238,6 +247,35 @@ class Joint(_Subspaces, ABC):
         return self.screws.in_frame(T)
 
 
+def _direction(owner: str, axis: Any) -> Any:
+    """A unit vector (3,): numbers, or an expression whose value, where it is known, is a direction."""
+    if not isinstance(axis, Expr):
+        return unit_vector(owner, "axis", axis)
+    a = of_shape(owner, "axis", axis, (3,))
+    if isinstance(a, Parameter) and a.value is not None:
+        unit_vector(owner, "axis", a.value)
+    return a / Norm(a)
+
+
+def _screw(linear: Any, angular: Any) -> Any:
+    """H of one freedom, of numbers where both halves are."""
+    if isinstance(linear, Expr) or isinstance(angular, Expr):
+        return twist(linear=linear, angular=angular)[:, None]
+    return np.concatenate([linear, angular])
+
+
+def _across(a: Expr) -> Expr:
+    """Two unit vectors (3, 2) at right angles to a unit vector and to each other.
+
+    Source: T. Duff and others, Building an Orthonormal Basis, Revisited (2017).
+    """
+    x, y, z = a[0], a[1], a[2]
+    sign = Where(z >= 0.0, 1.0, -1.0)
+    k = -1.0 / (sign + z)
+    one = Concat(1.0 + sign * x * x * k, sign * x * y * k, -sign * x)
+    return Stack(one, Concat(x * y * k, sign + y * y * k, -y)).T
+
+
 class Fixed(Joint):
     """No motion: H has shape (6, 0), T_pc = I, and the bearing carries every wrench. There are no states.
 
@@ -258,18 +296,22 @@ class Revolute(Joint):
 
     Args:
         name: of the joint.
-        axis: a (3,), the same in both joint frames; any non-zero length, normalised.
+        axis: a (3,), the same in both joint frames; any non-zero length, normalised. Numbers, or a Parameter.
     Raises:
         ShapeError: axis is not of shape (3,).
         ModelError: no name; an axis that is zero or not finite.
     """
 
     def __init__(self, name: str, axis: Any) -> None:
-        self.axis = unit_vector(f"Revolute {name!r}", "axis", axis)
-        super().__init__(name, motion=np.concatenate([np.zeros(3), self.axis]))
+        self.axis = _direction(f"Revolute {name!r}", axis)
+        super().__init__(name, motion=_screw(np.zeros(3), self.axis))
+        if isinstance(self.axis, Expr):
+            self.constraint_basis = Block([[np.eye(3), np.zeros((3, 2))], [np.zeros((3, 3)), _across(self.axis)]])
 
     def placement(self, position: Expr) -> Expr:
-        return Pose(AxisRotation(position[0], self.axis), np.zeros(3))
+        known = not isinstance(self.axis, Expr)
+        R = AxisRotation(position[0], self.axis) if known else SO3Exp(self.axis * position[0])
+        return Pose(R, np.zeros(3))
 
 
 class Prismatic(Joint):
@@ -282,8 +324,10 @@ class Prismatic(Joint):
     """
 
     def __init__(self, name: str, axis: Any) -> None:
-        self.axis = unit_vector(f"Prismatic {name!r}", "axis", axis)
-        super().__init__(name, motion=np.concatenate([self.axis, np.zeros(3)]))
+        self.axis = _direction(f"Prismatic {name!r}", axis)
+        super().__init__(name, motion=_screw(self.axis, np.zeros(3)))
+        if isinstance(self.axis, Expr):
+            self.constraint_basis = Block([[_across(self.axis), np.zeros((3, 3))], [np.zeros((3, 2)), np.eye(3)]])
 
     def placement(self, position: Expr) -> Expr:
         return Pose(np.eye(3), self.axis * position[0])

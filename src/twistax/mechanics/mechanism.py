@@ -48,7 +48,7 @@ class Mechanism:
         dofs: n.
         q, qd: the states of `system`, and what functions take unless other positions and velocities are given.
     Raises:
-        ModelError: links that are no tree; see `sorted_links` and `segments_of`. A joint that moves no mass.
+        ModelError: links that are no tree; see `sorted_links` and `segments_of`.
         ShapeError: gravity is not of shape (3,).
     """
 
@@ -72,9 +72,9 @@ class Mechanism:
             raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
         self.notes = tuple(notes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
-        self._check_masses(name)
 
-    def _check_masses(self, owner: str) -> None:
+    def check_masses(self, owner: str) -> None:
+        """Raise ModelError for a joint that moves no mass, so that its acceleration is not determined."""
         heavy = [segment.body is not None or segment.link.drive.rotor is not None for segment in self.segments]
         for i in reversed(range(len(self.segments))):
             if not heavy[i] and self.segments[i].link.joint.dofs:

@@ -1,0 +1,5 @@
+"""Mechanisms from model files."""
+
+from .load import load
+
+__all__ = ["load"]

@@ -1,0 +1,220 @@
+"""Mechanisms from URDF.
+
+Source: the pages of http://wiki.ros.org/urdf/XML. Roll, pitch and yaw are turns about the
+parent's fixed x, y and z axes: R = Rot_z(yaw) Rot_y(pitch) Rot_x(roll).
+"""
+
+from __future__ import annotations
+
+import collections
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import TwistaxError
+from ...expr.lie import Pose
+from ..bodies import SpatialInertia
+from ..drives import Drive
+from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute
+from ..tree import Link, Mimic
+from .choices import Choices
+from .xml_file import Element
+
+_USED = {
+    "robot": {"link", "joint"},
+    "link": {"inertial"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"},
+}
+
+
+class Urdf:
+    """The links of a robot, and what the file has beside them.
+
+    Args:
+        robot: the root element.
+        choices: which numbers become Parameters.
+        floating: the root is on a `Free` joint, "root".
+        physical: refuse masses and inertias that no body has.
+        quarter_turns: an angle this near to a multiple of a quarter turn, in rad, is taken as that.
+    Attributes:
+        links, base, notes: for `Mechanism`.
+    Raises: ModelError with file and line.
+    """
+
+    def __init__(
+        self, robot: Element, choices: Choices, *, floating: bool, physical: bool, quarter_turns: float
+    ) -> None:
+        self.choices, self.physical, self.quarter_turns = choices, physical, quarter_turns
+        self.notes: list[str] = []
+        elements = {element.text("name"): element for element in robot.all("link")}
+        joints = robot.all("joint")
+        children = set[str]()
+        for joint in joints:
+            for end in ("parent", "child"):
+                if self._end(joint, end) not in elements:
+                    raise joint.wrong(f"there is no link {self._end(joint, end)!r}, its {end}")
+            if self._end(joint, "child") in children:
+                raise joint.wrong(f"link {self._end(joint, 'child')!r} has two joints that carry it")
+            children.add(self._end(joint, "child"))
+        roots = [name for name in elements if name not in children]
+        if len(roots) != 1:
+            raise robot.wrong(f"expected one link that no joint carries, got {roots}")
+        if not joints and not floating:
+            raise robot.wrong(
+                "there is no joint, so nothing moves.\n  fix: floating=True, if the link is free in space"
+            )
+        self.base = "world" if floating else roots[0]
+        self.links = list[Link]()
+        if floating:
+            self.links.append(Link(Free("root"), self._body(elements[roots[0]]), np.eye(4), name=roots[0]))
+        elif self._body(elements[roots[0]]) is not None:
+            self.notes.append(f"the mass of {roots[0]!r}, which does not move")
+        for joint in joints:
+            self.links += self._links(joint, elements[self._end(joint, "child")], None if floating else roots[0])
+        unused = collections.Counter(
+            f"<{child.tag}> of <{element.tag}>"
+            for element in (robot, *robot.children)
+            for child in element.children
+            if element.tag in _USED and child.tag not in _USED[element.tag]
+        )
+        self.notes += [f"{what}, {count} times" for what, count in sorted(unused.items())]
+
+    @staticmethod
+    def _end(joint: Element, which: str) -> str:
+        end = joint.first(which)
+        if end is None:
+            raise joint.wrong(f"expected <{which} link=...>")
+        return end.text("link")
+
+    def _links(self, element: Element, child: Element, root: str | None) -> list[Link]:
+        parent = self._end(element, "parent")
+        try:
+            joint, turned = self._joint(element)
+            link = Link(
+                joint,
+                self._body(child),
+                self._mount(element, element.text("name")),
+                parent=None if parent == root else parent,
+                name=child.text("name"),
+                drive=self._drive(element),
+                mimic=self._mimic(element) if joint.dofs else None,
+            )
+        except TwistaxError as error:
+            raise error if element.path.name in str(error) else element.wrong(str(error)) from None
+        if turned is None:
+            return [link]
+        # The joint's own z axis is not that of the link.
+        C = np.eye(4)
+        C[:3, :3] = turned
+        plane = f"{link.name} in its plane"
+        return [
+            Link(joint, None, link.mount @ C, parent=link.parent, name=plane, drive=link.drive),
+            Link(Fixed(plane), link.body, C.T, parent=plane, name=link.name),
+        ]
+
+    def _joint(self, element: Element) -> tuple[Joint, NDArray[np.float64] | None]:
+        name, kind = element.text("name"), element.text("type")
+        axis_of = element.first("axis")
+        axis = np.array([1.0, 0.0, 0.0]) if axis_of is None else axis_of.numbers("xyz", 3)
+        if kind in ("revolute", "continuous"):
+            return Revolute(name, self.choices.of(name, "axis", axis)), None
+        if kind == "prismatic":
+            return Prismatic(name, self.choices.of(name, "axis", axis)), None
+        if kind == "fixed":
+            return Fixed(name), None
+        if kind == "floating":
+            return Free(name), None
+        if kind == "planar":
+            from ..inertia_frames import rotation_to
+
+            along = axis / np.linalg.norm(axis)
+            return Planar(name), None if np.array_equal(along, [0.0, 0.0, 1.0]) else rotation_to(tuple(along))
+        raise element.wrong(
+            f"expected the type revolute, continuous, prismatic, fixed, floating or planar, got {kind!r}"
+        )
+
+    def _mount(self, element: Element, name: str) -> Any:
+        origin = element.first("origin")
+        R, p = self._placed(origin)
+        position = self.choices.of(name, "origin", p)
+        return Pose(R, position) if position is not p else _matrix(R, p)
+
+    def _placed(self, origin: Element | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if origin is None:
+            return np.eye(3), np.zeros(3)
+        roll, pitch, yaw = (self._angle(angle) for angle in origin.numbers("rpy", 3, np.zeros(3)))
+        x = np.array([[1.0, 0.0, 0.0], [0.0, roll[0], -roll[1]], [0.0, roll[1], roll[0]]])
+        y = np.array([[pitch[0], 0.0, pitch[1]], [0.0, 1.0, 0.0], [-pitch[1], 0.0, pitch[0]]])
+        z = np.array([[yaw[0], -yaw[1], 0.0], [yaw[1], yaw[0], 0.0], [0.0, 0.0, 1.0]])
+        return z @ y @ x + 0.0, origin.numbers("xyz", 3, np.zeros(3))
+
+    def _angle(self, angle: float) -> tuple[float, float]:
+        """Cosine and sine."""
+        turns = round(angle / (0.5 * math.pi))
+        if abs(angle - turns * 0.5 * math.pi) <= self.quarter_turns:
+            return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[turns % 4]
+        return math.cos(angle), math.sin(angle)
+
+    def _body(self, link: Element) -> SpatialInertia | None:
+        inertial = link.first("inertial")
+        if inertial is None:
+            return None
+        mass_of, inertia_of = inertial.first("mass"), inertial.first("inertia")
+        mass = 0.0 if mass_of is None else mass_of.number("value")
+        entries = np.zeros(6)
+        if inertia_of is not None:
+            entries = np.array([inertia_of.number(name, 0.0) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")])
+        if mass == 0.0 and not entries.any():
+            return None
+        R, center = self._placed(inertial.first("origin"))
+        xx, xy, xz, yy, yz, zz = entries
+        tensor = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
+        tensor = 0.5 * (tensor + tensor.T)
+        name = link.text("name")
+        try:
+            SpatialInertia(mass=mass, center_of_mass=center, inertia=tensor)
+        except TwistaxError as error:
+            if self.physical:
+                raise inertial.wrong(
+                    f"link {name!r} has a mass or inertia that no body has. {error}\n"
+                    "  or load it as it is, with physical=False"
+                ) from None
+            self.notes.append(f"link {name!r} has a mass or inertia that no body has")
+        return SpatialInertia(
+            mass=self.choices.of(name, "mass", mass),
+            center_of_mass=self.choices.of(name, "center_of_mass", center),
+            inertia=self.choices.of(name, "inertia", tensor),
+            physical=self.physical,
+        )
+
+    def _drive(self, element: Element) -> Drive:
+        name, kind = element.text("name"), element.text("type")
+        dynamics, limit = element.first("dynamics"), element.first("limit")
+        given: dict[str, Any] = {}
+        if dynamics is not None:
+            for what in ("damping", "friction"):
+                value = dynamics.number(what, 0.0)
+                if value:
+                    given[what] = self.choices.of(name, what, value)
+        if limit is not None:
+            for what, attribute in (("speed", "velocity"), ("effort", "effort")):
+                if attribute in limit.attributes:
+                    given[what] = limit.number(attribute)
+            if kind in ("revolute", "prismatic"):
+                given |= {"lower": limit.number("lower", 0.0), "upper": limit.number("upper", 0.0)}
+        return Drive(**given)
+
+    @staticmethod
+    def _mimic(element: Element) -> Mimic | None:
+        mimic = element.first("mimic")
+        if mimic is None:
+            return None
+        return Mimic(mimic.text("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
+
+
+def _matrix(R: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T

@@ -1,0 +1,101 @@
+"""An XML file as elements that know their lines. What could expand, or bring in other files, is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+
+from ...errors import ModelError
+
+
+@dataclasses.dataclass
+class Element:
+    """One element.
+
+    Attributes:
+        tag, attributes, children: as in the file.
+        line: where it begins.
+        path: of the file.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    path: Path
+    children: list[Element] = dataclasses.field(default_factory=list)
+
+    @property
+    def place(self) -> str:
+        """File, line and element for messages."""
+        name = self.attributes.get("name")
+        return f"{self.path.name}, line {self.line}, <{self.tag}{'' if name is None else f' name={name!r}'}>"
+
+    def wrong(self, what: str) -> ModelError:
+        """An error that says where it is."""
+        return ModelError(f"{self.place}: {what}")
+
+    def all(self, tag: str) -> list[Element]:
+        """The children of one tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def first(self, tag: str) -> Element | None:
+        """The first child of one tag."""
+        return next(iter(self.all(tag)), None)
+
+    def text(self, name: str) -> str:
+        """An attribute that has to be there. Raises ModelError."""
+        if name not in self.attributes:
+            raise self.wrong(f"expected the attribute {name!r}")
+        return self.attributes[name]
+
+    def numbers(self, name: str, count: int, default: Any = None) -> np.ndarray:
+        """An attribute as finite numbers (count,). Raises ModelError."""
+        if name not in self.attributes and default is not None:
+            return np.asarray(default, dtype=np.float64)
+        try:
+            values = np.array([float(word) for word in self.text(name).split()])
+        except ValueError:
+            raise self.wrong(f"expected numbers in {name}, got {self.text(name)!r}") from None
+        if len(values) != count or not np.isfinite(values).all():
+            raise self.wrong(f"expected {count} finite numbers in {name}, got {self.text(name)!r}")
+        return values
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """An attribute as one finite number. Raises ModelError."""
+        return float(self.numbers(name, 1, None if default is None else [default])[0])
+
+
+def read_xml(path: Path) -> Element:
+    """The root element of a file.
+
+    Raises: ModelError for a file that cannot be read, is no XML, or declares a document type or entities.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"load cannot read {str(path)!r}: {error.strerror}") from None
+    parser, open_elements, roots = expat.ParserCreate(), list[Element](), list[Element]()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, parser.CurrentLineNumber, path)
+        (open_elements[-1].children if open_elements else roots).append(element)
+        open_elements.append(element)
+
+    def declared(*_: Any) -> None:
+        raise ModelError(
+            f"{path.name}, line {parser.CurrentLineNumber}: a document type or entity is declared, which models do not "
+            "need.\n  fix: remove <!DOCTYPE ...>; write out what its entities stand for"
+        )
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: open_elements.pop()
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = declared
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise ModelError(f"{path.name}, line {error.lineno}: this is no XML: {expat.ErrorString(error.code)}") from None
+    return roots[0]
