@@ -60,6 +60,7 @@ def frame_twist(
 def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None, axes: Axes = BODY) -> Expr:
     """J (6, n) with J qd the velocity of a frame, [v; w] in the axes wanted. Raises as `frame_twist` does."""
     path = _Path("frame_jacobian", mechanism, frame, q)
+    _known(axes)
     if axes is BODY:
         return path.gathered(lambda j, H: AdjointAction(path.to_frame(j), H, inverse=True))
     J = path.gathered(lambda j, H: AdjointAction(path.poses[j], H))
@@ -71,6 +72,7 @@ def frame_jacobian_rate(
 ) -> Expr:
     """The rate of `frame_jacobian` (6, n): J qdd + J' qd is the rate of `frame_twist`. Raises as that does."""
     path = _Path("frame_jacobian_rate", mechanism, frame, q)
+    _known(axes)
     twists, V = mechanism.twists(q, qd), mechanism.twist(frame, q, qd)
     if axes is BODY:
 
@@ -97,13 +99,16 @@ def _about(T: Expr) -> Expr:
 
 def _to(axes: Axes, T: Expr) -> Expr:
     """The pose whose Adjoint brings a body twist of a frame, with the pose T, into the axes."""
-    if axes is BODY:
+    if _known(axes) is BODY:
         return Constant(np.eye(4))
-    if axes is WORLD:
-        return T
-    if axes is ALIGNED:
-        return Compose(Inverse(_about(T)), T)
-    raise ModelError(f"axes must be BODY, WORLD or ALIGNED of twistax.mechanics, got {axes!r}")
+    return T if axes is WORLD else Compose(Inverse(_about(T)), T)
+
+
+def _known(axes: Axes) -> Axes:
+    """The axes themselves. Raises ModelError for anything else."""
+    if not any(axes is each for each in (BODY, WORLD, ALIGNED)):
+        raise ModelError(f"axes must be BODY, WORLD or ALIGNED of twistax.mechanics, got {axes!r}")
+    return axes
 
 
 class _Path:

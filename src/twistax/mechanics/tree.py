@@ -222,7 +222,8 @@ def _numbered(links: list[Link]) -> tuple[Mapping[str, tuple[int, ...]], Mapping
         if len(freedoms.get(leader, ())) != 1:
             raise ModelError(
                 f"joint {link.joint.name!r} follows {leader!r}, and no joint of one freedom that moves by itself has "
-                f"that name; such are {listed(sorted(name for name, at in freedoms.items() if len(at) == 1))}"
+                f"that name; such are {listed(sorted(name for name, at in freedoms.items() if len(at) == 1), leader)}.\n"
+                "  fix: a joint follows one that is in the mechanism, has one freedom and does not follow another"
             )
         freedoms[link.joint.name], coordinates[link.joint.name] = freedoms[leader], coordinates[leader]
     return freedoms, coordinates
