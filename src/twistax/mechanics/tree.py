@@ -215,14 +215,15 @@ def _numbered(links: list[Link]) -> tuple[Mapping[str, tuple[int, ...]], Mapping
         grouped = link.joint.group is not None
         coordinates[name] = None if grouped else slice(coordinate, coordinate + k)
         coordinate += 0 if grouped else k
+    leaders = sorted(name for name, at in freedoms.items() if len(at) == 1)
     for link in links:
         if link.mimic is None:
             continue
         leader = link.mimic.joint
-        if len(freedoms.get(leader, ())) != 1:
+        if leader not in leaders:
             raise ModelError(
                 f"joint {link.joint.name!r} follows {leader!r}, and no joint of one freedom that moves by itself has "
-                f"that name; such are {listed(sorted(name for name, at in freedoms.items() if len(at) == 1), leader)}.\n"
+                f"that name; such are {listed(leaders, leader)}.\n"
                 "  fix: a joint follows one that is in the mechanism, has one freedom and does not follow another"
             )
         freedoms[link.joint.name], coordinates[link.joint.name] = freedoms[leader], coordinates[leader]
