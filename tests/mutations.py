@@ -804,7 +804,7 @@ MUTATIONS: list[Mutation] = [
         "trajectory/shooting.py",
         (
             "no second derivatives of conditions at nodes",
-            "hessian = hessian.at[k].add(bend)",
+            "hessian = hessian.at[k, self._seen[:, None], self._seen[None]].add(bend)",
             "pass",
             "trajectory/test_shooting.py",
         ),

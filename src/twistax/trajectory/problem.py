@@ -45,7 +45,7 @@ class Problem:
     The problem is always solved in double precision, whatever the global setting.
 
     Args:
-        dynamics: a compiled system.
+        dynamics: a compiled system, or a list of `Phase`; then the rest is as for `PhasedProblem`.
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
         nodes: number of state nodes, two or more.
         final_time: a number in s, or limits (low, high) to leave it free.
