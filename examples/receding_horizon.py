@@ -75,7 +75,7 @@ for _ in range(STEPS):
 # The first warm solve compiled its start.
 milliseconds, left = 1e3 * np.array(times[1:]), np.linalg.norm(path[-1] - GOAL)
 print(
-    f"a step: {np.median(milliseconds):.0f} ms, at most {milliseconds.max():.0f}; {np.median(iterations):.0f} iterations"
+    f"step: {np.median(milliseconds):.0f} ms, at most {milliseconds.max():.0f}; {np.median(iterations):.0f} iterations"
 )
 print(f"{left:.2f} m from the goal after {STEPS * INTERVAL:.1f} s; least clearance {clearance:.2f} m")
 

@@ -757,6 +757,12 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_shooting.py",
         ),
         ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
+        (
+            "limits at nodes taken as decided by the parameters of the first solve",
+            "zip(itertools.cycle(samples), (given.params, *others))",
+            "zip(itertools.cycle(samples), (given.params, given.params))",
+            "trajectory/test_conditions.py",
+        ),
     ),
     *_at(
         "trajectory/conditions.py",

@@ -119,6 +119,33 @@ def test_a_limit_that_the_given_half_decides_leaves_room() -> None:
         assert list(names) == ["ground", "ground"]
 
 
+def test_a_limit_is_not_decided_by_the_values_of_parameters() -> None:
+    """x[0] + k x[1] <= 1.5 says nothing beside x[0] == 1 where k = 0, and x[1] <= 0.5 where k = 1, solved next."""
+    x, u, k = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,)), tx.Parameter("k", value=0.0)
+    problem = Problem(
+        tx.compile(tx.System(rates={x: u})),
+        tx.Minimize((x[1] - 2.0) ** 2, running=u @ u),
+        nodes=3,
+        final_time=1.0,
+        initial={x: [0.0, 0.0]},
+        final=[x[0] == 1.0, x[0] + k * x[1] <= 1.5],
+    )
+    for given, cost in ((0.0, 3.0), (1.0, 3.5)):
+        result = problem.solve(params={k: given})
+        assert result.solved
+        assert result.cost == pytest.approx(cost, rel=1e-6)
+
+
+def test_a_limit_on_a_control_is_not_decided_by_the_start() -> None:
+    """u^2 <= x, x = 1 + t, has no slope by u at u = 0, where the guess is. The limit is narrowest at the start."""
+    x, y, u = tx.State("x"), tx.State("y"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: 1.0, y: u}, constraints={"narrow": u * u <= x}))
+    problem = Problem(dynamics, tx.Maximize(y), nodes=3, final_time=2.0, initial={x: 1.0, y: 0.0})
+    result = problem.solve()
+    assert result.solved
+    np.testing.assert_allclose(result.us["u"], np.sqrt([1.0, 2.0]), atol=1e-5)
+
+
 p, v = tx.State("p"), tx.State("v")
 BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"at": {0: p == 1.0}}, tx.TrajectoryError, r"(?s)node 0.*1 to 6.*initial="),

@@ -67,10 +67,12 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": {"p": np.zeros(3)}, "params": {"mass": np.ones(2)}}, tx.ShapeError, r"has 3, params\['mass'\] has 2"),
     ({"initial": {"p": [0.0, np.nan]}}, tx.TrajectoryError, r"case 1: solve: initial\['p'\] must fix"),
     ({"initial": {"q": np.zeros(2)}}, tx.ModelError, "case 0: initial names 'q'"),
+    ({"initial": {"p": []}}, tx.ShapeError, r"initial\['p'\] has no cases"),
+    ({"initial": {"p": [[1.0], [1.0, 2.0]]}}, tx.ShapeError, r"initial\['p'\] expects an array"),
 ]
 
 
-@pytest.mark.parametrize(("case", "error", "text"), BAD, ids=["none", "counts", "free", "name"])
+@pytest.mark.parametrize(("case", "error", "text"), BAD, ids=["none", "counts", "free", "name", "empty", "ragged"])
 def test_nonsense_is_refused(case: dict[str, Any], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         parking().solve_many(**case)

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
+from ..checks import short
 from ..errors import ShapeError, TrajectoryError, TwistaxError
 from ..system import name_of
 from .result import Optimality, TrajectoryResult, best_result
@@ -76,8 +77,14 @@ class Cases:
 
     def _axis(self, what: str, value: Any, dimensions: int) -> Choose:
         """An argument with so many axes in each case; with one more, the first counts the cases."""
-        if value is None or np.ndim(value) <= dimensions:
+        try:
+            shared = value is None or np.ndim(value) <= dimensions
+        except ValueError as error:
+            raise ShapeError(f"solve_many: {what} expects an array, got {short(value)}: {error}") from None
+        if shared:
             return lambda _: value
+        if len(value) == 0:
+            raise ShapeError(f"solve_many: {what} has no cases, its shape is {np.shape(value)}")
         self._counts[what] = len(value)
         return lambda k: value[k]
 

@@ -28,7 +28,7 @@ from .external import SolvedBy
 from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
 from .result import TrajectoryResult, best_result
-from .shooting import Given, Point, Shooting, Step, Transcribed
+from .shooting import Given, Point, Shooting, Step, Transcribed, stirred
 from .solver import Callback, Outcome, Solver
 from .statement import Objective, check_leaves, describe_path
 from .warm import WarmStart, warm_start, with_ends
@@ -53,7 +53,7 @@ class Problem:
             such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
             position or the whole attitude may be.
         at: constraints at inner nodes by the number of the node, 1 to nodes - 2, each one or a list.
-        params: values of the parameters, the objective's too; those left out take their own.
+        params: values of the parameters by leaf or name, the objective's too; those left out take their own.
         free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
             of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
@@ -88,7 +88,7 @@ class Problem:
         initial: Any = None,
         final: Any = None,
         at: Any = None,
-        params: Mapping[str, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
         free: Any = None,
         guess: Mapping[Any, Any] | None = None,
         final_time_guess: Any = None,
@@ -198,7 +198,7 @@ class Problem:
         warm: Any = None,
         initial: Mapping[Any, Any] | None = None,
         final: Mapping[Any, Any] | None = None,
-        params: Mapping[str, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
         final_time: Any = None,
         final_time_guess: Any = None,
         guesses: int = 1,
@@ -218,7 +218,7 @@ class Problem:
             warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
                 scales, and a barrier that fits how far it is from what is asked now.
             initial, final: values by state or name in place of the problem's own. The same entries are fixed.
-            params: values of parameters in place of the problem's own.
+            params: values of parameters, by leaf or name, in place of the problem's own.
             final_time: a number where the problem has one, limits where it has limits.
             final_time_guess: where a free final time starts.
             guesses: how many tries. Without a seed the first starts from the guess itself.
@@ -289,7 +289,7 @@ class Problem:
         *,
         initial: Mapping[Any, Any] | None = None,
         final: Mapping[Any, Any] | None = None,
-        params: Mapping[str, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
         final_time: Any = None,
         max_iterations: int = 500,
         tolerance: float = 1e-6,
@@ -344,7 +344,7 @@ class Problem:
         guess: Mapping[Any, Any] | None,
         initial: Mapping[Any, Any] | None,
         final: Mapping[Any, Any] | None,
-        params: Mapping[str, Any] | None,
+        params: Mapping[Any, Any] | None,
         final_time: Any,
         final_time_guess: Any = None,
     ) -> tuple[Point, Given, dict[str, Array]]:
@@ -437,12 +437,12 @@ class Problem:
         borders, margins = np.array([limits, *self.border.limits[1:]]), np.zeros(len(self.shooting.exists))
         return jax.tree.map(jnp.asarray, Given(dict(params), final, borders, margins))
 
-    def _prepared(self, params: Mapping[str, Any] | None) -> dict[str, Array]:
+    def _prepared(self, params: Mapping[Any, Any] | None) -> dict[str, Array]:
         """All parameters as double-precision arrays, those of the objective and the final conditions too; checked."""
         valued = {leaf.name for leaf in (*self.dynamics.parameters, *self._own.values()) if leaf.value is not None}
         # A free parameter without a value starts in the middle of its box.
         middle = {box.name: control_guess(box, None, 1)[0] for box in self.border.boxes if box.name not in valued}
-        given = middle | dict(params or {})
+        given = middle | {name_of(key): value for key, value in (params or {}).items()}
         own = {name: given.pop(name) for name in self._own if name in given}
         with jax.enable_x64(True):
             zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
@@ -484,9 +484,11 @@ def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
 
 
 def moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
-    """Points whose nodes are moved at random."""
+    """Points whose nodes, controls, free durations and free parameters are moved at random."""
     rng, free, found = np.random.default_rng(0), shooting.free, []
+    here = np.asarray(point.us), np.asarray(point.border)
     for _ in range(2):
         d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
-        found.append(jax.jit(shooting.move)(point, Step(d, np.zeros(free.u.shape), np.zeros(free.border.shape))))
+        u, border = (np.where(which, stirred(rng, a) - a, 0.0) for which, a in zip(free[1:], here))
+        found.append(jax.jit(shooting.move)(point, Step(d, u, border)))
     return found

@@ -15,6 +15,7 @@ the second derivative of the rates weighted by its adjoint and G its sensitivity
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -297,20 +298,23 @@ class Shooting(Transcribed):
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
         """Take inequalities at nodes out that the equalities there decide: their slopes lie in the span of those.
 
-        Two such rows leave no room for slacks. They count as decided, if it is so at all sample points.
+        Two such rows leave no room for slacks. They count as decided, if it is so at all sample points, with these
+        parameters and with others: the next solve may have those.
         """
+        others = [stirred(np.random.default_rng(i), given.params) for i in range(2)]
+        pairs = [(p, given._replace(params=own)) for p, own in zip(itertools.cycle(samples), (given.params, *others))]
         inner, zero = self.intervals * self.rows_per_interval, np.zeros(self.n + self.border.size)
-        ends = jax.jit(lambda z, point: self._end.slopes(z, self._here(-1, point), given)[:-1])
-        self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda p: ends(zero, p), samples)
+        ends = jax.jit(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1])
+        self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda *own: ends(zero, *own), pairs)
         held = np.eye(self.n, self.size)[~self.free.d[0]]
         for k in sorted({0, *self._nodes}):
-            slopes = jax.jit(functools.partial(self._slopes_at_node, k, given))
+            slopes = jax.jit(functools.partial(self._slopes_at_node, k))
             at_start = np.flatnonzero(self._kept < self._row_count)
             places = np.concatenate([at_start, len(self._kept) + np.arange(self._node_counts.get(k, 0))])
             places = k * self.rows_per_interval + places
-            self._drop(places, held if k == 0 else held[:0], slopes, samples)
+            self._drop(places, held if k == 0 else held[:0], slopes, pairs)
 
-    def _slopes_at_node(self, k: int, given: Given, point: Point) -> jax.Array:
+    def _slopes_at_node(self, k: int, point: Point, given: Given) -> jax.Array:
         """Of the path rows at the start of an interval and of the conditions there, by [d, u, b]."""
         base, zero = {name: a[k] for name, a in point.xs.items()}, jnp.zeros(self.n, point.us.dtype)
         share, q = jnp.asarray(k / self.intervals, zero.dtype), self._joined(zero, point.us[k], point.border)
@@ -321,16 +325,24 @@ class Shooting(Transcribed):
             else rows
         )
 
-    def _drop(self, at: Array, held: Array, slopes: Callable[[Point], Any], samples: Sequence[Point]) -> None:
+    def _drop(
+        self, at: Array, held: Array, slopes: Callable[[Point, Given], Any], samples: Sequence[tuple[Point, Given]]
+    ) -> None:
         """Take rows out that lie in the span of the equalities among them and of what is held, at all samples."""
         equality, pinned = (self.exists & self.equality)[at], (self.exists & ~self.equality)[at]
         if not (equality.any() or len(held)) or not pinned.any():
             return
-        for found in (np.asarray(slopes(point)) for point in samples):
+        seen = np.zeros_like(pinned)
+        for found in (np.asarray(slopes(*sample)) for sample in samples):
+            # A random sample may lie where a row has no slopes; others tell about it.
+            there = np.isfinite(found).all(axis=1)
+            found = np.where(there[:, None], found, 0.0)
             base, rows = np.concatenate([held, found[equality]]).T, found.T
             left = rows - base @ np.linalg.lstsq(base, rows, rcond=None)[0]
             size = np.linalg.norm(rows, axis=0)
-            pinned = pinned & (size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size)
+            pinned = pinned & (~there | ((size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size)))
+            seen |= there
+        pinned &= seen
         self.exists, self.decided, self.pinned = (np.array(a) for a in (self.exists, self.decided, self.pinned))
         self.exists[at[pinned]] = False
         self.pinned[at[pinned]] = self.decided[at[pinned]] = True
@@ -618,6 +630,16 @@ def _turns(dynamics: Dynamics) -> Array:
             turns = np.asarray(factor.order.from_linear_first(np.repeat([0.0, 1.0], 3))) > 0.0
         parts.append(turns)
     return np.concatenate(parts)
+
+
+def stirred(rng: np.random.Generator, values: Any) -> Any:
+    """Arrays with every entry changed at random, by a third of its size at most; zeros no longer are."""
+
+    def one(a: Any) -> Array:
+        here = np.asarray(a, float)
+        return np.asarray(here + rng.uniform(0.1, 0.3, here.shape) * np.where(here == 0.0, 1.0, here))
+
+    return jax.tree.map(one, values)
 
 
 def _sides(xs: Arrays) -> tuple[Arrays, Arrays]:
