@@ -110,6 +110,10 @@ def test_their_ends_are_said(solver: tx.trajectory.IPOPT | tx.trajectory.Fatrop)
     # Held over five intervals: 12 * 25 / 24.
     assert result.cost == pytest.approx(12.5, rel=1e-7)
     assert seen
+    with pytest.raises(ZeroDivisionError):  # what users' functions raise is not taken for numbers that are not finite
+        problem.solve(solver=solver, callback=lambda count, cost, violation: 1 / 0)
+    with pytest.raises(tx.TrajectoryError, match="nonsense"):
+        problem.solve(solver=type(solver)(options={"nonsense": 1}))
 
 
 def test_ipopt_says_infeasible() -> None:
@@ -123,5 +127,6 @@ def test_ipopt_says_infeasible() -> None:
 
 def test_what_is_no_solver_is_refused() -> None:
     problem = tx.trajectory.Problem(tx.compile(double_integrator()), tx.Minimize(tx.Time()), nodes=3, final_time=1.0)
-    with pytest.raises(tx.TrajectoryError, match="solver expects"):
-        problem.solve(solver="ipopt")
+    for solver in ("ipopt", tx.trajectory.IPOPT):
+        with pytest.raises(tx.TrajectoryError, match="solver expects"):
+            problem.solve(solver=solver)

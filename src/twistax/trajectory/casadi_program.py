@@ -13,6 +13,7 @@ import casadi
 import numpy as np
 from numpy import ndarray as Array
 
+from ..errors import TrajectoryError
 from .program import Entries, Program, Reference
 
 
@@ -45,14 +46,24 @@ class CasadiProgram:
     ) -> Attempt:
         """Solve from the reference itself; `own` are options of the plugin on top of those it was made with."""
         self._reference, self._seen, self._memory = reference, seen, {}
-        key = tuple(sorted(own.items()))
-        if key not in self._solvers:
-            whole = dict(self._options)
-            whole[self._plugin] = {**whole.get(self._plugin, {}), **own}
-            self._solvers[key] = casadi.nlpsol("solver", self._plugin, self._nlp, whole)
-        solver, program = self._solvers[key], self.program
+        key, program = tuple(sorted(own.items())), self.program
+        whole = dict(self._options)
+        whole[self._plugin] = {**whole.get(self._plugin, {}), **own}
         start = {"lam_g0": multipliers} if multipliers is not None else {}
-        found = solver(x0=np.zeros(program.size), lbg=program.lower, ubg=program.upper, **start)
+        self._raised: Exception | None = None
+        try:
+            if key not in self._solvers:
+                self._solvers[key] = casadi.nlpsol("solver", self._plugin, self._nlp, whole)
+            solver = self._solvers[key]
+            found = solver(x0=np.zeros(program.size), lbg=program.lower, ubg=program.upper, **start)
+        except RuntimeError as error:
+            if self._raised is None:
+                raise TrajectoryError(
+                    f"{self._plugin} of CasADi does not run, with the options {whole[self._plugin]}: "
+                    f"{str(error).strip().splitlines()[-1]}"
+                ) from None
+        if self._raised is not None:
+            raise self._raised
         stats = solver.stats()
         return Attempt(
             np.asarray(found["x"]).ravel(),
@@ -76,7 +87,11 @@ class CasadiProgram:
     def slopes(self, z: Array) -> tuple[Array, Array]:
         def make() -> tuple[Array, Array]:
             if self._seen is not None:
-                self._seen(*self.values(z))
+                try:
+                    self._seen(*self.values(z))
+                except Exception as error:  # the solver would take it for numbers that are not finite
+                    self._raised = error
+                    raise
             return self.program.slopes(z, self._reference)
 
         return self._kept("slopes", z.tobytes(), make)

@@ -249,7 +249,7 @@ class Problem:
             number("between", between, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
-        if solver is not None and not isinstance(solver, SolvedBy):
+        if solver is not None and (isinstance(solver, type) or not isinstance(solver, SolvedBy)):
             raise TrajectoryError(
                 f"solver expects tx.trajectory.IPOPT() or tx.trajectory.Fatrop(), or nothing, got {solver!r}"
             )
