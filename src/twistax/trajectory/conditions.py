@@ -77,7 +77,7 @@ def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]
             constraints[free_name(repr(item), constraints)] = item
         else:
             raise ModelError(
-                f"{what} expects values by name and constraints, got a {type(item).__name__}; "
+                f"{what} expects values by name and constraints, or a list of them, got a {type(item).__name__}; "
                 f"e.g. {what}=[{{'V': 0.0}}, g[2, 3] == 0]"
             )
     return values, constraints

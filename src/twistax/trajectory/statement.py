@@ -225,7 +225,7 @@ def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) 
     for leaf in leaves_of(expr):
         if isinstance(leaf, Control) and not controls:
             raise ModelError(
-                f"{place} reads the control {leaf.name!r}, which has no value at a node.\n"
+                f"{place} reads the control {leaf.name!r}, which has no value at a node, the final one neither.\n"
                 "  fix: make it a constraint of the system, or a running cost"
             )
         if isinstance(leaf, (State, Control)) and (leaf.name not in known or known[leaf.name].key() != leaf.key()):
