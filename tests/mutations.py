@@ -888,6 +888,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/sensitivity.py",
+        (
+            "multipliers that stand still in derivatives of derivatives",
+            "moved.dynamics * scales.cost / scales.d[1:],",
+            "0.0 * moved.dynamics,",
+            "trajectory/test_sensitivity.py",
+        ),
+    ),
+    *_at(
         "trajectory/between.py",
         (
             "a limit held where it is asked alone",

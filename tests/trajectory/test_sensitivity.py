@@ -101,6 +101,22 @@ def test_poses_a_fixed_time_and_a_free_parameter() -> None:
     assert np.abs(expected[-2]).max() > 1e-3
 
 
+def test_second_derivatives_of_the_trajectory() -> None:
+    # w = c / (1 + c^2), by hand: without tangents of the multipliers the second derivative is half of it.
+    x, w, c = tx.State("x"), tx.Control("w"), tx.Parameter("c", value=1.0)
+    dynamics = tx.compile(tx.System(rates={x: c * w}))
+    objective = tx.Minimize((x - 3.0) ** 2, running=w**2)
+    optimum = solution(Problem(dynamics, objective, nodes=3, final_time=1.0, initial={x: 2.0}))
+
+    def control(c: Any) -> Any:
+        return optimum(params={"c": c}).us["w"][0]
+
+    assert jax.jacfwd(jax.jacfwd(control))(1.0) == pytest.approx(-0.5, abs=1e-6)
+    assert jax.jacfwd(jax.jacrev(control))(1.0) == pytest.approx(-0.5, abs=1e-6)
+    slope = jax.hessian(lambda c: optimum(params={"c": c}).cost)(1.5)
+    assert slope == pytest.approx(2.0 * (3.0 * 1.5**2 - 1.0) / (1.0 + 1.5**2) ** 3, abs=1e-6)
+
+
 def test_what_is_not_solved_is_said() -> None:
     with pytest.raises(tx.TrajectoryError, match=r"the problem was not solved. INFEASIBLE"):
         crane()(initial={"p": 0.0, "v": 0.9 - 0.1}, final={"p": -1e-3, "v": 0.8}, params={"mass": 1e6})

@@ -263,10 +263,15 @@ class _Differentiable:
             jax.tree.map(jnp.zeros_like, weights),
         )
         moved = jax.lax.fori_loop(0, _REFINEMENTS, refine, still)
-        _, cost, point = change(along, moved)
-        zero_rows = jnp.zeros(len(shooting.exists))
+        left, cost, point = change(along, moved)
+        # Multipliers and slacks move too, for derivatives of derivatives; scales are a matter of numbers alone.
         return _Optimum(
-            point, cost, jnp.zeros_like(found.dynamics), zero_rows, zero_rows, jax.tree.map(jnp.zeros_like, scales)
+            point,
+            cost,
+            moved.dynamics * scales.cost / scales.d[1:],
+            method.join(moved.rows) * scales.cost / scales.rows,
+            jnp.where(method.inequality, -left.rows * scales.rows, 0.0),
+            jax.tree.map(jnp.zeros_like, scales),
         )
 
 
