@@ -868,6 +868,12 @@ MUTATIONS: list[Mutation] = [
             "_REFINEMENTS = 1",
             "trajectory/test_sensitivity.py",
         ),
+        (
+            "multipliers that stand still in derivatives of derivatives",
+            "moved.dynamics * scales.cost / scales.d[1:],",
+            "0.0 * moved.dynamics,",
+            "trajectory/test_sensitivity.py",
+        ),
     ),
     *_at(
         "trajectory/warm.py",
@@ -885,15 +891,6 @@ MUTATIONS: list[Mutation] = [
             "*jax.tree.leaves(others), weights)[0]",
             "*jax.tree.leaves(others), jnp.ones_like(weights))[0]",
             "trajectory/test_smooth.py",
-        ),
-    ),
-    *_at(
-        "trajectory/sensitivity.py",
-        (
-            "multipliers that stand still in derivatives of derivatives",
-            "moved.dynamics * scales.cost / scales.d[1:],",
-            "0.0 * moved.dynamics,",
-            "trajectory/test_sensitivity.py",
         ),
     ),
     *_at(
