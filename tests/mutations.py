@@ -687,7 +687,7 @@ MUTATIONS: list[Mutation] = [
             "turns in the other order",
             "return z @ y @ x + 0.0",
             "return x @ y @ z + 0.0",
-            "mechanics/test_models_pinocchio.py",
+            "mechanics/test_models.py",
         ),
     ),
     *_at(

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax import mechanics
@@ -43,6 +45,83 @@ def test_limits_friction_and_notes_of_a_file() -> None:
     assert arm.frame("tool").segment == 2
     (tau,) = arm.system().controls
     np.testing.assert_array_equal(tau.max, [np.inf, 40.0, 100.0])
+
+
+def read_by_hand(path: Path, q: dict[str, float]) -> dict[str, np.ndarray]:
+    """T (4, 4) of every link in the root's frame, by the standard library and SciPy: rpy turns about fixed axes."""
+    tree, places = ElementTree.parse(path).getroot(), {}
+
+    def origin(element: Any) -> np.ndarray:
+        T, found = np.eye(4), element.find("origin")
+        if found is not None:
+            T[:3, 3] = [float(a) for a in found.get("xyz", "0 0 0").split()]
+            T[:3, :3] = Rotation.from_euler("xyz", [float(a) for a in found.get("rpy", "0 0 0").split()]).as_matrix()
+        return T
+
+    joints = {joint.find("child").get("link"): joint for joint in tree.findall("joint")}
+
+    def place(link: str) -> np.ndarray:
+        if link not in joints:
+            return np.eye(4)
+        joint = joints[link]
+        T, axis, value = np.eye(4), np.array([1.0, 0.0, 0.0]), q.get(joint.get("name"), 0.0)
+        if joint.find("axis") is not None:
+            axis = np.array([float(a) for a in joint.find("axis").get("xyz").split()])
+        if joint.get("type") == "prismatic":
+            T[:3, 3] = value * axis
+        elif joint.get("type") != "fixed":
+            T[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+        return place(joint.find("parent").get("link")) @ origin(joint) @ T
+
+    for link in tree.findall("link"):
+        places[link.get("name")] = place(link.get("name"))
+        inertial = link.find("inertial")
+        if inertial is not None:
+            m = {name: float(value) for name, value in inertial.find("inertia").attrib.items()}
+            J = np.array([[m[f"i{min(a, b)}{max(a, b)}"] for b in "xyz"] for a in "xyz"])
+            places[f"inertia of {link.get('name')}"] = J
+            places[f"centre of {link.get('name')}"] = places[link.get("name")] @ origin(inertial)
+            places[f"mass of {link.get('name')}"] = np.array(float(inertial.find("mass").get("value")))
+    return places
+
+
+@pytest.mark.parametrize(
+    ("path", "values"),
+    [
+        (OWN / "arm.urdf", {"shoulder": [0.4], "elbow": [-0.7], "slide": [0.2]}),
+        # The right finger follows the left one.
+        (Path(__file__).parent / "models" / "hand.urdf", {"left_joint": [0.5], "thumb_joint": [-0.3]}),
+    ],
+)
+def test_places_and_energies_of_a_file(path: Path, values: dict[str, list[float]]) -> None:
+    robot = load(path, quarter_turns=0.0)
+    q, rates = np.concatenate([values[name] for name in robot.joints if name in values]), np.array([0.6, -0.9, 0.7])
+
+    def by_hand(q: np.ndarray) -> dict[str, np.ndarray]:
+        named = dict(zip(values, q, strict=True))
+        if "left_joint" in named:
+            named["right_joint"] = 0.9 * named["left_joint"] + 0.1
+        return read_by_hand(path, named)
+
+    qd, e = rates[: len(q)], 1e-5
+    here, after, before = by_hand(q), by_hand(q + e * qd), by_hand(q - e * qd)
+    kinetic = potential = 0.0
+    tips = [name for name in here if " of " not in name]
+    # A root at rest carries no energy.
+    for name in [name for name in tips if f"mass of {name}" in here and not np.array_equal(here[name], np.eye(4))]:
+        mass, J, T = (here[f"{what} of {name}"] for what in ("mass", "inertia", "centre"))
+        rate = (after[f"centre of {name}"] - before[f"centre of {name}"]) / (2.0 * e)
+        turn = T[:3, :3].T @ rate[:3, :3]
+        w, v = np.array([turn[2, 1], turn[0, 2], turn[1, 0]]), rate[:3, 3]
+        kinetic += 0.5 * mass * v @ v + 0.5 * w @ J @ w
+        potential += 9.81 * mass * T[2, 3]
+    wanted = {name: robot.pose(name) for name in tips}
+    wanted |= {"T": mechanics.kinetic_energy(robot), "V": mechanics.potential_energy(robot)}
+    found = tx.lower(wanted)(0.0, {"q": q, "qd": qd})
+    for name in tips:
+        np.testing.assert_allclose(found[name], here[name], atol=1e-12)
+    np.testing.assert_allclose(found["T"], kinetic, rtol=1e-8)
+    np.testing.assert_allclose(found["V"], potential, rtol=1e-10)
 
 
 def test_quarter_turns_are_taken_as_such_unless_told_otherwise() -> None:

@@ -39,8 +39,8 @@ class Drive:
 
         Limits are numbers. The others are numbers or expressions.
     Raises:
-        ModelError: something that is no number or scalar expression, or negative where that means nothing; bounds that
-            exclude each other.
+        ModelError: something other than a number or scalar expression; a negative value where that means nothing;
+            bounds that exclude each other.
     """
 
     armature: ExprLike = 0.0
@@ -84,7 +84,7 @@ class Drive:
         return None if _is_zero(self.armature) else to_expr(self.armature)
 
     def passive(self, position: Expr | None, velocity: Expr) -> Expr | None:
-        """What damping, friction and spring do to one freedom (); None where there is none of them."""
+        """What damping, friction and spring do to one freedom (); None without any."""
         terms: list[Expr] = []
         if not _is_zero(self.damping):
             terms.append(-(to_expr(self.damping) * velocity))

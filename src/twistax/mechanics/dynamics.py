@@ -235,7 +235,7 @@ def checked(owner: str, mechanism: Mechanism) -> Mechanism:
 
 
 def _outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
-    """The sum of the outer wrenches on each segment, in its frame; None where there is none."""
+    """The sum of the outer wrenches on each segment, in its frame; None without any."""
     found: list[Expr | None] = [None] * len(mechanism.segments)
     if wrenches is not None and not isinstance(wrenches, Mapping):
         raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")

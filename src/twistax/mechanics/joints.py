@@ -210,7 +210,7 @@ class Joint(_Subspaces, ABC):
 
     @abstractmethod
     def placement(self, position: Expr) -> Expr:
-        """T_pc (4, 4) of the position, of shape (0,) where there is none; its rate must be T_pc (H velocity)^."""
+        """T_pc (4, 4) of the position, of shape (0,) without one; its rate must be T_pc (H velocity)^."""
 
     def rate(self, position: Expr, velocity: Expr) -> Expr:
         """The rate of the position: the velocity, unless a subclass says otherwise."""

@@ -49,7 +49,7 @@ def potential_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 
 def total_mass(mechanism: Mechanism) -> Expr:
-    """The mass of all bodies that move (), kg. Raises ModelError where there is none."""
+    """The mass of all bodies that move (), kg. Raises ModelError if no body moves."""
     found = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
     if not found:
         raise ModelError("total_mass expects a mechanism with bodies, got rotors only")

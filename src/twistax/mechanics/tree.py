@@ -61,7 +61,7 @@ class Link:
         drive: what the joint has beside its geometry: rotor, damping, friction, spring, gear and limits.
         mimic: the joint it follows, if it does not move on its own.
     Raises:
-        ModelError: no joint; a body that is none; a mount made of numbers and no pose; a drive or mimic that is none; a
+        ModelError: something else as joint, body, drive or mimic; a mount made of numbers and no pose; a
             follower with a position on a group.
         ShapeError: mount is not of shape (4, 4).
     """
@@ -193,7 +193,7 @@ def segments_of(
 
 
 def merged(bodies: list[SpatialInertia]) -> SpatialInertia | None:
-    """All of them as one; None where there is none."""
+    """Their sum as one inertia; None without any."""
     return functools.reduce(SpatialInertia.merge, bodies) if bodies else None
 
 

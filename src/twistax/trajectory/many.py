@@ -121,25 +121,25 @@ class Lanes:
             views = jax.tree.map(np.asarray, (measured, slopes))
             for k, lane in enumerate(lanes):
                 if lane.case is not None:
-                    self._decide(k, lane, views, float(before[k]), scales, found, most)
+                    self._decide(k, lane, lane.case, views, float(before[k]), scales, found, most)
 
     def _decide(
         self,
         k: int,
         lane: _Lane,
+        case: int,
         views: tuple[Iterate, Derivatives],
         before: float,
         scales: Scales,
         found: dict[int, Outcome | None],
         most: int,
     ) -> None:
-        """What a lane does next, after it was looked at."""
+        """What the lane of a case does next, after it was looked at."""
         solver = self._solver
         state, slopes = jax.tree.map(lambda a: a[k], views)
 
         def end(outcome: Outcome | None) -> None:
-            assert lane.case is not None
-            found[lane.case] = outcome
+            found[case] = outcome
             lane.case, lane.next = None, _REST
 
         if lane.watch is None:

@@ -19,7 +19,7 @@ from ...trajectory import IPOPT, Fatrop, Problem, TrajectoryResult
 from ..checks import Absent, Check, Section, at_most, between
 from .optima import goddard, rendezvous
 
-#: Solves of which the fastest counts, starts tried, and a cost that is the best one's, relative.
+#: Solves of which the fastest counts, starts tried, and the relative difference of costs of one optimum.
 _REPEATS, _STARTS, _SAME = 5, 8, 1e-4
 
 
