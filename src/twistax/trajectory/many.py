@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..precision import in_double
 from . import scaling
 from .interior_point import Scales
 from .interior_point import State as Iterate
@@ -190,7 +191,7 @@ def solve_all(solver: Solver, lanes: Lanes, points: Point, givens: Given, most: 
             return None
 
     def work(_: int) -> dict[int, Outcome | None]:
-        with jax.enable_x64(True):
+        with in_double():
             return lanes.run(points, givens, next_case, most)
 
     found: dict[int, Outcome | None] = {}

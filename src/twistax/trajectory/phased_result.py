@@ -7,10 +7,10 @@ import functools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
+from ..precision import in_double
 from .result import (
     Optimality,
     Replay,
@@ -110,7 +110,7 @@ def best_of_phases(
     params, point = found_params(problem.border, best, params), best.point
     limits = set(problem.border.row_names)
     phases, lost, multipliers = [], dict[str, float](), dict[str, Array]()
-    with jax.enable_x64(True):
+    with in_double():
         for part, name, segment in zip(problem.parts, problem.names, joined.segments):
             n, stages = segment.shooting.n, segment.stages
             own = best._replace(

@@ -17,6 +17,7 @@ from ..errors import InputError, ModelError, ShapeError, TrajectoryError, Twista
 from ..expr import Constraint, Expr, Parameter, State, leaves_of, to_expr
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
+from ..precision import in_double
 from ..system import free_name, name_of
 from .border import Border, boxes_of
 from .conditions import split
@@ -253,7 +254,7 @@ class PhasedProblem:
         if unknown:
             raise InputError(f"unknown key {unknown[0]!r} in params; expected: {listed(self.leaves, unknown[0])}")
         own = self.params if params is None else self._values(self.params | dict(params))
-        with jax.enable_x64(True):
+        with in_double():
             begin = time.perf_counter()
             plain = self._start(own)
             finals = tuple(part.given(part.ends, own, part.time_limits).final for part in self.parts)

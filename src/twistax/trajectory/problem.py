@@ -17,6 +17,7 @@ from ..expr import Control, Inputs, Parameter, State, evaluate_all, leaves_of
 from ..groups import Euclidean
 from ..integrators import RKMK
 from ..lowering.dynamics import need_compiled
+from ..precision import in_double
 from ..system import name_of
 from .between import held
 from .border import Border, boxes_of
@@ -259,7 +260,7 @@ class Problem:
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
-        with jax.enable_x64(True):
+        with in_double():
             begin = time.perf_counter()
             plain, given, own = self.started(guess, initial, final, params, final_time, final_time_guess)
             own_solver = self._solver(float(tolerance), plain, given)
@@ -310,7 +311,7 @@ class Problem:
         check_options(max_iterations, tolerance)
         given = {"guess": guess, "initial": initial, "final": final, "params": params}
         cases = Cases(self, given, final_time)
-        with jax.enable_x64(True):
+        with in_double():
             begin = time.perf_counter()
             points, givens, own = prepared(self, cases)
             solver = self._solver(float(tolerance), *jax.tree.map(lambda a: jnp.asarray(a[0]), (points, givens)))
@@ -444,7 +445,7 @@ class Problem:
         middle = {box.name: control_guess(box, None, 1)[0] for box in self.border.boxes if box.name not in valued}
         given = middle | {name_of(key): value for key, value in (params or {}).items()}
         own = {name: given.pop(name) for name in self._own if name in given}
-        with jax.enable_x64(True):
+        with in_double():
             zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
             zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
             families = ("rates", "constraints")

@@ -18,6 +18,7 @@ from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import RKMK, Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from ..integrators.tableaus import RK4
+from ..precision import in_double
 from .border import Border
 from .shooting import Point, Transcribed
 from .solver import Outcome
@@ -98,7 +99,7 @@ class Trajectory:
         """
         whole("steps", steps, 1, TrajectoryError)
         method = RKMK(RK4) if method is None else method
-        with jax.enable_x64(True):
+        with in_double():
             if isinstance(method, Method):
                 xs = _rollout_on_group(self, method, steps)
             else:
@@ -200,7 +201,7 @@ def best_result(
     sign, best = problem.objective.sign, best_of(outcomes)
     params = found_params(problem.border, best, params)
     point = best.point
-    with jax.enable_x64(True):
+    with in_double():
         violations = violations_of(problem, best, params)
     return TrajectoryResult(
         **trajectory_at(problem, point, params),

@@ -23,6 +23,7 @@ import numpy as np
 from ..checks import short
 from ..errors import TrajectoryError
 from ..jax_inside import is_traced
+from ..precision import in_double
 from ..system import name_of
 from .interior_point import InteriorPoint, Scales, State, in_units
 from .riccati import Factors, Rows, Stages, factorize, refined
@@ -114,7 +115,8 @@ class _Differentiable:
 
     def __init__(self, problem: Problem, options: dict[str, Any], tolerance: float) -> None:
         self._problem, self._options, self._tolerance = problem, options, tolerance
-        self._own = problem.given(problem.ends, problem.params, problem.time_limits)
+        with in_double():
+            self._own = problem.given(problem.ends, problem.params, problem.time_limits)
         self._jitted_tangent = jax.jit(self._tangent)
         self._jitted_factors = jax.jit(self._factors)
         optimum = jax.custom_jvp(self._optimum)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import short, whole
 from ..errors import TrajectoryError
+from ..precision import in_double
 from .conditions import Ends
 from .guess import state_guess
 from .interior_point import InteriorPoint, Scales, State
@@ -53,7 +53,7 @@ class WarmStart:
         problem, point = self.problem, self.point
         shooting = problem.shooting
         xs: dict[str, list[Array]] = {name: list(a) for name, a in point.xs.items()}
-        with jax.enable_x64(True):
+        with in_double():
             for _ in range(steps):
                 last = {name: a[-1] for name, a in xs.items()}
                 number = np.asarray(shooting.intervals - 1.0)
