@@ -749,7 +749,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/shooting.py",
+        "trajectory/interval.py",
         (
             "adjoints without the rows at the points",
             "adjoint = adjoint + sum(through) + pulls[s, :n]",
@@ -757,6 +757,9 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_shooting.py",
         ),
         ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
+    ),
+    *_at(
+        "trajectory/shooting.py",
         (
             "limits at nodes taken as decided by the parameters of the first solve",
             "zip(itertools.cycle(samples), (given.params, *others))",

@@ -10,7 +10,7 @@ import twistax as tx
 from twistax.trajectory.interior_point import InteriorPoint
 from twistax.trajectory.program import Program, Reference
 from twistax.trajectory.scaling import unit_scales
-from twistax.trajectory.shooting import Given, Point
+from twistax.trajectory.transcribed import Given, Point
 
 casadi = pytest.importorskip("casadi")
 

@@ -12,7 +12,7 @@ from trajectory_systems import quick_jit
 
 import twistax as tx
 from twistax.trajectory import Phase, PhasedResult, Problem, Status
-from twistax.trajectory.shooting import Given, Point, Step
+from twistax.trajectory.transcribed import Given, Point, Step
 
 G0 = 9.80665
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, solve
-from twistax.trajectory.shooting import Derivatives
+from twistax.trajectory.transcribed import Derivatives
 
 INTERVALS, N, M, BORDER, ROWS, END_ROWS = 4, 3, 2, 2, 3, 2
 SIZE = N + M + BORDER

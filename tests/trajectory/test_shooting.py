@@ -10,7 +10,8 @@ from trajectory_systems import quick_jit
 
 import twistax as tx
 from twistax.trajectory import Problem
-from twistax.trajectory.shooting import Derivatives, Given, Point, Shooting, Step, Values
+from twistax.trajectory.shooting import Shooting
+from twistax.trajectory.transcribed import Derivatives, Given, Point, Step, Values
 
 NODES, N, M, BORDER = 4, 6, 4, 3
 #: Short steps, for the exponential coordinates in which an interval is differentiated end elsewhere by O(h^5).

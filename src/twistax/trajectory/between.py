@@ -15,8 +15,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from .result import Trajectory, found_params, trajectory_at
-from .shooting import Given
 from .solver import Outcome
+from .transcribed import Given
 from .warm import WarmStart
 from .watch import Status
 

@@ -15,8 +15,8 @@ from ..checks import short
 from ..errors import ShapeError, TrajectoryError, TwistaxError
 from ..system import name_of
 from .result import Optimality, TrajectoryResult, best_result
-from .shooting import Given, Point
 from .solver import Outcome
+from .transcribed import Given, Point
 from .watch import Status
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..errors import TrajectoryError
 from .program import Program, Reference
-from .shooting import Given, Point
 from .solver import Callback, Outcome, Solver, Status
+from .transcribed import Given, Point
 from .warm import WarmStart
 
 if TYPE_CHECKING:

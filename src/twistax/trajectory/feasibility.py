@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from .interior_point import InteriorPoint, State, in_units, largest
 from .riccati import Rows, Stages, along_rows, factorize, solve
-from .shooting import Derivatives, Given, Point, Values
+from .transcribed import Derivatives, Given, Point, Values
 
 FIRST_DAMPING = 1e-2
 _LEAST_DAMPING = 1e-10

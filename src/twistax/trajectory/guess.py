@@ -38,8 +38,8 @@ def user_guess(
     return found
 
 
-def state_guess(leaf: State, given: Array | None, initial: Array | None, final: Array | None, nodes: int) -> Array:
-    """Values of a state at all nodes; fixed ends are put in place.
+def state_guess(leaf: State, given: Array | None, initial: Array | None, final: Array | None, shares: Array) -> Array:
+    """Values of a state at nodes, given as shares of the final time; fixed ends are put in place.
 
     Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
     """
@@ -54,7 +54,7 @@ def state_guess(leaf: State, given: Array | None, initial: Array | None, final: 
         source = np.stack([first, last])
     elif source.shape == leaf.shape:
         source = source[None]
-    values = resample(leaf.group, source, nodes)
+    values = resample(leaf.group, source, shares)
     values[0], values[-1] = _known(initial, values[0]), _known(final, values[-1])
     return values
 
@@ -66,14 +66,17 @@ def control_guess(leaf: Control, given: Array | None, intervals: int) -> Array:
         source = _middle(leaf.min, leaf.max, np.zeros(leaf.shape))
     if source.shape == leaf.shape:
         source = source[None]
-    return resample(Euclidean(leaf.shape), source, intervals)
+    return resample(Euclidean(leaf.shape), source, np.linspace(0.0, 1.0, intervals))
 
 
-def resample(group: Group, samples: Array, count: int) -> Array:
-    """A curve through samples (k, *shape) at equal distances, read at `count` equal distances: geodesic in between."""
-    if len(samples) in (1, count):
-        return np.array(np.broadcast_to(samples, (count, *samples.shape[1:])))
-    place = np.linspace(0.0, len(samples) - 1.0, count)
+def resample(group: Group, samples: Array, shares: Array) -> Array:
+    """A curve through samples (k, *shape) at equal distances, read at shares of its length: geodesic in between.
+
+    As many samples as shares are what is read.
+    """
+    if len(samples) in (1, len(shares)):
+        return np.array(np.broadcast_to(samples, (len(shares), *samples.shape[1:])))
+    place = shares * (len(samples) - 1.0)
     left = np.minimum(place.astype(int), len(samples) - 2)
     share = place - left
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..jax_inside import any_of_batch
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
-from .shooting import Derivatives, Given, Point, Step, Transcribed, Values
+from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 
 #: The first barrier parameter, and how it falls (7).
 _FIRST_BARRIER, _BARRIER_SHARE, _BARRIER_POWER, _BARRIER_ERROR = 0.1, 0.2, 1.5, 10.0

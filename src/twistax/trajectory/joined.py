@@ -23,9 +23,10 @@ from numpy import ndarray as Array
 
 from ..expr import Expr, Inputs, evaluate_all
 from ..lowering.dynamics import Arrays
-from .shooting import Derivatives, Given, Point, Segment, Shooting, Step, Transcribed, Values
+from .shooting import Shooting
 from .smooth import Smooth
 from .statement import PathRows
+from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
 
 
 class Join:

@@ -17,8 +17,8 @@ from ..precision import in_double
 from . import scaling
 from .interior_point import Scales
 from .interior_point import State as Iterate
-from .shooting import Derivatives, Given, Point
 from .solver import Outcome, Solver, jitted
+from .transcribed import Derivatives, Given, Point
 from .watch import Status, Watch
 
 #: The most lanes that step together.

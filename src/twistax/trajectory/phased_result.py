@@ -11,9 +11,9 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..precision import in_double
+from .replay import Replay
 from .result import (
     Optimality,
-    Replay,
     Trajectory,
     active_of,
     best_of,
@@ -23,8 +23,8 @@ from .result import (
     trajectory_at,
     violations_of,
 )
-from .shooting import Values
 from .solver import Outcome
+from .transcribed import Values
 from .watch import Status
 
 if TYPE_CHECKING:

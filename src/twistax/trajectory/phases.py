@@ -25,9 +25,9 @@ from .guess import resample
 from .joined import Join, Joined, told_before
 from .phased_result import PhasedResult, best_of_phases
 from .problem import Problem, check_options, moved_at_random
-from .shooting import Given, Point
 from .solver import Callback, Solver
 from .statement import Objective, check_leaves
+from .transcribed import Given, Point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Phase:
         dynamics: a compiled system.
         objective: what the phase adds to the objective: at its end, where `tx.Time()` is the time since the beginning
             of the first phase, and along it. None adds nothing.
-        nodes: number of state nodes, two or more.
+        nodes: number of state nodes, or where they lie, as for a `Problem`.
         final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
         initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
             phase before left.
@@ -309,7 +309,7 @@ class PhasedProblem:
             if len(known) == 2 and set(known) != {index, index + 1}:
                 (first, a), (last, b) = sorted(known.items())
                 share = (times[[index, index + 1]] - times[first]) / (times[last] - times[first])
-                fine = resample(state.group, np.stack([a, b]), 101)
+                fine = resample(state.group, np.stack([a, b]), np.linspace(0.0, 1.0, 101))
                 found[state.name] = fine[np.rint(100.0 * share).astype(int)]
             elif len(known) == 1:
                 found[state.name] = np.stack([*known.values()] * 2)

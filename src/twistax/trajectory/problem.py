@@ -28,10 +28,13 @@ from .discretize import method_of
 from .external import SolvedBy
 from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
+from .mesh import mesh_of
+from .pinned import stirred
 from .result import TrajectoryResult, best_result
-from .shooting import Given, Point, Shooting, Step, Transcribed, stirred
+from .shooting import Shooting
 from .solver import Callback, Outcome, Solver
 from .statement import Objective, check_leaves, describe_path
+from .transcribed import Given, Point, Step, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
 
@@ -40,7 +43,7 @@ class Problem:
     """Find controls, states and final time that optimise an objective under a system's constraints.
 
     minimise J subject to x' = f(t, x, u), the system's constraints and the boxes of its leaves along the path,
-    conditions at both ends, and limits of the final time. Controls are held over each of nodes - 1 equal intervals.
+    conditions at both ends, and limits of the final time. Controls are held over each of nodes - 1 intervals.
     Constraints on states are asked at the nodes and at the ends of the substeps between them.
 
     The problem is always solved in double precision, whatever the global setting.
@@ -48,7 +51,8 @@ class Problem:
     Args:
         dynamics: a compiled system, or a list of `Phase`; then the rest is as for `PhasedProblem`.
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
-        nodes: number of state nodes, two or more.
+        nodes: number of state nodes, two or more, at equal distances; or where they lie, as an increasing sequence of
+            shares of the final time from 0 to 1.
         final_time: a number in s, or limits (low, high) to leave it free.
         initial, final: values by state or name, on top of the leaves' own, or constraints on the first or last node
             such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
@@ -101,12 +105,12 @@ class Problem:
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
             )
-        whole("nodes", nodes, 2, TrajectoryError)
         whole("substeps", substeps, 1, TrajectoryError)
         for place, expr in (("the objective", objective.final), ("the running cost", objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is objective.running)
-        self.dynamics, self.nodes = dynamics, int(nodes)
+        self.dynamics, self.mesh = dynamics, mesh_of(nodes)
+        self.nodes = self.mesh.nodes
         self.objective: Objective = objective
         time_limits, self.time_guess = _times(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
@@ -160,7 +164,7 @@ class Problem:
             self.dynamics,
             self.objective,
             method=self.method,
-            nodes=self.nodes,
+            mesh=self.mesh,
             substeps=self.substeps,
             path=self.path,
             norms=self.norms,
@@ -399,7 +403,7 @@ class Problem:
         """The point that guesses give, with these durations."""
         count = self.nodes - 1
         xs = {
-            s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.nodes)
+            s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.mesh.shares)
             for s in self.dynamics.states
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}

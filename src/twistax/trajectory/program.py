@@ -22,7 +22,8 @@ from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
 from .interior_point import InteriorPoint, Scales
-from .shooting import Derivatives, Given, Point, Shooting, Step, Values
+from .shooting import Shooting
+from .transcribed import Derivatives, Given, Point, Step, Values
 
 
 class Entries(NamedTuple):

@@ -8,21 +8,19 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import whole
-from ..errors import InputError, IntegrationError, TrajectoryError
-from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
-from ..integrators import RKMK, Method, ZeroOrderHold, integrate
-from ..integrators.ambient import Ambient
+from ..errors import TrajectoryError
+from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from ..precision import in_double
 from .border import Border
-from .shooting import Point, Transcribed
+from .replay import Replay, replayed
 from .solver import Outcome
 from .statement import largest_by_name, violations
+from .transcribed import Point, Transcribed
 from .warm import WarmStart
 from .watch import Status
 
@@ -98,13 +96,8 @@ class Trajectory:
             IntegrationError: the rollout did not reach its end.
         """
         whole("steps", steps, 1, TrajectoryError)
-        method = RKMK(RK4) if method is None else method
         with in_double():
-            if isinstance(method, Method):
-                xs = _rollout_on_group(self, method, steps)
-            else:
-                xs = _rollout_ambient(self, method, steps, rtol, atol)
-            return _judged(self, xs, steps)
+            return replayed(self, RKMK(RK4) if method is None else method, steps, rtol, atol)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -242,7 +235,7 @@ def found_params(border: Border, outcome: Outcome, params: dict[str, Array]) -> 
 def trajectory_at(problem: Problem, point: Point, params: dict[str, Array]) -> dict[str, Any]:
     """The fields of a `Trajectory` at a point."""
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
-    ts = _nodes_at(problem, point)
+    ts = problem.shooting.times(np.asarray(point.border))
     return {
         "problem": problem,
         "xs": {name: np.asarray(values) for name, values in point.xs.items()},
@@ -251,12 +244,6 @@ def trajectory_at(problem: Problem, point: Point, params: dict[str, Array]) -> d
         "final_time": float(ts[-1]),
         "params": params,
     }
-
-
-def _nodes_at(problem: Problem, point: Point) -> Array:
-    """The times of the nodes."""
-    begin, length = (float(a) for a in problem.shooting.span(np.asarray(point.border)))
-    return np.linspace(begin, begin + length, problem.nodes)
 
 
 def multipliers_of(problem: Problem, outcome: Outcome) -> dict[str, Array]:
@@ -281,7 +268,7 @@ def violations_of(problem: Problem, outcome: Outcome, params: dict[str, Array]) 
     defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
     found = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
     if path.shown:
-        ts = _nodes_at(problem, point)
+        ts = shooting.times(np.asarray(point.border))
         held = shooting.local.controls.split(np.asarray(point.us))
         ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
         sizes = [
@@ -312,149 +299,3 @@ def _message(problem: Problem, outcome: Outcome, sizes: dict[str, float], tolera
         between = f"between nodes {interval} and {interval + 1}"
         worst.append(f"'dynamics of {shooting.states[column]}' {between} is off by {size:.3g}")
     return f"{outcome.status}. Worst: {'; '.join(worst)}." if worst else f"{outcome.status}."
-
-
-# ---- replay ------------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class Replay:
-    """A dense rollout of found controls.
-
-    Attributes:
-        ts: (n,) times in s, equally spaced within each interval.
-        xs: states by name, leading axis n.
-        us: controls by name, leading axis n; at a node the control that begins there.
-        misses: state name -> how far the rollout ends from the planned final node: `position` and `angle` (rad) of a
-            pose, `angle` of a rotation, `distance` of a state without a group.
-        vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
-        violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
-            where it holds; each interval is looked at with its own control, both ends included.
-        final: name of a condition at a node -> its violation there, of the rollout.
-    """
-
-    ts: Array
-    xs: dict[str, Array]
-    us: dict[str, Array]
-    misses: dict[str, dict[str, float]]
-    vectors: dict[str, Array]
-    violations: dict[str, float]
-    final: dict[str, float]
-
-
-def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:
-    problem = result.problem
-    intervals = problem.nodes - 1
-    tables = {name: ZeroOrderHold(result.ts[:-1], values) for name, values in result.us.items()}
-    solution = integrate(
-        problem.dynamics,
-        {name: values[0] for name, values in result.xs.items()},
-        t0=float(result.ts[0]),
-        t1=result.final_time,
-        steps=intervals * steps,
-        method=method,
-        u=tables,
-        params={
-            leaf.name: result.params[leaf.name] for leaf in problem.dynamics.parameters if leaf.name in result.params
-        },
-        save_at=_times(result, steps),
-    )
-    return {name: np.asarray(values) for name, values in solution.xs.items()}
-
-
-def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
-    import diffrax
-
-    if not isinstance(solver, diffrax.AbstractSolver):
-        raise InputError(f"method must be a method like tx.RKMK(tx.tableaus.RK4) or a diffrax solver, got {solver!r}")
-    problem = result.problem
-    ambient = Ambient(problem.dynamics)
-    params = {name: jnp.asarray(value) for name, value in result.params.items()}
-    control = diffrax.PIDController(rtol=rtol, atol=atol)
-
-    def interval(y: Any, span: tuple[Any, ...]) -> tuple[Any, Any]:
-        t0, t1, u = span
-        ts = jnp.linspace(t0, t1, steps + 1)
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(ambient.vector_field),
-            solver,
-            t0,
-            t1,
-            (t1 - t0) / steps,
-            y,
-            args=(u, params),
-            saveat=diffrax.SaveAt(ts=ts),
-            stepsize_controller=control,
-            max_steps=100_000,
-            throw=False,
-        )
-        end = jax.tree.map(lambda a: a[-1], solution.ys)
-        return end, (jax.tree.map(lambda a: a[:-1], solution.ys), solution.result == diffrax.RESULTS.successful)
-
-    @jax.jit
-    def rollout(y: Any, ts: Any, us: Any) -> Any:
-        end, (parts, good) = jax.lax.scan(interval, y, (ts[:-1], ts[1:], us))
-        whole = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
-        return jax.vmap(ambient.from_ambient)(whole), good
-
-    start = ambient.to_ambient({name: values[0] for name, values in result.xs.items()})
-    xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, result.us))
-    if not bool(good.all()):
-        number = int(np.argmin(np.asarray(good)))
-        raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
-    return {name: np.asarray(values) for name, values in xs.items()}
-
-
-def _times(result: Trajectory, steps: int) -> Array:
-    return np.linspace(result.ts[0], result.final_time, (len(result.ts) - 1) * steps + 1)
-
-
-def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
-    problem, ts = result.problem, _times(result, steps)
-    intervals = problem.nodes - 1
-    holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
-    end = {name: np.asarray(values[-1]) for name, values in xs.items()}
-    planned = {name: np.asarray(values[-1]) for name, values in result.xs.items()}
-    factors = problem.dynamics.group.factors.items()
-    vectors = {name: np.asarray(jax.jit(g.difference)(planned[name], end[name])) for name, g in factors}
-    return Replay(
-        ts=ts,
-        xs=xs,
-        us={name: values[holds] for name, values in result.us.items()},
-        misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
-        vectors=vectors,
-        violations=_path_violations(result, ts, xs, steps),
-        final=_node_violations(result, ts, xs, steps),
-    )
-
-
-def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:
-    if isinstance(group, SpecialEuclidean):
-        _, angular = group.order.split(vector)
-        position = float(np.linalg.norm(reached[:3, 3] - planned[:3, 3]))
-        return {"position": position, "angle": float(np.linalg.norm(angular))}
-    kind = "angle" if isinstance(group, SpecialOrthogonal) else "distance"
-    return {kind: float(np.linalg.norm(vector))}
-
-
-def _path_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
-    problem = result.problem
-    path = problem.path
-    if not path.shown:
-        return {}
-    window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
-    # Each interval is looked at with its own control, both ends included.
-    points = {name: values[window.ravel()] for name, values in xs.items()}
-    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in result.us.items()}
-    held |= {c.name: np.zeros(window.size) for c in problem.norms.controls}
-    rows = np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
-    return largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0))
-
-
-def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
-    problem, found = result.problem, dict[str, float]()
-    for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
-        here = {name: values[k * steps] for name, values in xs.items()}
-        values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, result.params))
-        found |= largest_by_name(rows.names, violations(values, rows.equality))
-    return found

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve
 
-from .shooting import Derivatives, Step
+from .transcribed import Derivatives, Step
 
 #: How often a solution is refined.
 _REFINEMENTS = 2

@@ -15,7 +15,8 @@ from ..groups import Euclidean, SpecialEuclidean
 from .border import Border
 from .interior_point import Scales
 from .riccati import of_stages
-from .shooting import Derivatives, Point, Shooting, Step, Transcribed
+from .shooting import Shooting
+from .transcribed import Derivatives, Point, Step, Transcribed
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -51,10 +52,10 @@ def measured(shooting: Transcribed, point: Point, slopes: Derivatives, scales: S
     moved = []
     for part in shooting.segments:
         own = part.shooting
-        most = reach[part.stages, : own.n].max(axis=0)
+        most = (reach[part.stages, : own.n] / own.mesh.widths[:, None, None]).max(axis=0)
         sizes = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns])
         d[part.nodes, : own.n], u[part.stages, : own.m] = sizes
-        moved.append((own.intervals * most, sizes[0]))
+        moved.append((most, sizes[0]))
     for join in shooting.joins:
         u[join.stage, : len(join.free)] = d[join.stage + 1, join.free]
     end_others = _moved(end_slopes, [*d[-1], *times])
@@ -158,11 +159,11 @@ def _moving(spread: Array, values: Array) -> Array:
 def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[Array, Array]:
     """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1.
 
-    Slopes are the largest of the dynamics, (n, n + m).
+    Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m).
     """
     n = shooting.n
     sizes = np.concatenate([d, u])
-    reach = shooting.intervals * slopes
+    reach = np.array(slopes)
     reach[np.arange(n), np.arange(n)] = 0.0
     limits = np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])
     for known in (None, limits, np.ones_like(sizes)):

@@ -27,7 +27,7 @@ from ..precision import in_double
 from ..system import name_of
 from .interior_point import InteriorPoint, Scales, State, in_units
 from .riccati import Factors, Rows, Stages, factorize, refined
-from .shooting import Given, Point, Step
+from .transcribed import Given, Point, Step
 
 if TYPE_CHECKING:
     from .problem import Problem

@@ -16,7 +16,7 @@ from . import feasibility, scaling, warm
 from .interior_point import Errors, InteriorPoint, Scales
 from .interior_point import State as Iterate
 from .program import Program
-from .shooting import Derivatives, Given, Point, Step, Transcribed, Values
+from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 from .warm import WarmStart
 from .watch import Status, Watch, error, row_violations
 

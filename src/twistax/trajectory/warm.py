@@ -15,7 +15,7 @@ from ..precision import in_double
 from .conditions import Ends
 from .guess import state_guess
 from .interior_point import InteriorPoint, Scales, State
-from .shooting import Given, Point
+from .transcribed import Given, Point
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -47,16 +47,18 @@ class WarmStart:
         """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
 
         Raises:
-            TrajectoryError: steps is no positive whole number.
+            TrajectoryError: steps is no positive whole number; intervals are not equally long.
         """
         whole("steps", steps, 1, TrajectoryError)
         problem, point = self.problem, self.point
+        if not problem.mesh.is_even:
+            raise TrajectoryError("shifted: intervals of other lengths come later; it needs nodes at equal distances")
         shooting = problem.shooting
         xs: dict[str, list[Array]] = {name: list(a) for name, a in point.xs.items()}
         with in_double():
             for _ in range(steps):
                 last = {name: a[-1] for name, a in xs.items()}
-                number = np.asarray(shooting.intervals - 1.0)
+                number = np.asarray(shooting.intervals - 1)
                 for name, value in problem.advanced(number, last, point.us[-1], point.border, self.params).items():
                     xs[name].append(np.asarray(value))
         inner, end = np.split(self.rows, [shooting.intervals * shooting.rows_per_interval])
@@ -103,7 +105,7 @@ def with_ends(warm: WarmStart, problem: Problem, ends: Ends, given: Given) -> Wa
             "  fix: give its xs and us as guess"
         )
     xs = {
-        s.name: state_guess(s, point.xs[s.name], ends.initial[s.name], ends.final[s.name], problem.nodes)
+        s.name: state_guess(s, point.xs[s.name], ends.initial[s.name], ends.final[s.name], problem.mesh.shares)
         for s in problem.dynamics.states
     }
     border = np.clip(point.border, *np.asarray(given.limits).T)

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from . import scaling
 from .interior_point import Scales
 from .interior_point import State as Iterate
-from .shooting import Derivatives, Transcribed
+from .transcribed import Derivatives, Transcribed
 
 #: Scales are renewed once they are off by this factor. A result stands in scales that are not.
 _RENEW = 3.0

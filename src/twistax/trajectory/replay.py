@@ -1,0 +1,177 @@
+"""The rollout of the controls of a trajectory, densely and with any method, and what it misses and exceeds."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..errors import InputError, IntegrationError
+from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
+from ..integrators import Method, ZeroOrderHold, integrate
+from ..integrators.ambient import Ambient
+from .statement import largest_by_name, violations
+
+if TYPE_CHECKING:
+    from .result import Trajectory
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """A dense rollout of found controls.
+
+    Attributes:
+        ts: (n,) times in s, equally spaced within each interval.
+        xs: states by name, leading axis n.
+        us: controls by name, leading axis n; at a node the control that begins there.
+        misses: state name -> how far the rollout ends from the planned final node: `position` and `angle` (rad) of a
+            pose, `angle` of a rotation, `distance` of a state without a group.
+        vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
+        violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
+            where it holds; each interval is looked at with its own control, both ends included.
+        final: name of a condition at a node -> its violation there, of the rollout.
+    """
+
+    ts: Array
+    xs: dict[str, Array]
+    us: dict[str, Array]
+    misses: dict[str, dict[str, float]]
+    vectors: dict[str, Array]
+    violations: dict[str, float]
+    final: dict[str, float]
+
+
+def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
+    """The rollout of a trajectory; see `Trajectory.replay`."""
+    if isinstance(method, Method):
+        return _judged(result, _rollout_on_group(result, method, steps), steps)
+    return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)
+
+
+def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:
+    """Equal intervals in one integration, others one by one."""
+    problem = result.problem
+    params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
+    ts, count, x = _times(result, steps), problem.nodes - 1, {name: values[0] for name, values in result.xs.items()}
+    parts = [{name: values[None] for name, values in x.items()}]
+    together = count if problem.mesh.is_even else 1
+    for k in range(0, count, together):
+        own = slice(k * steps, (k + together) * steps + 1)
+        solution = integrate(
+            problem.dynamics,
+            x,
+            t0=float(ts[own][0]),
+            t1=float(ts[own][-1]),
+            steps=together * steps,
+            method=method,
+            u={n: ZeroOrderHold(result.ts[k : k + together], a[k : k + together]) for n, a in result.us.items()},
+            params=params,
+            save_at=ts[own][1:],
+        )
+        parts.append({name: np.asarray(values) for name, values in solution.xs.items()})
+        x = {name: values[-1] for name, values in parts[-1].items()}
+    return {name: np.concatenate([part[name] for part in parts]) for name in x}
+
+
+def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
+    import diffrax
+
+    if not isinstance(solver, diffrax.AbstractSolver):
+        raise InputError(f"method must be a method like tx.RKMK(tx.tableaus.RK4) or a diffrax solver, got {solver!r}")
+    problem = result.problem
+    ambient = Ambient(problem.dynamics)
+    params = {name: jnp.asarray(value) for name, value in result.params.items()}
+    control = diffrax.PIDController(rtol=rtol, atol=atol)
+
+    def interval(y: Any, span: tuple[Any, ...]) -> tuple[Any, Any]:
+        t0, t1, u = span
+        ts = jnp.linspace(t0, t1, steps + 1)
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(ambient.vector_field),
+            solver,
+            t0,
+            t1,
+            (t1 - t0) / steps,
+            y,
+            args=(u, params),
+            saveat=diffrax.SaveAt(ts=ts),
+            stepsize_controller=control,
+            max_steps=100_000,
+            throw=False,
+        )
+        end = jax.tree.map(lambda a: a[-1], solution.ys)
+        return end, (jax.tree.map(lambda a: a[:-1], solution.ys), solution.result == diffrax.RESULTS.successful)
+
+    @jax.jit
+    def rollout(y: Any, ts: Any, us: Any) -> Any:
+        end, (parts, good) = jax.lax.scan(interval, y, (ts[:-1], ts[1:], us))
+        whole = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
+        return jax.vmap(ambient.from_ambient)(whole), good
+
+    start = ambient.to_ambient({name: values[0] for name, values in result.xs.items()})
+    xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, result.us))
+    if not bool(good.all()):
+        number = int(np.argmin(np.asarray(good)))
+        raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
+    return {name: np.asarray(values) for name, values in xs.items()}
+
+
+def _times(result: Trajectory, steps: int) -> Array:
+    """(intervals * steps + 1,), equally spaced within each interval."""
+    inner = np.linspace(result.ts[:-1], result.ts[1:], steps, endpoint=False, axis=1)
+    return np.append(inner.ravel(), result.ts[-1])
+
+
+def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
+    problem, ts = result.problem, _times(result, steps)
+    intervals = problem.nodes - 1
+    holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
+    end = {name: np.asarray(values[-1]) for name, values in xs.items()}
+    planned = {name: np.asarray(values[-1]) for name, values in result.xs.items()}
+    factors = problem.dynamics.group.factors.items()
+    vectors = {name: np.asarray(jax.jit(g.difference)(planned[name], end[name])) for name, g in factors}
+    return Replay(
+        ts=ts,
+        xs=xs,
+        us={name: values[holds] for name, values in result.us.items()},
+        misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
+        vectors=vectors,
+        violations=_path_violations(result, ts, xs, steps),
+        final=_node_violations(result, ts, xs, steps),
+    )
+
+
+def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:
+    if isinstance(group, SpecialEuclidean):
+        _, angular = group.order.split(vector)
+        position = float(np.linalg.norm(reached[:3, 3] - planned[:3, 3]))
+        return {"position": position, "angle": float(np.linalg.norm(angular))}
+    kind = "angle" if isinstance(group, SpecialOrthogonal) else "distance"
+    return {kind: float(np.linalg.norm(vector))}
+
+
+def _path_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+    problem = result.problem
+    path = problem.path
+    if not path.shown:
+        return {}
+    window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
+    # Each interval is looked at with its own control, both ends included.
+    points = {name: values[window.ravel()] for name, values in xs.items()}
+    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in result.us.items()}
+    held |= {c.name: np.zeros(window.size) for c in problem.norms.controls}
+    rows = np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
+    return largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0))
+
+
+def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+    problem, found = result.problem, dict[str, float]()
+    for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
+        here = {name: values[k * steps] for name, values in xs.items()}
+        values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, result.params))
+        found |= largest_by_name(rows.names, violations(values, rows.equality))
+    return found

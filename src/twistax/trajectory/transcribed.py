@@ -1,0 +1,133 @@
+"""What solvers are given: points, steps, values and derivatives of a discrete problem in stages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+from numpy import ndarray as Array
+
+from .border import Border
+
+if TYPE_CHECKING:
+    from .shooting import Shooting
+
+
+class Point(NamedTuple):
+    """Where an optimisation stands: states (nodes, ...), flat controls (nodes - 1, m), border (g,)."""
+
+    xs: Any
+    us: Any
+    border: Any
+
+
+class Given(NamedTuple):
+    """What a compiled problem is solved for."""
+
+    params: Any
+    final: Any  # states at the end; entries that are free stand for nothing
+    limits: Any  # (g, 2) of the border
+    margins: Any = 0.0  # (rows,) by which rows are tightened
+
+
+class Step(NamedTuple):
+    """A step in the tangent space, or anything with an entry for each unknown."""
+
+    d: Any  # (nodes, n)
+    u: Any  # (intervals, m)
+    border: Any  # (g,)
+
+
+class Values(NamedTuple):
+    """A problem's values at a point."""
+
+    cost: Any
+    defects: Any  # (intervals, n)
+    rows: Any  # (rows,) those of all intervals, then those of the end; <= 0 or = 0
+
+
+class Derivatives(NamedTuple):
+    """Derivatives at a point, by z_k = [d_k, du_k, db] of each interval and z_K = [d_K, db] of the end."""
+
+    defects: Any  # (intervals, n, n + m + g)
+    rows: Any  # (intervals, R, n + m + g)
+    end_rows: Any  # (R_end, n + g)
+    gradient: Any  # (intervals, n + m + g) of the cost
+    end_gradient: Any  # (n + g,)
+    hessian: Any  # (intervals, n + m + g, n + m + g) of cost + y.defects + w.rows
+    end_hessian: Any  # (n + g, n + g)
+
+
+class Segment(NamedTuple):
+    """A transcribed phase, and where its nodes, intervals, and [d, u, b] sit among those of the whole problem."""
+
+    number: int
+    shooting: Shooting
+    nodes: slice
+    stages: slice
+    columns: Any
+    alone: bool = False
+
+    def of(self, point: Point) -> Point:
+        """The point of the phase."""
+        if self.alone:
+            return point
+        return Point(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
+
+
+class Transcribed:
+    """What solvers are given: a discrete problem in stages.
+
+    Attributes:
+        n, m: tangents of a node and controls of an interval, of the largest phase.
+        nodes, intervals, rows_per_interval: how many.
+        border: the unknowns that all stages share.
+        names, places: of every row.
+        equality, exists: (rows,) which rows are equalities; which are asked at all.
+        decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
+        pinned: (rows,) those of them that other rows decide.
+        own: (rows,) those of single nodes.
+        free: Step of bool, which unknowns may move.
+        stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
+            decides are looked at where a search starts.
+        turns: (n,) or (nodes, n) which tangents are rotations.
+        segments, joins: the phases, and what is between them.
+    """
+
+    n: int
+    m: int
+    nodes: int
+    intervals: int
+    rows_per_interval: int
+    border: Border
+    names: Array
+    places: Array
+    equality: Array
+    exists: Array
+    decided: Array
+    pinned: Array
+    own: Array
+    free: Step
+    stirred: Array
+    turns: Array
+    segments: Sequence[Segment]
+    joins: Sequence[Any]
+
+    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
+        """Take rows out that leave no room for slacks."""
+        raise NotImplementedError
+
+    def move(self, point: Point, step: Step) -> Point:
+        """The point after a step."""
+        raise NotImplementedError
+
+    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
+        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
+        raise NotImplementedError
+
+    def derivatives(
+        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
+    ) -> Derivatives:
+        """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
+        raise NotImplementedError
