@@ -14,6 +14,7 @@ LAYERS = [
     "walk",
     "errors",
     "jax_inside",
+    "precision",
     "checks",
     "groups",
     "expr",
