@@ -801,6 +801,27 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/reduction.py",
+        (
+            "integrals that begin anywhere",
+            "State(name, leaf.shape, initial=np.zeros(leaf.shape))",
+            "State(name, leaf.shape)",
+            "trajectory/test_functionals.py",
+        ),
+        (
+            "extremes that nothing pushes",
+            "not pushed_by * leaf.sign > 0.0",
+            "not pushed_by * leaf.sign != 0.0",
+            "trajectory/test_functionals.py",
+        ),
+        (
+            "starts that are not those of the path",
+            "        if within.first:",
+            "        if False:",
+            "trajectory/test_functionals.py",
+        ),
+    ),
+    *_at(
         "trajectory/border.py",
         (
             "upper limits that hold from below",

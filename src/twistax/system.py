@@ -92,6 +92,8 @@ class System:
         }
         leaves = list(leaves_of(*self._roots.values()))
         no_elements(leaves)
+        for leaf in leaves:
+            leaf.check_in_system()
         used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter))]
         self.states: tuple[State, ...] = _states(rates, used)
         self.rates: dict[str, Expr] = dict(zip((s.name for s in self.states), expressions.values(), strict=True))

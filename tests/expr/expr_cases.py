@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-import twistax.mechanics  # noqa: F401  its nodes are examined too
+import twistax.mechanics
+import twistax.trajectory  # noqa: F401  their nodes are examined too
 from twistax.expr import Constant, Example, Expr, Inputs, all_nodes, evaluate_all
 
 

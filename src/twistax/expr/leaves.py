@@ -52,6 +52,9 @@ class Leaf(Expr):
         """This leaf's value among a lowered function's arguments."""
         raise NotImplementedError
 
+    def check_in_system(self) -> None:
+        """Raise ModelError if it has no value in a system."""
+
     def to_text(self, *operands: str) -> str:
         return self.name
 

@@ -3,6 +3,7 @@
 from .cases import TrajectoryResults
 from .discretize import Discretization, Linearization, discretize, linearize
 from .external import IPOPT, Fatrop
+from .functionals import Initial, Integral, Maximum, Minimum
 from .phased_result import PhasedResult
 from .phases import Phase
 from .problem import Problem
@@ -18,7 +19,11 @@ __all__ = [
     "IPOPT",
     "Discretization",
     "Fatrop",
+    "Initial",
+    "Integral",
     "Linearization",
+    "Maximum",
+    "Minimum",
     "Objective",
     "Optimality",
     "Phase",

@@ -176,7 +176,7 @@ def results(
     return TrajectoryResults(
         problem=problem,
         status=tuple(o.status for o in outcomes),
-        xs={name: np.stack([np.asarray(o.point.xs[name]) for o in outcomes]) for name in outcomes[0].point.xs},
+        xs={s.name: np.stack([np.asarray(o.point.xs[s.name]) for o in outcomes]) for s in problem.reduced.states},
         us={c.name: held[c.name] for c in problem.dynamics.controls},
         final_time=np.array([float(o.point.border[0]) for o in outcomes]),
         cost=problem.objective.sign * np.array([o.cost for o in outcomes]),

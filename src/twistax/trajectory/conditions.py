@@ -15,6 +15,7 @@ from numpy import ndarray as Array
 from ..checks import listed, short
 from ..errors import ModelError, TrajectoryError
 from ..expr import Constraint, Equality, Expr, Inputs, Parameter, State, Time, evaluate_all, leaves_of
+from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
 from ..system import free_name, name_of
@@ -58,11 +59,21 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
     for own, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
         name = f"{place}: {own}"
         check_leaves(dynamics, name, constraint, controls=False)
-        shape = constraint.check_shape()
+        residual = _residual(constraint)
+        shape = residual.check_shape()
         names += [f"{name}[{i}]" for i in range(prod(shape))] if shape else [name]
-        residuals.append(constraint.residual().canonicalize())
+        residuals.append(residual.canonicalize())
         equality += [isinstance(constraint, Equality)] * prod(shape)
     return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))
+
+
+def _residual(constraint: Constraint) -> Expr:
+    """lhs - rhs; Log(rhs^-1 lhs) where both are rotations or poses, whose entries depend on each other."""
+    left, right = constraint.lhs, constraint.rhs
+    if isinstance(constraint, Equality) and left.is_group_element and right.is_group_element:
+        log = SO3Log if left.shape == (3, 3) else SE3Log
+        return log(Compose(Inverse(right), left))
+    return constraint.residual()
 
 
 def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
@@ -83,8 +94,8 @@ def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]
     return values, constraints
 
 
-def at_nodes(dynamics: Dynamics, at: Any, nodes: int) -> dict[int, Conditions]:
-    """The conditions at inner nodes, from `at={node: constraint or a list of them}`."""
+def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Constraint]]:
+    """The constraints on inner nodes by name, from `at={node: constraint or a list of them}`."""
     if at is not None and not isinstance(at, Mapping):
         raise ModelError(
             f"at must be a dict from numbers of nodes to constraints, got {short(at)}; e.g. at={{5: p >= 1}}"
@@ -101,7 +112,7 @@ def at_nodes(dynamics: Dynamics, at: Any, nodes: int) -> dict[int, Conditions]:
             raise ModelError(
                 f"at[{node}] expects constraints, got values of {listed(map(name_of, values))}; e.g. p == 1.0"
             )
-        found[int(node)] = conditions(dynamics, f"node {node}", constraints)
+        found[int(node)] = constraints
     return found
 
 

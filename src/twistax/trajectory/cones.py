@@ -1,4 +1,7 @@
-"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which has slopes and bends everywhere."""
+"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which has slopes and bends everywhere.
+
+Magnitudes of entries likewise: |a| <= b as a <= b and -a <= b.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from ..expr import Add, Constant, Control, Div, Dot, Expr, Mul, Neg, Norm, State, Sub, Time, leaves_of
+from ..expr import Abs, Add, Constant, Control, Div, Dot, Expr, Mul, Neg, Norm, State, Sub, Time, leaves_of
 
 #: A coefficient and what it multiplies.
 Term = tuple[float, Expr]
@@ -16,8 +19,15 @@ def without_norms(residual: Expr) -> list[Expr]:
     """Rows (<= 0 each) that mean residual <= 0 and are smooth where one norm stands in it linearly; else itself.
 
     c |a| + r <= 0 with c > 0 is a.a - b^2 <= 0 and -b <= 0, b = -r / c; with c < 0 and a number r, b^2 - a.a <= 0.
+    With magnitudes of entries, c > 0, it is c a + r <= 0 and -c a + r <= 0.
     """
     terms = linear_terms(residual)
+    sizes = [(factor, part) for factor, part in terms if isinstance(part, Abs)]
+    if len(sizes) == 1 and sizes[0][0] > 0.0:
+        ((factor, size),) = sizes
+        rest = sum_of([term for term in terms if term[1] is not size])
+        (operand,) = size.children()
+        return [(rest + side * factor * operand).canonicalize() for side in (1.0, -1.0)]
     norms = [term for term in terms if _is_norm(term[1])]
     if residual.shape != () or len(norms) != 1 or norms[0][0] == 0.0:
         return [residual]

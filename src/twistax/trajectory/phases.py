@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,17 +15,19 @@ from numpy import ndarray as Array
 
 from ..checks import callable_with, listed, reals, short, whole
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError, TwistaxError
-from ..expr import Constraint, Expr, Parameter, State, leaves_of, to_expr
+from ..expr import Expr, Parameter, State, leaves_of, to_expr
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import free_name, name_of
 from .border import Border, boxes_of
 from .conditions import split
+from .functionals import Initial
 from .guess import resample
 from .joined import Join, Joined, told_before
 from .phased_result import PhasedResult, best_of_phases
 from .problem import Problem, check_options, moved_at_random
+from .reduction import InPhase, functionals_of
 from .solver import Callback, Solver
 from .statement import Objective, check_leaves
 from .transcribed import Given, Point
@@ -104,12 +107,19 @@ class PhasedProblem:
             )
         self.none: Objective = kinds.pop()(0.0)
         given, free = dict(params or {}), _as_dict(free)
-        self.parts = [self._part(index, phase, given, free) for index, phase in enumerate(phases)]
+        carried = [[leaf for leaf in functionals_of(*_asked(p)) if isinstance(leaf, Initial)] for p in phases]
+        within = [
+            InPhase(name, tuple(itertools.chain(*carried[index:])), first=index == 0)
+            for index, name in enumerate(self.names)
+        ]
+        self.parts = [self._part(index, phase, given, free, within[index]) for index, phase in enumerate(phases)]
         self.sources = [self._linked(index, (links or [None] * count)[index]) for index in range(count)]
         self._share(given, free)
         self.build()
 
-    def _part(self, index: int, phase: Phase, params: Mapping[str, Any], free: Mapping[Any, Any]) -> Problem:
+    def _part(
+        self, index: int, phase: Phase, params: Mapping[str, Any], free: Mapping[Any, Any], within: InPhase
+    ) -> Problem:
         """The problem that a phase alone would be."""
         need_compiled("Phase", phase.dynamics)
         name, last = self.names[index], index == len(self.names) - 1
@@ -135,6 +145,7 @@ class PhasedProblem:
                 guess=phase.guess,
                 method=phase.method,
                 substeps=phase.substeps,
+                _within=within,
             )
         except ShapeError as error:
             raise ShapeError(f"{name}: {error}") from None
@@ -176,7 +187,7 @@ class PhasedProblem:
         if unknown:
             raise InputError(f"unknown key {unknown[0]!r} in params; expected: {listed(leaves, unknown[0])}")
         baked = {name for part in self.parts for name in part.baked} - set(leaves)
-        boxes = boxes_of(free, leaves.values(), baked)
+        boxes = (*boxes_of(free, leaves.values(), baked), *(box for part in self.parts for box in part.bounds))
         limits = np.array([part.time_limits for part in self.parts])
         self.border = Border(tuple(f"duration of {name}" for name in self.names), limits, boxes)
         self.leaves = leaves
@@ -279,10 +290,13 @@ class PhasedProblem:
         guess = {name: value for part in self.parts for name, value in part.own_guess.items()}
         free = {box.name: guess[box.name] for box in self.border.boxes if box.name in guess}
         us = np.zeros((self.shooting.intervals, self.shooting.m))
-        xs = []
+        xs: list[Any] = []
         for index, part in enumerate(self.parts):
-            own = self._between(index, durations) | part.own_guess | free
+            began = {name: xs[0][name][0] for name in part.reduced.starts if index}
+            own = self._between(index, durations) | part.own_guess | free | began
             point = part.start(own, part.ends, params, durations)
+            found = part.border.params(np.asarray(point.border))
+            free |= {box.name: found[box.name] for box in part.bounds}
             segment = self.shooting.segments[index]
             us[segment.stages, : segment.shooting.m] = point.us
             xs.append(point.xs)
@@ -333,8 +347,15 @@ def _names_read(phase: Phase) -> set[str]:
     """The names that a phase reads; more than parameters."""
     reads = phase.dynamics._functions.reads
     names = set(reads["rates"]) | set(reads["constraints"])
+    exprs = _asked(phase)
+    exprs += [leaf.operand for leaf in functionals_of(*exprs)]
+    return names | {leaf.name for e in exprs for leaf in leaves_of(e)}
+
+
+def _asked(phase: Phase) -> list[Expr]:
+    """The expressions that a phase states."""
     exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
     at = phase.at.values() if isinstance(phase.at, Mapping) else []
     for what, given in (("initial", phase.initial), ("final", phase.final), *(("at", own) for own in at)):
         exprs += split(what, given)[1].values()
-    return names | {leaf.name for e in exprs if isinstance(e, (Expr, Constraint)) for leaf in leaves_of(e)}
+    return [e for e in exprs if isinstance(e, Expr)]

@@ -30,6 +30,7 @@ from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
 from .mesh import mesh_of
 from .pinned import stirred
+from .reduction import InPhase, Reduction
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
 from .solver import Callback, Outcome, Solver
@@ -99,6 +100,7 @@ class Problem:
         final_time_guess: Any = None,
         method: RKMK | None = None,
         substeps: int = 2,
+        _within: InPhase = InPhase(),  # noqa: B008  it is frozen
     ) -> None:
         need_compiled("Problem", dynamics)
         if not isinstance(objective, Objective):
@@ -106,18 +108,25 @@ class Problem:
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
             )
         whole("substeps", substeps, 1, TrajectoryError)
-        for place, expr in (("the objective", objective.final), ("the running cost", objective.running)):
-            if expr is not None:
-                check_leaves(dynamics, place, expr, controls=expr is objective.running)
-        self.dynamics, self.mesh = dynamics, mesh_of(nodes)
+        self.mesh = mesh_of(nodes)
         self.nodes = self.mesh.nodes
-        self.objective: Objective = objective
         time_limits, self.time_guess = _times(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
+        inner = at_nodes(at, self.nodes)
+        reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within)
+        #: What functionals of the path became.
+        self.reduced = reduced
+        self.dynamics = dynamics = reduced.dynamics
+        self.objective: Objective = reduced.objective
+        for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
+            if expr is not None:
+                check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
+        objective = self.objective
         self.ends = ends_of(dynamics.states, first, last)
-        self.final_rows = conditions(dynamics, "final", asked_last)
+        self.final_rows = conditions(dynamics, "final", reduced.plain(asked_last))
         #: Conditions at nodes before the last.
-        self.node_rows = at_nodes(dynamics, at, self.nodes)
+        self.node_rows = {k: conditions(dynamics, f"node {k}", reduced.plain(own)) for k, own in inner.items()}
+        asked_first |= reduced.at_start
         if asked_first:
             self.node_rows[0] = conditions(dynamics, "initial", asked_first)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
@@ -140,7 +149,10 @@ class Problem:
         #: Parameters that the problem reads, and the names of those that cannot be changed any more.
         self.readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
         self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
-        self.border = Border(("final time",), np.array([time_limits]), boxes_of(free, self.readable, self.baked))
+        #: Parameters that stand for extremes.
+        self.bounds = boxes_of(reduced.free, self.readable, ())
+        boxes = (*boxes_of(free, self.readable, self.baked), *self.bounds)
+        self.border = Border(("final time",), np.array([time_limits]), boxes)
         self.phase = 0
         self.own_guess = self._checked(guess)
         self.params = self._prepared(params)
@@ -174,6 +186,7 @@ class Problem:
             border=self.border,
             phase=self.phase,
         )
+        self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
         self._solvers: dict[float, Solver] = {}
         self._all_lanes: dict[tuple[Solver, int], Lanes] = {}
         self.advanced = jax.jit(self.shooting.advanced)
@@ -407,11 +420,23 @@ class Problem:
             for s in self.dynamics.states
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
-        border = self.border.start(durations, params, given)
+        xs |= self.reduced.starts_of(xs)
+        border = self.border.start(durations, params, {**self._extremes(xs, us, params, durations), **given})
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         return jax.tree.map(
             jnp.asarray, Point(xs, np.concatenate([*flat, *self._norm_guess(us, border)], axis=1), border)
         )
+
+    def _extremes(
+        self, xs: dict[str, Array], us: dict[str, Array], params: Mapping[str, Array], durations: Array
+    ) -> dict[str, Array]:
+        """Bounds that stand for extremes: those of a guess at its nodes."""
+        if not self.reduced.extremes:
+            return {}
+        ts = self.shooting.times(durations)[:-1]
+        held = us | {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}
+        rows = np.asarray(self.shown_rows(ts, {name: a[:-1] for name, a in xs.items()}, held, dict(params)))
+        return self.reduced.extremes_of(rows, self.path.shown, params)
 
     def _norm_guess(self, us: Mapping[str, Array], border: Array) -> list[Array]:
         """The bounds on norms in the running cost: a little above the norms of the guess."""

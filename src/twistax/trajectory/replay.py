@@ -33,6 +33,7 @@ class Replay:
         vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
         violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
             where it holds; each interval is looked at with its own control, both ends included.
+        extremes: `Maximum(...)`, `Minimum(...)` -> that value along the rollout.
         final: name of a condition at a node -> its violation there, of the rollout.
     """
 
@@ -42,6 +43,7 @@ class Replay:
     misses: dict[str, dict[str, float]]
     vectors: dict[str, Array]
     violations: dict[str, float]
+    extremes: dict[str, float]
     final: dict[str, float]
 
 
@@ -56,7 +58,7 @@ def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[st
     """Equal intervals in one integration, others one by one."""
     problem = result.problem
     params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
-    ts, count, x = _times(result, steps), problem.nodes - 1, {name: values[0] for name, values in result.xs.items()}
+    ts, count, x = _times(result, steps), problem.nodes - 1, _start(result)
     parts = [{name: values[None] for name, values in x.items()}]
     together = count if problem.mesh.is_even else 1
     for k in range(0, count, together):
@@ -75,6 +77,11 @@ def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[st
         parts.append({name: np.asarray(values) for name, values in solution.xs.items()})
         x = {name: values[-1] for name, values in parts[-1].items()}
     return {name: np.concatenate([part[name] for part in parts]) for name in x}
+
+
+def _start(result: Trajectory) -> dict[str, Array]:
+    """The first node, with what was added to the states."""
+    return {name: np.asarray(values[0]) for name, values in (result.xs | result.added).items()}
 
 
 def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
@@ -112,7 +119,7 @@ def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, a
         whole = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
         return jax.vmap(ambient.from_ambient)(whole), good
 
-    start = ambient.to_ambient({name: values[0] for name, values in result.xs.items()})
+    start = ambient.to_ambient(_start(result))
     xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, result.us))
     if not bool(good.all()):
         number = int(np.argmin(np.asarray(good)))
@@ -131,16 +138,19 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
     intervals = problem.nodes - 1
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
     end = {name: np.asarray(values[-1]) for name, values in xs.items()}
-    planned = {name: np.asarray(values[-1]) for name, values in result.xs.items()}
+    planned = {name: np.asarray(values[-1]) for name, values in (result.xs | result.added).items()}
     factors = problem.dynamics.group.factors.items()
     vectors = {name: np.asarray(jax.jit(g.difference)(planned[name], end[name])) for name, g in factors}
+    path, rows = problem.path, _shown_along(result, ts, xs, steps)
+    extremes = problem.reduced.extremes_of(rows, path.shown, result.params)
     return Replay(
         ts=ts,
-        xs=xs,
+        xs={name: xs[name] for name in result.xs},
         us={name: values[holds] for name, values in result.us.items()},
         misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
         vectors=vectors,
-        violations=_path_violations(result, ts, xs, steps),
+        violations=largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0)),
+        extremes={leaf.name: float(extremes[name]) for leaf, name in problem.reduced.extremes.values()},
         final=_node_violations(result, ts, xs, steps),
     )
 
@@ -154,18 +164,17 @@ def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[s
     return {kind: float(np.linalg.norm(vector))}
 
 
-def _path_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> Array:
+    """The path rows as users wrote them along a rollout."""
     problem = result.problem
-    path = problem.path
-    if not path.shown:
-        return {}
+    if not problem.path.shown:
+        return np.zeros((1, 0))
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
     # Each interval is looked at with its own control, both ends included.
     points = {name: values[window.ravel()] for name, values in xs.items()}
     held = {name: np.repeat(values, steps + 1, axis=0) for name, values in result.us.items()}
     held |= {c.name: np.zeros(window.size) for c in problem.norms.controls}
-    rows = np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
-    return largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0))
+    return np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
 
 
 def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:

@@ -63,6 +63,7 @@ class Trajectory:
         ts: (nodes,) times in s.
         final_time: the last of them.
         params: the parameters it was solved for, and those that were found.
+        added: what `Integral` and `Initial` became, states by name.
     """
 
     problem: Problem
@@ -71,11 +72,26 @@ class Trajectory:
     ts: Array
     final_time: float
     params: dict[str, Array]
+    added: dict[str, Array]
+
+    @property
+    def integrals(self) -> dict[str, Array]:
+        """`Integral(...)` -> from the beginning until each node."""
+        return {name: self.added[name] for name in self.problem.reduced.integrals}
 
     @functools.cached_property
+    def _dense(self) -> Replay:
+        return self.replay()
+
+    @property
+    def extremes(self) -> dict[str, float]:
+        """`Maximum(...)`, `Minimum(...)` -> that value along a dense rollout."""
+        return self._dense.extremes
+
+    @property
     def between_nodes(self) -> dict[str, float]:
         """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
-        return self.replay().violations
+        return self._dense.violations
 
     @functools.cached_property
     def mesh_error(self) -> dict[str, dict[str, float]]:
@@ -105,7 +121,7 @@ class TrajectoryResult(Trajectory):
     """A trajectory and how well it solves its problem. All arrays are NumPy, double precision.
 
     Attributes:
-        xs, us, ts, final_time, params: see `Trajectory`.
+        xs, us, ts, final_time, params, added: see `Trajectory`.
         cost: the objective as stated (a maximum is not negated).
         violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
         violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
@@ -236,9 +252,12 @@ def trajectory_at(problem: Problem, point: Point, params: dict[str, Array]) -> d
     """The fields of a `Trajectory` at a point."""
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
     ts = problem.shooting.times(np.asarray(point.border))
+    states = problem.reduced.states
+    own = {s.name for s in states}
     return {
         "problem": problem,
-        "xs": {name: np.asarray(values) for name, values in point.xs.items()},
+        "xs": {s.name: np.asarray(point.xs[s.name]) for s in states},
+        "added": {name: np.asarray(values) for name, values in point.xs.items() if name not in own},
         "us": {c.name: controls[c.name] for c in problem.dynamics.controls},
         "ts": ts,
         "final_time": float(ts[-1]),

@@ -49,11 +49,13 @@ def measured(shooting: Transcribed, point: Point, slopes: Derivatives, scales: S
     inner_slopes = np.abs(np.asarray(slopes.rows)) / before[:, None]
     end_slopes = np.abs(np.asarray(slopes.end_rows)) / end_before
     d, u, times = np.ones_like(unit.d), np.ones_like(unit.u), np.abs(np.asarray(point.border))[: border.phases]
-    moved = []
+    moved, told = [], dict[str, Array]()
     for part in shooting.segments:
-        own = part.shooting
+        own, slices = part.shooting, part.shooting.dynamics.group.slices
         most = (reach[part.stages, : own.n] / own.mesh.widths[:, None, None]).max(axis=0)
         sizes = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns])
+        for name, other in own.alike.items():
+            sizes[0][slices[name]] = told[name] = told.get(name, sizes[0][slices.get(other, slices[name])])
         d[part.nodes, : own.n], u[part.stages, : own.m] = sizes
         moved.append((most, sizes[0]))
     for join in shooting.joins:

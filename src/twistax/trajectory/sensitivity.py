@@ -140,7 +140,7 @@ class _Differentiable:
         held = self._problem.shooting.local.controls.split(found.point.us)
         return Solution(
             self._problem.objective.sign * found.cost,
-            found.point.xs,
+            {s.name: found.point.xs[s.name] for s in self._problem.reduced.states},
             {c.name: held[c.name] for c in self._problem.dynamics.controls},
             found.point.border[0],
             self._problem.border.params(found.point.border),

@@ -48,6 +48,7 @@ class Shooting(Transcribed):
         phase: its number.
         leaves: states and controls by name, in the order of the unknowns.
         states: names of the states' tangents.
+        alike: state -> the one whose scale it has, in this phase or in the first.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class Shooting(Transcribed):
         border: Border,
         phase: int = 0,
     ) -> None:
+        self.alike: dict[str, str] = {}
         self.phase, self._is_last = phase, phase == border.phases - 1
         self.leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
         self.leaves |= {leaf.name: leaf for leaf in (*dynamics.controls, *norms.controls)}

@@ -1,0 +1,312 @@
+"""Integrals, extremes and starts in the statement of a problem, against exact optima."""
+
+from __future__ import annotations
+
+import functools
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from trajectory_systems import double_integrator, free_flyer
+
+import twistax as tx
+from twistax.errors import ModelError
+from twistax.trajectory import Initial, Integral, Maximum, Minimum, Phase, Problem
+
+NODES, TIME = 11, 2.0
+STEP = TIME / (NODES - 1)
+#: Exact for a double integrator under held controls, and quick to compile.
+EXACT: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.HEUN), "substeps": 1}
+dynamics = functools.cache(lambda: tx.compile(double_integrator()))
+
+
+def leaves() -> tuple[Any, Any, Any]:
+    p, v = dynamics().states
+    (u,) = dynamics().controls
+    return p, v, u
+
+
+def reached() -> np.ndarray:
+    """(nodes, 2, 1 + intervals): p and v at the nodes by the first velocity and held controls, from p = 0."""
+    found = np.zeros((NODES, 2, NODES))
+    found[0, 1, 0] = 1.0
+    for k in range(NODES - 1):
+        found[k + 1] = np.array([[1.0, STEP], [0.0, 1.0]]) @ found[k]
+        found[k + 1, :, 1 + k] += [0.5 * STEP**2, STEP]
+    return found
+
+
+def least_energy(rows: np.ndarray, values: Any) -> float:
+    """The least integral of u^2 over first velocities and held controls with rows @ [v0, u] = values."""
+    weight = np.diag([0.0, *[2.0 * STEP] * (NODES - 1)])
+    matrix = np.block([[weight, rows.T], [rows, np.zeros((len(rows),) * 2)]])
+    z = np.linalg.solve(matrix, [*np.zeros(NODES), *values])[:NODES]
+    return float(STEP * z[1:] @ z[1:])
+
+
+BUDGET = 3.0
+
+
+@functools.cache
+def with_budget() -> Problem:
+    """As far as a budget of the integral of u^2 takes it from rest."""
+    p, v, u = leaves()
+    return Problem(
+        dynamics(),
+        tx.Maximize(p),
+        nodes=NODES,
+        final_time=TIME,
+        **EXACT,
+        initial={p: 0.0, v: 0.0},
+        final=[Integral(u**2) <= BUDGET],
+    )
+
+
+def farthest(budget: float) -> float:
+    """The largest c . u with h u . u <= budget."""
+    c = reached()[-1, 0, 1:]
+    return float(np.sqrt(budget / STEP) * np.linalg.norm(c))
+
+
+def test_a_budget_of_an_integral_is_used_up_by_the_best_control() -> None:
+    result = with_budget().solve()
+    assert result.solved
+    assert result.cost == pytest.approx(farthest(BUDGET), rel=1e-6)
+    name = "final: Integral(u ** 2.) <= 3."
+    assert result.active == (name,)
+    assert result.multipliers[name] == pytest.approx([farthest(BUDGET) / (2.0 * BUDGET)], rel=1e-5)
+    assert result.violations[name] < 1e-8
+    along = result.integrals["Integral(u ** 2.)"]
+    np.testing.assert_allclose(along, STEP * np.cumsum([0.0, *result.us["u"] ** 2]), atol=1e-9)
+    assert set(result.xs) == set(result.replay().xs) == {"p", "v"}
+    assert "Integral(u ** 2.) distance" in result.explain()
+
+
+@pytest.mark.slow
+def test_a_budget_is_solved_again_warm_in_cases_and_in_another_process() -> None:
+    problem = with_budget()
+    p, _, _ = leaves()
+    result = problem.solve()
+    again = problem.solve(warm=result, initial={p: 0.5})
+    assert again.solved
+    assert again.cost == pytest.approx(0.5 + farthest(BUDGET), rel=1e-6)
+    assert again.iterations <= 5
+    many = problem.solve_many(initial={p: [0.0, 1.0]})
+    np.testing.assert_allclose(many.cost, farthest(BUDGET) + np.array([0.0, 1.0]), rtol=1e-6)
+    assert set(many.xs) == {"p", "v"}
+    assert many[1].integrals["Integral(u ** 2.)"][-1] == pytest.approx(BUDGET, rel=1e-6)
+    other = pickle.loads(pickle.dumps(problem))
+    assert other.final_rows.names == problem.final_rows.names
+    optimum = tx.trajectory.solution(problem)(initial={"p": 0.25})
+    assert set(optimum.xs) == {"p", "v"}
+    assert float(optimum.cost) == pytest.approx(0.25 + farthest(BUDGET), rel=1e-6)
+
+
+def test_an_integral_in_an_objective_is_a_running_cost() -> None:
+    _, _, u = leaves()
+    problem = Problem(dynamics(), tx.Minimize(2.0 * Integral(u * u) + tx.Time(), running=u * u), final_time=1.0)
+    assert problem.dynamics is dynamics()
+    assert repr(problem.objective.running) == repr((u * u + 2.0 * (u * u)).canonicalize())
+    assert problem.objective.final.key() == tx.Time().key()
+
+
+@pytest.mark.slow
+def test_a_hanging_chain_is_a_catenary() -> None:
+    """Least height of a chain of given length between two nails; y = c cosh((x - 1/2) / c) + const."""
+    y, slope = tx.State("y"), tx.Control("slope")
+    length = (1.0 + slope**2) ** 0.5
+    problem = Problem(
+        tx.compile(tx.System(rates={y: slope})),
+        tx.Minimize(Integral(y * length)),
+        nodes=33,
+        final_time=1.0,
+        initial={y: 0.0},
+        final=[{y: 0.0}, Integral(length) == 1.5],
+        guess={y: -0.4 * np.sin(np.linspace(0.0, np.pi, 33)), slope: -1.2 * np.cos(np.linspace(0.0, np.pi, 32))},
+    )
+    result = problem.solve()
+    assert result.solved
+    low, high = 0.1, 2.0
+    for _ in range(100):  # 2 c sinh(1 / (2 c)) = 1.5
+        c = 0.5 * (low + high)
+        low, high = (c, high) if 2.0 * c * np.sinh(0.5 / c) > 1.5 else (low, c)
+    x = np.linspace(0.0, 1.0, 33)
+    exact = c * (np.cosh((x - 0.5) / c) - np.cosh(0.5 / c))
+    np.testing.assert_allclose(result.xs["y"], exact, atol=2e-3)
+
+
+def test_the_smallest_peak_force() -> None:
+    """A mass moved by 1 m in 2 s from rest to rest: force 4 d / T^2 = 1 N, one switch."""
+    p, v, u = leaves()
+    problem = Problem(
+        dynamics(),
+        tx.Minimize(Maximum(tx.Abs(u))),
+        nodes=NODES,
+        final_time=TIME,
+        **EXACT,
+        initial={p: 0.0, v: 0.0},
+        final={p: 1.0, v: 0.0},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(1.0, rel=1e-6)
+    np.testing.assert_allclose(result.us["u"], np.repeat([1.0, -1.0], 5), atol=1e-4)
+    assert result.extremes == {"Maximum(Abs(u))": pytest.approx(1.0, rel=1e-5)}
+    assert "Abs(u) <= Maximum(Abs(u))" in result.active
+    # twice as far
+    assert problem.solve(final={p: 2.0}).cost == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_limits_on_extremes_bind_and_the_least_is_pushed_up() -> None:
+    """1 m in 2 s with a velocity of 0.6 m/s at most, over its least: v = 0.5 where both count."""
+    p, v, _ = leaves()
+    problem = Problem(
+        dynamics(),
+        tx.Maximize(2.0 * Minimum(v) - 0.5 * p),
+        nodes=NODES,
+        final_time=TIME,
+        **EXACT,
+        initial={p: 0.0},
+        final=[p >= 1.0, Maximum(v) <= 0.6],
+    )
+    result = problem.solve()
+    assert result.solved
+    # p = 2 v_mean, at least 2 v_least: 2 v - 0.5 (2 v) grows with v, up to 0.6.
+    assert result.cost == pytest.approx(0.6, rel=1e-6)
+    assert result.extremes == {"Minimum(v)": pytest.approx(0.6, rel=1e-5), "Maximum(v)": pytest.approx(0.6, rel=1e-5)}
+
+
+def test_a_periodic_path_of_least_energy() -> None:
+    """0.3 m after one second, 1 m after two, with the velocity of the start at the end."""
+    p, v, u = leaves()
+    problem = Problem(
+        dynamics(),
+        tx.Minimize(running=u**2),
+        nodes=NODES,
+        final_time=TIME,
+        **EXACT,
+        initial={p: 2.0},
+        at={5: p == 2.3},
+        final=[p == Initial(p) + 1.0, v == Initial(v)],
+    )
+    result = problem.solve()
+    assert result.solved
+    z = reached()
+    rows = np.stack([z[5, 0], z[-1, 0], z[-1, 1] - z[0, 1]])
+    assert result.cost == pytest.approx(least_energy(rows, [0.3, 1.0, 0.0]), rel=1e-8)
+    assert result.xs["v"][0] == pytest.approx(result.xs["v"][-1], abs=1e-9)
+    assert set(result.xs) == {"p", "v"}
+    assert result.violations["final: v == Initial(v)"] < 1e-9
+
+
+@pytest.mark.slow
+def test_a_forced_oscillator_finds_its_periodic_motion() -> None:
+    """x'' + 0.4 x' + x = cos 2 t + u: with u = 0 the phasor 1 / (1 - 4 + 0.8 i)."""
+    x, w, u = tx.State("x"), tx.State("w"), tx.Control("u")
+    t = tx.Time()
+    problem = Problem(
+        tx.compile(tx.System(rates={x: w, w: tx.Cos(2.0 * t) - 0.4 * w - x + u})),
+        tx.Minimize(running=u * u),
+        nodes=25,
+        final_time=np.pi,
+        final=[x == Initial(x), w == Initial(w)],
+    )
+    result = problem.solve()
+    assert result.solved
+    phasor = 1.0 / (1.0 - 4.0 + 0.8j)
+    assert result.xs["x"][0] == pytest.approx(phasor.real, abs=1e-5)
+    assert result.xs["w"][0] == pytest.approx((2j * phasor).real, abs=1e-5)
+    assert set(result.xs) == {"x", "w"}
+    assert result.violations["final: x == Initial(x)"] < 1e-8
+    assert max(miss["distance"] for miss in result.replay().misses.values()) < 1e-5
+
+
+@pytest.mark.slow
+def test_a_pose_relative_to_a_free_start() -> None:
+    """Half a turn of a screw from wherever it starts: cost |Log|^2 / T, over the group, not over 16 entries."""
+    system = free_flyer()
+    (g,), (V,) = system.states, system.controls
+    twist = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 1.5])
+    problem = Problem(
+        tx.compile(system),
+        tx.Minimize(running=V @ V),
+        nodes=5,
+        final_time=2.0,
+        initial=[g[2, 3] == 1.0],
+        final=[g == tx.lie.Compose(Initial(g), tx.lie.SE3Exp(twist))],
+        guess={g: tx.pose(rotation=np.asarray(tx.SO3.exp(np.array([0.4, -0.3, 0.8]))))},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(twist @ twist / 2.0, rel=1e-6)
+    assert result.xs["g"][0, 2, 3] == pytest.approx(1.0, abs=1e-8)
+    np.testing.assert_allclose(np.linalg.inv(result.xs["g"][0]) @ result.xs["g"][-1], tx.SE3.exp(twist), atol=1e-7)
+
+
+@pytest.mark.slow
+def test_functionals_in_phases() -> None:
+    """Two seconds in two phases: 0.3 m in the first, 1 m in all, with the velocity of the start at the end."""
+    p, v, u = leaves()
+    half = NODES // 2
+    phases = [
+        Phase(
+            dynamics(),
+            tx.Minimize(Integral(u**2)),
+            nodes=half + 1,
+            final_time=1.0,
+            **EXACT,
+            initial={p: 0.0},
+            final=[Integral(v) == 0.3, Maximum(v) <= 3.0],
+            name="first",
+        ),
+        Phase(
+            dynamics(),
+            tx.Minimize(Integral(u**2)),
+            nodes=half + 1,
+            final_time=1.0,
+            **EXACT,
+            final=[p == Initial(p) + 1.0, v == Initial(v), Maximum(v) <= 4.0, Integral(v) == 0.7],
+            name="second",
+        ),
+    ]
+    result = Problem(phases).solve()
+    assert result.solved
+    z = reached()
+    rows = np.stack([z[half, 0], z[-1, 0], z[-1, 1] - z[0, 1]])
+    assert result.cost == pytest.approx(least_energy(rows, [0.3, 1.0, 0.0]), rel=1e-6)
+    first, second = result.phases
+    assert first.integrals["Integral(v)"][-1] == pytest.approx(0.3, abs=1e-8)
+    assert second.integrals["Integral(v)"][0] == 0.0
+    for own in result.phases:
+        assert own.extremes["Maximum(v)"] == pytest.approx(own.replay().xs["v"].max(), rel=1e-9)
+    assert second.xs["v"][-1] == pytest.approx(first.xs["v"][0], abs=1e-8)
+
+
+def refused(word: str, objective: Any = None, **ends: Any) -> None:
+    with pytest.raises(ModelError, match=word):
+        Problem(dynamics(), objective or tx.Minimize(tx.Time()), final_time=1.0, **ends)
+
+
+def test_what_has_no_meaning_is_refused() -> None:
+    p, v, u = leaves()
+    refused("push Maximum", tx.Maximize(Maximum(u)))
+    refused("push Minimum", tx.Minimize(Minimum(u)))
+    refused("push Maximum", tx.Minimize(Maximum(u) ** 2))
+    refused("push Maximum", final=[Maximum(u) == 1.0])
+    refused("push Maximum", final=[Maximum(u) >= 1.0])
+    refused("only begun", initial=[Integral(u) == 1.0])
+    refused("running cost", tx.Minimize(running=Integral(u)))
+    refused("value of the whole path", at={3: Maximum(u) <= 1.0})
+    refused("which the system does not have", final=[Initial(tx.State("x")) == p])
+    refused("which the system does not have", final=[Integral(tx.Control("w")) == 0.0])
+    refused("no constraint or objective pushes", final=[Integral(Maximum(u)) == 0.0])
+    with pytest.raises(ModelError, match="expects a state"):
+        Initial(p + v)
+    with pytest.raises(ModelError, match="condition"):
+        Integral(p <= v)
+    with pytest.raises(ModelError, match="whole path"):
+        tx.System(rates={p: Integral(u)})
+    with pytest.raises(ModelError, match="whole path"):
+        tx.lower(Integral(u))(0.0, {})
