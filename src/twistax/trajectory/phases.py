@@ -292,7 +292,7 @@ class PhasedProblem:
         us = np.zeros((self.shooting.intervals, self.shooting.m))
         xs: list[Any] = []
         for index, part in enumerate(self.parts):
-            began = {name: xs[0][name][0] for name in part.reduced.starts if index}
+            began = {name: np.asarray(xs[0][name][0]) for name in part.reduced.starts if index}
             own = self._between(index, durations) | part.own_guess | free | began
             point = part.start(own, part.ends, params, durations)
             found = part.border.params(np.asarray(point.border))
