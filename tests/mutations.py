@@ -691,6 +691,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/models/mjcf.py",
+        (
+            "reference of a hinge in the other direction",
+            "axisAngle2Quat(quaternion, axis, -reference)",
+            "axisAngle2Quat(quaternion, axis, reference)",
+            "mechanics/test_models_mujoco.py",
+        ),
+        (
+            "servo's stiffness without the gear's square",
+            "stiffness=-bias[1] * g * g",
+            "stiffness=-bias[1] * g",
+            "mechanics/test_models_mujoco.py",
+        ),
+    ),
+    *_at(
         "mechanics/jacobians.py",
         (
             "Jacobian's rate without the frame's own motion",

@@ -13,9 +13,9 @@ from ..expr import Constant, Expr, Tanh, to_expr
 from ..expr.fields import ExprLike
 
 #: Numbers only: they become bounds of states and controls.
-_LIMITS = ("lower", "upper", "speed", "effort")
+_LIMITS = ("lower", "upper", "speed")
 _AMOUNTS = ("armature", "damping", "friction", "stiffness", "rest", "gear", "friction_speed")
-_NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed", "effort")
+_NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,11 +31,12 @@ class Drive:
         damping: N m s/rad or N s/m.
         friction: what dry friction comes to when sliding, N m or N; at rest the force is smooth.
         friction_speed: where it has come to 76 % of that, rad/s or m/s, positive.
-        stiffness, rest: of a spring, N m/rad or N/m, and the position where it gives no force. A joint with a position
-            on a group has none.
+        stiffness, rest: of a spring, N m/rad or N/m, and the position where it gives no force. That of a ball feels
+            Log R. A free joint has none.
         gear: force of the joint for each unit of control.
         lower, upper: bounds of the position; None for none.
-        speed, effort: largest absolute velocity, and largest absolute control; None for none.
+        speed: largest absolute velocity; None for none.
+        effort: largest absolute control, or the pair of the least and the largest control; None for none.
 
         Limits are numbers. The others are numbers or expressions.
     Raises:
@@ -53,7 +54,7 @@ class Drive:
     lower: float | None = None
     upper: float | None = None
     speed: float | None = None
-    effort: float | None = None
+    effort: float | tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in _AMOUNTS:
@@ -66,6 +67,9 @@ class Drive:
                 self._check(name, reals(f"Drive: {name}", limit, ModelError), np.shape(limit))
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
             raise ModelError(f"Drive expects lower to be at most upper, got {self.lower} and {self.upper}")
+        least, most = self.efforts
+        if least is not None and most is not None and not least <= most:
+            raise ModelError(f"Drive expects effort not to be negative, or a pair in order, got {self.effort}")
         if isinstance(self.friction_speed, (int, float)) and self.friction_speed <= 0.0:
             raise ModelError(f"Drive expects friction_speed to be positive, got {self.friction_speed}")
 
@@ -77,6 +81,16 @@ class Drive:
             raise ModelError(f"Drive expects {name} to be finite, got {value}")
         if value is not None and name in _NOT_NEGATIVE and value < 0.0:
             raise ModelError(f"Drive expects {name} not to be negative, got {value}")
+
+    @property
+    def efforts(self) -> tuple[float | None, float | None]:
+        """The least and the largest control; None for none."""
+        if self.effort is None:
+            return None, None
+        ends = reals("Drive: effort", self.effort, ModelError)
+        if ends.shape not in ((), (2,)) or np.isnan(ends).any():
+            raise ModelError(f"Drive expects effort to be a number or a pair, got {self.effort!r}")
+        return (float(-ends), float(ends)) if not ends.shape else (float(ends[0]), float(ends[1]))
 
     @property
     def rotor(self) -> Expr | None:

@@ -23,7 +23,7 @@ from ..checks import number, reals
 from ..errors import ModelError, ShapeError
 from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Stack, State, Where
 from ..expr.fields import ExprLike
-from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual, SO3Exp, twist
+from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual, SO3Exp, SO3Log, twist
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
@@ -215,6 +215,10 @@ class Joint(_Subspaces, ABC):
     def rate(self, position: Expr, velocity: Expr) -> Expr:
         """The rate of the position: the velocity, unless a subclass says otherwise."""
         return velocity
+
+    def deflection(self, position: Expr) -> Expr | None:
+        """What a spring feels of the position (k,): the coordinates themselves; None where there is no spring."""
+        return position if self.group is None else None
 
     @functools.cached_property
     def transform(self) -> Expr:
@@ -413,6 +417,10 @@ class Spherical(Joint):
 
     def placement(self, position: Expr) -> Expr:
         return Pose(position, np.zeros(3))
+
+    def deflection(self, position: Expr) -> Expr:
+        """Log R, in rad: the spring turns back along the shortest way."""
+        return SO3Log(position)
 
 
 class Free(Joint):

@@ -41,8 +41,9 @@ class Mechanism:
         base: name of the base's frame.
         keep: names of `Fixed` joints that are not merged, so that the wrench they carry can be asked for.
         notes: what else there is to say about the model, such as what a file has and nobody uses.
+        driven: names of the joints that motors drive; all but the free ones unless given. A follower has no motor.
     Attributes:
-        links, gravity, notes: as given, the links each after its parent; gravity as an expression.
+        links, gravity, notes, driven: as given, the links each after its parent; gravity as an expression.
         segments: what is left after merging; see `Segment`.
         frames: the names of all frames, with the segment each is fixed to.
         dofs: n.
@@ -60,6 +61,7 @@ class Mechanism:
         base: str = "base",
         keep: Collection[str] = (),
         notes: Iterable[str] = (),
+        driven: Collection[str] | None = None,
     ) -> None:
         name = type(self).__name__
         try:
@@ -72,6 +74,10 @@ class Mechanism:
             raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
         self.notes = tuple(notes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
+        if driven is None:
+            driven = [s.link.joint.name for s in self.segments if s.link.joint.dofs < 6 and s.link.mimic is None]
+        self.driven = tuple(driven)
+        self.freedoms(self.driven)
 
     def check_masses(self, owner: str) -> None:
         """Raise ModelError for a joint that moves no mass, so that its acceleration is not determined."""
@@ -128,7 +134,7 @@ class Mechanism:
     def motors(self, joints: Collection[str]) -> Control:
         """The forces "tau" of the motors of some joints as a Control, with their limits; in the joints' order."""
         at = self.freedoms(joints)
-        low, high = self._bounds(lambda d: (None if d.effort is None else -d.effort, d.effort), by_freedom=True)
+        low, high = self._bounds(lambda drive: drive.efforts, by_freedom=True)
         return Control("tau", (len(at),), min=None if low is None else low[at], max=None if high is None else high[at])
 
     def _bounds(self, limits: Any, *, by_freedom: bool) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -29,7 +29,7 @@ def system_of(
 
     Args:
         mechanism: a tree or a chain.
-        controls: the joints that motors drive; all but the free ones unless given. Their commands are the Control
+        controls: the joints that motors drive; `mechanism.driven` unless given. Their commands are the Control
             "tau", one entry a freedom, in the order of the joints named. None named, none made.
         forces: further forces of the joints (n,), N or N m, such as those of a feedback.
         wrenches: what acts on the mechanism from outside, by frame.
@@ -40,18 +40,17 @@ def system_of(
     """
     if not mechanism.dofs:
         raise ModelError("system expects a mechanism with a joint that moves, got none")
-    if controls is None:
-        controls = [s.link.joint.name for s in mechanism.segments if s.link.joint.dofs < 6 and s.link.mimic is None]
+    controls = mechanism.driven if controls is None else controls
     driven = mechanism.freedoms(controls)
     tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
     command = mechanism.motors(controls) if driven else None
     places = mechanism.positions("system", None)
     for segment, place in zip(mechanism.segments, places, strict=True):
-        drive, mimic = segment.link.drive, segment.link.mimic
+        drive, mimic, deflection = segment.link.drive, segment.link.mimic, segment.link.joint.deflection(place)
         ratio = 1.0 if mimic is None else mimic.ratio
         for k, i in enumerate(segment.freedoms):
             own = mechanism.qd[i] if mimic is None else ratio * mechanism.qd[i]
-            passive = drive.passive(place[k] if segment.link.joint.group is None else None, own)
+            passive = drive.passive(None if deflection is None else deflection[k], own)
             if passive is not None:
                 tau[i] = tau[i] + (passive if mimic is None else ratio * passive)
             if command is not None and mimic is None and i in driven:

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from ...checks import listed
-from ...errors import ModelError
+from ...errors import ModelError, TwistaxError
 from ...expr import Parameter
+from ..bodies import SpatialInertia
+from .xml_file import Element
 
 
 class Choices:
@@ -17,13 +19,18 @@ class Choices:
 
     Args:
         wanted: True for all, or names.
+        physical: refuse masses and inertias that no body has; False takes them and makes a note.
+    Attributes:
+        notes: what was taken as it is.
     """
 
-    def __init__(self, wanted: bool | Iterable[str]) -> None:
+    def __init__(self, wanted: bool | Iterable[str], physical: bool = True) -> None:
         if not isinstance(wanted, bool) and (isinstance(wanted, str) or not isinstance(wanted, Iterable)):
             raise ModelError(f"load expects parameters=True or a list of names, got {wanted!r}")
         self.wanted = wanted if isinstance(wanted, bool) else set(wanted)
         self.known: list[str] = []
+        self.physical = physical
+        self.notes = list[str]()
 
     def of(self, owner: str, what: str, value: Any) -> Any:
         """The value, or a Parameter `<owner>_<what>` with it."""
@@ -31,6 +38,24 @@ class Choices:
         self.known.append(name)
         chosen = self.wanted if isinstance(self.wanted, bool) else name in self.wanted
         return Parameter(name, value=np.asarray(value, dtype=np.float64)) if chosen else value
+
+    def body(self, owner: str, mass: Any, center: Any, tensor: Any, element: Element) -> SpatialInertia:
+        """The body of a link, its tensor about its centre of mass. Raises ModelError for one that is unphysical."""
+        try:
+            SpatialInertia(mass=mass, center_of_mass=center, inertia=tensor)
+        except TwistaxError as error:
+            if self.physical:
+                raise element.wrong(
+                    f"link {owner!r} has a mass or inertia that no body has. {error}\n"
+                    "  or load it as it is, with physical=False"
+                ) from None
+            self.notes.append(f"link {owner!r} has a mass or inertia that no body has")
+        return SpatialInertia(
+            mass=self.of(owner, "mass", mass),
+            center_of_mass=self.of(owner, "center_of_mass", center),
+            inertia=self.of(owner, "inertia", tensor),
+            physical=self.physical,
+        )
 
     def check(self) -> None:
         """Raise ModelError for a name that the model does not have."""

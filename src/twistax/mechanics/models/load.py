@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
@@ -10,8 +11,9 @@ from ...errors import ModelError
 from ...expr.fields import ExprLike
 from ..mechanism import Mechanism
 from .choices import Choices
+from .mjcf import Mjcf
 from .urdf import Urdf
-from .xml_file import read_xml
+from .xml_file import Element, read_xml
 
 
 def load(
@@ -20,34 +22,56 @@ def load(
     floating: bool = False,
     parameters: bool | Iterable[str] = False,
     keep: Collection[str] = (),
-    gravity: ExprLike = (0.0, 0.0, -9.81),
+    gravity: ExprLike | None = None,
     physical: bool = True,
     quarter_turns: float = 1e-9,
 ) -> Mechanism:
-    """The mechanism that a URDF file describes.
+    """The mechanism that a file describes, in URDF or in MJCF; its root element says which.
 
-    Meshes are not needed and no other file is opened. `mechanism.notes` says what the file has that is not used.
+    MJCF is compiled by MuJoCo (`pip install twistax[models]`). `mechanism.notes` says what the file has that is not
+    used. Nothing in a file is run. Of URDF no other file is opened, of MJCF included files and the meshes that a mass
+    follows from, and only in the file's folder or below.
 
     Args:
         path: of the file.
-        floating: the root link is free in space, on a joint "root"; else it is at rest.
+        floating: the root link of URDF is free in space, on a joint "root"; else it is at rest. MJCF says it itself.
         parameters: True, or names, of numbers that become Parameters with the file's values: `<link>_mass`,
             `<link>_center_of_mass` (3,), `<link>_inertia` (3, 3) about it, `<joint>_origin` (3,), `<joint>_axis` (3,),
-            `<joint>_damping`, `<joint>_friction`. Other values compile nothing anew.
+            `<joint>_damping`, `<joint>_friction`, of MJCF `<body>_origin` in place of the joint's, and also
+            `<joint>_armature` and `<joint>_stiffness`. Other values compile nothing anew.
         keep: names of fixed joints that are not merged, as for `Mechanism`.
-        gravity: (3,), m/s2, in the base's axes.
+        gravity: (3,), m/s2, in the base's axes; the file's, or 9.81 downwards along z, unless given.
         physical: refuse a mass or inertia that no body has; False takes it as it is and says so in the notes.
         quarter_turns: angles of origins this near to a multiple of a quarter turn, rad, are taken as that: files write
-            1.57079632679. Zero takes them as they are written.
+            1.57079632679. In MJCF entries of rotation matrices. Zero takes them as they are written.
     Raises: ModelError with file, line and element.
     """
     root = read_xml(path_of("load: path", path))
-    if root.tag != "robot":
-        raise root.wrong("load expects a URDF file, whose root is <robot>")
-    choices = Choices(parameters)
-    model = Urdf(root, choices, floating=floating, physical=physical, quarter_turns=quarter_turns)
-    choices.check()
+    choices = Choices(parameters, physical)
     try:
-        return Mechanism(model.links, gravity, base=model.base, keep=keep, notes=model.notes)
+        model = _read(root, choices, floating, quarter_turns)
+        choices.check()
+        return Mechanism(
+            model.links,
+            model.gravity if gravity is None else gravity,
+            base=model.base,
+            keep=keep,
+            notes=[*choices.notes, *model.notes],
+            driven=model.driven,
+        )
     except ModelError as error:
-        raise root.wrong(str(error)) from None
+        placed = re.match(r"load|.*, line \d+, <", str(error))
+        raise error if placed else root.wrong(str(error)) from None
+
+
+def _read(root: Element, choices: Choices, floating: bool, quarter_turns: float) -> Urdf | Mjcf:
+    if root.tag == "robot":
+        return Urdf(root, choices, floating=floating, quarter_turns=quarter_turns)
+    if root.tag == "mujoco" and floating:
+        raise root.wrong(
+            "floating=True is for URDF; MJCF says itself which bodies are free.\n"
+            "  fix: write <freejoint/> into the body"
+        )
+    if root.tag == "mujoco":
+        return Mjcf(root, choices, quarter_turns=quarter_turns)
+    raise root.wrong("load expects URDF, whose root is <robot>, or MJCF, whose root is <mujoco>")

@@ -36,18 +36,15 @@ class Urdf:
         robot: the root element.
         choices: which numbers become Parameters.
         floating: the root is on a `Free` joint, "root".
-        physical: refuse masses and inertias that no body has.
         quarter_turns: an angle this near to a multiple of a quarter turn, in rad, is taken as that.
     Attributes:
-        links, base, notes: for `Mechanism`.
+        links, base, gravity, driven, notes: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
-    def __init__(
-        self, robot: Element, choices: Choices, *, floating: bool, physical: bool, quarter_turns: float
-    ) -> None:
-        self.choices, self.physical, self.quarter_turns = choices, physical, quarter_turns
-        self.notes: list[str] = []
+    def __init__(self, robot: Element, choices: Choices, *, floating: bool, quarter_turns: float) -> None:
+        self.choices, self.quarter_turns = choices, quarter_turns
+        self.notes, self.gravity, self.driven = list[str](), (0.0, 0.0, -9.81), None
         elements = {element.text("name"): element for element in robot.all("link")}
         joints = robot.all("joint")
         children = set[str]()
@@ -173,21 +170,7 @@ class Urdf:
         tensor = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
         tensor = 0.5 * (tensor + tensor.T)
         name = link.text("name")
-        try:
-            SpatialInertia(mass=mass, center_of_mass=center, inertia=tensor)
-        except TwistaxError as error:
-            if self.physical:
-                raise inertial.wrong(
-                    f"link {name!r} has a mass or inertia that no body has. {error}\n"
-                    "  or load it as it is, with physical=False"
-                ) from None
-            self.notes.append(f"link {name!r} has a mass or inertia that no body has")
-        return SpatialInertia(
-            mass=self.choices.of(name, "mass", mass),
-            center_of_mass=self.choices.of(name, "center_of_mass", center),
-            inertia=self.choices.of(name, "inertia", tensor),
-            physical=self.physical,
-        )
+        return self.choices.body(name, mass, center, tensor, inertial)
 
     def _drive(self, element: Element) -> Drive:
         name, kind = element.text("name"), element.text("type")

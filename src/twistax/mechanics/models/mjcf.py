@@ -1,0 +1,296 @@
+"""Mechanisms from MJCF, as MuJoCo's compiler understands it.
+
+A body's joints follow each other. With T the body's pose in its parent, p_i the shift to the anchor of a joint and J_i
+its motion, the body is at
+
+    T p_1 J_1(q_1 - ref_1) p_1^-1 p_2 J_2(q_2 - ref_2) p_2^-1 ...
+
+Here each joint carries a link of its own, and the body's frame is fixed to the last. Positions mean what MuJoCo's do.
+
+Source: the pages of https://mujoco.readthedocs.io, modeling and computation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...expr import Expr
+from ...expr.lie import Compose, Pose
+from ...system import free_name
+from ..drives import Drive
+from ..joints import Fixed, Free, Joint, Prismatic, Revolute, Spherical
+from ..tree import Link
+from .choices import Choices
+from .mjcf_file import Compiled, compiler
+from .xml_file import Element
+
+_UNIT = np.eye(4)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Servo:
+    """What an actuator puts on its joint: gear u - stiffness q + offset - damping q', and a rotor."""
+
+    gear: float = 1.0
+    stiffness: float = 0.0
+    offset: float = 0.0
+    damping: float = 0.0
+    armature: float = 0.0
+    limits: tuple[float, float] | None = None
+
+
+class Mjcf:
+    """The links of a model, and what the file has beside them.
+
+    Args:
+        root: the element <mujoco>.
+        choices: which numbers become Parameters.
+        quarter_turns: rotations this near to ones by quarter turns, in each entry, are taken as those.
+    Attributes:
+        links, base, gravity, driven, notes: for `Mechanism`.
+    Raises: ModelError with file and line.
+    """
+
+    def __init__(self, root: Element, choices: Choices, *, quarter_turns: float) -> None:
+        self.root, self.choices, self.quarter_turns = root, choices, quarter_turns
+        self.mujoco = compiler(root)
+        file = Compiled(root)
+        self.model = file.model
+        self.notes = [f"{kind}: {count}" for kind, count in sorted(file.left_out.items())]
+        self.base = self._name("body", 0)
+        flags, off = self.model.opt.disableflags, self.mujoco.mjtDisableBit
+        self.gravity = np.array(self.model.opt.gravity) * (not flags & off.mjDSBL_GRAVITY)
+        if not self.model.njnt:
+            raise root.wrong("there is no joint, so nothing moves")
+        self._servos = self._actuators()
+        self.driven = [self._name("joint", j) for j in self._servos]
+        self.links = list[Link]()
+        self._taken = {self._name("body", i) for i in range(self.model.nbody)}
+        self._fixed = {self._name("joint", j) for j in range(self.model.njnt)}
+        for i in range(1, self.model.nbody):
+            self._add_body(i)
+        for i in range(self.model.nsite):
+            self._add_site(i)
+        self._note_the_rest()
+
+    def _name(self, kind: str, i: int) -> str:
+        return getattr(self.model, kind)(i).name or f"{kind}_{i}"
+
+    # ---- bodies ------------------------------------------------------------------------------------------------------
+
+    def _add_body(self, i: int) -> None:
+        model, name = self.model, self._name("body", i)
+        before = int(model.body_parentid[i])
+        parent = None if before == 0 else self._name("body", before)
+        first = int(model.body_jntadr[i])
+        joints = range(first, first + int(model.body_jntnum[i]))
+        body = None
+        if model.body_mass[i] > 0.0 or model.body_inertia[i].any():
+            R = self._rotation(model.body_iquat[i])
+            tensor = R @ np.diag(model.body_inertia[i]) @ R.T
+            tensor = 0.5 * (tensor + tensor.T)
+            center = np.array(model.body_ipos[i]) + 0.0
+            body = self.choices.body(name, float(model.body_mass[i]), center, tensor, self.root)
+        mount: Any = self._origin(i, name)
+        for j in joints:
+            joint, before, after = self._joint(j)
+            mount = before if isinstance(joint, Free) else _after(mount, before)
+            last = j == joints[-1] and not (after - _UNIT).any()
+            own = name if last else free_name(joint.name, self._taken)
+            self._taken.add(own)
+            self.links.append(Link(joint, body if last else None, mount, parent=parent, name=own, drive=self._drive(j)))
+            if last:
+                return
+            mount, parent = after, own
+        self._add_fixed(name, body, mount, parent)
+
+    def _add_fixed(self, name: str, body: Any, mount: Any, parent: str | None) -> None:
+        joint = free_name(f"{name} fixed", self._fixed)
+        self._fixed.add(joint)
+        self.links.append(Link(Fixed(joint), body, mount, parent=parent, name=name))
+
+    def _add_site(self, i: int) -> None:
+        model = self.model
+        if not model.site(i).name:
+            return
+        at = int(model.site_bodyid[i])
+        name = free_name(model.site(i).name, self._taken)
+        self._taken.add(name)
+        T = _pose(self._rotation(model.site_quat[i]), model.site_pos[i])
+        self._add_fixed(name, None, T, None if at == 0 else self._name("body", at))
+
+    def _origin(self, i: int, name: str) -> Any:
+        R, p = self._rotation(self.model.body_quat[i]), np.array(self.model.body_pos[i]) + 0.0
+        position = self.choices.of(name, "origin", p)
+        return Pose(R, position) if position is not p else _pose(R, p)
+
+    def _rotation(self, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+        R = np.zeros(9)
+        self.mujoco.mju_quat2Mat(R, np.asarray(quaternion, dtype=np.float64))
+        near = np.round(R)
+        exact = np.abs(R - near).max() <= self.quarter_turns
+        # What is smaller than round-off is taken as none.
+        return (near if exact else np.where(np.abs(R) < 1e-15, 0.0, R)).reshape(3, 3) + 0.0
+
+    # ---- joints ------------------------------------------------------------------------------------------------------
+
+    def _joint(self, j: int) -> tuple[Joint, NDArray[np.float64], NDArray[np.float64]]:
+        """The joint, its place in the frame that the body has so far, and that frame afterwards in the joint's."""
+        kinds, model, name = self.mujoco.mjtJoint, self.model, self._name("joint", j)
+        kind, axis, anchor = model.jnt_type[j], np.array(model.jnt_axis[j]), np.array(model.jnt_pos[j])
+        if kind == kinds.mjJNT_FREE:
+            return Free(name), _UNIT, _UNIT
+        if kind == kinds.mjJNT_BALL:
+            return Spherical(name), _shift(anchor), _shift(-anchor)
+        reference = float(model.qpos0[model.jnt_qposadr[j]])
+        chosen = self.choices.of(name, "axis", axis) if reference == 0.0 else axis
+        if kind == kinds.mjJNT_SLIDE:
+            return Prismatic(name, chosen), _shift(-reference * axis), _UNIT
+        quaternion = np.zeros(4)
+        self.mujoco.mju_axisAngle2Quat(quaternion, axis, -reference)
+        back = _pose(self._rotation(quaternion), np.zeros(3))
+        return Revolute(name, chosen), _shift(anchor) @ back, _shift(-anchor)
+
+    def _single(self, j: int) -> bool:
+        """Whether a joint is a slide or a hinge. (An enumeration of MuJoCo equals numbers, numbers do not equal it.)"""
+        kinds = self.mujoco.mjtJoint
+        return int(self.model.jnt_type[j]) in (int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_HINGE))
+
+    def _drive(self, j: int) -> Drive:
+        model, name, at = self.model, self._name("joint", j), int(self.model.jnt_dofadr[j])
+        single = self._single(j)
+        servo = self._servos.get(j, _Servo())
+        stiffness, rest = float(model.jnt_stiffness[j]), 0.0
+        if single:
+            rest = float(model.qpos_spring[model.jnt_qposadr[j]])
+            together = stiffness + servo.stiffness
+            rest = (stiffness * rest + servo.offset) / together if together else rest
+            stiffness = together
+        numbers = {
+            "armature": float(model.dof_armature[at]) + servo.armature,
+            "damping": float(model.dof_damping[at]) + servo.damping,
+            "friction": float(model.dof_frictionloss[at]),
+            "stiffness": stiffness,
+        }
+        given: dict[str, Any] = {what: self.choices.of(name, what, value) for what, value in numbers.items() if value}
+        if single and model.jnt_limited[j]:
+            given |= dict(zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True))
+        return Drive(rest=rest if "stiffness" in given else 0.0, gear=servo.gear, effort=servo.limits, **given)
+
+    # ---- actuators ---------------------------------------------------------------------------------------------------
+
+    def _actuators(self) -> dict[int, _Servo]:
+        """By joint the actuator whose control is the joint's."""
+        model, found = self.model, dict[int, _Servo]()
+        for a in range(model.nu):
+            j = int(model.actuator_trnid[a, 0])
+            what = self._actuator(a)
+            single = self._single(j)
+            if not self._is_linear(a):
+                self.notes.append(f"{what}, whose force is no linear function of control and motion")
+            elif j in found:
+                self.notes.append(f"{what}: its joint has another one, whose control is used")
+            elif single:
+                found[j] = self._servo(a, j)
+            else:
+                found[j] = _Servo()
+                self.notes.append(f"{what}: all torques of its joint are controls, without its gear and limits")
+        return found
+
+    def _actuator(self, a: int) -> str:
+        """What an actuator is called in notes."""
+        name, joint = self.model.actuator(a).name, self._name("joint", int(self.model.actuator_trnid[a, 0]))
+        return f"actuator {name!r} of joint {joint!r}" if name else f"an actuator of joint {joint!r}"
+
+    def _is_linear(self, a: int) -> bool:
+        kinds, model = self.mujoco, self.model
+        return (
+            model.actuator_dyntype[a] == kinds.mjtDyn.mjDYN_NONE
+            and model.actuator_gaintype[a] == kinds.mjtGain.mjGAIN_FIXED
+            and int(model.actuator_biastype[a]) in (int(kinds.mjtBias.mjBIAS_NONE), int(kinds.mjtBias.mjBIAS_AFFINE))
+            and not model.actuator_dampingpoly[a].any()
+        )
+
+    def _servo(self, a: int, j: int) -> _Servo:
+        """Force of the joint: g (k u + b_0 + b_1 g q + b_2 g q'), with the gear g and the gain k."""
+        model, what = self.model, self._actuator(a)
+        g, k = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+        bias = np.zeros(3)
+        if model.actuator_biastype[a] == self.mujoco.mjtBias.mjBIAS_AFFINE:
+            bias = np.array(model.actuator_biasprm[a, :3])
+        low, high = -np.inf, np.inf
+        if model.actuator_ctrllimited[a]:
+            low, high = map(float, model.actuator_ctrlrange[a])
+        if bias.any():
+            if model.actuator_forcelimited[a] or model.jnt_actfrclimited[j]:
+                self.notes.append(f"{what}: the limit of its force")
+            if bias[1] > 0.0 or bias[2] > 0.0 or (bias[0] and not bias[1]):
+                self.notes.append(f"{what}: its bias, which is no spring or damper")
+                bias = np.zeros(3)
+        else:
+            for limited, (least, most), per_control in (
+                (model.actuator_forcelimited[a], model.actuator_forcerange[a], k),
+                (model.jnt_actfrclimited[j], model.jnt_actfrcrange[j], k * g),
+            ):
+                if limited and per_control:
+                    ends = sorted((float(least) / per_control, float(most) / per_control))
+                    low, high = max(low, ends[0]), min(high, ends[1])
+        limits = None if np.isinf([low, high]).all() else (low, high)
+        return _Servo(
+            gear=g * k,
+            stiffness=-bias[1] * g * g,
+            offset=bias[0] * g,
+            damping=-bias[2] * g * g + float(model.actuator_damping[a]) * g * g,
+            armature=float(model.actuator_armature[a]) * g * g,
+            limits=limits,
+        )
+
+    # ---- notes -------------------------------------------------------------------------------------------------------
+
+    def _note_the_rest(self) -> None:
+        model, kinds = self.model, self.mujoco.mjtJoint
+        balls = [j for j in range(model.njnt) if model.jnt_type[j] == kinds.mjJNT_BALL and model.jnt_limited[j]]
+        free = [j for j in range(model.njnt) if model.jnt_type[j] == kinds.mjJNT_FREE and model.jnt_stiffness[j]]
+        curved = [
+            j
+            for j in range(model.njnt)
+            if model.jnt_stiffnesspoly[j].any() or model.dof_dampingpoly[model.jnt_dofadr[j]].any()
+        ]
+        counted = (
+            ("contacts of geoms", int(((model.geom_contype | model.geom_conaffinity) != 0).sum())),
+            ("equalities", model.neq),
+            ("cameras", model.ncam),
+            ("lights", model.nlight),
+            ("bodies with compensated gravity", int((model.body_gravcomp != 0.0).sum())),
+            ("mocap bodies, which stay where they are", model.nmocap),
+        )
+        self.notes += [f"{kind}: {count}" for kind, count in counted if count]
+        self._note("the limit of the ball joint", balls)
+        self._note("the spring of the free joint", free)
+        self._note("what is not linear in spring and damper of joint", curved)
+        if model.opt.density or model.opt.viscosity or model.opt.wind.any():
+            self.notes.append("the forces of the medium")
+        if model.dof_frictionloss.any():
+            self.notes.append("dry friction of joints is smooth here, see Drive")
+
+    def _note(self, what: str, joints: Iterable[int]) -> None:
+        self.notes += [f"{what} {self._name('joint', j)!r}" for j in joints]
+
+
+def _pose(R: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T
+
+
+def _shift(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    return _pose(np.eye(3), p)
+
+
+def _after(mount: Any, before: NDArray[np.float64]) -> Any:
+    return Compose(mount, before) if isinstance(mount, Expr) else mount @ before

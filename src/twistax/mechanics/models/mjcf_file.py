@@ -1,0 +1,160 @@
+"""MJCF by MuJoCo's own compiler: what it may open is decided here, and what it refuses is said with file and line.
+
+The file is parsed by `read_xml` first, so nothing in it expands. Included files are put in place, each from the folder
+of the model or below it. What could run code or open files that are not looked at is refused.
+"""
+
+from __future__ import annotations
+
+import collections
+import re
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from ...errors import ModelError
+from .xml_file import Element, read_xml
+
+#: Elements that are refused, and why.
+_REFUSED = {
+    "extension": "plugins run code of their own",
+    "plugin": "plugins run code of their own",
+    "model": "models inside of models are not read.\n  fix: write them as <include>",
+    "attach": "models inside of models are not read.\n  fix: write them as <include>",
+    "flexcomp": "deformable bodies are not read",
+    "flex": "deformable bodies are not read",
+}
+
+
+def compiler(element: Element) -> Any:
+    """The module `mujoco`. Raises ModelError where it is not installed."""
+    try:
+        import mujoco
+    except ImportError:
+        raise element.wrong(
+            "MJCF is read by MuJoCo's compiler, which is not installed.\n  fix: pip install twistax[models]"
+        ) from None
+    return mujoco
+
+
+class Compiled:
+    """A file as MuJoCo compiles it, without what its dynamics do not need.
+
+    Args:
+        root: the element <mujoco>.
+    Attributes:
+        model: the `mujoco.MjModel`.
+        left_out: how many of each kind were taken out before compiling, by kind.
+    Raises: ModelError with file, line and element.
+    """
+
+    def __init__(self, root: Element) -> None:
+        mujoco = compiler(root)
+        self.left_out = collections.Counter[str]()
+        self.folder = root.path.resolve().parent
+        self._root, self._elements, self._read = root, list[Element](), {root.path.resolve()}
+        text = self._written(self._with_included(root))
+        try:
+            spec = mujoco.MjSpec.from_string(text)
+            spec.modelfiledir = str(self.folder)
+            self._lighten(spec, mujoco)
+            self.model = spec.compile()
+        except ModelError:
+            raise
+        except ValueError as error:
+            raise self._said(str(error)) from None
+
+    def _with_included(self, element: Element) -> Element:
+        """The element with what it includes in place. Raises ModelError where something is not to be read."""
+        if element.tag in _REFUSED and (element.tag != "model" or "file" in element.attributes):
+            raise element.wrong(_REFUSED[element.tag])
+        children = list[Element]()
+        for child in element.children:
+            if child.tag != "include":
+                children.append(self._with_included(child))
+                continue
+            path = self._inside(child, child.text("file"))
+            if path in self._read:
+                raise child.wrong(f"{path.name!r} is included twice, or includes itself")
+            self._read.add(path)
+            children += self._with_included(read_xml(path)).children
+        element.children = children
+        return element
+
+    def _inside(self, element: Element, name: str, start: str = "") -> Path:
+        """The path of a file that an element names. Raises ModelError for one outside of the model's folder."""
+        found = (self.folder / start / name).resolve()
+        if not found.is_relative_to(self.folder):
+            raise element.wrong(
+                f"the file {name!r} lies outside of the model's folder.\n"
+                f"  fix: put it into {self.folder.name!r} or below"
+            )
+        return found
+
+    def _written(self, element: Element) -> str:
+        """The text of an element. Every element begins a line, whose number is its place in a list."""
+        self._elements.append(element)
+        head = " ".join([element.tag, *(f"{name}={quoteattr(value)}" for name, value in element.attributes.items())])
+        inner = "".join(self._written(child) for child in element.children)
+        return f"<{head}>\n{inner.removesuffix(chr(10))}</{element.tag}>\n" if inner else f"<{head}/>\n"
+
+    def _said(self, message: str) -> ModelError:
+        """MuJoCo's message with the place in the file that it is about."""
+        at = re.search(r"line (\d+)", message)
+        element = self._elements[int(at[1]) - 1] if at else self._about(message)
+        return element.wrong(re.sub(r"^(XML )?Error:\s*", "", message.strip()).splitlines()[0])
+
+    def _about(self, text: str) -> Element:
+        """The element whose file is named in a text."""
+        files = (element for element in self._elements if element.attributes.get("file", "\n") in text)
+        return next(files, self._root)
+
+    def _lighten(self, spec: Any, mujoco: Any) -> None:
+        """Take out what the dynamics of the bodies do not need: so meshes need not be there."""
+        for kind, each in (
+            ("sensors", spec.sensors),
+            ("keyframes", spec.keys),
+            ("tuples", spec.tuples),
+            ("contact pairs", spec.pairs),
+            ("contact exclusions", spec.excludes),
+            ("skins", spec.skins),
+        ):
+            self._delete(spec, kind, each)
+        joints = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        others = [actuator for actuator in spec.actuators if actuator.trntype not in joints]
+        self._delete(spec, "actuators of tendons, sites and bodies", others)
+        of_tendons = [each for each in spec.equalities if each.type == mujoco.mjtEq.mjEQ_TENDON]
+        self._delete(spec, "equalities of tendons", of_tendons)
+        self._delete(spec, "tendons", spec.tendons)
+        needed = set[str]()
+        self._without_shapes(spec, mujoco, spec.worldbody, False, needed)
+        for mesh in list(spec.meshes):
+            if mesh.name not in needed:
+                spec.delete(mesh)
+            elif mesh.file:
+                self._inside(self._about(mesh.file), mesh.file, spec.meshdir or "")
+        for named in [*spec.geoms, *spec.sites]:
+            named.material = ""
+        for each in [*spec.materials, *spec.textures, *spec.hfields]:
+            spec.delete(each)
+
+    def _without_shapes(self, spec: Any, mujoco: Any, body: Any, moves: bool, needed: set[str]) -> None:
+        """Take out geoms that come from files, but for those from which the mass of a body that moves follows."""
+        by_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        moves = moves or bool(body.joints)
+        for geom in list(body.geoms):
+            if geom.type != mujoco.mjtGeom.mjGEOM_HFIELD and not geom.meshname:
+                continue
+            if moves and (by_geoms or not body.explicitinertial):
+                needed.add(geom.meshname)
+            else:
+                self._delete(spec, "geoms of meshes and height fields", [geom])
+        for child in body.bodies:
+            self._without_shapes(spec, mujoco, child, moves, needed)
+
+    def _delete(self, spec: Any, kind: str, each: Any) -> None:
+        found = list(each)
+        for one in found:
+            spec.delete(one)
+        if found:
+            self.left_out[kind] += len(found)

@@ -1,0 +1,240 @@
+"""Mechanisms from MJCF against MuJoCo, where that is installed; and every model that comes with packages at hand."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax import mechanics
+from twistax.expr.graph import leaves_of
+from twistax.mechanics.models.mjcf_file import Compiled
+from twistax.mechanics.models.xml_file import read_xml
+
+mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed (extra twistax[models])")
+
+OWN = Path(__file__).parent / "models"
+FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+
+
+def at_hand() -> list[Path]:
+    """The models in installed packages."""
+    found = sorted((Path(mujoco.__file__).parent / "testdata").glob("model.xml"))
+    frax = importlib.util.find_spec("frax")
+    if frax is not None and frax.origin is not None:
+        found += sorted(Path(frax.origin).parent.glob("assets/*/*.xml"))
+    return found
+
+
+class Pair:
+    """A mechanism, and MuJoCo's model of the same file without what the former's notes list."""
+
+    def __init__(self, path: Path) -> None:
+        # Dry friction is smooth here and a constraint there: it is left out on both sides.
+        plain = mechanics.load(path)
+        rubbing = [s.link.joint.name for s in plain.segments if s.link.drive.friction]
+        self.friction = {f"{name}_friction": np.zeros(()) for name in rubbing}
+        self.ours = mechanics.load(path, quarter_turns=0.0, parameters=list(self.friction))
+        self.model = model = Compiled(read_xml(path)).model
+        off = mujoco.mjtDisableBit
+        model.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
+        model.opt.density = model.opt.viscosity = 0.0
+        model.body_gravcomp[:] = 0.0
+        self.data = mujoco.MjData(model)
+        self.used = [
+            (a, int(model.actuator_trnid[a, 0]))
+            for a in range(model.nu)
+            if model.joint(model.actuator_trnid[a, 0]).name in self.ours.driven and model.actuator_dyntype[a] == 0
+        ]
+
+    def joints(self) -> list[tuple[int, str, int, int, Any]]:
+        """Number, name, and the places in MuJoCo's positions and velocities, with our segment."""
+        model = self.model
+        names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
+        return [
+            (int(model.jnt_type[j]), names[j], int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]),
+             self.ours.segment_of(names[j]))
+            for j in range(model.njnt)
+        ]  # fmt: skip
+
+    def positions(self, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        theirs, ours = np.array(self.model.qpos0), {}
+        width = max((s.coordinates.stop for s in self.ours.segments if s.coordinates is not None), default=0)
+        vector = np.zeros(width)
+        for kind, name, at, _, segment in self.joints():
+            if kind in (FREE, BALL):
+                R, quaternion = np.zeros(9), rng.normal(size=4)
+                quaternion /= np.linalg.norm(quaternion)
+                mujoco.mju_quat2Mat(R, quaternion)
+                T = np.eye(4)
+                T[:3, :3] = R.reshape(3, 3)
+                if kind == FREE:
+                    T[:3, 3] = theirs[at : at + 3] = rng.normal(size=3)
+                theirs[at + (3 if kind == FREE else 0) :][:4] = quaternion
+                ours[f"{name}_position"] = T if kind == FREE else T[:3, :3]
+            else:
+                theirs[at] = vector[segment.coordinates] = rng.uniform(-1.5, 1.5)
+        return ({"q": vector} if width else {}) | ours, theirs
+
+    def velocities(self, q: dict[str, np.ndarray], qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """G (nv, n), theirs = G ours, and its rate times qd: theirs have the free bodies' v in world axes."""
+        G, drift = np.zeros((self.model.nv, self.ours.dofs)), np.zeros(self.model.nv)
+        for kind, name, _, at, segment in self.joints():
+            for k, i in enumerate(segment.freedoms):
+                G[at + k, i] = 1.0
+            if kind == FREE:
+                R, V = q[f"{name}_position"][:3, :3], qd[list(segment.freedoms)]
+                G[np.ix_(range(at, at + 3), segment.freedoms[:3])] = R
+                drift[at : at + 3] = R @ np.cross(V[3:], V[:3])
+        return G, drift
+
+
+def near(found: np.ndarray, expected: np.ndarray, bound: float = 1e-10) -> None:
+    scale = max(float(np.max(np.abs(expected), initial=0.0)), 1e-3)
+    assert np.max(np.abs(found - expected), initial=0.0) <= bound * scale
+
+
+def compared(path: Path, count: int) -> None:
+    pair = Pair(path)
+    robot, model, data = pair.ours, pair.model, pair.data
+    wanted: dict[str, Any] = {
+        "mass": mechanics.mass_matrix(robot),
+        "bias": mechanics.bias_forces(robot),
+        "kinetic": mechanics.kinetic_energy(robot),
+    }
+    bodies = [model.body(i).name or f"body_{i}" for i in range(1, model.nbody)]
+    sites = [model.site(i).name for i in range(model.nsite) if model.site(i).name]
+    for name in bodies:
+        wanted[f"pose of {name}"] = robot.pose(name)
+    for name in {bodies[-1], bodies[len(bodies) // 2], bodies[0]}:
+        wanted[f"J of {name}"] = mechanics.frame_jacobian(robot, name, axes=mechanics.ALIGNED)
+    rng = np.random.default_rng(0)
+    dynamics = tx.compile(robot.system(), backend=tx.JAX())
+    kinematics = jax.jit(tx.lower(wanted))
+    used = {leaf.name for leaf in leaves_of(*wanted.values())}
+    for _ in range(count):
+        q, theirs = pair.positions(rng)
+        qd = rng.normal(size=robot.dofs)
+        G, drift = pair.velocities(q, qd)
+        data.qpos, data.qvel = theirs, G @ qd
+        u = rng.uniform(-0.05, 0.3, size=len(robot.driven))
+        data.ctrl = 0.0
+        for a, j in pair.used:
+            data.ctrl[a] = u[robot.driven.index(model.joint(j).name)]
+        mujoco.mj_forward(model, data)
+        state = {**q, "qd": qd}
+        found = kinematics(0.0, {name: value for name, value in state.items() if name in used})
+        M = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, M)
+        near(found["mass"], G.T @ M @ G)
+        near(found["bias"], G.T @ (np.array(data.qfrc_bias) + M @ drift))
+        near(found["kinetic"], 0.5 * data.qvel @ M @ data.qvel)
+        for name in bodies:
+            at = bodies.index(name) + 1
+            near(found[f"pose of {name}"][:3, 3], data.xpos[at])
+            near(found[f"pose of {name}"][:3, :3], data.xmat[at].reshape(3, 3))
+            if f"J of {name}" in found:
+                J = np.zeros((6, model.nv))
+                mujoco.mj_jacBody(model, data, J[:3], J[3:], at)
+                near(found[f"J of {name}"], J @ G)
+        assert set(sites) <= set(robot.frames)
+        rate = np.asarray(dynamics(0.0, state, {"tau": u} if robot.driven else {}, pair.friction)["qd"])
+        near(G @ rate + drift, data.qacc)
+
+
+def test_a_model_with_every_kind_of_joint(unchecked: None) -> None:
+    compared(OWN / "machine.xml", count=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", at_hand(), ids=lambda path: path.stem)
+def test_every_model_at_hand(path: Path, unchecked: None) -> None:
+    compared(path, count=20)
+
+
+def test_what_is_not_used_is_said() -> None:
+    machine = mechanics.load(OWN / "machine.xml")
+    assert machine.driven == ("yaw", "reach", "shaft", "along", "across")
+    assert machine.notes == (
+        "actuators of tendons, sites and bodies: 1",
+        "geoms of meshes and height fields: 1",
+        "sensors: 1",
+        "an actuator of joint 'turn', whose force is no linear function of control and motion",
+        "contacts of geoms: 6",
+        "dry friction of joints is smooth here, see Drive",
+    )
+    tau = machine.motors(machine.driven)
+    np.testing.assert_array_equal(tau.min, [-1.0, -0.1, -np.inf, -2.0, -np.inf])
+    np.testing.assert_array_equal(tau.max, [1.0, 0.4, np.inf, 4.0, np.inf])
+    at = machine.segment_of("pitch").coordinates
+    np.testing.assert_allclose([machine.q["q"].min[at], machine.q["q"].max[at]], np.radians([[-80.0], [70.0]]))
+
+
+def test_numbers_of_a_file_become_parameters() -> None:
+    """Other values, given to one expression, are those of a file that has them."""
+    machine = mechanics.load(OWN / "machine.xml", parameters=["load_mass", "crane_origin", "sway_axis"])
+    plain = mechanics.load(OWN / "machine.xml")
+    x = tx.State("x", (machine.dofs,))
+    rng = np.random.default_rng(1)
+    q, _ = Pair(OWN / "machine.xml").positions(rng)
+    state = {**q, "qd": rng.normal(size=machine.dofs), "x": rng.normal(size=machine.dofs)}
+    ours = tx.lower(mechanics.inverse_dynamics(machine, qdd=x))
+    np.testing.assert_allclose(ours(0.0, state), tx.lower(mechanics.inverse_dynamics(plain, qdd=x))(0.0, state))
+    assert np.abs(np.asarray(ours(0.0, state, {}, {"load_mass": 2.5}) - ours(0.0, state))).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<include file="../b.xml"/>', r"line 2, <include>: the file '../b.xml' lies outside"),
+        ('<include file="/etc/passwd"/>', r"line 2, <include>: the file '/etc/passwd' lies outside"),
+        ('<include file="model.xml"/>', r"line 2, <include>: 'model.xml' is included twice, or includes itself"),
+        ('<include file="none.xml"/>', r"cannot read '.*none.xml'"),
+        ('<extension><plugin plugin="p"/></extension>', "line 2, <extension>: plugins run code of their own"),
+        ('<asset><model name="m" file="m.xml"/></asset>', "line 2, <model name='m'>: models inside of models"),
+        (
+            "<worldbody>\n<body>\n<joint foo='1'/></body></worldbody>",
+            "line 4, <joint>: .*unrecognized attribute: 'foo'",
+        ),
+        ("<worldbody>\n<body name='x'>\n<joint/></body></worldbody>", "line 3, <body name='x'>: mass and inertia"),
+        ("<worldbody>\n<body name='x'/></worldbody>", "there is no joint, so nothing moves"),
+        (
+            '<asset>\n<mesh name="m" file="../m.stl"/></asset><worldbody><body><joint/>'
+            '<geom type="mesh" mesh="m"/></body></worldbody>',
+            "line 3, <mesh name='m'>: the file '../m.stl' lies outside",
+        ),
+        (
+            '<asset>\n<mesh name="m" file="m.stl"/></asset><worldbody><body><joint/>'
+            '<geom type="mesh" mesh="m"/></body></worldbody>',
+            "line 3, <mesh name='m'>: Error opening file",
+        ),
+        ("<!DOCTYPE mujoco>", "this is no XML|document type"),
+    ],
+)
+def test_broken_files_say_where(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "inner" / "model.xml"
+    path.parent.mkdir()
+    path.write_text(f"<mujoco>\n{text}</mujoco>")
+    with pytest.raises(tx.ModelError, match=message):
+        mechanics.load(path)
+
+
+def test_a_mesh_that_a_mass_follows_from_is_read(tmp_path: Path) -> None:
+    """A tetrahedron of four corners: a sixth of a cubic metre, its centre at a quarter."""
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    path = tmp_path / "model.xml"
+    path.write_text(
+        '<mujoco><compiler meshdir="shapes"/><asset><mesh name="m" file="m.obj"/></asset><worldbody><body name="b">'
+        '<joint name="j"/><geom type="mesh" mesh="m" density="6"/></body></worldbody></mujoco>'
+    )
+    (body,) = mechanics.load(path).bodies.values()
+    np.testing.assert_allclose(body.mass.value, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(body.center_of_mass.value, 0.25 * np.ones(3), rtol=1e-6)
