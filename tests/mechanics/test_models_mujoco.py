@@ -51,6 +51,8 @@ class Pair:
             for a in range(model.nu)
             if model.joint(model.actuator_trnid[a, 0]).name in self.ours.driven and model.actuator_dyntype[a] == 0
         ]
+        for a in {*range(model.nu)} - {a for a, _ in self.used}:
+            model.actuator_gainprm[a] = model.actuator_biasprm[a] = 0.0
 
     def joints(self) -> list[tuple[int, str, int, int, Any]]:
         """Number, name, and the places in MuJoCo's positions and velocities, with our segment."""
