@@ -85,8 +85,8 @@ class Mjcf:
 
     def _add_body(self, i: int) -> None:
         model, name = self.model, self._name("body", i)
-        before = int(model.body_parentid[i])
-        parent = None if before == 0 else self._name("body", before)
+        above = int(model.body_parentid[i])
+        parent = None if above == 0 else self._name("body", above)
         first = int(model.body_jntadr[i])
         joints = range(first, first + int(model.body_jntnum[i]))
         body = None
