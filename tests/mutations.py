@@ -1,15 +1,16 @@
 """Errors of one line, put into a copy of the tree one at a time: the tests must fail for each.
 
-    python tests/mutations.py [--jobs N] [--only NAME ...] [--list]
+    python tests/mutations.py [--jobs N] [--only NAME ...] [--whole] [--list]
 
-An entry names the tests that are expected to see it; they run first, and the whole default tier where they do not. The
-table says which test saw the error. The exit status is 0 if each one was seen.
+An entry names the tests that are expected to see it; with --whole the default tier runs where they do not. The table
+says which test saw the error. The exit status is 0 if each one was seen.
 """
 
 from __future__ import annotations
 
 import argparse
 import concurrent.futures
+import functools
 import os
 import re
 import shutil
@@ -1045,15 +1046,15 @@ class Outcome:
     seconds: float
 
 
-def tried(mutation: Mutation) -> Outcome:
-    """The named tests on a tree with the error, then the whole default tier if they pass."""
+def tried(mutation: Mutation, whole: bool) -> Outcome:
+    """The named tests on a tree with the error, then the whole default tier if they pass and it is asked for."""
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutation_") as folder:
         tree = copy_to(folder)
         path = tree / "src" / "twistax" / mutation.file
         path.write_text(mutation.applied(path.read_text()))
         named = tuple(f"tests/{test}" for test in mutation.tests)
-        for tests in (named, ()):
+        for tests in (named, ()) if whole else (named,):
             status, output = pytest(tree, tests, "-x", "-n", "0")
             if status:
                 break
@@ -1069,6 +1070,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=1, help="how many trees are tested at a time")
     parser.add_argument("--only", nargs="+", help="names of errors")
+    parser.add_argument("--whole", action="store_true", help="the default tier where the named tests see nothing")
     parser.add_argument("--list", action="store_true", help="check that each error can be made, and run nothing")
     arguments = parser.parse_args()
     chosen = [m for m in MUTATIONS if not arguments.only or m.name in arguments.only]
@@ -1088,7 +1090,7 @@ def main() -> int:
 
     missed = 0
     with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
-        for outcome in pool.map(tried, chosen):
+        for outcome in pool.map(functools.partial(tried, whole=arguments.whole), chosen):
             said = outcome.seen_by or outcome.trouble or "NOT SEEN"
             note = "" if outcome.expected or not outcome.seen_by else " (not by the tests that are named)"
             print(f"{outcome.seconds:6.0f} s  {outcome.mutation.name:50}  {said}{note}", flush=True)
