@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 
-from ..precision import in_double
 from .graph import postorder
 from .leaves import Constant, Leaf
 from .node import Expr
@@ -73,7 +73,7 @@ def fold(node: Expr) -> Expr:
     from .numerals import numerals  # not at import: it loads much of JAX that `import jax` does not
 
     node.check_shape()
-    with in_double():
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
         result = numerals(
             node.evaluate,
             [child.value for child in children if isinstance(child, Constant)],
