@@ -784,6 +784,39 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/interval.py",
+        (
+            "adjoints of collocation without what pulls at its stages",
+            "b[:, None] * adjoint[None] + a.T @ own",
+            "b[:, None] * adjoint[None]",
+            "trajectory/test_transcription.py",
+        ),
+        (
+            "the cost of collocation at the ends of substeps",
+            "return shares, etas, weights",
+            "return shares, etas, np.concatenate([_simpson(self.substeps), 0.0 * weights[self.substeps + 1 :]])",
+            "trajectory/test_transcription.py",
+        ),
+    ),
+    *_at(
+        "trajectory/shooting.py",
+        (
+            "a running cost that does not know how long intervals are",
+            "length * self._pace(u) * density",
+            "length * density",
+            "trajectory/test_mesh.py",
+        ),
+    ),
+    *_at(
+        "trajectory/restated.py",
+        (
+            "time at the shares of free nodes",
+            "self._exchange[Time().key()] = clock",
+            "pass",
+            "trajectory/test_mesh.py",
+        ),
+    ),
+    *_at(
         "trajectory/conditions.py",
         (
             "attitude and position of a half-free pose exchanged",

@@ -7,7 +7,7 @@ import pytest
 from trajectory_systems import double_integrator
 
 import twistax as tx
-from twistax.trajectory import Problem
+from twistax.trajectory import Mesh, Problem, TrajectoryResult
 
 SHARES = np.array([0.0, 0.05, 0.3, 0.35, 0.8, 1.0])
 
@@ -47,3 +47,53 @@ def test_nodes_that_are_none(nodes: Any) -> None:
     dynamics = tx.compile(double_integrator())
     with pytest.raises(tx.TrajectoryError, match="nodes"):
         Problem(dynamics, tx.Minimize(tx.Time()), nodes=nodes, final_time=2.0)
+
+
+def test_a_jump_is_found_between_nodes() -> None:
+    """Full ahead, full back, T = 2: the node in the middle goes to where the control jumps."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    problem = Problem(
+        tx.compile(tx.System(rates={p: v, v: u})),
+        tx.Minimize(tx.Time()),
+        nodes=Mesh([0.0, 0.2, 1.0], free=True),
+        final_time=(0.5, 6.0),
+        initial={p: 0.0, v: 0.0},
+        final={p: 1.0, v: 0.0},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(2.0, rel=1e-6)
+    np.testing.assert_allclose(result.ts, [0.0, 1.0, 2.0], atol=1e-5)
+    np.testing.assert_allclose(result.us["u"], [1.0, -1.0], atol=1e-5)
+    assert set(result.xs) == {"p", "v"} == set(result.mesh_error)
+    assert result.mesh_error["p"]["distance"] < 1e-6
+
+
+def test_time_and_running_costs_on_free_nodes() -> None:
+    """Of least energy against a force that swings: never more than on fixed nodes, and what a rollout costs."""
+    p, v, u, t = tx.State("p"), tx.State("v"), tx.Control("u"), tx.Time()
+    dynamics = tx.compile(tx.System(rates={p: v, v: u + tx.Sin(4.0 * t)}))
+    cost = tx.Minimize(tx.Time() ** 2, running=u**2 + t)
+    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": [{p: 1.0, v: 0.0}, p == 0.5 * t]}
+
+    def solved(nodes: Any) -> TrajectoryResult:
+        return Problem(dynamics, cost, nodes=nodes, final_time=(1.0, 3.0), substeps=8, **ends).solve()
+
+    uneven = np.array([0.0, 0.1, 0.2, 0.3, 1.0])
+    fixed, free = solved(uneven), solved(Mesh(uneven, free=(0.5, 4.0)))
+    assert fixed.solved
+    assert free.solved
+    assert free.final_time == pytest.approx(2.0, abs=1e-6)
+    assert free.cost < fixed.cost - 1e-2
+    steps = np.diff(free.ts)
+    assert (steps >= np.diff(uneven) - 1e-6).all()
+    assert free.cost == pytest.approx(4.0 + free.us["u"] ** 2 @ steps + 2.0, rel=1e-5)
+    x0 = {"p": np.float64(0.0), "v": np.float64(0.0)}
+    own = tx.integrate(dynamics, x0, t1=free.final_time, rtol=1e-9, atol=1e-9, u=free.controls)
+    assert float(own.xs["p"][-1] if np.ndim(own.xs["p"]) else own.xs["p"]) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("free", [0.5, (1.0, 2.0), (0.5, 1.0), (0.0, 2.0), "yes", None])
+def test_limits_of_lengths_that_are_none(free: Any) -> None:
+    with pytest.raises(tx.TrajectoryError, match="Mesh: free"):
+        Mesh(5, free=free)

@@ -1,9 +1,11 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
 from .cases import TrajectoryResults
+from .controls import Held, Linear, Rate
 from .discretize import Discretization, Linearization, discretize, linearize
 from .external import IPOPT, Fatrop
 from .functionals import Initial, Integral, Maximum, Minimum
+from .mesh import Mesh
 from .phased_result import PhasedResult
 from .phases import Phase
 from .problem import Problem
@@ -12,11 +14,13 @@ from .sensitivity import Solution, solution
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
 from .statement import Minimize as Minimize
 from .statement import Objective
+from .transcription import Collocation, MultipleShooting
 from .warm import WarmStart
 from .watch import Status
 
 __all__ = [
     "IPOPT",
+    "Collocation",
     "Discretization",
     "Fatrop",
     "Initial",
@@ -24,7 +28,12 @@ __all__ = [
     "Linearization",
     "Maximum",
     "Minimum",
+    "MultipleShooting",
     "Objective",
+    "Held",
+    "Linear",
+    "Mesh",
+    "Rate",
     "Optimality",
     "Phase",
     "PhasedResult",

@@ -14,6 +14,9 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
+from ..integrators import RKMK
+from ..integrators.tableaus import RK4
+from .replay import rolled_out, times_along
 from .result import Trajectory, found_params, trajectory_at
 from .solver import Outcome
 from .transcribed import Given
@@ -74,10 +77,11 @@ def _excess(problem: Problem, outcome: Outcome, params: dict[str, Array]) -> Arr
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
     point, intervals = outcome.point, problem.nodes - 1
     params = found_params(problem.border, outcome, params)
-    replay = Trajectory(**trajectory_at(problem, point, params)).replay(steps=_SAMPLES)
+    trajectory = Trajectory(**trajectory_at(problem, point, params))
+    rolled = rolled_out(trajectory, RKMK(RK4), _SAMPLES)
     window = (_SAMPLES * np.arange(intervals)[:, None] + np.arange(_SAMPLES + 1)).ravel()
     controls = problem.shooting.local.controls.split(np.repeat(np.asarray(point.us), _SAMPLES + 1, axis=0))
-    states = {name: values[window] for name, values in replay.xs.items()}
-    rows = np.asarray(problem.path_rows(replay.ts[window], states, controls, params))
+    states = {name: values[window] for name, values in rolled.items()}
+    rows = np.asarray(problem.path_rows(times_along(trajectory, _SAMPLES)[window], states, controls, params))
     most = rows.reshape(intervals, _SAMPLES + 1, -1).max(axis=1)
     return np.where(problem.path.equality, -np.inf, most)

@@ -113,7 +113,7 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
     Attributes:
         status: of every case.
         xs: states by name, (cases, nodes, ...).
-        us: controls by name, (cases, intervals, ...).
+        us: controls by name, (cases, intervals, ...), linear ones (cases, nodes, ...).
         final_time, cost, violation, iterations: (cases,).
         optimality: the numbers of an `Optimality` by name, (cases,) each.
         compile_seconds, solve_seconds: wall time.
@@ -171,13 +171,14 @@ def results(
 ) -> TrajectoryResults:
     """What was found of all cases."""
     us = np.stack([np.asarray(o.point.us) for o in outcomes])
-    held = problem.shooting.local.controls.split(us)
+    split = problem.shooting.local.controls.split(us)
+    every = [problem.restated.us(o.point.xs, {name: a[k] for name, a in split.items()}) for k, o in enumerate(outcomes)]
     names = [field.name for field in dataclasses.fields(Optimality)]
     return TrajectoryResults(
         problem=problem,
         status=tuple(o.status for o in outcomes),
         xs={s.name: np.stack([np.asarray(o.point.xs[s.name]) for o in outcomes]) for s in problem.reduced.states},
-        us={c.name: held[c.name] for c in problem.dynamics.controls},
+        us={name: np.stack([np.asarray(own[name]) for own in every]) for name in every[0]},
         final_time=np.array([float(o.point.border[0]) for o in outcomes]),
         cost=problem.objective.sign * np.array([o.cost for o in outcomes]),
         violation=np.array([o.violation for o in outcomes]),

@@ -1,9 +1,13 @@
-"""One interval of a transcription: its end, rows, cost and their derivatives, by an explicit Runge-Kutta method.
+"""One interval of a transcription: its end, rows, cost and their derivatives, by a Runge-Kutta method.
 
 An interval is integrated in exponential coordinates eta about its first node, x = base Exp(eta), over shares of the
 duration of the phase. What is unknown is z = [d, u, b]: the start eta = d, the controls, the border. Second derivatives
 of y.F + w.rows + cost follow from the adjoints of the stages: every stage adds G' M G, with M the second derivative of
 the rates weighted by its adjoint and G its sensitivity to z.
+
+The slopes k_i = f(eta + h sum_j a_ij k_j) of an explicit method follow one from the other. Those of collocation are
+solved for by Newton's method inside of the interval, and are no unknowns of the problem: its stages stay as small as
+those of an explicit method, and there is nothing for a line search to weigh against anything else.
 """
 
 from __future__ import annotations
@@ -15,9 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..integrators import RKMK
+from ..integrators.tableaus import ButcherTableau, CollocationTableau
 from ..lowering.dynamics import Arrays
 from .smooth import Smooth
+
+#: Newton steps of collocation at most, and the size of a step, relative, after which one more is the last.
+_NEWTON, _CLOSE = 20, 1e-9
 
 
 class Slot(NamedTuple):
@@ -27,8 +34,15 @@ class Slot(NamedTuple):
     width: Any
 
 
+class Rolled(NamedTuple):
+    """An integrated interval."""
+
+    ends: Any  # (S + 1, n) eta at the ends of the S substeps, the start first
+    stages: Any  # (S, s, n) at all stages
+
+
 class Interval:
-    """The maths of an interval.
+    """The maths of an interval, by an explicit method.
 
     Args:
         rate: d eta / d share, of (q, share, base, params), q = [eta, u, b].
@@ -44,7 +58,7 @@ class Interval:
         rate: Smooth,
         point: Smooth,
         gap: Smooth,
-        method: RKMK,
+        tableau: ButcherTableau | CollocationTableau,
         substeps: int,
         *,
         n: int,
@@ -54,46 +68,69 @@ class Interval:
     ) -> None:
         self._rate, self._point, self._gap = rate, point, gap
         self.substeps, self._n, self._size, self._asked, self._rows = substeps, n, size, asked, rows
-        self._a, self._c = method.tableau.counted
-        self._b = method.tableau.b[: len(self._c)]
-        self._weights = _weights(substeps)
+        self._a, self._b, self._c = self._coefficients(tableau)
+
+    def _coefficients(self, tableau: Any) -> tuple[Array, Array, Array]:
+        """a, b and c of the stages that count."""
+        a, c = tableau.counted
+        return a, tableau.b[: len(c)], c
 
     # ---- values ---------------------------------------------------------------------------------------------------
 
-    def roll(
-        self, slot: Slot, base: Arrays, eta: jax.Array, u: jax.Array, border: jax.Array, params: Arrays
-    ) -> tuple[jax.Array, jax.Array]:
-        """eta at the ends of the substeps (S + 1, n), and of all stages (S, s, n)."""
-        length = slot.width / self.substeps
+    def roll(self, slot: Slot, base: Arrays, eta: jax.Array, u: jax.Array, border: jax.Array, params: Arrays) -> Rolled:
+        """Integrate."""
+        shares, length = self._stage_shares(slot), slot.width / self.substeps
         ends, stages = [eta], []
         for s in range(self.substeps):
-            slopes: list[jax.Array] = []
-            own = []
-            for i in range(len(self._b)):
-                at = eta + sum(length * self._a[i, j] * slopes[j] for j in range(i) if self._a[i, j])
-                own.append(at)
-                share = slot.start + (s + self._c[i]) * length
-                slopes.append(self._rate(_joined(at, u, border), jnp.asarray(share), base, params))
-            eta = eta + length * (jnp.asarray(self._b, u.dtype) @ jnp.stack(slopes))
+            points, slopes = self._stages(shares[s], length, base, eta, u, border, params)
+            eta = eta + length * (jnp.asarray(self._b, u.dtype) @ slopes)
             ends.append(eta)
-            stages.append(jnp.stack(own))
-        return jnp.stack(ends), jnp.stack(stages)
+            stages.append(points)
+        return Rolled(jnp.stack(ends), jnp.stack(stages))
+
+    def _stages(
+        self,
+        shares: jax.Array,
+        length: jax.Array,
+        base: Arrays,
+        eta: jax.Array,
+        u: jax.Array,
+        border: jax.Array,
+        params: Arrays,
+    ) -> tuple[jax.Array, jax.Array]:
+        """The stages (s, n) of a substep and their slopes (s, n)."""
+        points: list[jax.Array] = []
+        slopes: list[jax.Array] = []
+        for i in range(len(self._b)):
+            at = eta + sum(length * self._a[i, j] * slopes[j] for j in range(i) if self._a[i, j])
+            points.append(at)
+            slopes.append(self._rate(_joined(at, u, border), shares[i], base, params))
+        return jnp.stack(points), jnp.stack(slopes)
 
     def at_points(
-        self, slot: Slot, base: Arrays, etas: jax.Array, u: jax.Array, border: jax.Array, params: Arrays
+        self, slot: Slot, base: Arrays, rolled: Rolled, u: jax.Array, border: jax.Array, params: Arrays
     ) -> tuple[jax.Array, jax.Array]:
         """The rows that are asked, and the share of the running cost."""
 
         def one(share: jax.Array, eta: jax.Array) -> jax.Array:
             return self._point(_joined(eta, u, border), share, base, params)
 
-        found = jax.vmap(one)(self._ends(slot), etas)
-        cost = slot.width * (jnp.asarray(self._weights, u.dtype) @ found[:, -1])
-        return found[:, :-1].reshape(-1)[self._asked], cost
+        shares, etas, weights = self._looked_at(slot, rolled)
+        found = jax.vmap(one)(shares, etas)
+        rows = found[: self.substeps + 1, :-1].reshape(-1)[self._asked]
+        return rows, slot.width * (jnp.asarray(weights, u.dtype) @ found[:, -1])
+
+    def _looked_at(self, slot: Slot, rolled: Rolled) -> tuple[jax.Array, jax.Array, Array]:
+        """Shares and eta of points, the ends of substeps first, and weights of the cost there, of a unit interval."""
+        return self._ends(slot), rolled.ends, _simpson(self.substeps)
 
     def _ends(self, slot: Slot) -> jax.Array:
         """Where the substeps end, the start first."""
         return slot.start + slot.width * jnp.linspace(0.0, 1.0, self.substeps + 1, dtype=slot.width.dtype)
+
+    def _stage_shares(self, slot: Slot) -> jax.Array:
+        """(S, s) where the stages are."""
+        return slot.start + slot.width / self.substeps * (np.arange(self.substeps)[:, None] + self._c[None, :])
 
     # ---- derivatives ----------------------------------------------------------------------------------------------
 
@@ -111,80 +148,182 @@ class Interval:
     ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Derivatives of F and of the rows, gradient of the cost, second derivative of the weighted sum."""
         n, size, substeps = self._n, self._size, self.substeps
-        stages, length = len(self._b), slot.width / substeps
-        a, b = jnp.asarray(self._a, u.dtype), jnp.asarray(self._b, u.dtype)
-        etas, points = self.roll(slot, base, start, u, border, params)
+        length = slot.width / substeps
+        rolled = self.roll(slot, base, start, u, border, params)
         join = lambda e: _joined(e, u, border)  # noqa: E731
 
-        def along(rows: jax.Array, maps: jax.Array) -> jax.Array:
-            """Slopes (..., n + m + g) by q along the sensitivities of eta; the rest of q are unknowns themselves."""
-            return rows[..., :n] @ maps + jnp.concatenate([jnp.zeros_like(rows[..., :n]), rows[..., n:]], axis=-1)
-
         # Sensitivities of the stages and of the ends of the substeps to z.
-        shares = slot.start + length * (np.arange(substeps)[:, None] + self._c[None, :])
-        qs = jax.vmap(jax.vmap(join))(points)
+        shares = self._stage_shares(slot)
+        qs = jax.vmap(jax.vmap(join))(rolled.stages)
         every = lambda f: jax.vmap(f, in_axes=(0, 0, None, None))  # noqa: E731
         slopes = every(every(self._rate.slopes))(qs, shares, base, params)  # (S, s, n, size)
         sensitivity = jnp.eye(n, size, dtype=u.dtype)
         ends, inner = [sensitivity], []
         for s in range(substeps):
-            moved: list[jax.Array] = []
-            for i in range(stages):
-                at = sensitivity + sum(
-                    (length * a[i, j] * moved[j] for j in range(i) if self._a[i, j]), jnp.zeros_like(sensitivity)
-                )
-                inner.append(at)
-                moved.append(along(slopes[s, i], at))
-            sensitivity = sensitivity + length * jnp.einsum("i,ijk->jk", b, jnp.stack(moved))
+            at, moved = self._sensitivities(slopes[s], sensitivity, length)
+            inner.append(at)
+            sensitivity = sensitivity + length * jnp.einsum("i,ijk->jk", jnp.asarray(self._b, u.dtype), moved)
             ends.append(sensitivity)
-        maps, end_maps = jnp.stack(inner), jnp.stack(ends)
+        maps, end_maps = jnp.concatenate(inner), jnp.stack(ends)
 
         def bent(bends: jax.Array, maps: jax.Array) -> jax.Array:
             """The sum of second derivatives (k, n + m + g, n + m + g) by q along sensitivities (k, n, n + m + g)."""
-            moved = along(bends, maps)
+            moved = _along(bends, maps)
             found = maps.reshape(-1, size).T @ moved[:, :n].reshape(-1, size)
             rest = moved[:, n:].sum(axis=0)
             return found + jnp.concatenate([jnp.zeros((n, size), rest.dtype), rest])
 
         # Rows, cost and the gap.
-        times, end_qs = self._ends(slot), jax.vmap(join)(etas)
-        weights = slot.width * jnp.asarray(self._weights, u.dtype)
+        times, etas, quadrature = self._looked_at(slot, rolled)
+        weights = slot.width * jnp.asarray(quadrature, u.dtype)
+        point_qs = jax.vmap(join)(etas)
+        point_maps = end_maps if len(etas) == len(end_maps) else jnp.concatenate([end_maps, maps])
         asked = jnp.zeros((substeps + 1) * self._rows, u.dtype).at[self._asked].set(w).reshape(substeps + 1, -1)
+        asked = jnp.concatenate([asked, jnp.zeros((len(etas) - substeps - 1, self._rows), u.dtype)])
         pushes = jnp.concatenate([asked, weights[:, None]], axis=1)
-        point_slopes = every(self._point.slopes)(end_qs, times, base, params)
-        point_bends = jax.vmap(self._point.bends, in_axes=(0, 0, 0, None, None))(pushes, end_qs, times, base, params)
-        gap_slope = self._gap.slopes(etas[-1], base, target)
-        gap_bend = self._gap.bends(y, etas[-1], base, target)
-        moved_points = along(point_slopes, end_maps)
-        rows = moved_points[:, :-1].reshape(-1, size)[self._asked]
+        point_slopes = every(self._point.slopes)(point_qs, times, base, params)
+        point_bends = jax.vmap(self._point.bends, in_axes=(0, 0, 0, None, None))(pushes, point_qs, times, base, params)
+        gap_slope = self._gap.slopes(rolled.ends[-1], base, target)
+        gap_bend = self._gap.bends(y, rolled.ends[-1], base, target)
+        moved_points = _along(point_slopes, point_maps)
+        rows = moved_points[: substeps + 1, :-1].reshape(-1, size)[self._asked]
         gradient = weights @ moved_points[:, -1]
 
         # Adjoints, last substep first.
-        pulls = jnp.einsum("pr,pri->pi", pushes, point_slopes)
-        adjoint = y @ gap_slope + pulls[-1, :n]
-        adjoints: list[Any] = [None] * (substeps * stages)
+        pulls = jnp.einsum("pr,pri->pi", pushes, point_slopes)[:, :n]
+        of_stages = None if len(etas) == len(end_maps) else pulls[substeps + 1 :].reshape(substeps, -1, n)
+        adjoint = y @ gap_slope + pulls[substeps]
+        adjoints: list[Any] = [None] * substeps
         for s in reversed(range(substeps)):
-            through: list[Any] = [None] * stages
-            for i in reversed(range(stages)):
-                own = length * b[i] * adjoint
-                for j in range(i + 1, stages):
-                    if self._a[j, i]:
-                        own = own + length * a[j, i] * through[j]
-                adjoints[s * stages + i] = own
-                through[i] = own @ slopes[s, i, :, :n]
-            adjoint = adjoint + sum(through) + pulls[s, :n]
+            own = None if of_stages is None else of_stages[s]
+            adjoints[s], through = self._adjoints(slopes[s, :, :, :n], adjoint, own, length)
+            adjoint = adjoint + through + pulls[s]
         bends = jax.vmap(self._rate.bends, in_axes=(0, 0, 0, None, None))(
-            jnp.stack(adjoints), qs.reshape(-1, size), shares.reshape(-1), base, params
+            jnp.concatenate(adjoints), qs.reshape(-1, size), shares.reshape(-1), base, params
         )
-        hessian = bent(bends, maps) + bent(point_bends, end_maps) + ends[-1].T @ gap_bend @ ends[-1]
+        hessian = bent(bends, maps) + bent(point_bends, point_maps) + ends[-1].T @ gap_bend @ ends[-1]
         return gap_slope @ ends[-1], rows, gradient, 0.5 * (hessian + hessian.T)
+
+    def _sensitivities(self, slopes: jax.Array, start: jax.Array, length: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Of the stages of a substep and of their slopes, (s, n, size) both, from that of its start."""
+        points: list[jax.Array] = []
+        moved: list[jax.Array] = []
+        for i in range(len(self._b)):
+            at = start + sum(
+                (length * self._a[i, j] * moved[j] for j in range(i) if self._a[i, j]), jnp.zeros_like(start)
+            )
+            points.append(at)
+            moved.append(_along(slopes[i], at))
+        return jnp.stack(points), jnp.stack(moved)
+
+    def _adjoints(
+        self, slopes: jax.Array, adjoint: jax.Array, pulls: jax.Array | None, length: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Adjoints of the slopes of a substep (s, n), and what its start gets through them.
+
+        Args:
+            slopes: (s, n, n) of the stages.
+            adjoint: of the end of the substep.
+            pulls: (s, n) what pulls at the stages themselves, or None.
+        """
+        stages = len(self._b)
+        found: list[Any] = [None] * stages
+        through: list[Any] = [None] * stages
+        for i in reversed(range(stages)):
+            own = length * self._b[i] * adjoint
+            for j in range(i + 1, stages):
+                if self._a[j, i]:
+                    own = own + length * self._a[j, i] * through[j]
+            found[i], through[i] = own, own @ slopes[i]
+        return jnp.stack(found), sum(through)
+
+
+class Collocated(Interval):
+    """The maths of an interval, by collocation. The running cost is integrated by the weights of the method."""
+
+    def _coefficients(self, tableau: Any) -> tuple[Array, Array, Array]:
+        return tableau.a, tableau.b, tableau.c
+
+    def _stages(
+        self,
+        shares: jax.Array,
+        length: jax.Array,
+        base: Arrays,
+        eta: jax.Array,
+        u: jax.Array,
+        border: jax.Array,
+        params: Arrays,
+    ) -> tuple[jax.Array, jax.Array]:
+        a = length * jnp.asarray(self._a, u.dtype)
+
+        def improved(slopes: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """After a step of Newton's method, and its relative size."""
+            qs = jax.vmap(lambda e: _joined(e, u, border))(eta[None] + a @ slopes)
+            over = lambda f: jax.vmap(f, in_axes=(0, 0, None, None))  # noqa: E731
+            residual = slopes - over(self._rate)(qs, shares, base, params)
+            by_eta = over(self._rate.slopes)(qs, shares, base, params)[..., : self._n]
+            step = _solved(_system(by_eta, a), residual)
+            size = jnp.abs(length * step).max() / (1.0 + jnp.abs(length * slopes).max())
+            return slopes - step, size
+
+        def going(carry: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+            return (carry[1] > _CLOSE) & (carry[2] < _NEWTON)
+
+        def again(carry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+            return *improved(carry[0]), carry[2] + 1
+
+        first = self._rate(_joined(eta, u, border), shares[0], base, params)
+        begin = (jnp.broadcast_to(first, (len(self._b), self._n)), jnp.asarray(jnp.inf, u.dtype), jnp.zeros((), int))
+        slopes, _, count = jax.lax.while_loop(going, again, begin)
+        # The last one is outside of the loop: derivatives of all that went before are forgotten by it.
+        slopes, _ = improved(slopes)
+        slopes = jnp.where(count < _NEWTON, slopes, jnp.nan)
+        return eta[None] + a @ slopes, slopes
+
+    def _looked_at(self, slot: Slot, rolled: Rolled) -> tuple[jax.Array, jax.Array, Array]:
+        shares = jnp.concatenate([self._ends(slot), self._stage_shares(slot).reshape(-1)])
+        etas = jnp.concatenate([rolled.ends, rolled.stages.reshape(-1, self._n)])
+        weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(self._b / self.substeps, self.substeps)])
+        return shares, etas, weights
+
+    def _sensitivities(self, slopes: jax.Array, start: jax.Array, length: jax.Array) -> tuple[jax.Array, jax.Array]:
+        a = length * jnp.asarray(self._a, slopes.dtype)
+        of_start = _along(slopes, jnp.broadcast_to(start, slopes.shape))
+        moved = _solved(_system(slopes[..., : self._n], a), of_start)
+        return start[None] + jnp.einsum("ij,jkl->ikl", a, moved), moved
+
+    def _adjoints(
+        self, slopes: jax.Array, adjoint: jax.Array, pulls: jax.Array | None, length: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        a, b = length * jnp.asarray(self._a, slopes.dtype), length * jnp.asarray(self._b, slopes.dtype)
+        own = jnp.zeros_like(slopes[..., 0]) if pulls is None else pulls
+        found = _solved(_system(slopes, a).T, b[:, None] * adjoint[None] + a.T @ own)
+        return found, (jnp.einsum("in,ink->ik", found, slopes) + own).sum(axis=0)
+
+
+def _system(slopes: jax.Array, a: jax.Array) -> jax.Array:
+    """The matrix of k_i - J_i sum_j a_ij k_j, (s n, s n), of slopes J (s, n, n)."""
+    s, n, _ = slopes.shape
+    coupled = a[:, None, :, None] * slopes[:, :, None, :]
+    return jnp.eye(s * n, dtype=slopes.dtype) - coupled.reshape(s * n, s * n)
+
+
+def _solved(matrix: jax.Array, right: jax.Array) -> jax.Array:
+    """The solution for right sides (s, n, ...)."""
+    return jnp.linalg.solve(matrix, right.reshape(len(matrix), -1)).reshape(right.shape)
+
+
+def _along(rows: jax.Array, maps: jax.Array) -> jax.Array:
+    """Slopes (..., n + m + g) by q along the sensitivities of eta; the rest of q are unknowns themselves."""
+    n = maps.shape[-2]
+    return rows[..., :n] @ maps + jnp.concatenate([jnp.zeros_like(rows[..., :n]), rows[..., n:]], axis=-1)
 
 
 def _joined(eta: jax.Array, u: jax.Array, border: jax.Array) -> jax.Array:
     return jnp.concatenate([eta, u, border])
 
 
-def _weights(substeps: int) -> Array:
+def _simpson(substeps: int) -> Array:
     """Weights of the points of a unit interval: Simpson's rule, the trapezoid rule where substeps are odd."""
     weights = np.ones(substeps + 1)
     if substeps % 2:

@@ -18,17 +18,22 @@ class Mesh:
 
     Args:
         nodes: their number, for intervals of equal length, or an increasing sequence of shares from 0 to 1.
+        free: whether the optimiser chooses how long intervals are, as a jump of a control between two nodes needs it:
+            True, or limits (low, high) of their lengths as multiples of those that `nodes` says. True is (0.01, inf).
 
     Attributes:
         shares: (nodes,).
+        free: the limits, None where nodes stay at their shares.
 
     Raises:
-        TrajectoryError: fewer than two nodes; shares that do not increase from 0 to 1.
+        TrajectoryError: fewer than two nodes; shares that do not increase from 0 to 1; limits that do not have 1
+            between them.
     """
 
     shares: Array
+    free: tuple[float, float] | None
 
-    def __init__(self, nodes: Any) -> None:
+    def __init__(self, nodes: Any, *, free: Any = False) -> None:
         if np.ndim(nodes) == 0:
             whole("nodes", nodes, 2, TrajectoryError)
             shares = np.linspace(0.0, 1.0, int(nodes))
@@ -46,6 +51,7 @@ class Mesh:
                 )
         shares.setflags(write=False)
         object.__setattr__(self, "shares", shares)
+        object.__setattr__(self, "free", _limits(free))
 
     @property
     def nodes(self) -> int:
@@ -55,12 +61,21 @@ class Mesh:
     @property
     def is_even(self) -> bool:
         """Whether all intervals are equally long."""
-        return bool(np.allclose(self.widths, 1.0 / len(self.widths), rtol=1e-9, atol=0.0))
+        return self.free is None and bool(np.allclose(self.widths, 1.0 / len(self.widths), rtol=1e-9, atol=0.0))
 
     @property
     def widths(self) -> Array:
         """(nodes - 1,) of the intervals."""
         return np.diff(self.shares)
+
+
+def _limits(free: Any) -> tuple[float, float] | None:
+    if isinstance(free, (bool, np.bool_)):
+        return (0.01, np.inf) if free else None
+    found = reals("Mesh: free", free, TrajectoryError)
+    if found.shape != (2,) or not 0.0 < found[0] < 1.0 < found[1]:
+        raise TrajectoryError(f"Mesh: free expects True, False or limits 0 < low < 1 < high, got {short(free)}")
+    return float(found[0]), float(found[1])
 
 
 def mesh_of(nodes: Any) -> Mesh:

@@ -45,7 +45,7 @@ class Phase:
         final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
         initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
             phase before left.
-        guess, final_time_guess, method, substeps: as for a `Problem`.
+        controls, guess, final_time_guess, transcription, method, substeps: as for a `Problem`.
         name: what results and messages call it; "phase 0", "phase 1", ... unless given.
     """
 
@@ -57,10 +57,12 @@ class Phase:
     initial: Any = None
     final: Any = None
     at: Any = None
+    controls: Any = None
     guess: Mapping[Any, Any] | None = None
     final_time_guess: Any = None
+    transcription: Any = None
     method: Any = None
-    substeps: int = 2
+    substeps: int | None = None
     name: str | None = None
 
 
@@ -142,7 +144,9 @@ class PhasedProblem:
                 at=phase.at,
                 params={key: value for key, value in params.items() if key in read},
                 free={key: value for key, value in free.items() if name_of(key) in read},
+                controls=phase.controls,
                 guess=phase.guess,
+                transcription=phase.transcription,
                 method=phase.method,
                 substeps=phase.substeps,
                 _within=within,

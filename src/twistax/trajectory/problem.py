@@ -15,7 +15,6 @@ from ..checks import callable_with, number, reals, whole
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Inputs, Parameter, State, evaluate_all, leaves_of
 from ..groups import Euclidean
-from ..integrators import RKMK
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import name_of
@@ -24,18 +23,19 @@ from .border import Border, boxes_of
 from .cases import Cases, TrajectoryResults, prepared, results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
-from .discretize import method_of
 from .external import SolvedBy
 from .guess import control_guess, state_guess, user_guess
 from .many import LANES, Lanes, solve_all
 from .mesh import mesh_of
 from .pinned import stirred
 from .reduction import InPhase, Reduction
+from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
 from .solver import Callback, Outcome, Solver
 from .statement import Objective, check_leaves, describe_path
 from .transcribed import Given, Point, Step, Transcribed
+from .transcription import transcription_of
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
 
@@ -53,7 +53,7 @@ class Problem:
         dynamics: a compiled system, or a list of `Phase`; then the rest is as for `PhasedProblem`.
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
         nodes: number of state nodes, two or more, at equal distances; or where they lie, as an increasing sequence of
-            shares of the final time from 0 to 1.
+            shares of the final time from 0 to 1; or a `tx.trajectory.Mesh`, whose intervals may be free.
         final_time: a number in s, or limits (low, high) to leave it free.
         initial, final: values by state or name, on top of the leaves' own, or constraints on the first or last node
             such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
@@ -62,12 +62,16 @@ class Problem:
         params: values of the parameters by leaf or name, the objective's too; those left out take their own.
         free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
             of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
-        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states) or interval
-            (controls). A free parameter starts here, else at its value, or at the point of its box nearest to that.
+        controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out) or `tx.trajectory.Linear()`,
+            for all of them, or a dict by leaf or name.
+        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, linear controls) or
+            interval (held controls). A free parameter starts here, else at its value, or at the point of its box
+            nearest to that.
         final_time_guess: where a free final time starts; the middle of its limits unless given.
-        method: an RKMK method with an explicit tableau; RK4 if left out. An interval is integrated in exponential
-            coordinates about its first node.
-        substeps: its steps in an interval.
+        transcription: how an interval is integrated, in exponential coordinates about its first node:
+            `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
+        method, substeps: those of multiple shooting in place of it: an RKMK method with an explicit tableau, RK4 if
+            left out, and its steps in an interval, 2 if left out.
 
     Raises:
         ModelError: unknown names or values without meaning.
@@ -96,10 +100,12 @@ class Problem:
         at: Any = None,
         params: Mapping[Any, Any] | None = None,
         free: Any = None,
+        controls: Any = None,
         guess: Mapping[Any, Any] | None = None,
         final_time_guess: Any = None,
-        method: RKMK | None = None,
-        substeps: int = 2,
+        transcription: Any = None,
+        method: Any = None,
+        substeps: Any = None,
         _within: InPhase = InPhase(),  # noqa: B008  it is frozen
     ) -> None:
         need_compiled("Problem", dynamics)
@@ -107,7 +113,6 @@ class Problem:
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
             )
-        whole("substeps", substeps, 1, TrajectoryError)
         self.mesh = mesh_of(nodes)
         self.nodes = self.mesh.nodes
         time_limits, self.time_guess = _times(final_time, final_time_guess)
@@ -116,23 +121,29 @@ class Problem:
         reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within)
         #: What functionals of the path became.
         self.reduced = reduced
-        self.dynamics = dynamics = reduced.dynamics
-        self.objective: Objective = reduced.objective
+        restated = Restated(reduced.dynamics, reduced.objective, controls, self.mesh, _within.first)
+        #: What linear controls and free node times became.
+        self.restated = restated
+        self.dynamics = dynamics = restated.dynamics
+        self.objective: Objective = restated.objective
         for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
         objective = self.objective
         self.ends = ends_of(dynamics.states, first, last)
-        self.final_rows = conditions(dynamics, "final", reduced.plain(asked_last))
+        self.final_rows = conditions(
+            dynamics, "final", restated.plain(reduced.plain(asked_last) | restated.at_end, last=True)
+        )
         #: Conditions at nodes before the last.
-        self.node_rows = {k: conditions(dynamics, f"node {k}", reduced.plain(own)) for k, own in inner.items()}
-        asked_first |= reduced.at_start
+        plain = {k: restated.plain(reduced.plain(own)) for k, own in inner.items()}
+        self.node_rows = {k: conditions(dynamics, f"node {k}", own) for k, own in plain.items()}
+        asked_first = restated.plain(asked_first | reduced.at_start)
         if asked_first:
             self.node_rows[0] = conditions(dynamics, "initial", asked_first)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
-        self.method, self.substeps = method_of(method), int(substeps)
+        self.transcription = transcription_of(transcription, method, substeps)
         self.norms = norm_controls(objective.running, objective.sign)
         asked = [e for own in (self.final_rows, *self.node_rows.values()) for e in own.residuals]
         exprs = [e for e in (objective.final, objective.running, *asked) if e is not None]
@@ -171,13 +182,14 @@ class Problem:
 
     def _build(self) -> None:
         """What compiles."""
-        self.path = describe_path(self.dynamics, self.norms, {box.name for box in self.border.boxes})
+        self.path = describe_path(
+            self.dynamics, self.norms, {box.name for box in self.border.boxes}, self.restated.straight
+        )
         self.shooting = Shooting(
             self.dynamics,
             self.objective,
-            method=self.method,
+            transcription=self.transcription,
             mesh=self.mesh,
-            substeps=self.substeps,
             path=self.path,
             norms=self.norms,
             ends=self.ends,
@@ -185,6 +197,7 @@ class Problem:
             at_nodes=self.node_rows,
             border=self.border,
             phase=self.phase,
+            pace=self.restated.pace,
         )
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
         self._solvers: dict[float, Solver] = {}
@@ -421,6 +434,7 @@ class Problem:
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
+        xs, us = self.restated.started(xs, us, self.shooting.times(durations))
         border = self.border.start(durations, params, {**self._extremes(xs, us, params, durations), **given})
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         return jax.tree.map(

@@ -50,15 +50,16 @@ class Replay:
 def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
     """The rollout of a trajectory; see `Trajectory.replay`."""
     if isinstance(method, Method):
-        return _judged(result, _rollout_on_group(result, method, steps), steps)
+        return _judged(result, rolled_out(result, method, steps), steps)
     return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)
 
 
-def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:
-    """Equal intervals in one integration, others one by one."""
+def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:
+    """All states along a rollout. Equal intervals are one integration, others one each."""
     problem = result.problem
     params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
-    ts, count, x = _times(result, steps), problem.nodes - 1, _start(result)
+    ts, count, x = times_along(result, steps), problem.nodes - 1, _start(result)
+    us = held_of(result)
     parts = [{name: values[None] for name, values in x.items()}]
     together = count if problem.mesh.is_even else 1
     for k in range(0, count, together):
@@ -70,7 +71,7 @@ def _rollout_on_group(result: Trajectory, method: Method, steps: int) -> dict[st
             t1=float(ts[own][-1]),
             steps=together * steps,
             method=method,
-            u={n: ZeroOrderHold(result.ts[k : k + together], a[k : k + together]) for n, a in result.us.items()},
+            u={n: ZeroOrderHold(result.ts[k : k + together], a[k : k + together]) for n, a in us.items()},
             params=params,
             save_at=ts[own][1:],
         )
@@ -120,33 +121,38 @@ def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, a
         return jax.vmap(ambient.from_ambient)(whole), good
 
     start = ambient.to_ambient(_start(result))
-    xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, result.us))
+    xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, held_of(result)))
     if not bool(good.all()):
         number = int(np.argmin(np.asarray(good)))
         raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
     return {name: np.asarray(values) for name, values in xs.items()}
 
 
-def _times(result: Trajectory, steps: int) -> Array:
+def held_of(result: Trajectory) -> dict[str, Array]:
+    """The held controls of the system that is integrated."""
+    return result.problem.restated.held(result.ts, result.us, result.us | result.added)
+
+
+def times_along(result: Trajectory, steps: int) -> Array:
     """(intervals * steps + 1,), equally spaced within each interval."""
     inner = np.linspace(result.ts[:-1], result.ts[1:], steps, endpoint=False, axis=1)
     return np.append(inner.ravel(), result.ts[-1])
 
 
 def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
-    problem, ts = result.problem, _times(result, steps)
+    problem, ts = result.problem, times_along(result, steps)
     intervals = problem.nodes - 1
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
     end = {name: np.asarray(values[-1]) for name, values in xs.items()}
     planned = {name: np.asarray(values[-1]) for name, values in (result.xs | result.added).items()}
-    factors = problem.dynamics.group.factors.items()
+    factors = [(n, group) for n, group in problem.dynamics.group.factors.items() if n not in problem.restated.hidden]
     vectors = {name: np.asarray(jax.jit(g.difference)(planned[name], end[name])) for name, g in factors}
     path, rows = problem.path, _shown_along(result, ts, xs, steps)
     extremes = problem.reduced.extremes_of(rows, path.shown, result.params)
     return Replay(
         ts=ts,
         xs={name: xs[name] for name in result.xs},
-        us={name: values[holds] for name, values in result.us.items()},
+        us=result.problem.restated.us(xs, {name: values[holds] for name, values in held_of(result).items()}),
         misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
         vectors=vectors,
         violations=largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0)),
@@ -172,7 +178,7 @@ def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
     # Each interval is looked at with its own control, both ends included.
     points = {name: values[window.ravel()] for name, values in xs.items()}
-    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in result.us.items()}
+    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in held_of(result).items()}
     held |= {c.name: np.zeros(window.size) for c in problem.norms.controls}
     return np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
 

@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 
 from ..checks import whole
 from ..errors import TrajectoryError
-from ..integrators import RKMK
+from ..integrators import RKMK, FirstOrderHold, ZeroOrderHold
 from ..integrators.tableaus import RK4
 from ..precision import in_double
 from .border import Border
@@ -59,7 +59,7 @@ class Trajectory:
 
     Attributes:
         xs: states by name, leading axis the nodes.
-        us: controls by name, leading axis the intervals; held over each.
+        us: controls by name, leading axis the intervals for held ones, the nodes for linear ones.
         ts: (nodes,) times in s.
         final_time: the last of them.
         params: the parameters it was solved for, and those that were found.
@@ -73,6 +73,16 @@ class Trajectory:
     final_time: float
     params: dict[str, Array]
     added: dict[str, Array]
+
+    @property
+    def controls(self) -> dict[str, ZeroOrderHold | FirstOrderHold]:
+        """The controls over time, as `tx.integrate(u=...)` takes them."""
+        return {
+            name: FirstOrderHold(self.ts, values)
+            if len(values) == len(self.ts)
+            else ZeroOrderHold(self.ts[:-1], values)
+            for name, values in self.us.items()
+        }
 
     @property
     def integrals(self) -> dict[str, Array]:
@@ -96,10 +106,10 @@ class Trajectory:
     @functools.cached_property
     def mesh_error(self) -> dict[str, dict[str, float]]:
         """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
-        return self.replay(steps=10 * self.problem.substeps).misses
+        return self.replay(steps=10 * self.problem.transcription.substeps).misses
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
-        """Roll out the found controls from the first node, each held over its interval, and measure what comes out.
+        """Roll out the found controls from the first node, and measure what comes out.
 
         Args:
             method: an RKMK method, RK4 if left out; or a diffrax solver, which integrates the same system as a plain
@@ -251,18 +261,22 @@ def found_params(border: Border, outcome: Outcome, params: dict[str, Array]) -> 
 def trajectory_at(problem: Problem, point: Point, params: dict[str, Array]) -> dict[str, Any]:
     """The fields of a `Trajectory` at a point."""
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
-    ts = problem.shooting.times(np.asarray(point.border))
-    states = problem.reduced.states
+    states, ts = problem.reduced.states, times_of(problem, point)
     own = {s.name for s in states}
     return {
         "problem": problem,
         "xs": {s.name: np.asarray(point.xs[s.name]) for s in states},
         "added": {name: np.asarray(values) for name, values in point.xs.items() if name not in own},
-        "us": {c.name: controls[c.name] for c in problem.dynamics.controls},
+        "us": {n: np.asarray(values) for n, values in problem.restated.us(point.xs, controls).items()},
         "ts": ts,
         "final_time": float(ts[-1]),
         "params": params,
     }
+
+
+def times_of(problem: Problem, point: Point) -> Array:
+    """The times of the nodes."""
+    return np.asarray(problem.restated.times(point.xs, problem.shooting.times(np.asarray(point.border))))
 
 
 def multipliers_of(problem: Problem, outcome: Outcome) -> dict[str, Array]:
@@ -287,7 +301,7 @@ def violations_of(problem: Problem, outcome: Outcome, params: dict[str, Array]) 
     defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
     found = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
     if path.shown:
-        ts = shooting.times(np.asarray(point.border))
+        ts = times_of(problem, point)
         held = shooting.local.controls.split(np.asarray(point.us))
         ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
         sizes = [

@@ -141,7 +141,7 @@ class _Differentiable:
         return Solution(
             self._problem.objective.sign * found.cost,
             {s.name: found.point.xs[s.name] for s in self._problem.reduced.states},
-            {c.name: held[c.name] for c in self._problem.dynamics.controls},
+            self._problem.restated.us(found.point.xs, held),
             found.point.border[0],
             self._problem.border.params(found.point.border),
         )

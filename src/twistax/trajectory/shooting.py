@@ -23,7 +23,6 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..groups import SpecialEuclidean, SpecialOrthogonal
-from ..integrators import RKMK
 from ..lowering import XLA, Dynamics
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
@@ -31,7 +30,7 @@ from ..lowering.native.backend import Auto, Native, installed
 from .border import Border
 from .conditions import Conditions, Ends
 from .cones import NormControls
-from .interval import Interval, Slot
+from .interval import Slot
 from .layout import laid_out
 from .local import Local
 from .mesh import Mesh
@@ -39,10 +38,14 @@ from .pinned import spanned, stirred
 from .smooth import Smooth
 from .statement import Objective, PathRows
 from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
+from .transcription import Collocation, MultipleShooting
 
 
 class Shooting(Transcribed):
     """The discrete problem behind a continuous one, or behind one phase of it.
+
+    Args:
+        pace: the control that says how long intervals are over what their shares say.
 
     Attributes:
         phase: its number.
@@ -56,9 +59,8 @@ class Shooting(Transcribed):
         dynamics: Dynamics,
         objective: Objective,
         *,
-        method: RKMK,
+        transcription: MultipleShooting | Collocation,
         mesh: Mesh,
-        substeps: int,
         path: PathRows,
         norms: NormControls,
         ends: Ends,
@@ -66,16 +68,18 @@ class Shooting(Transcribed):
         at_nodes: Mapping[int, Conditions],
         border: Border,
         phase: int = 0,
+        pace: str | None = None,
     ) -> None:
         self.alike: dict[str, str] = {}
         self.phase, self._is_last = phase, phase == border.phases - 1
         self.leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
         self.leaves |= {leaf.name: leaf for leaf in (*dynamics.controls, *norms.controls)}
-        self.dynamics, self.mesh, self.substeps = dynamics, mesh, substeps
+        self.dynamics, self.mesh, self.substeps = dynamics, mesh, transcription.substeps
         self.nodes, self.intervals = mesh.nodes, mesh.nodes - 1
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border
+        self._paced = None if pace is None else self.local.controls.slices[pace]
         self.size = self.n + self.m + border.size
         self.path = path
         self.backend = backend = chosen(
@@ -93,17 +97,17 @@ class Shooting(Transcribed):
             for i in range(part.stop - part.start)
         ]
         self._row_count = len(path.names)
-        layout = laid_out(self.states, self.intervals, substeps, path, ends, final, at_nodes, border, phase)
+        layout = laid_out(self.states, self.intervals, self.substeps, path, ends, final, at_nodes, border, phase)
         self._layout = layout
         self.names, self.places, self.equality, self.own = layout.names, layout.places, layout.equality, layout.own
         self.exists, self.decided, self.pinned = layout.exists, layout.decided, np.zeros_like(layout.exists)
         self.rows_per_interval = layout.per_interval
-        self._interval = Interval(
+        self._interval = transcription.interval(
             Smooth(self._rate_at, backend),
             self._point,
             self._gap,
-            method,
-            substeps,
+            transcription.tableau,
+            self.substeps,
             n=self.n,
             size=self.size,
             asked=layout.asked,
@@ -187,13 +191,11 @@ class Shooting(Transcribed):
         left, right = _sides(point.xs)
         d = jnp.zeros((self.nodes, self.n), point.us.dtype) if d is None else d
         slots, shared = self._slots(point), (point.border, given.params)
-        etas, _ = jax.vmap(self._interval.roll, in_axes=(0, 0, 0, 0, None, None))(
-            slots, left, d[:-1], point.us, *shared
-        )
+        rolled = jax.vmap(self._interval.roll, in_axes=(0, 0, 0, 0, None, None))(slots, left, d[:-1], point.us, *shared)
         rows, costs = jax.vmap(self._interval.at_points, in_axes=(0, 0, 0, 0, None, None))(
-            slots, left, etas, point.us, *shared
+            slots, left, rolled, point.us, *shared
         )
-        defects = jax.vmap(self._gap)(etas[:, -1], left, right) - d[1:]
+        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right) - d[1:]
         end = self._end(self._place(-1, d), self._here(-1, point), given)
         at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
@@ -218,8 +220,8 @@ class Shooting(Transcribed):
     def advanced(self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays) -> Arrays:
         """The end of an interval, given its number, that starts at a node."""
         slot = Slot(*(jnp.asarray(a, u.dtype)[number] for a in (self.mesh.shares[:-1], self.mesh.widths)))
-        etas, _ = self._interval.roll(slot, base, jnp.zeros(self.n, u.dtype), u, border, params)
-        return self.dynamics.group.retract(base, etas[-1])
+        rolled = self._interval.roll(slot, base, jnp.zeros(self.n, u.dtype), u, border, params)
+        return self.dynamics.group.retract(base, rolled.ends[-1])
 
     def _node_at(
         self, k: int, conditions: Conditions, z: jax.Array, here: tuple[Arrays, jax.Array], params: Arrays
@@ -253,7 +255,7 @@ class Shooting(Transcribed):
     def _rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
         eta, u, begin, length, params = self._parts(q, params)
-        return length * self.local.rate(begin + share * length, eta, u, base, params)
+        return length * self._pace(u) * self.local.rate(begin + share * length, eta, u, base, params)
 
     def _parts(self, q: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, Arrays]:
         """eta, u, when the phase begins and how long it takes, and all parameters."""
@@ -273,7 +275,11 @@ class Shooting(Transcribed):
         """The path rows, and the running cost times T."""
         eta, u, begin, length, params = self._parts(q, params)
         rows, density = self.local.point(begin + share * length, eta, u, base, params)
-        return jnp.append(rows, length * density)
+        return jnp.append(rows, length * self._pace(u) * density)
+
+    def _pace(self, u: jax.Array) -> Any:
+        """How long the interval is over what its share says."""
+        return 1.0 if self._paced is None else u[self._paced][0]
 
     def _end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""

@@ -84,6 +84,7 @@ class Reads(enum.Enum):
     NOTHING = "parameters alone: once, at the end"
     CONTROL = "controls alone: once an interval"
     STATE = "states and time: at every point, shared ends once"
+    ENDS = "states that are linear over each interval: at its ends, shared ends once"
     BOTH = "states and controls: at every point, shared ends from both sides"
 
 
@@ -124,23 +125,29 @@ class PathRows:
         mask[:, :, [reads is Reads.NOTHING for reads in self.reads]] = False
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
         mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
+        mask[:, 1:, [reads is Reads.ENDS for reads in self.reads]] = False
         return mask
 
     def at_nodes(self) -> Array:
         """(rows,) those that a node alone decides, controls not."""
-        return np.array([reads in (Reads.STATE, Reads.NOTHING) for reads in self.reads], bool)
+        return np.array([reads in (Reads.STATE, Reads.ENDS, Reads.NOTHING) for reads in self.reads], bool)
 
     def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
         """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
         whole = {name for name, mask in fixed.items() if mask.all()}
-        alone = (Reads.STATE, Reads.NOTHING)
+        alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
         rows = [reads in alone and states <= whole for reads, states in zip(self.reads, self.states)]
-        boxes = [b.reads is Reads.STATE and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
+        boxes = [b.reads in (Reads.STATE, Reads.ENDS) and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
         return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
 
 
-def describe_path(dynamics: Dynamics, norms: NormControls, free: Collection[str]) -> PathRows:
-    """The rows of a compiled system, of bounds on norms, and the leaves' boxes; and which read free parameters."""
+def describe_path(
+    dynamics: Dynamics, norms: NormControls, free: Collection[str], straight: Collection[str] = ()
+) -> PathRows:
+    """The rows of a compiled system, of bounds on norms, and the leaves' boxes; and which read free parameters.
+
+    Boxes of states that are linear over each interval hold between its ends.
+    """
     functions = dynamics._functions
     residuals: list[Expr] = []
     names: list[str] = []
@@ -168,7 +175,10 @@ def describe_path(dynamics: Dynamics, norms: NormControls, free: Collection[str]
         states.append(frozenset())
         timed.append(False)
         loose.append(any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves_of(row)))
-    bounds = tuple(bounds_of((*dynamics.states, *dynamics.controls)))
+    bounds = tuple(
+        dataclasses.replace(b, reads=Reads.ENDS) if b.leaf in straight else b
+        for b in bounds_of((*dynamics.states, *dynamics.controls))
+    )
     boxes, named = [b.name for b in bounds], functions.constraint_names
     shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]
     return PathRows(

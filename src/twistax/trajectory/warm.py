@@ -55,18 +55,21 @@ class WarmStart:
             raise TrajectoryError("shifted: intervals of other lengths come later; it needs nodes at equal distances")
         shooting = problem.shooting
         xs: dict[str, list[Array]] = {name: list(a) for name, a in point.xs.items()}
+        # Linear controls stay as they are.
+        split = shooting.local.controls.split
+        still = {name: np.asarray(a) for name, a in problem.restated.at_rest(split(np.ones(shooting.m))).items()}
+        rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
+        us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
         with in_double():
             for _ in range(steps):
                 last = {name: a[-1] for name, a in xs.items()}
                 number = np.asarray(shooting.intervals - 1)
-                for name, value in problem.advanced(number, last, point.us[-1], point.border, self.params).items():
+                for name, value in problem.advanced(number, last, rest, point.border, self.params).items():
                     xs[name].append(np.asarray(value))
         inner, end = np.split(self.rows, [shooting.intervals * shooting.rows_per_interval])
         return dataclasses.replace(
             self,
-            point=Point(
-                {name: np.stack(a[steps:]) for name, a in xs.items()}, _moved_on(point.us, steps), point.border
-            ),
+            point=Point({name: np.stack(a[steps:]) for name, a in xs.items()}, us, point.border),
             dynamics=_moved_on(self.dynamics, steps),
             rows=np.concatenate([_moved_on(inner.reshape(shooting.intervals, -1), steps).ravel(), end]),
         )

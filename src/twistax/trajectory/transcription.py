@@ -1,0 +1,85 @@
+"""How an interval is integrated: `Problem(transcription=...)`."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar
+
+from ..checks import whole
+from ..errors import TrajectoryError
+from ..integrators import RKMK
+from ..integrators.tableaus import RK4, CollocationTableau
+from .discretize import method_of
+from .interval import Collocated, Interval
+
+
+@dataclasses.dataclass(frozen=True)
+class MultipleShooting:
+    """An explicit Runge-Kutta method in exponential coordinates about the first node of an interval.
+
+    Args:
+        method: an `RKMK` with an explicit tableau; RK4 if left out. Its chart does not matter.
+        substeps: its steps in an interval. Limits on states are asked at their ends.
+
+    Raises:
+        TrajectoryError: another method, or no positive whole number of substeps.
+    """
+
+    method: Any = dataclasses.field(default_factory=lambda: RKMK(RK4))
+    substeps: Any = 2
+    interval: ClassVar[type[Interval]] = Interval
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "method", method_of(self.method))
+        whole("substeps", self.substeps, 1, TrajectoryError)
+
+    @property
+    def tableau(self) -> Any:
+        return self.method.tableau
+
+
+@dataclasses.dataclass(frozen=True)
+class Collocation:
+    """Collocation on the group: a polynomial in exponential coordinates about the first node of an interval.
+
+    Its slope is that of the equation at the nodes of the tableau. For stiff systems, and for long intervals of high
+    order. The equations of a step are solved inside of the interval, with the running cost integrated to the order of
+    the tableau.
+
+    Args:
+        tableau: a `tx.tableaus.CollocationTableau`, such as `tx.tableaus.GAUSS_LEGENDRE6` or `RADAU_IIA5`.
+        substeps: its steps in an interval. Limits on states are asked at their ends.
+
+    Raises:
+        TrajectoryError: another tableau, or no positive whole number of substeps.
+    """
+
+    tableau: Any
+    substeps: Any = 1
+    interval: ClassVar[type[Interval]] = Collocated
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tableau, CollocationTableau):
+            raise TrajectoryError(
+                f"Collocation expects a tableau like tx.tableaus.GAUSS_LEGENDRE6, got {self.tableau!r}"
+            )
+        whole("substeps", self.substeps, 1, TrajectoryError)
+
+
+def transcription_of(given: Any, method: Any, substeps: Any) -> MultipleShooting | Collocation:
+    """The transcription that was given, or multiple shooting by a method.
+
+    Raises:
+        TrajectoryError: it is none, or there are both.
+    """
+    if given is None:
+        chosen = {} if substeps is None else {"substeps": substeps}
+        return MultipleShooting(method_of(method), **chosen)
+    if not isinstance(given, (MultipleShooting, Collocation)):
+        raise TrajectoryError(
+            "transcription expects tx.trajectory.MultipleShooting(...) or tx.trajectory.Collocation(...), "
+            f"got {given!r}"
+        )
+    if method is not None or substeps is not None:
+        raise TrajectoryError("transcription brings its own method and substeps; leave those out")
+    return given

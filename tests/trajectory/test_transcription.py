@@ -1,0 +1,133 @@
+"""Collocation on the group: its order, its derivatives, stiff rates, and what is refused."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from trajectory_systems import double_integrator, quick_jit, spinning_ball
+
+import twistax as tx
+from twistax.trajectory import Collocation, MultipleShooting, Problem
+from twistax.trajectory.transcribed import Given, Point, Step
+
+
+def tumbling(transcription: Any, nodes: int = 3, final_time: float = 0.8) -> Problem:
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,), max=[3.0, None, None])
+    u, t = tx.Control("u", shape=(3,)), tx.Time()
+    J = np.array([1.0, 2.0, 3.0])
+    rates = {R: w, w: (u + tx.Sin(3.0 * t) * R[:, 0] - tx.linalg.Cross(w, J * w)) / J}
+    objective = tx.Minimize(w[0] ** 2, running=u @ u + w @ w + R[0, 1] * t)
+    dynamics = tx.compile(tx.System(rates=rates, constraints={"level": R[2, 0] * w[1] <= 2.0}))
+    ends: dict[str, Any] = {"initial": {R: np.eye(3)}}
+    return Problem(
+        dynamics,
+        objective,
+        nodes=nodes,
+        final_time=(0.1, 2.0),
+        final_time_guess=final_time,
+        transcription=transcription,
+        **ends,
+    )
+
+
+def point_of(problem: Problem, final_time: float) -> Point:
+    rng = np.random.default_rng(0)
+    nodes = problem.nodes
+    xs = {"R": np.array(jax.vmap(tx.SO3.exp)(0.2 * rng.normal(size=(nodes, 3)))), "w": rng.normal(size=(nodes, 3))}
+    return Point(xs, rng.normal(size=(nodes - 1, 3)), np.array([final_time]))
+
+
+@pytest.mark.parametrize(
+    ("tableau", "order"),
+    [(tx.tableaus.GAUSS_LEGENDRE4, 4), (tx.tableaus.GAUSS_LEGENDRE6, 6), (tx.tableaus.RADAU_IIA5, 5)],
+)
+def test_the_order_of_an_interval_and_of_its_cost(tableau: Any, order: int) -> None:
+    """Against the same system with its cost as a state, integrated to round-off."""
+    errors = []
+    for final_time in (0.15, 0.075):
+        problem = tumbling(Collocation(tableau), nodes=2)
+        point = point_of(problem, final_time)
+        given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
+        found = quick_jit(problem.shooting.values)(point, given)
+        R, w, u, t = *problem.dynamics.states, problem.dynamics.controls[0], tx.Time()
+        spent = tx.State("spent")
+        rates = {s: problem.dynamics.system.rates[s.name] for s in (R, w)}
+        whole = tx.compile(tx.System(rates={**rates, spent: u @ u + w @ w + R[0, 1] * t}))
+        x0 = {name: a[0] for name, a in point.xs.items()} | {"spent": np.float64(0.0)}
+        exact = tx.integrate(whole, x0, t1=final_time, rtol=1e-13, atol=1e-13, u={"u": point.us[0]}).xs
+        end = {name: np.asarray(exact[name])[-1] for name in exact}
+        gap = np.concatenate([np.asarray(tx.SO3.log(point.xs["R"][1].T @ end["R"])), end["w"] - point.xs["w"][1]])
+        cost = point.xs["w"][1][0] ** 2 + end["spent"]
+        errors.append([np.abs(np.asarray(found.defects)[0] - gap).max(), abs(float(found.cost) - cost)])
+    orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
+    np.testing.assert_allclose(orders, order + 1.0, atol=0.7)
+
+
+def test_derivatives_of_collocation() -> None:
+    """First ones, and the second of cost + y.F + w.rows, by differences; nodes at which intervals end rest."""
+    problem = tumbling(Collocation(tx.tableaus.GAUSS_LEGENDRE4, substeps=2), nodes=2)
+    point, rng, shooting = point_of(problem, 0.15), np.random.default_rng(1), problem.shooting
+    given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
+    y, w = rng.normal(size=(1, 6)), rng.normal(size=len(shooting.exists))
+    found = quick_jit(shooting.derivatives)(point, y, w, given)
+    values = quick_jit(lambda step: shooting.values(shooting.move(point, step), given))
+    split = shooting.rows_per_interval
+
+    def lagrangian(step: Step) -> Any:
+        v = values(step)
+        return np.concatenate(
+            [np.ravel(v.defects), np.ravel(v.rows), [v.cost, v.cost + (y * v.defects).sum() + w @ v.rows]]
+        )
+
+    for _ in range(3):
+        d = np.stack([rng.normal(size=6), np.zeros(6)])
+        way = Step(d, rng.normal(size=(1, 3)), 0.1 * rng.normal(size=1))
+        z = np.concatenate([d[0], way.u[0], way.border])
+        at = [lagrangian(jax.tree.map(lambda a, e=e: e * a, way)) for e in (-2e-2, -1e-2, 0.0, 1e-2, 2e-2)]
+        first = (8.0 * (at[3] - at[1]) - (at[4] - at[0])) / (12.0 * 1e-2)
+        second = (16.0 * (at[3] + at[1]) - (at[4] + at[0]) - 30.0 * at[2]) / (12.0 * 1e-4)
+        np.testing.assert_allclose(np.asarray(found.defects)[0] @ z, first[:6], atol=2e-6)
+        np.testing.assert_allclose(np.asarray(found.rows)[0] @ z, first[6 : 6 + split], atol=2e-6)
+        own = np.concatenate([np.zeros(6), way.border])
+        slope = np.asarray(found.gradient)[0] @ z + np.asarray(found.end_gradient) @ own
+        assert slope == pytest.approx(first[-2], abs=2e-6)
+        bend = z @ np.asarray(found.hessian)[0] @ z + own @ np.asarray(found.end_hessian) @ own
+        assert bend == pytest.approx(second[-1], abs=1e-4)
+
+
+def test_stiff_rates() -> None:
+    """x' = -1e4 (x - u): explicit steps of 0.1 s would be off by powers of ten; Radau is not."""
+    x, u = tx.State("x"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={x: -1e4 * (x - u)}))
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=(x - 0.5) ** 2),
+        nodes=11,
+        final_time=1.0,
+        initial={x: 0.5},
+        transcription=Collocation(tx.tableaus.RADAU_IIA5),
+    )
+    result = problem.solve()
+    assert result.solved
+    np.testing.assert_allclose(result.us["u"], 0.5, atol=1e-3)
+    assert result.cost < 1e-7
+
+
+def test_what_is_no_transcription() -> None:
+    dynamics = tx.compile(double_integrator())
+
+    def problem(**options: Any) -> Problem:
+        return Problem(dynamics, tx.Minimize(tx.Time()), final_time=(1.0, 2.0), **options)
+
+    with pytest.raises(tx.TrajectoryError, match="Collocation expects a tableau"):
+        Collocation(tx.tableaus.RK4)
+    with pytest.raises(tx.TrajectoryError, match="substeps"):
+        Collocation(tx.tableaus.RADAU_IIA5, substeps=0)
+    with pytest.raises(tx.TrajectoryError, match="transcription expects"):
+        problem(transcription="shooting")
+    with pytest.raises(tx.TrajectoryError, match="brings its own method"):
+        problem(transcription=MultipleShooting(), substeps=3)
+    assert problem(substeps=3).transcription == MultipleShooting(substeps=3)
+    ball = tx.compile(spinning_ball())
+    assert Problem(ball, tx.Minimize(tx.Time()), final_time=1.0).transcription.substeps == 2
