@@ -834,6 +834,12 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_phases.py",
         ),
         (
+            "joins that forget the step of the next node",
+            "set(gap - step)",
+            "set(gap)",
+            "trajectory/test_phases_solved.py",
+        ),
+        (
             "limits asked twice at a join",
             "        if same and after.path.at_nodes()[row]:",
             "        if False:",
@@ -872,6 +878,12 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "trajectory/border.py",
+        (
+            "other limits of free parameters that are not those of the solve",
+            "            found[own] = other",
+            "            pass",
+            "trajectory/test_free_parameters.py",
+        ),
         (
             "upper limits that hold from below",
             "(limits[i, 0] - b[i], b[i] - limits[i, 1])[side]",

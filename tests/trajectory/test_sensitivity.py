@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from twistax.errors import InputError, TrajectoryError
 from twistax.trajectory import Problem, Solution, solution
 
 
@@ -124,6 +125,31 @@ def test_what_is_not_solved_is_said() -> None:
         crane()(final_time=2.0)
     with jax.enable_x64(False), pytest.raises(tx.TrajectoryError, match="double precision"):
         solution(crane()._problem)  # type: ignore[attr-defined]
+
+
+def test_without_a_strict_minimum_there_is_no_derivative() -> None:
+    """Of two thrusts one costs nothing, so when it is used does not matter."""
+    x, dear, free = tx.State("x"), tx.Control("dear"), tx.Control("free")
+    problem = Problem(
+        tx.compile(tx.System(rates={x: dear + free})),
+        tx.Minimize(running=dear * dear),
+        nodes=3,
+        final_time=1.0,
+        initial={x: 0.0},
+        final={x: 1.0},
+        method=tx.RKMK(tx.tableaus.EULER),
+        substeps=1,
+    )
+    optimum = solution(problem)
+    thrust = lambda end: optimum(final={"x": end}).us["free"]  # noqa: E731
+    assert float(jnp.sum(thrust(2.0))) == pytest.approx(4.0)
+    with pytest.raises(TrajectoryError, match="no strict minimum"):
+        jax.jacfwd(thrust)(1.0)
+    for compiled in (jax.jit(jax.jacfwd(thrust)), jax.jit(jax.jacrev(thrust))):
+        with pytest.raises(jax.errors.JaxRuntimeError, match="no strict minimum"):
+            jax.block_until_ready(compiled(1.0))
+    with pytest.raises(InputError, match=r"final\['x'\] expects real numbers, got 'a'"):
+        thrust("a")
 
 
 def test_a_problem_of_a_traced_function() -> None:

@@ -1,15 +1,16 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
-from .cases import TrajectoryResults
+from .cases import PhasedResults, TrajectoryResults
 from .controls import Held, Linear, Rate
 from .discretize import Discretization, Linearization, discretize, linearize
 from .external import IPOPT, Fatrop
+from .found import Optimality
 from .functionals import Initial, Integral, Maximum, Minimum
 from .mesh import Mesh
 from .phased_result import PhasedResult
 from .phases import Phase
 from .problem import Problem
-from .result import Optimality, TrajectoryResult
+from .result import TrajectoryResult
 from .sensitivity import Solution, solution
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
 from .statement import Minimize as Minimize
@@ -37,6 +38,7 @@ __all__ = [
     "Optimality",
     "Phase",
     "PhasedResult",
+    "PhasedResults",
     "Problem",
     "Solution",
     "Status",

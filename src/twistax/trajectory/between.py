@@ -8,7 +8,7 @@ g + m_k <= 0 there. At rest the largest value is zero in each interval where the
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -16,22 +16,24 @@ from numpy import ndarray as Array
 
 from ..integrators import RKMK
 from ..integrators.tableaus import RK4
+from .found import found_params
 from .replay import rolled_out, times_along
-from .result import Trajectory, found_params, trajectory_at
+from .result import Trajectory, trajectory_at
 from .solver import Outcome
-from .transcribed import Given
+from .transcribed import Given, Point
 from .warm import WarmStart
 from .watch import Status
 
 if TYPE_CHECKING:
     from .problem import Problem
+    from .solving import Solvable
 
 #: Samples of a rollout in an interval, how often margins may change, and by how much more than a limit is exceeded.
 _SAMPLES, _ROUNDS, _MORE = 40, 12, 1.2
 
 
 def held(
-    problem: Problem,
+    problem: Solvable[Any, Any],
     outcome: Outcome,
     given: Given,
     params: dict[str, Array],
@@ -45,26 +47,37 @@ def held(
     Args:
         run: solves again.
     """
-    shooting = problem.shooting
-    margins = np.zeros((shooting.intervals, len(problem.path.names)))
+    whole, parts = problem.shooting, list(zip(problem.parts, problem.shooting.segments, strict=True))
+    margins = [np.zeros((part.shooting.intervals, len(part.path.names))) for part, _ in parts]
     iterations = outcome.iterations
     for left in reversed(range(_ROUNDS + 1)):
-        over = _excess(problem, outcome, params)
-        if float((over / shooting.path_scales(np.asarray(outcome.scales.rows))).max(initial=0.0)) <= between:
+        own = found_params(problem.border, outcome, params)
+        scales = np.asarray(outcome.scales.rows)
+        excess = [_excess(part, segment.of(outcome.point), own) for part, segment in parts]
+        shares = [
+            over / part.shooting.path_scales(whole.rows_of(segment, scales))
+            for over, (part, segment) in zip(excess, parts)
+        ]
+        if max(float(share.max(initial=0.0)) for share in shares) <= between:
             return outcome._replace(iterations=iterations)
         if not left:
             break
-        # Tightened in one interval a trajectory touches its limit in the next.
-        over = np.maximum(over, np.maximum(0.0, _beside(over)))
-        margins = np.maximum(0.0, margins + np.where(over > 0.0, _MORE * over, over))
+        margins = [_tightened(margin, over) for margin, over in zip(margins, excess)]
         point = jax.tree.map(np.asarray, outcome.point)
         start = WarmStart(problem, point, outcome.dynamics, outcome.rows, outcome.scales, params)
-        again = run(start, given._replace(margins=shooting.spread_over_points(margins)))
+        spread = [part.shooting.spread_over_points(margin) for (part, _), margin in zip(parts, margins)]
+        again = run(start, given._replace(margins=whole.whole_rows(spread)))
         iterations += again.iterations
         if again.status is not Status.SOLVED:
             break
         outcome = again
     return outcome._replace(status=Status.EXCEEDED, iterations=iterations)
+
+
+def _tightened(margins: Array, over: Array) -> Array:
+    """The margins of a phase after its limits were exceeded; tightened in one interval it touches them in the next."""
+    over = np.maximum(over, np.maximum(0.0, _beside(over)))
+    return np.maximum(0.0, margins + np.where(over > 0.0, _MORE * over, over))
 
 
 def _beside(over: Array) -> Array:
@@ -73,10 +86,9 @@ def _beside(over: Array) -> Array:
     return np.maximum(closed[:-2], closed[2:])
 
 
-def _excess(problem: Problem, outcome: Outcome, params: dict[str, Array]) -> Array:
+def _excess(problem: Problem, point: Point, params: dict[str, Array]) -> Array:
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
-    point, intervals = outcome.point, problem.nodes - 1
-    params = found_params(problem.border, outcome, params)
+    intervals = problem.nodes - 1
     trajectory = Trajectory(**trajectory_at(problem, point, params))
     rolled = rolled_out(trajectory, RKMK(RK4), _SAMPLES)
     window = (_SAMPLES * np.arange(intervals)[:, None] + np.arange(_SAMPLES + 1)).ravel()

@@ -76,16 +76,42 @@ class Border:
         """The free parameters by name."""
         return Controls(self.boxes).split(b[self.phases :])
 
-    def start(self, durations: Array, params: Mapping[str, Array], guess: Mapping[str, Array]) -> Array:
-        """b at the start: guesses, else what is nearest to the parameters' values.
+    def limited(self, times: Array, free: Any) -> Array:
+        """(g, 2) limits with these of the durations, and others of free parameters by leaf or name.
+
+        Raises:
+            ModelError: as `boxes_of`, for parameters that are not free.
+            TrajectoryError: limits on other sides, or without a distance.
+        """
+        found = np.concatenate([np.reshape(times, (-1, 2)), self.limits[self.phases :]])
+        places = Controls(self.boxes).slices
+        for name in map(name_of, free or ()):
+            if name not in places:
+                raise ModelError(f"solve: free names {name!r}; the problem leaves free: {listed(places, name)}")
+        for box in boxes_of(free, [Parameter(own.name, own.shape) for own in self.boxes], ()):
+            own = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
+            other = _sides(box)
+            if (np.isfinite(other) != np.isfinite(found[own])).any():
+                raise TrajectoryError(
+                    f"solve: free[{box.name!r}] must have limits on the sides where the problem has them, "
+                    f"got {short((box.min, box.max))} for {found[own].tolist()}"
+                )
+            if (other[:, 0] >= other[:, 1]).any():
+                raise TrajectoryError(f"solve: free[{box.name!r}] expects low below high; a value belongs to params=")
+            found[own] = other
+        return found
+
+    def start(self, durations: Array, params: Mapping[str, Array], guess: Mapping[str, Array], limits: Array) -> Array:
+        """b at the start, within limits (g, 2): guesses, else what is nearest to the parameters' values.
 
         Raises:
             TrajectoryError: a guess outside its box.
         """
         parts = [np.ravel(durations)]
+        places = Controls(self.boxes).slices
         for box in self.boxes:
             asked = np.ravel(guess.get(box.name, params[box.name])).astype(float)
-            parts.append(np.clip(asked, *_sides(box).T))
+            parts.append(np.clip(asked, *limits[self.phases :][places[box.name]].T))
             if box.name in guess and (asked != parts[-1]).any():
                 raise TrajectoryError(f"guess[{box.name!r}] must be within its limits, got {short(guess[box.name])}")
         return np.concatenate(parts)

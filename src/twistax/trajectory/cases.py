@@ -5,29 +5,37 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import jax
 import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import short
-from ..errors import ShapeError, TrajectoryError, TwistaxError
+from ..errors import InputError, ShapeError, TrajectoryError, TwistaxError
 from ..system import name_of
-from .result import Optimality, TrajectoryResult, best_result
-from .solver import Outcome
+from .found import Optimality, Tried, found_params
+from .phased_result import PhasedResult
+from .result import TrajectoryResult
 from .transcribed import Given, Point
 from .watch import Status
 
 if TYPE_CHECKING:
+    from .phases import PhasedProblem
     from .problem import Problem
+    from .solving import Solvable
 
+One = TypeVar("One")
 #: An argument of one case.
 Choose = Callable[[int], Any]
 
 
 class Cases:
     """Splits arguments of `solve_many` into those of each case.
+
+    Args:
+        axes: how many axes an argument has in one case, in dicts as the arguments are.
+        given: the arguments.
 
     Attributes:
         count: how many cases there are.
@@ -37,20 +45,9 @@ class Cases:
         TrajectoryError: none of them has an axis of cases.
     """
 
-    def __init__(self, problem: Problem, given: Mapping[str, Any], final_time: Any) -> None:
-        leaves: dict[str, tuple[int, ...]] = {
-            leaf.name: leaf.shape for leaf in (*problem.dynamics.states, *problem.dynamics.controls)
-        }
-        boxes = {box.name for box in problem.border.boxes}
-        params = {name: np.shape(value) for name, value in problem.params.items()}
+    def __init__(self, axes: Mapping[str, Any], given: Mapping[str, Any]) -> None:
         self._counts: dict[str, int] = {}
-        self._chosen: dict[str, Choose] = {}
-        for what, own in given.items():
-            shapes = params if what == "params" else leaves | params
-            extra = {name for name in leaves if what == "guess" and name not in boxes}
-            self._chosen[what] = self._of(what, own, shapes, extra)
-        free = 1 if problem.border.free[0] else 0
-        self._chosen["final_time"] = self._axis("final_time", final_time, free)
+        self._chosen = {what: self._of(what, own, axes.get(what)) for what, own in given.items()}
         if not self._counts:
             raise TrajectoryError(
                 "solve_many: no argument has an axis of cases; e.g. initial={state: array of (cases, *shape)}"
@@ -64,21 +61,22 @@ class Cases:
         """The arguments of one."""
         return {name: choose(k) for name, choose in self._chosen.items()}
 
-    def _of(self, what: str, given: Any, shapes: Mapping[str, tuple[int, ...]], longer: set[str]) -> Choose:
-        """Of a dict by leaf; `longer` may have an axis of nodes."""
-        if not isinstance(given, Mapping):
+    def _of(self, what: str, given: Any, axes: Any) -> Choose:
+        """What has so many axes, or is a dict of what has; what is not known is the same in all cases."""
+        if isinstance(axes, int):
+            return self._axis(what, given, axes)
+        if not isinstance(given, Mapping) or axes is None:
             return lambda _: given
-        own: dict[str, Choose] = {}
+        own: dict[Any, Choose] = {}
         for key, value in given.items():
             name = name_of(key)
-            dimensions = len(shapes.get(name, ())) + (name in longer)
-            own[name] = self._axis(f"{what}[{name!r}]", value, dimensions)
+            own[name] = self._of(f"{what}[{name!r}]", value, axes.get(name, 0))
         return lambda k: {name: choose(k) for name, choose in own.items()}
 
     def _axis(self, what: str, value: Any, dimensions: int) -> Choose:
         """An argument with so many axes in each case; with one more, the first counts the cases."""
         try:
-            shared = value is None or np.ndim(value) <= dimensions
+            shared = value is None or isinstance(value, Mapping) or np.ndim(value) <= dimensions
         except ValueError as error:
             raise ShapeError(f"solve_many: {what} expects an array, got {short(value)}: {error}") from None
         if shared:
@@ -89,7 +87,7 @@ class Cases:
         return lambda k: value[k]
 
 
-def prepared(problem: Problem, cases: Cases) -> tuple[Point, Given, list[dict[str, Array]]]:
+def prepared(problem: Solvable[Any, Any], cases: Cases) -> tuple[Point, Given, list[dict[str, Array]]]:
     """Where the cases start, what they are solved for (arrays with a leading axis), and their parameters.
 
     Raises:
@@ -98,41 +96,41 @@ def prepared(problem: Problem, cases: Cases) -> tuple[Point, Given, list[dict[st
     found: list[tuple[Point, Given, dict[str, Array]]] = []
     for k in range(cases.count):
         try:
-            found.append(problem.started(**cases.case(k)))
+            found.append(problem.started(**cases.case(k))[:3])
         except TwistaxError as error:
             error.args = (f"case {k}: {error}",)
             raise
-    stacked = [jax.tree.map(lambda *own: np.stack([np.asarray(a) for a in own]), *side) for side in zip(*found)]
-    return stacked[0], stacked[1], [own for *_, own in found]
+    points, givens, params = zip(*found)
+    return _stacked(points), _stacked(givens), list(params)
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *own: np.stack([np.asarray(a) for a in own]), *trees)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class TrajectoryResults(Sequence[TrajectoryResult]):
-    """The results of many cases: arrays with a leading axis, and by number a `TrajectoryResult` each.
+class Results(Sequence[One], Generic[One]):
+    """The results of many cases: arrays with a leading axis, and by number a result each.
 
     Attributes:
         status: of every case.
-        xs: states by name, (cases, nodes, ...).
-        us: controls by name, (cases, intervals, ...), linear ones (cases, nodes, ...).
         final_time, cost, violation, iterations: (cases,).
+        params: by name, (cases, ...), the parameters that were found among them.
         optimality: the numbers of an `Optimality` by name, (cases,) each.
         compile_seconds, solve_seconds: wall time.
     """
 
-    problem: Problem
+    problem: Any
     status: tuple[Status, ...]
-    xs: dict[str, Array]
-    us: dict[str, Array]
     final_time: Array
     cost: Array
     violation: Array
     iterations: Array
+    params: dict[str, Array]
     optimality: dict[str, Array]
     compile_seconds: float
     solve_seconds: float
-    _outcomes: Sequence[Outcome]
-    _params: Sequence[dict[str, Array]]
-    _tolerance: float
+    _tried: Sequence[Tried]
 
     @property
     def solved(self) -> Array:
@@ -145,11 +143,13 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
     def __getitem__(self, case: Any) -> Any:
         if isinstance(case, slice):
             return [self[k] for k in range(len(self))[case]]
-        k = range(len(self))[case]
-        share = self.solve_seconds / len(self)
-        return best_result(self.problem, [self._outcomes[k]], self._params[k], self._tolerance, 0.0, share)
+        try:
+            k = range(len(self))[case]
+        except (IndexError, TypeError):
+            raise InputError(f"results have the cases 0 to {len(self) - 1}, got {short(case)}") from None
+        return self.problem.result(self._tried[k])
 
-    def __iter__(self) -> Iterator[TrajectoryResult]:
+    def __iter__(self) -> Iterator[One]:
         return (self[k] for k in range(len(self)))
 
     def __repr__(self) -> str:
@@ -158,35 +158,78 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
             which = [str(k) for k, own in enumerate(self.status) if own is status]
             named = "" if status is Status.SOLVED else f" (case {', '.join([*which[:8], *['...'][: len(which) > 8]])})"
             parts.append(f"{count} {status.name}{named}")
-        return f"TrajectoryResults({len(self)} cases: {', '.join(parts)}; solve {self.solve_seconds:.1f} s)"
+        return f"{type(self).__name__}({len(self)} cases: {', '.join(parts)}; solve {self.solve_seconds:.1f} s)"
 
 
-def results(
-    problem: Problem,
-    outcomes: Sequence[Outcome],
-    params: Sequence[dict[str, Array]],
-    tolerance: float,
-    compile_seconds: float,
-    solve_seconds: float,
-) -> TrajectoryResults:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class TrajectoryResults(Results[TrajectoryResult]):
+    """The results of many cases; see `Results`.
+
+    Attributes:
+        xs: states by name, (cases, nodes, ...).
+        us: controls by name, (cases, intervals, ...), linear ones (cases, nodes, ...).
+    """
+
+    xs: dict[str, Array]
+    us: dict[str, Array]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class PhasedResults(Results[PhasedResult]):
+    """The results of many cases of phases; see `Results`.
+
+    Attributes:
+        xs: by phase and state, (cases, nodes, ...).
+        us: by phase and control, (cases, intervals, ...), linear ones (cases, nodes, ...).
+        durations: by phase, (cases,).
+    """
+
+    xs: dict[str, dict[str, Array]]
+    us: dict[str, dict[str, Array]]
+    durations: dict[str, Array]
+
+
+def trajectory_results(problem: Problem, tried: Sequence[Tried]) -> TrajectoryResults:
     """What was found of all cases."""
-    us = np.stack([np.asarray(o.point.us) for o in outcomes])
-    split = problem.shooting.local.controls.split(us)
-    every = [problem.restated.us(o.point.xs, {name: a[k] for name, a in split.items()}) for k, o in enumerate(outcomes)]
+    points = [own.best.point for own in tried]
+    return TrajectoryResults(**_fields(problem, tried) | _states_and_controls(problem, points))
+
+
+def phased_results(problem: PhasedProblem, tried: Sequence[Tried]) -> PhasedResults:
+    """What was found of all cases."""
+    found = [
+        _states_and_controls(part, [segment.of(own.best.point) for own in tried])
+        for part, segment in zip(problem.parts, problem.shooting.segments)
+    ]
+    by_phase: dict[str, Any] = {key: dict(zip(problem.names, [own[key] for own in found])) for key in ("xs", "us")}
+    times = np.array([np.asarray(own.best.point.border)[: len(problem.names)] for own in tried])
+    return PhasedResults(**_fields(problem, tried) | by_phase, durations=dict(zip(problem.names, times.T)))
+
+
+def _states_and_controls(problem: Problem, points: Sequence[Point]) -> dict[str, dict[str, Array]]:
+    split, names = problem.shooting.local.controls.split, [s.name for s in problem.reduced.states]
+    us = [problem.restated.us(point.xs, split(np.asarray(point.us))) for point in points]
+    return {
+        "xs": {name: np.stack([np.asarray(point.xs[name]) for point in points]) for name in names},
+        "us": {name: np.stack([np.asarray(own[name]) for own in us]) for name in us[0]},
+    }
+
+
+def _fields(problem: Solvable[Any, Any], tried: Sequence[Tried]) -> dict[str, Any]:
+    """The fields of `Results`."""
+    outcomes, phases = [own.best for own in tried], problem.border.phases
+    params = [found_params(problem.border, own.best, own.params) for own in tried]
     names = [field.name for field in dataclasses.fields(Optimality)]
-    return TrajectoryResults(
-        problem=problem,
-        status=tuple(o.status for o in outcomes),
-        xs={s.name: np.stack([np.asarray(o.point.xs[s.name]) for o in outcomes]) for s in problem.reduced.states},
-        us={name: np.stack([np.asarray(own[name]) for own in every]) for name in every[0]},
-        final_time=np.array([float(o.point.border[0]) for o in outcomes]),
-        cost=problem.objective.sign * np.array([o.cost for o in outcomes]),
-        violation=np.array([o.violation for o in outcomes]),
-        iterations=np.array([o.iterations for o in outcomes]),
-        optimality=dict(zip(names, np.array([o.errors for o in outcomes]).T, strict=True)),
-        compile_seconds=compile_seconds,
-        solve_seconds=solve_seconds,
-        _outcomes=outcomes,
-        _params=params,
-        _tolerance=tolerance,
-    )
+    return {
+        "problem": problem,
+        "status": tuple(o.status for o in outcomes),
+        "final_time": np.array([float(np.asarray(o.point.border)[:phases].sum()) for o in outcomes]),
+        "cost": problem.sign * np.array([o.cost for o in outcomes]),
+        "violation": np.array([o.violation for o in outcomes]),
+        "iterations": np.array([o.iterations for o in outcomes]),
+        "params": {name: np.stack([own[name] for own in params]) for name in params[0]},
+        "optimality": dict(zip(names, np.array([o.errors for o in outcomes]).T, strict=True)),
+        "compile_seconds": sum(own.compile_seconds for own in tried),
+        "solve_seconds": sum(own.solve_seconds for own in tried),
+        "_tried": tried,
+    }

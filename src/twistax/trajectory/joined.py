@@ -6,7 +6,7 @@ The last node of a phase and the first of the next are both unknown; the join sa
     F(d, b) = Log(x_next^-1 jump(x_last Exp(d), b)),   d_next = F,
 
 with the conditions and the cost of the phase's end as its rows and its cost. An entry of x_next that no link decides is
-the control of the join: d_next = u there, and its defect is always zero.
+the control of the join: F = u there, the step to it from the node, zero where the node has moved along.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Join:
     Args:
         before, after: the phases.
         sources: state -> an expression of the last states before, or None where the state is free.
-        given: state -> values in place of it, NaN where there are none.
+        given: state -> values in place of it as stated, NaN where there are none; a solve has others there.
         fixed: state -> (dimension,) which tangents have such a value.
 
     Attributes:
@@ -52,7 +52,8 @@ class Join:
         given: Mapping[str, Array | None],
         fixed: Mapping[str, Array],
     ) -> None:
-        self._before, self._after, self._sources, self._given = before, after, sources, given
+        self._before, self._after, self._sources = before, after, sources
+        self._placed = {name: ~np.isnan(value) for name, value in given.items() if value is not None}
         parts = after.dynamics.group.slices.items()
         loose = np.zeros(after.n, bool)
         for name, part in parts:
@@ -60,7 +61,9 @@ class Join:
         self.free, self._loose = np.flatnonzero(loose), loose
         self.gap = Smooth(self._gap_at, before.backend)
 
-    def _gap_at(self, z: jax.Array, here: tuple[Arrays, jax.Array], start: Arrays, params: Arrays) -> jax.Array:
+    def _gap_at(
+        self, z: jax.Array, here: tuple[Arrays, jax.Array], start: Arrays, given: Arrays, params: Arrays
+    ) -> jax.Array:
         """The defect after a step z = [d, db] of the last node; of other starts it is the same."""
         before = self._before
         x, b = before.dynamics.group.retract(here[0], z[: before.n]), here[1] + z[before.n :]
@@ -69,9 +72,8 @@ class Join:
         sources = {name: source for name, source in self._sources.items() if source is not None}
         values = evaluate_all(list(sources.values()), lambda leaf: leaf.read(inputs))
         target = dict(start) | dict(zip(sources, values, strict=True))
-        for name, given in self._given.items():
-            if given is not None:
-                target[name] = jnp.where(np.isnan(given), target[name], np.nan_to_num(given))
+        for name, placed in self._placed.items():
+            target[name] = jnp.where(placed, given[name], target[name])
         target = {name: jnp.asarray(a, z.dtype) for name, a in target.items()}
         gap = self._after.dynamics.group.difference(start, target)
         return jnp.where(self._loose, 0.0, gap)
@@ -135,7 +137,7 @@ class Joined(Transcribed):
             setattr(self, field, self._rows(functools.partial(_of, field), False))
 
     def _rows(self, of: Callable[[Segment], Array], fill: Any) -> Array:
-        inner = np.full((self.intervals, self.rows_per_interval), fill, type(fill) if fill is False else object)
+        inner = np.full((self.intervals, self.rows_per_interval), fill, object if fill == "" else type(fill))
         end = np.zeros(0)
         for part, split in zip(self.segments, self._inner):
             own, end = np.split(of(part), [split])
@@ -145,7 +147,6 @@ class Joined(Transcribed):
         return np.concatenate([inner.ravel(), end])
 
     def rows_of(self, part: Segment, rows: Any) -> Any:
-        """The rows of a phase among all rows, or anything with an entry for each."""
         split = self.intervals * self.rows_per_interval
         inner, end = rows[:split].reshape(self.intervals, -1), rows[split:]
         if part is not self.segments[-1]:
@@ -153,14 +154,24 @@ class Joined(Transcribed):
         joined = jnp.concatenate if isinstance(rows, jax.Array) else np.concatenate
         return joined([inner[part.stages, : part.shooting.rows_per_interval].reshape(-1), end])
 
+    def whole_rows(self, parts: Sequence[Array]) -> Array:
+        return self._rows(lambda part: parts[part.number], 0.0)
+
+    def defect(self, stage: int, column: int) -> str:
+        part = next(part for part in self.segments if stage <= part.stages.stop)
+        if stage < part.stages.stop:
+            own = part.shooting.defect(stage - part.stages.start, column)
+            return f"'{self._phases[part.number]}: {own[1:]}"
+        after = part.number + 1
+        return f"'join before {self._phases[after]}: {self.segments[after].shooting.states[column]}'"
+
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
         for part in self.segments:
             part.shooting.drop_pinned([part.of(point) for point in samples], self._given(part, given))
         self._assemble()
 
-    @staticmethod
-    def _given(part: Segment, given: Given) -> Given:
-        return given._replace(final=given.final[part.number])
+    def _given(self, part: Segment, given: Given) -> Given:
+        return given._replace(final=given.final.final[part.number], margins=self.rows_of(part, given.margins))
 
     # ---- values -------------------------------------------------------------------------------------------------
 
@@ -170,41 +181,58 @@ class Joined(Transcribed):
             own = part.shooting
             d = jnp.asarray(step.d)[part.nodes, : own.n]
             xs.append(jax.vmap(own.dynamics.group.retract)(point.xs[part.number], d))
-        return Point(tuple(xs), point.us + step.u, point.border + step.border)
+        us = point.us + step.u
+        # What a join leaves free is where the next node is: the step to it from there is taken.
+        for join in self.joins:
+            us = us.at[join.stage, : len(join.free)].add(-jnp.asarray(step.d)[join.stage + 1, join.free])
+        return Point(tuple(xs), us, point.border + step.border)
+
+    def charts(self, xs: Any, d: jax.Array) -> jax.Array:
+        found = jnp.tile(jnp.eye(self.n, dtype=d.dtype), (self.nodes, 1, 1))
+        for part in self.segments:
+            n, nodes = part.shooting.n, part.nodes
+            found = found.at[nodes, :n, :n].set(part.shooting.charts(xs[part.number], d[nodes, :n]))
+        return found
 
     def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
-        if d is not None:
-            raise NotImplementedError("phases are not evaluated away from their nodes")
         cost = jnp.zeros((), point.us.dtype)
         defects = jnp.zeros((self.intervals, self.n), cost.dtype)
         rows, end = jnp.zeros((self.intervals, self.rows_per_interval), cost.dtype), cost[None][:0]
         for part, split in zip(self.segments, self._inner):
             own = part.shooting
-            found = own.values(part.of(point), self._given(part, given))
+            found = own.values(part.of(point), self._given(part, given), self._of(part, d))
             cost, end = cost + found.cost, found.rows[split:]
             defects = defects.at[part.stages, : own.n].set(found.defects)
             rows = rows.at[part.stages, : own.rows_per_interval].set(found.rows[:split].reshape(own.intervals, -1))
             if part is not self.segments[-1]:
                 rows = rows.at[part.stages.stop, : len(end)].set(end)
         for number, join in enumerate(self.joins):
-            gap = join.gap(*self._around(number, point, given))
-            defects = defects.at[join.stage, : len(gap)].set(gap)
+            gap = join.gap(*self._around(number, point, given, d))
+            gap = gap.at[join.free].set(point.us[join.stage, : len(join.free)])
+            step = 0.0 if d is None else d[join.stage + 1, : len(gap)]
+            defects = defects.at[join.stage, : len(gap)].set(gap - step)
         return Values(cost, defects, jnp.concatenate([rows.reshape(-1), end]))
 
-    def _around(self, number: int, point: Point, given: Given) -> tuple[Any, ...]:
+    @staticmethod
+    def _of(part: Segment, d: jax.Array | None) -> jax.Array | None:
+        """The step of a phase."""
+        return None if d is None else d[part.nodes, : part.shooting.n]
+
+    def _around(self, number: int, point: Point, given: Given, d: jax.Array | None) -> tuple[Any, ...]:
         """What the gap of a join is a function of."""
         last = {name: a[-1] for name, a in point.xs[number].items()}
         start = {name: a[0] for name, a in point.xs[number + 1].items()}
-        zero = jnp.zeros(self.segments[number].shooting.n + self.border.size, point.us.dtype)
-        return zero, (last, point.border), start, given.params
+        before = self.segments[number]
+        z = jnp.zeros(before.shooting.n + self.border.size, point.us.dtype)
+        if d is not None:
+            z = z.at[: before.shooting.n].set(d[before.nodes.stop - 1, : before.shooting.n])
+        return z, (last, point.border), start, given.final.initial[number + 1], given.params
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
     def derivatives(
         self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
     ) -> Derivatives:
-        if d is not None:
-            raise NotImplementedError("phases are not evaluated away from their nodes")
         size, dtype = self.n + self.m + self.border.size, y.dtype
         defects = jnp.zeros((self.intervals, self.n, size), dtype)
         rows = jnp.zeros((self.intervals, self.rows_per_interval, size), dtype)
@@ -217,7 +245,7 @@ class Joined(Transcribed):
         for part in self.segments:
             own, stages = part.shooting, part.stages
             own_y, own_w = y[stages, : own.n], self.rows_of(part, w)
-            found = own.derivatives(part.of(point), own_y, own_w, self._given(part, given))
+            found = own.derivatives(part.of(point), own_y, own_w, self._given(part, given), self._of(part, d))
             columns = np.concatenate([part.columns, self._border_columns])
             stage = np.arange(stages.start, stages.stop)
             defects = defects.at[np.ix_(stage, np.arange(own.n), columns)].set(found.defects)
@@ -230,7 +258,7 @@ class Joined(Transcribed):
                 rows = rows.at[np.ix_(k, np.arange(self._ends[part.number]), seen)].set(found.end_rows[None])
                 gradient = gradient.at[np.ix_(k, seen)].set(found.end_gradient[None])
                 hessian = hessian.at[np.ix_(k, seen, seen)].add(found.end_hessian[None])
-                join, around = self.joins[part.number], self._around(part.number, point, given)
+                join, around = self.joins[part.number], self._around(part.number, point, given, d)
                 count = self.segments[part.number + 1].shooting.n
                 slopes = join.gap.slopes(*around)
                 bends = join.gap.bends(y[stages.stop, :count], *around)

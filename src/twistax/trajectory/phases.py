@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -13,24 +13,26 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import callable_with, listed, reals, short, whole
-from ..errors import InputError, ModelError, ShapeError, TrajectoryError, TwistaxError
+from ..checks import listed, reals, short
+from ..errors import InputError, ModelError, ShapeError, TwistaxError
 from ..expr import Expr, Parameter, State, leaves_of, to_expr
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
-from ..precision import in_double
 from ..system import free_name, name_of
 from .border import Border, boxes_of
-from .conditions import split
+from .cases import PhasedResults, phased_results
+from .conditions import Ends, split
+from .found import Tried
 from .functionals import Initial
 from .guess import resample
 from .joined import Join, Joined, told_before
 from .phased_result import PhasedResult, best_of_phases
-from .problem import Problem, check_options, moved_at_random
+from .problem import Problem
 from .reduction import InPhase, functionals_of
-from .solver import Callback, Solver
+from .solving import Solvable, Started
 from .statement import Objective, check_leaves
-from .transcribed import Given, Point
+from .transcribed import Given, PhaseEnds, Point
+from .warm import other_problem
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Phase:
     name: str | None = None
 
 
-class PhasedProblem:
+class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
     """Phases in order, with the sum of their objectives.
 
     States of the same name and kind go on unchanged from phase to phase. Time goes on, too. Parameters of the same name
@@ -82,6 +84,8 @@ class PhasedProblem:
     Raises:
         ModelError, ShapeError, TrajectoryError, InputError: as for a `Problem`, with the phase's name in front.
     """
+
+    shooting: Joined
 
     def __init__(
         self,
@@ -114,7 +118,7 @@ class PhasedProblem:
             InPhase(name, tuple(itertools.chain(*carried[index:])), first=index == 0)
             for index, name in enumerate(self.names)
         ]
-        self.parts = [self._part(index, phase, given, free, within[index]) for index, phase in enumerate(phases)]
+        self._parts = [self._part(index, phase, given, free, within[index]) for index, phase in enumerate(phases)]
         self.sources = [self._linked(index, (links or [None] * count)[index]) for index in range(count)]
         self._share(given, free)
         self.build()
@@ -132,7 +136,7 @@ class PhasedProblem:
         # What leaves declare themselves are the ends of the whole.
         none = dict.fromkeys((s.name for s in phase.dynamics.states), None)
         read = _names_read(phase)
-        try:
+        with _in_phase(name):
             return Problem(
                 phase.dynamics,
                 self.none if phase.objective is None else phase.objective,
@@ -151,10 +155,6 @@ class PhasedProblem:
                 substeps=phase.substeps,
                 _within=within,
             )
-        except ShapeError as error:
-            raise ShapeError(f"{name}: {error}") from None
-        except TwistaxError as error:
-            raise type(error)(f"{name}: {error}") from None
 
     def _linked(self, index: int, links: Mapping[Any, Any] | None) -> dict[str, Expr | None]:
         """State of the next phase -> what it begins as, in terms of the last states; None where that is free."""
@@ -234,71 +234,114 @@ class PhasedProblem:
             same = {name for name, source in sources.items() if source is last.get(name) and ends.initial[name] is None}
             told_before(before.shooting, after.shooting, same)
         self.shooting = Joined([part.shooting for part in self.parts], joins, self.names)
-        self._solvers: dict[float, Solver] = {}
+        self.built()
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers", "_all_lanes")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
         self.build()
 
-    # ---- solving ----------------------------------------------------------------------------------------------
+    # ---- what a solve starts from, and what it gives ----------------------------------------------------------------
 
-    def solve(
+    @property
+    def parts(self) -> Sequence[Problem]:
+        return self._parts
+
+    @property
+    def sign(self) -> float:
+        return self.none.sign
+
+    def started(
         self,
-        *,
-        params: Mapping[str, Any] | None = None,
-        guesses: int = 1,
-        seed: int | None = None,
-        callback: Callback | None = None,
-        max_iterations: int = 500,
-        tolerance: float = 1e-6,
-    ) -> PhasedResult:
-        """Optimise, from one guess or from several, and return the best result. See `Problem.solve` for arguments."""
-        whole("guesses", guesses, 1, TrajectoryError)
-        check_options(max_iterations, tolerance)
-        if seed is not None:
-            whole("seed", seed, 0, TrajectoryError)
-        sign, report = self.none.sign, None
-        if callback is not None:
-            callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
-            report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
-        unknown = [name for name in params or {} if name not in self.leaves]
+        guess: Mapping[Any, Any] | None = None,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        final_time_guess: Any = None,
+        free: Mapping[Any, Any] | None = None,
+    ) -> Started:
+        """What `solve` with these arguments starts from and is for; in double precision."""
+        given = {"guess": guess, "initial": initial, "final": final}
+        given |= {"final_time": final_time, "final_time_guess": final_time_guess}
+        by_phase = {what: self._by_phase(what, own) for what, own in given.items()}
+        ends, times, guesses = [], [], []
+        for part, name in zip(self.parts, self.names):
+            own = {what: of_phases.get(name) for what, of_phases in by_phase.items()}
+            with _in_phase(name):
+                ends.append(part.other_ends(own["initial"], own["final"]))
+                times.append(part.other_times(own["final_time"], own["final_time_guess"]))
+                guesses.append(part.own_guess | part.checked_guess(own["guess"]))
+        unknown = [name for name in map(name_of, params or {}) if name not in self.leaves]
         if unknown:
             raise InputError(f"unknown key {unknown[0]!r} in params; expected: {listed(self.leaves, unknown[0])}")
-        own = self.params if params is None else self._values(self.params | dict(params))
-        with in_double():
-            begin = time.perf_counter()
-            plain = self._start(own)
-            finals = tuple(part.given(part.ends, own, part.time_limits).final for part in self.parts)
-            given = jax.tree.map(jnp.asarray, Given(dict(own), finals, self.border.limits))
-            if tolerance not in self._solvers:
-                if not self._solvers:
-                    self.shooting.drop_pinned(moved_at_random(self.shooting, plain), given)
-                self._solvers[tolerance] = Solver(self.shooting, tolerance)
-                self._solvers[tolerance].prepare(plain, given)
-            solver, compiled, outcomes = self._solvers[tolerance], time.perf_counter(), []
-            for attempt in range(guesses):
-                start = plain
-                if seed is not None or attempt > 0:
-                    start = solver.perturbed(plain, given, np.random.default_rng([seed or 0, attempt]))
-                outcomes.append(solver.run(start, given, max_iterations, report))
-            done = time.perf_counter()
-        return best_of_phases(self, outcomes, own, tolerance, compiled - begin, done - compiled)
+        found = self.params
+        if params is not None:
+            found = self._values(self.params | {name_of(key): value for key, value in params.items()})
+        limits = self.border.limited(np.array([limit for limit, _ in times]), free)
+        point = self._start(found, ends, guesses, np.array([time for _, time in times]), limits)
+        first, last = (
+            tuple(part.filled(getattr(own, side)) for part, own in zip(self.parts, ends))
+            for side in ("initial", "final")
+        )
+        margins = np.zeros(len(self.shooting.exists))
+        return Started(
+            point, jax.tree.map(jnp.asarray, Given(dict(found), PhaseEnds(first, last), limits, margins)), found, ends
+        )
 
-    def _start(self, params: Mapping[str, Array]) -> Point:
+    def _by_phase(self, what: str, given: Any) -> dict[str, Any]:
+        """An argument by the name of the phase."""
+        if given is not None and not isinstance(given, Mapping):
+            raise ModelError(f"solve: {what} expects a dict from names of phases, got {short(given)}")
+        for name in given or {}:
+            if not isinstance(name, str) or name not in self.names:
+                raise ModelError(f"solve: {what} names {name_of(name)!r}; the phases are: {listed(self.names, name)}")
+        return dict(given or {})
+
+    def at_ends(self, xs: Any, ends: Sequence[Ends]) -> Any:
+        """States at the nodes with what ends fix in place.
+
+        Raises:
+            TrajectoryError: they are those of another problem.
+        """
+        if not isinstance(xs, tuple) or len(xs) != len(self.parts):
+            raise other_problem()
+        return tuple(part.at_ends(own, side) for part, own, side in zip(self.parts, xs, ends))
+
+    def axes(self) -> dict[str, Any]:
+        """How many axes each argument of `started` has."""
+        found: dict[str, Any] = {
+            what: {name: part.axes()[what] for name, part in zip(self.names, self.parts)}
+            for what in ("guess", "initial", "final", "final_time")
+        }
+        return found | {"params": {name: value.ndim for name, value in self.params.items()}}
+
+    def result(self, tried: Tried) -> PhasedResult:
+        return best_of_phases(self, tried)
+
+    def results(self, tried: Sequence[Tried]) -> PhasedResults:
+        return phased_results(self, tried)
+
+    def _start(
+        self,
+        params: Mapping[str, Array],
+        ends: Sequence[Ends],
+        guesses: Sequence[dict[str, Array]],
+        durations: Array,
+        limits: Array,
+    ) -> Point:
         """The guesses of the phases; states without one go between what is known of them at the ends of phases."""
-        durations = np.array([part.time_guess for part in self.parts])
-        guess = {name: value for part in self.parts for name, value in part.own_guess.items()}
+        guess = {name: value for own in guesses for name, value in own.items()}
         free = {box.name: guess[box.name] for box in self.border.boxes if box.name in guess}
         us = np.zeros((self.shooting.intervals, self.shooting.m))
         xs: list[Any] = []
         for index, part in enumerate(self.parts):
             began = {name: np.asarray(xs[0][name][0]) for name in part.reduced.starts if index}
-            own = self._between(index, durations) | part.own_guess | free | began
-            point = part.start(own, part.ends, params, durations)
+            own = self._between(index, ends, durations) | guesses[index] | free | began
+            point = part.start(own, ends[index], params, durations, limits)
             found = part.border.params(np.asarray(point.border))
             free |= {box.name: found[box.name] for box in part.bounds}
             segment = self.shooting.segments[index]
@@ -306,7 +349,7 @@ class PhasedProblem:
             xs.append(point.xs)
         return Point(tuple(xs), jnp.asarray(us), jnp.asarray(point.border))
 
-    def _between(self, index: int, durations: Array) -> dict[str, Array]:
+    def _between(self, index: int, ends: Sequence[Ends], durations: Array) -> dict[str, Array]:
         """Values at both ends of a phase, of states that go on from others or into them, along geodesics."""
         found, times = {}, np.concatenate([[0.0], np.cumsum(durations)])
         for state in self.parts[index].dynamics.states:
@@ -316,7 +359,7 @@ class PhasedProblem:
             for step, side in ((-1, "initial"), (1, "final")):
                 at = index
                 while 0 <= at < len(self.parts):
-                    values = getattr(self.parts[at].ends, side).get(state.name)
+                    values = getattr(ends[at], side).get(state.name)
                     if values is not None and not np.isnan(values).any():
                         known[at + (side == "final")] = values
                         break
@@ -337,6 +380,17 @@ class PhasedProblem:
         """Whether a state is the same on both sides of a join."""
         source = self.sources[join].get(state.name)
         return isinstance(source, State) and source.key() == state.key()
+
+
+@contextlib.contextmanager
+def _in_phase(name: str) -> Iterator[None]:
+    """Errors with the phase's name in front."""
+    try:
+        yield
+    except ShapeError as error:
+        raise ShapeError(f"{name}: {error}") from None
+    except TwistaxError as error:
+        raise type(error)(f"{name}: {error}") from None
 
 
 def _as_dict(free: Any) -> dict[Any, Any]:

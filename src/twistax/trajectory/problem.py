@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -11,36 +10,32 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import callable_with, number, reals, whole
+from ..checks import number, reals
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Inputs, Parameter, State, evaluate_all, leaves_of
 from ..groups import Euclidean
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import name_of
-from .between import held
 from .border import Border, boxes_of
-from .cases import Cases, TrajectoryResults, prepared, results
+from .cases import TrajectoryResults, trajectory_results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
-from .external import SolvedBy
+from .found import Tried
 from .guess import control_guess, state_guess, user_guess
-from .many import LANES, Lanes, solve_all
 from .mesh import mesh_of
-from .pinned import stirred
 from .reduction import InPhase, Reduction
 from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
-from .solver import Callback, Outcome, Solver
+from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
-from .transcribed import Given, Point, Step, Transcribed
+from .transcribed import Given, Point
 from .transcription import transcription_of
-from .warm import WarmStart, warm_start, with_ends
-from .watch import Status
+from .warm import other_problem
 
 
-class Problem:
+class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     """Find controls, states and final time that optimise an objective under a system's constraints.
 
     minimise J subject to x' = f(t, x, u), the system's constraints and the boxes of its leaves along the path,
@@ -79,6 +74,8 @@ class Problem:
         TrajectoryError: nodes, times or end values that cannot be.
         InputError: parameters without a value.
     """
+
+    shooting: Shooting
 
     def __new__(cls, dynamics: Any = None, *args: Any, **options: Any) -> Any:
         """A problem, or one of several phases where a list of `Phase` is given."""
@@ -165,7 +162,7 @@ class Problem:
         boxes = (*boxes_of(free, self.readable, self.baked), *self.bounds)
         self.border = Border(("final time",), np.array([time_limits]), boxes)
         self.phase = 0
-        self.own_guess = self._checked(guess)
+        self.own_guess = self.checked_guess(guess)
         self.params = self._prepared(params)
         self._build()
 
@@ -173,6 +170,14 @@ class Problem:
         """Make it a phase of a problem with these durations and free parameters."""
         self.phase, self.border = number, border
         self._build()
+
+    @property
+    def parts(self) -> Sequence[Problem]:
+        return [self]
+
+    @property
+    def sign(self) -> float:
+        return self.objective.sign
 
     @property
     def time_limits(self) -> tuple[float, float]:
@@ -200,8 +205,7 @@ class Problem:
             pace=self.restated.pace,
         )
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
-        self._solvers: dict[float, Solver] = {}
-        self._all_lanes: dict[tuple[Solver, int], Lanes] = {}
+        self.built()
         self.advanced = jax.jit(self.shooting.advanced)
         #: The path rows as users wrote them, at many points.
         self.shown_rows = jax.jit(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)))
@@ -220,173 +224,56 @@ class Problem:
         self.__dict__ |= state
         self._build()
 
-    # ---- solving ----------------------------------------------------------------------------------------------
-
-    def solve(
-        self,
-        guess: Mapping[Any, Any] | None = None,
-        *,
-        warm: Any = None,
-        initial: Mapping[Any, Any] | None = None,
-        final: Mapping[Any, Any] | None = None,
-        params: Mapping[Any, Any] | None = None,
-        final_time: Any = None,
-        final_time_guess: Any = None,
-        guesses: int = 1,
-        seed: int | None = None,
-        callback: Callback | None = None,
-        max_iterations: int = 500,
-        tolerance: float = 1e-6,
-        solver: Any = None,
-        between: float | None = None,
-    ) -> TrajectoryResult:
-        """Optimise, from one guess or from several, and return the best result.
-
-        The first call compiles, later ones do not; a search for feasible points compiles when there is the first.
-
-        Args:
-            guess: values by leaf or name on top of the problem's own guess.
-            warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
-                scales, and a barrier that fits how far it is from what is asked now.
-            initial, final: values by state or name in place of the problem's own. The same entries are fixed.
-            params: values of parameters, by leaf or name, in place of the problem's own.
-            final_time: a number where the problem has one, limits where it has limits.
-            final_time_guess: where a free final time starts.
-            guesses: how many tries. Without a seed the first starts from the guess itself.
-            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
-                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
-                parameters by a sixth of their limits' distance (and stay within them), by 0.4 of a scale where those
-                are open.
-            callback: called with (iteration, cost, violation) before each step.
-            max_iterations: iterations a try may use.
-            tolerance: how far, in scaled form, the first-order conditions may be from holding.
-            solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
-                interior point of this package if left out.
-            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
-                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
-                are asked.
-        Raises:
-            ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
-            TrajectoryError: other entries fixed, times or numbers without meaning; a warm start of another problem, or
-                beside a guess.
-        """
-        whole("guesses", guesses, 1, TrajectoryError)
-        given_too = {"guess": guess, "final_time_guess": final_time_guess, "seed": seed}
-        if warm is not None and any(value is not None for value in given_too.values()):
-            names = ", ".join(name for name, value in given_too.items() if value is not None)
-            raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
-        check_options(max_iterations, tolerance)
-        if between is not None:
-            number("between", between, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
-        if seed is not None:
-            whole("seed", seed, 0, TrajectoryError)
-        if solver is not None and (isinstance(solver, type) or not isinstance(solver, SolvedBy)):
-            raise TrajectoryError(
-                f"solver expects tx.trajectory.IPOPT() or tx.trajectory.Fatrop(), or nothing, got {solver!r}"
-            )
-        if callback is not None:
-            callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
-        sign = self.objective.sign
-        report: Callback | None = None
-        if callback is not None:
-            report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
-        with in_double():
-            begin = time.perf_counter()
-            plain, given, own = self.started(guess, initial, final, params, final_time, final_time_guess)
-            own_solver = self._solver(float(tolerance), plain, given)
-            compiled = time.perf_counter()
-            outcomes = []
-
-            def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None:
-                    return own_solver.run(start, given, max_iterations, report)
-                return solver.run(own_solver, start, given, max_iterations, report)
-
-            for attempt in range(guesses):
-                start = plain if warm is None else with_ends(warm_start(warm), self, self._ends(initial, final), given)
-                if seed is not None or attempt > 0:
-                    rng = np.random.default_rng([seed or 0, attempt])
-                    start = own_solver.perturbed(plain, given, rng)
-                found = run(start, given)
-                if between is not None and found.status is Status.SOLVED:
-                    found = held(self, found, given, own, run, between)
-                outcomes.append(found)
-            done = time.perf_counter()
-        return best_result(self, outcomes, own, tolerance, compiled - begin, done - compiled)
-
-    def solve_many(
-        self,
-        guess: Mapping[Any, Any] | None = None,
-        *,
-        initial: Mapping[Any, Any] | None = None,
-        final: Mapping[Any, Any] | None = None,
-        params: Mapping[Any, Any] | None = None,
-        final_time: Any = None,
-        max_iterations: int = 500,
-        tolerance: float = 1e-6,
-    ) -> TrajectoryResults:
-        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
-
-        Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
-        A guess with an axis of cases has one of nodes or intervals too.
-
-        Cases step together, in lanes on all processors; a lane whose case has ended takes the next. Those that need a
-        search for feasible points, or a second search, are solved one by one afterwards.
-
-        Raises:
-            ShapeError: arguments for different numbers of cases.
-            TrajectoryError: no argument has an axis of cases.
-            TwistaxError: as `solve` does, with the number of the case.
-        """
-        check_options(max_iterations, tolerance)
-        given = {"guess": guess, "initial": initial, "final": final, "params": params}
-        cases = Cases(self, given, final_time)
-        with in_double():
-            begin = time.perf_counter()
-            points, givens, own = prepared(self, cases)
-            solver = self._solver(float(tolerance), *jax.tree.map(lambda a: jnp.asarray(a[0]), (points, givens)))
-            lanes = self._lanes(solver, cases.count)
-            compiled = time.perf_counter()
-            outcomes = solve_all(solver, lanes, points, givens, max_iterations)
-            done = time.perf_counter()
-        return results(self, outcomes, own, float(tolerance), compiled - begin, done - compiled)
-
-    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
-        """The solver for a tolerance, compiled."""
-        if tolerance not in self._solvers:
-            if not self._solvers:
-                self.shooting.drop_pinned(moved_at_random(self.shooting, point), given)
-            solver = Solver(self.shooting, tolerance)
-            solver.prepare(point, given)
-            self._solvers[tolerance] = solver
-        return self._solvers[tolerance]
-
-    def _lanes(self, solver: Solver, count: int) -> Lanes:
-        """Lanes for so many cases, compiled once for each width."""
-        width = min(LANES, count)
-        if (solver, width) not in self._all_lanes:
-            self._all_lanes[solver, width] = Lanes(solver, width)
-        return self._all_lanes[solver, width]
-
     # ---- what a solve starts from ---------------------------------------------------------------------------------
 
     def started(
         self,
-        guess: Mapping[Any, Any] | None,
-        initial: Mapping[Any, Any] | None,
-        final: Mapping[Any, Any] | None,
-        params: Mapping[Any, Any] | None,
-        final_time: Any,
+        guess: Mapping[Any, Any] | None = None,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
         final_time_guess: Any = None,
-    ) -> tuple[Point, Given, dict[str, Array]]:
-        """Where `solve` with these arguments starts, what it is for, and its parameters; in double precision."""
-        ends = self._ends(initial, final)
-        limits, time_guess = self._final_time(final_time, final_time_guess)
+        free: Mapping[Any, Any] | None = None,
+    ) -> Started:
+        """What `solve` with these arguments starts from and is for; in double precision."""
+        ends = self.other_ends(initial, final)
+        times, time_guess = self.other_times(final_time, final_time_guess)
+        limits = self.border.limited(np.array([times]), free)
         own = self.params if params is None else self._prepared({**self.params, **params})
-        start = self.start(self.own_guess | self._checked(guess), ends, own, np.array([time_guess]))
-        return start, self.given(ends, own, limits), own
+        start = self.start(self.own_guess | self.checked_guess(guess), ends, own, np.array([time_guess]), limits)
+        return Started(start, self.given(ends, own, limits), own, ends)
 
-    def _ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
+    def axes(self) -> dict[str, Any]:
+        """How many axes each argument of `started` has; a guess of states or controls has one more."""
+        leaves = {name: len(leaf.shape) for name, leaf in self._leaves.items()}
+        params = {name: value.ndim for name, value in self.params.items()}
+        longer = {name: count + 1 for name, count in leaves.items()}
+        times = int(self.border.free[self.phase])
+        return {"guess": params | longer, "initial": leaves, "final": leaves, "params": params, "final_time": times}
+
+    def result(self, tried: Tried) -> TrajectoryResult:
+        return best_result(self, tried)
+
+    def results(self, tried: Sequence[Tried]) -> TrajectoryResults:
+        return trajectory_results(self, tried)
+
+    def at_ends(self, xs: Any, ends: Ends) -> dict[str, Array]:
+        """States at the nodes with what ends fix in place.
+
+        Raises:
+            TrajectoryError: they are those of another problem.
+        """
+        shapes = {s.name: (self.nodes, *s.shape) for s in self.dynamics.states}
+        if not isinstance(xs, dict) or {name: np.shape(a) for name, a in xs.items()} != shapes:
+            raise other_problem()
+        return {
+            s.name: state_guess(s, xs[s.name], ends.initial[s.name], ends.final[s.name], self.mesh.shares)
+            for s in self.dynamics.states
+        }
+
+    def other_ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
+        """The ends with other values; the same entries are fixed."""
         if initial is None and final is None:
             return self.ends
         sides = []
@@ -412,21 +299,30 @@ class Problem:
                 )
         return ends
 
-    def _final_time(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
+    def other_times(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
+        """Other limits of the final time, and where it starts."""
         if limits is None and guess is None:
             return self.time_limits, self.time_guess
         found = _times(self.time_limits if limits is None else limits, guess)
-        if (found[0][0] < found[0][1]) != self.border.free[0]:
-            kind = "free: (low, high)" if self.border.free[0] else "fixed: a number"
+        free = self.border.free[self.phase]
+        if (found[0][0] < found[0][1]) != free:
+            kind = "free: (low, high)" if free else "fixed: a number"
             raise TrajectoryError(f"solve: final_time expects what the problem has, {kind}, got {limits!r}")
         return found
 
-    def _checked(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
+    def checked_guess(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
         """A guess by name."""
         return user_guess(guess, self._leaves | {box.name: box for box in self.border.boxes}, self._lengths)
 
-    def start(self, given: Mapping[str, Array], ends: Ends, params: Mapping[str, Array], durations: Array) -> Point:
-        """The point that guesses give, with these durations."""
+    def start(
+        self,
+        given: Mapping[str, Array],
+        ends: Ends,
+        params: Mapping[str, Array],
+        durations: Array,
+        limits: Array,
+    ) -> Point:
+        """The point that guesses give, with these durations, within limits of the border."""
         count = self.nodes - 1
         xs = {
             s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.mesh.shares)
@@ -435,11 +331,11 @@ class Problem:
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
-        border = self.border.start(durations, params, {**self._extremes(xs, us, params, durations), **given})
+        guess = {**self._extremes(xs, us, params, durations), **given}
+        border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
-        return jax.tree.map(
-            jnp.asarray, Point(xs, np.concatenate([*flat, *self._norm_guess(us, border)], axis=1), border)
-        )
+        norms = self._norm_guess(us, {**params, **self.border.params(border)})
+        return jax.tree.map(jnp.asarray, Point(xs, np.concatenate([*flat, *norms], axis=1), border))
 
     def _extremes(
         self, xs: dict[str, Array], us: dict[str, Array], params: Mapping[str, Array], durations: Array
@@ -452,15 +348,15 @@ class Problem:
         rows = np.asarray(self.shown_rows(ts, {name: a[:-1] for name, a in xs.items()}, held, dict(params)))
         return self.reduced.extremes_of(rows, self.path.shown, params)
 
-    def _norm_guess(self, us: Mapping[str, Array], border: Array) -> list[Array]:
+    def _norm_guess(self, us: Mapping[str, Array], params: Mapping[str, Array]) -> list[Array]:
         """The bounds on norms in the running cost: a little above the norms of the guess."""
 
         if not self.norms.controls:
             return []
-        params = {name: jnp.asarray(value) for name, value in (self.params | self.border.params(border)).items()}
+        known = {name: jnp.asarray(value) for name, value in params.items()}
 
         def norms(u: dict[str, jax.Array]) -> list[jax.Array]:
-            inputs = Inputs(jnp.zeros(()), {}, u, params, jnp.zeros(()).dtype)
+            inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
             return [jnp.linalg.norm(a) for a in evaluate_all(self.norms.operands, lambda leaf: leaf.read(inputs))]
 
         found = []
@@ -469,17 +365,20 @@ class Problem:
             found.append((values + 0.1 * (values.max() or 1.0))[:, None])
         return found
 
-    def given(self, ends: Ends, params: Mapping[str, Array], limits: tuple[float, float]) -> Given:
-        """What a solve with these ends, parameters and limits of the final time is for."""
-        final = {}
+    def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
+        """What a solve with these ends, parameters and limits of the border is for."""
+        margins = np.zeros(len(self.shooting.exists))
+        return jax.tree.map(jnp.asarray, Given(dict(params), self.filled(ends.final), limits, margins))
+
+    def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
+        """Values of the states, with anything where they are free."""
+        found = {}
         for state in self.dynamics.states:
-            value = ends.final[state.name]
-            rest = np.zeros(state.shape)
+            value, rest = values[state.name], np.zeros(state.shape)
             if not isinstance(state.group, Euclidean):
                 rest = np.asarray(state.group.identity(float))
-            final[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
-        borders, margins = np.array([limits, *self.border.limits[1:]]), np.zeros(len(self.shooting.exists))
-        return jax.tree.map(jnp.asarray, Given(dict(params), final, borders, margins))
+            found[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
+        return found
 
     def _prepared(self, params: Mapping[Any, Any] | None) -> dict[str, Array]:
         """All parameters as double-precision arrays, those of the objective and the final conditions too; checked."""
@@ -508,12 +407,6 @@ class Problem:
         return found
 
 
-def check_options(max_iterations: Any, tolerance: Any) -> None:
-    """Raise TrajectoryError unless both make sense."""
-    whole("max_iterations", max_iterations, 1, TrajectoryError)
-    number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
-
-
 def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
     """The limits of the final time and where it starts."""
     limits = reals("final_time", final_time, TrajectoryError)
@@ -525,14 +418,3 @@ def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
     guess = 0.5 * (low + high) if guess is None else guess
     number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
     return (low, high), float(guess)
-
-
-def moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
-    """Points whose nodes, controls, free durations and free parameters are moved at random."""
-    rng, free, found = np.random.default_rng(0), shooting.free, []
-    here = np.asarray(point.us), np.asarray(point.border)
-    for _ in range(2):
-        d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
-        u, border = (np.where(which, stirred(rng, a) - a, 0.0) for which, a in zip(free[1:], here))
-        found.append(jax.jit(shooting.move)(point, Step(d, u, border)))
-    return found

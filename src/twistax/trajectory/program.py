@@ -22,8 +22,7 @@ from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
 from .interior_point import InteriorPoint, Scales
-from .shooting import Shooting
-from .transcribed import Derivatives, Given, Point, Step, Values
+from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 
 
 class Entries(NamedTuple):
@@ -70,7 +69,7 @@ class Program:
         with_copies: whether each stage has a b of its own.
     """
 
-    def __init__(self, shooting: Shooting, method: InteriorPoint, *, with_copies: bool) -> None:
+    def __init__(self, shooting: Transcribed, method: InteriorPoint, *, with_copies: bool) -> None:
         self._shooting, self._method = shooting, method
         free, intervals = shooting.free, shooting.intervals
         n, m, shared = free.d.shape[1], free.u.shape[1], len(free.border)
@@ -190,7 +189,7 @@ class Program:
         y, w = self.multipliers(multipliers)
         point, charts = self._reached(step, reference)
         y = np.stack([np.linalg.solve(J.T, own) for J, own in zip(np.asarray(charts)[1:], y)])
-        turns = np.abs(step.d * np.asarray(reference.scales.d))[:, self._shooting.turns]
+        turns = np.abs(step.d * np.asarray(reference.scales.d))[np.broadcast_to(self._shooting.turns, step.d.shape)]
         return Reached(jax.tree.map(np.asarray, point), y, w, float(turns.max(initial=0.0)))
 
     def multipliers(self, multipliers: Array) -> tuple[Array, Array]:

@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import short
-from ..errors import TrajectoryError
+from ..checks import real_array, reals, short
+from ..errors import InputError, TrajectoryError
 from ..jax_inside import is_traced
 from ..precision import in_double
 from ..system import name_of
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 #: How often the change of an optimum is refined.
 _REFINEMENTS = 6
+#: The least second derivative of a strict minimum, scaled.
+_LEAST_CURVED = 1e-9
 
 
 class Solution(NamedTuple):
@@ -116,7 +118,7 @@ class _Differentiable:
     def __init__(self, problem: Problem, options: dict[str, Any], tolerance: float) -> None:
         self._problem, self._options, self._tolerance = problem, options, tolerance
         with in_double():
-            self._own = problem.given(problem.ends, problem.params, problem.time_limits)
+            self._own = problem.given(problem.ends, problem.params, problem.border.limits)
         self._jitted_tangent = jax.jit(self._tangent)
         self._jitted_factors = jax.jit(self._factors)
         optimum = jax.custom_jvp(self._optimum)
@@ -131,9 +133,8 @@ class _Differentiable:
         final: Mapping[Any, Any] | None = None,
         final_time: Any = None,
     ) -> Solution:
-        named = lambda own: {name_of(key): _double(value) for key, value in (own or {}).items()}  # noqa: E731
-        times = {} if final_time is None else {"final_time": _double(final_time)}
-        theta = _Theta(named(params), named(initial), named(final), times)
+        times = {} if final_time is None else {"final_time": _double("solution: final_time", final_time)}
+        theta = _Theta(_named("params", params), _named("initial", initial), _named("final", final), times)
         if final_time is not None and self._problem.border.free[0]:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
         found = self._found(theta)
@@ -192,9 +193,14 @@ class _Differentiable:
         (theta,), (along,) = primals, tangents
         found = self._found(theta)
         stages, factors = self._jitted_factors(found, theta)
-        if not is_traced(factors.exist) and not bool(factors.exist):
-            raise TrajectoryError("solution: the trajectory is no strict minimum, and has no derivative")
-        return found, self._jitted_tangent(theta, along, found, stages, factors)
+        tangent = self._jitted_tangent(theta, along, found, stages, factors)
+        if not is_traced(factors.exist):
+            _strict(np.asarray(factors.exist))
+            return found, tangent
+        # What is raised within a compiled function ends it; its result is used, or JAX would leave it out.
+        exist = jax.lax.stop_gradient(jnp.asarray(factors.exist, float))
+        one = jax.pure_callback(_strict, jax.ShapeDtypeStruct((), np.dtype(float)), exist, vmap_method="sequential")
+        return found, jax.tree.map(lambda a: a * one, tangent)
 
     def _given(self, found: _Optimum, theta: _Theta) -> tuple[Point, Given]:
         """The optimum's point and arguments as functions of what was asked for."""
@@ -222,7 +228,10 @@ class _Differentiable:
         state, zero = self._state(method, point, given, found), jnp.zeros(())
         weights = method.weights(state.slack, state.rows)
         stages = Stages(method.derivatives(state, given), weights, zero, zero, method.free_start)
-        return stages, factorize(stages)
+        factors = factorize(stages)
+        # What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too.
+        strict = factorize(stages._replace(damping=zero - _LEAST_CURVED))
+        return stages, factors._replace(exist=factors.exist & strict.exist)
 
     def _tangent(self, theta: _Theta, along: _Theta, found: _Optimum, stages: Stages, factors: Factors) -> _Optimum:
         """How the optimum moves along a change of what was asked for."""
@@ -277,5 +286,22 @@ class _Differentiable:
         )
 
 
-def _double(value: Any) -> jax.Array:
-    return jnp.asarray(value, float)
+def _strict(exist: Any) -> np.ndarray:
+    """1, or TrajectoryError where the factors do not exist."""
+    if not np.all(exist):
+        raise TrajectoryError("solution: the trajectory is no strict minimum, and has no derivative")
+    return np.ones(())
+
+
+def _named(what: str, given: Any) -> dict[str, jax.Array]:
+    """Values by name."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(f"solution: {what} expects a dict from leaves to values, got {short(given)}")
+    return {name_of(key): _double(f"solution: {what}[{name_of(key)!r}]", own) for key, own in (given or {}).items()}
+
+
+def _double(place: str, value: Any) -> jax.Array:
+    """Numbers, traced ones as they are."""
+    if is_traced(value):
+        return jnp.asarray(real_array(place, value), float)
+    return jnp.asarray(reals(place, value, InputError, free=True), float)

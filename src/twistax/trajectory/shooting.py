@@ -175,6 +175,16 @@ class Shooting(Transcribed):
         xs = jax.vmap(self.dynamics.group.retract)(point.xs, step.d)
         return Point(xs, point.us + step.u, point.border + step.border)
 
+    def defect(self, stage: int, column: int) -> str:
+        return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
+
+    def whole_rows(self, parts: Sequence[Array]) -> Array:
+        (found,) = parts
+        return found
+
+    def rows_of(self, part: Segment, rows: Any) -> Any:
+        return rows
+
     def charts(self, xs: Arrays, d: jax.Array) -> jax.Array:
         """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
         group = self.dynamics.group

@@ -205,8 +205,7 @@ class Solver:
 
     def program(self, with_copies: bool) -> Program:
         """The problem as a nonlinear program."""
-        (whole,) = self.shooting.segments
-        return Program(whole.shooting, self.method, with_copies=with_copies)
+        return Program(self.shooting, self.method, with_copies=with_copies)
 
     def weighed(
         self, point: Point, given: Given, scales: Scales, dynamics: Any = 0.0, rows: Any = None

@@ -26,9 +26,16 @@ class Given(NamedTuple):
     """What a compiled problem is solved for."""
 
     params: Any
-    final: Any  # states at the end; entries that are free stand for nothing
+    final: Any  # states at the end; entries that are free stand for nothing; of phases `PhaseEnds`
     limits: Any  # (g, 2) of the border
     margins: Any = 0.0  # (rows,) by which rows are tightened
+
+
+class PhaseEnds(NamedTuple):
+    """States at the ends of every phase; entries that are free stand for nothing."""
+
+    initial: Any
+    final: Any
 
 
 class Step(NamedTuple):
@@ -118,6 +125,10 @@ class Transcribed:
         """Take rows out that leave no room for slacks."""
         raise NotImplementedError
 
+    def defect(self, stage: int, column: int) -> str:
+        """What an entry of the defects is called, and where it is."""
+        raise NotImplementedError
+
     def move(self, point: Point, step: Step) -> Point:
         """The point after a step."""
         raise NotImplementedError
@@ -130,4 +141,16 @@ class Transcribed:
         self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
     ) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
+        raise NotImplementedError
+
+    def charts(self, xs: Any, d: jax.Array) -> jax.Array:
+        """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
+        raise NotImplementedError
+
+    def whole_rows(self, parts: Sequence[Array]) -> Array:
+        """Numbers for the rows of each phase as numbers for all rows."""
+        raise NotImplementedError
+
+    def rows_of(self, part: Segment, rows: Any) -> Any:
+        """The rows of a phase among all rows, or anything with an entry for each."""
         raise NotImplementedError

@@ -12,13 +12,11 @@ from numpy import ndarray as Array
 from ..checks import short, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
-from .conditions import Ends
-from .guess import state_guess
 from .interior_point import InteriorPoint, Scales, State
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .solving import Solvable
 
 #: The barrier parameter of a start over its largest violation, and the limits of that parameter.
 _SHARE, _LEAST, _MOST = 1e-3, 1e-7, 0.1
@@ -36,7 +34,7 @@ class WarmStart:
         params: the parameters that it was solved for.
     """
 
-    problem: Problem
+    problem: Solvable[Any, Any]
     point: Point
     dynamics: Array  # (intervals, n)
     rows: Array  # (rows,)
@@ -50,10 +48,13 @@ class WarmStart:
             TrajectoryError: steps is no positive whole number; intervals are not equally long.
         """
         whole("steps", steps, 1, TrajectoryError)
-        problem, point = self.problem, self.point
+        point = self.point
+        if isinstance(point.xs, tuple):
+            raise TrajectoryError("shifted: what comes later is another phase; it needs a problem of one phase")
+        (problem,) = self.problem.parts
+        shooting = problem.shooting
         if not problem.mesh.is_even:
             raise TrajectoryError("shifted: intervals of other lengths come later; it needs nodes at equal distances")
-        shooting = problem.shooting
         xs: dict[str, list[Array]] = {name: list(a) for name, a in point.xs.items()}
         # Linear controls stay as they are.
         split = shooting.local.controls.split
@@ -92,7 +93,7 @@ def warm_start(given: Any) -> WarmStart:
     return found
 
 
-def with_ends(warm: WarmStart, problem: Problem, ends: Ends, given: Given) -> WarmStart:
+def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Given) -> WarmStart:
     """The warm start at other ends, and within the limits of times and free parameters.
 
     Raises:
@@ -102,17 +103,18 @@ def with_ends(warm: WarmStart, problem: Problem, ends: Ends, given: Given) -> Wa
     shapes = [np.shape(a) for a in (point.us, warm.dynamics, warm.rows, point.border)]
     expected = [(shooting.intervals, k) for k in (shooting.m, shooting.n)]
     expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
-    if set(point.xs) != {s.name for s in problem.dynamics.states} or shapes != expected:
-        raise TrajectoryError(
-            "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
-            "  fix: give its xs and us as guess"
-        )
-    xs = {
-        s.name: state_guess(s, point.xs[s.name], ends.initial[s.name], ends.final[s.name], problem.mesh.shares)
-        for s in problem.dynamics.states
-    }
+    if shapes != expected:
+        raise other_problem()
     border = np.clip(point.border, *np.asarray(given.limits).T)
-    return dataclasses.replace(warm, point=Point(xs, point.us, border))
+    return dataclasses.replace(warm, point=Point(problem.at_ends(point.xs, ends), point.us, border))
+
+
+def other_problem() -> TrajectoryError:
+    """What is raised where a warm start does not fit."""
+    return TrajectoryError(
+        "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
+        "  fix: give its xs and us as guess"
+    )
 
 
 def begin(method: InteriorPoint, point: Point, dynamics: Any, rows: Any, scales: Scales, given: Given) -> State:

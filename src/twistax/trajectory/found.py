@@ -1,0 +1,207 @@
+"""What every optimisation gives back, of one phase or of several: how good what it found is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy import ndarray as Array
+
+from .border import Border
+from .solver import Outcome
+from .statement import largest_by_name
+from .transcribed import Transcribed
+from .warm import WarmStart
+from .watch import Status
+
+#: A scaled multiplier above this is one of an active constraint.
+_ACTIVE = 1e-5
+
+
+@dataclasses.dataclass(frozen=True)
+class Optimality:
+    """How far a trajectory is from the first-order conditions of an optimum, in scaled form.
+
+    Unknowns count in units of how far they move along the trajectory, the objective in units of what that does to it.
+
+    Attributes:
+        stationarity: largest entry of the gradient of the Lagrangian.
+        feasibility: largest residual of the dynamics and of a constraint.
+        complementarity: largest product of a slack and its multiplier.
+        gap: what slacks, and the residuals that are left, can change of the objective: the sum of |multiplier times
+            slack or residual|.
+    """
+
+    stationarity: float
+    feasibility: float
+    complementarity: float
+    gap: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """How well what was found solves its problem. All arrays are NumPy, double precision.
+
+    Attributes:
+        final_time: when it ends, s.
+        params: the parameters it was solved for, and those that were found.
+        cost: the objective as stated (a maximum is not negated).
+        violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
+        violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
+        optimality: how far the first-order conditions are from holding.
+        multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
+            in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
+        active: names of the constraints that bind, those first that matter most to the objective.
+        status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
+        iterations: steps of the solver in the try that gave this result.
+        tries: one line (status, cost, violation, iterations) for every guess.
+        compile_seconds, solve_seconds: wall time.
+        warm: what `solve(warm=...)` starts from.
+        slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
+    """
+
+    final_time: float
+    params: dict[str, Array]
+    cost: float
+    violation: float
+    violations: dict[str, float]
+    optimality: Optimality
+    multipliers: dict[str, Array]
+    active: tuple[str, ...]
+    status: Status
+    message: str
+    iterations: int
+    tries: tuple[tuple[Status, float, float, int], ...]
+    compile_seconds: float
+    solve_seconds: float
+    warm: WarmStart
+    slacks: Array
+
+    @property
+    def solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    def explain(self) -> str:
+        """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
+        return _explained(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({self.message} cost={self.cost:.6g}, violation={self.violation:.1e}, "
+            f"final_time={self.final_time:.6g}, iterations={self.iterations}, "
+            f"compile {self.compile_seconds:.1f} s, solve {self.solve_seconds:.1f} s)"
+        )
+
+
+def _explained(result: Any) -> str:
+    """How good a result is, a line each."""
+    size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
+    errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
+    missed = "; ".join(
+        f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
+        for name, own in result.mesh_error.items()
+    )
+    broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
+    lines = [
+        result.message,
+        f"first-order conditions: {errors}",
+        f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
+        f"misses of a finer rollout at the end: {missed}",
+        "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
+    ]
+    return "\n".join(lines)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tried:
+    """Runs of the solver on a problem.
+
+    Attributes:
+        outcomes: of all tries.
+        params: the parameters that they were for.
+        tolerance: of the first-order conditions.
+        compile_seconds, solve_seconds: wall time.
+    """
+
+    outcomes: Sequence[Outcome]
+    params: dict[str, Array]
+    tolerance: float
+    compile_seconds: float
+    solve_seconds: float
+
+    @property
+    def best(self) -> Outcome:
+        """A solved one of least cost, else the one that violates least."""
+
+        def rank(outcome: Outcome) -> tuple[int, float]:
+            order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE]
+            if outcome.status in order:
+                return order.index(outcome.status), outcome.cost
+            return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
+
+        return min(self.outcomes, key=rank)
+
+    def fields(
+        self, problem: Any, params: dict[str, Array], violations: Mapping[str, float], shown: Collection[str]
+    ) -> dict[str, Any]:
+        """The fields of a `Found` of the best try that do not depend on phases.
+
+        Args:
+            params: with those that were found.
+            violations: by name.
+            shown: names of rows whose violations are those of what users wrote, not of what the solver sees.
+        """
+        best, sign = self.best, problem.sign
+        point = jax.tree.map(np.asarray, best.point)
+        return {
+            "params": params,
+            "cost": sign * best.cost,
+            "violation": best.violation,
+            "violations": violations,
+            "optimality": Optimality(*best.errors),
+            "active": _active(problem.shooting, best),
+            "status": best.status,
+            "message": _message(problem.shooting, best, violations, shown, self.tolerance),
+            "iterations": best.iterations,
+            "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),
+            "compile_seconds": self.compile_seconds,
+            "solve_seconds": self.solve_seconds,
+            "warm": WarmStart(problem, point, best.dynamics, best.rows, best.scales, params),
+            "slacks": best.slack,
+        }
+
+
+def found_params(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
+    """The parameters with those that were found."""
+    return params | {name: np.asarray(value) for name, value in border.params(np.asarray(outcome.point.border)).items()}
+
+
+def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
+    """The names of rows whose multipliers, scaled, are not nothing."""
+    names, sizes = shooting.names, np.abs(outcome.scaled_rows)
+    found = largest_by_name([str(name) for name in names], sizes)
+    return tuple(sorted((name for name, size in found.items() if size > _ACTIVE), key=lambda n: -found[n]))
+
+
+def _message(
+    shooting: Transcribed, outcome: Outcome, sizes: Mapping[str, float], shown: Collection[str], tolerance: float
+) -> str:
+    """The status, and where it is no success the worst constraint and the worst break of the dynamics."""
+    worst, count = [], shooting.intervals * shooting.n
+    if outcome.status in (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE):
+        return f"{outcome.status}."
+    rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
+    if rows.max(initial=0.0) > tolerance:
+        row = int(rows.argmax())
+        name, place = shooting.names[row], shooting.places[row]
+        raw = abs(float(outcome.values.rows[row]))
+        worst.append(f"{name!r} {place} is off by {sizes[name] if name in shown else raw:.3g}")
+    if dynamics.max(initial=0.0) > tolerance:
+        stage, column = divmod(int(dynamics.argmax()), shooting.n)
+        size = abs(float(outcome.values.defects[stage, column]))
+        worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
+    return f"{outcome.status}. Worst: {'; '.join(worst)}." if worst else f"{outcome.status}."

@@ -1,0 +1,273 @@
+"""How problems of one phase and of several are solved: once or many times, from guesses or warm."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import callable_with, number, whole
+from ..errors import TrajectoryError
+from ..precision import in_double
+from .between import held
+from .border import Border
+from .cases import Cases, prepared
+from .external import SolvedBy
+from .found import Tried
+from .many import LANES, Lanes, solve_all
+from .pinned import stirred
+from .solver import Callback, Outcome, Solver
+from .transcribed import Given, Point, Step, Transcribed
+from .warm import WarmStart, warm_start, with_ends
+from .watch import Status
+
+One = TypeVar("One")
+Many = TypeVar("Many")
+
+
+class Started(NamedTuple):
+    """What the arguments of a solve amount to: where it starts, what it is for, its parameters and ends."""
+
+    point: Point
+    given: Given
+    params: dict[str, Array]
+    ends: Any
+
+
+class Solvable(Generic[One, Many]):
+    """A problem that can be solved.
+
+    Attributes:
+        shooting: the discrete problem.
+        border: the unknowns that all stages share.
+        params: all parameters.
+        parts: the problem of each phase.
+        sign: 1 where less is better, -1 where more is.
+    """
+
+    shooting: Transcribed
+    border: Border
+    params: dict[str, Array]
+
+    @property
+    def parts(self) -> Sequence[Any]:
+        raise NotImplementedError
+
+    @property
+    def sign(self) -> float:
+        raise NotImplementedError
+
+    def started(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        final_time_guess: Any = None,
+        free: Mapping[Any, Any] | None = None,
+    ) -> Started:
+        """What `solve` with these arguments starts from and is for; in double precision."""
+        raise NotImplementedError
+
+    def at_ends(self, xs: Any, ends: Any) -> Any:
+        """States at the nodes with what ends fix in place.
+
+        Raises:
+            TrajectoryError: they are those of another problem.
+        """
+        raise NotImplementedError
+
+    def axes(self) -> dict[str, Any]:
+        """How many axes each argument of `started` has, in dicts as the arguments are."""
+        raise NotImplementedError
+
+    def result(self, tried: Tried) -> One:
+        """The best of several tries."""
+        raise NotImplementedError
+
+    def results(self, tried: Sequence[Tried]) -> Many:
+        """The results of many cases."""
+        raise NotImplementedError
+
+    def built(self) -> None:
+        """Forget what was compiled."""
+        self._solvers: dict[float, Solver] = {}
+        self._all_lanes: dict[tuple[Solver, int], Lanes] = {}
+
+    def solve(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        warm: Any = None,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        final_time_guess: Any = None,
+        free: Mapping[Any, Any] | None = None,
+        guesses: int = 1,
+        seed: int | None = None,
+        callback: Callback | None = None,
+        max_iterations: int = 500,
+        tolerance: float = 1e-6,
+        solver: Any = None,
+        between: float | None = None,
+    ) -> One:
+        """Optimise, from one guess or from several, and return the best result.
+
+        The first call compiles, later ones do not; a search for feasible points compiles when there is the first.
+
+        In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
+        what is said here; those left out keep what they have.
+
+        Args:
+            guess: values by leaf or name on top of the problem's own guess.
+            warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
+                scales, and a barrier that fits how far it is from what is asked now.
+            initial, final: values by state or name in place of the problem's own. The same entries are fixed.
+            params: values of parameters, by leaf or name, in place of the problem's own.
+            free: other limits of free parameters, by leaf or name; the same sides stay open.
+            final_time: a number where the problem has one, limits where it has limits.
+            final_time_guess: where a free final time starts.
+            guesses: how many tries. Without a seed the first starts from the guess itself, or from `warm`; the others
+                start from the perturbed guess.
+            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
+                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
+                parameters by a sixth of their limits' distance (and stay within them), by 0.4 of a scale where those
+                are open.
+            callback: called with (iteration, cost, violation) before each step.
+            max_iterations: iterations a try may use.
+            tolerance: how far, in scaled form, the first-order conditions may be from holding.
+            solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
+                interior point of this package if left out.
+            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
+                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
+                are asked.
+        Raises:
+            ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
+            TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
+                free, or on other sides; a warm start of another problem, or beside a guess.
+        """
+        whole("guesses", guesses, 1, TrajectoryError)
+        given_too = {"guess": guess, "final_time_guess": final_time_guess, "seed": seed}
+        if warm is not None and any(value is not None for value in given_too.values()):
+            names = ", ".join(name for name, value in given_too.items() if value is not None)
+            raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
+        check_options(max_iterations, tolerance)
+        if between is not None:
+            number("between", between, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
+        if seed is not None:
+            whole("seed", seed, 0, TrajectoryError)
+        if solver is not None and (isinstance(solver, type) or not isinstance(solver, SolvedBy)):
+            raise TrajectoryError(
+                f"solver expects tx.trajectory.IPOPT() or tx.trajectory.Fatrop(), or nothing, got {solver!r}"
+            )
+        if callback is not None:
+            callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
+        sign = self.sign
+        report: Callback | None = None
+        if callback is not None:
+            report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        with in_double():
+            begin = time.perf_counter()
+            plain, given, own, ends = self.started(guess, initial, final, params, final_time, final_time_guess, free)
+            own_solver = self._solver(float(tolerance), plain, given)
+            compiled = time.perf_counter()
+            outcomes = []
+
+            def run(start: Point | WarmStart, given: Given) -> Outcome:
+                if solver is None:
+                    return own_solver.run(start, given, max_iterations, report)
+                found: Outcome = solver.run(own_solver, start, given, max_iterations, report)
+                return found
+
+            for attempt in range(guesses):
+                start = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
+                if seed is not None or attempt > 0:
+                    rng = np.random.default_rng([seed or 0, attempt])
+                    start = own_solver.perturbed(plain, given, rng)
+                found = run(start, given)
+                if between is not None and found.status is Status.SOLVED:
+                    found = held(self, found, given, own, run, between)
+                outcomes.append(found)
+            done = time.perf_counter()
+        return self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
+
+    def solve_many(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        free: Mapping[Any, Any] | None = None,
+        max_iterations: int = 500,
+        tolerance: float = 1e-6,
+    ) -> Many:
+        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+
+        Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
+        A guess with an axis of cases has one of nodes or intervals too.
+
+        Cases step together, in lanes on all processors; a lane whose case has ended takes the next. Those that need a
+        search for feasible points, or a second search, are solved one by one afterwards.
+
+        Raises:
+            ShapeError: arguments for different numbers of cases.
+            TrajectoryError: no argument has an axis of cases.
+            TwistaxError: as `solve` does, with the number of the case.
+        """
+        check_options(max_iterations, tolerance)
+        given = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
+        cases = Cases(self.axes(), {**given, "free": free})
+        with in_double():
+            begin = time.perf_counter()
+            points, givens, own = prepared(self, cases)
+            solver = self._solver(float(tolerance), *jax.tree.map(lambda a: jnp.asarray(a[0]), (points, givens)))
+            lanes = self._lanes(solver, cases.count)
+            compiled = time.perf_counter()
+            outcomes = solve_all(solver, lanes, points, givens, max_iterations)
+            done = time.perf_counter()
+        times = (compiled - begin) / cases.count, (done - compiled) / cases.count
+        return self.results([Tried([o], params, float(tolerance), *times) for o, params in zip(outcomes, own)])
+
+    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
+        """The solver for a tolerance, compiled."""
+        if tolerance not in self._solvers:
+            if not self._solvers:
+                self.shooting.drop_pinned(_moved_at_random(self.shooting, point), given)
+            solver = Solver(self.shooting, tolerance)
+            solver.prepare(point, given)
+            self._solvers[tolerance] = solver
+        return self._solvers[tolerance]
+
+    def _lanes(self, solver: Solver, count: int) -> Lanes:
+        """Lanes for so many cases, compiled once for each width."""
+        width = min(LANES, count)
+        if (solver, width) not in self._all_lanes:
+            self._all_lanes[solver, width] = Lanes(solver, width)
+        return self._all_lanes[solver, width]
+
+
+def check_options(max_iterations: Any, tolerance: Any) -> None:
+    """Raise TrajectoryError unless both make sense."""
+    whole("max_iterations", max_iterations, 1, TrajectoryError)
+    number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
+
+
+def _moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
+    """Points whose nodes, controls, free durations and free parameters are moved at random."""
+    rng, free, found = np.random.default_rng(0), shooting.free, []
+    here = np.asarray(point.us), np.asarray(point.border)
+    for _ in range(2):
+        d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
+        u, border = (np.where(which, stirred(rng, a) - a, 0.0) for which, a in zip(free[1:], here))
+        found.append(jax.jit(shooting.move)(point, Step(d, u, border)))
+    return found
