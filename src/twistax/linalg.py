@@ -2,5 +2,11 @@
 
 from .expr.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
 from .expr.solve import Inv, Solve
+from .expr.solve_positive import InversePositive, SolvePositive
 
-__all__ = ["Cross", "Diag", "Dot", "Inv", "Norm", "Outer", "Solve", "Sum", "Trace", "Transpose"]
+# fmt: off
+__all__ = [
+    "Cross", "Diag", "Dot", "Inv", "InversePositive", "Norm", "Outer", "Solve", "SolvePositive", "Sum", "Trace",
+    "Transpose",
+]
+# fmt: on

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Container, Iterable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,8 @@ from .expr.vmap import no_elements
 from .groups import Euclidean, Product
 
 L = TypeVar("L", bound=Leaf)
+#: Of a state: pairs of what its rate depends on and the derivative by it.
+Slopes: TypeAlias = Mapping[State | str, Iterable[tuple[ExprLike, ExprLike]]]
 #: Nodes whose value is NaN where an entry of an operand is.
 _PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
@@ -52,11 +54,15 @@ class System:
         outputs: named expressions to be computed on demand.
         constraints: constraints (`a <= b`, `a >= b`, `a == b`): one, a list, or a mapping from names.
         controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
+        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs of what its rate depends
+            on and the derivative by it. The former is a state, whose derivative is by right perturbations, or any
+            vector; what depends on states and controls in no other way is not differentiated again.
 
     Attributes:
         states, controls, parameters: tuples of leaves in order.
         rates: mapping from state name to expression.
         outputs, constraints: mappings from name to expression.
+        slopes: mapping from state name to pairs of expressions.
         group: the product group the state lives on.
 
     Raises:
@@ -73,6 +79,7 @@ class System:
         *,
         controls: Iterable[Control] | None = None,
         parameters: Iterable[Parameter] | None = None,
+        slopes: Slopes | None = None,
     ) -> None:
         if not isinstance(rates, Mapping) or not rates:
             got = short(rates) if isinstance(rates, Mapping) else type(rates).__name__
@@ -102,6 +109,7 @@ class System:
         self._check_names([*self.states, *self.controls, *self.parameters], used)
         self.group = Product({state.name: state.group for state in self.states})
         self._check_shapes()
+        self.slopes = self._known_slopes(slopes or {})
         check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
 
     def __repr__(self) -> str:
@@ -113,6 +121,25 @@ class System:
 
     def __setstate__(self, state: Any) -> None:
         self.__dict__.update(unpack(*state))
+
+    def _known_slopes(self, slopes: Slopes) -> dict[str, tuple[tuple[Expr, Expr], ...]]:
+        """The derivatives that were given, of the shapes they must have, made of leaves of the system."""
+        groups, found = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
+        known = {leaf.name for leaf in (*self.states, *self.controls, *self.parameters)}
+        for key, pairs in slopes.items():
+            name = name_of(key)
+            if name not in groups:
+                raise ModelError(f"slopes names {name!r}, which has no rate; states are {listed(groups, name)}")
+            found[name] = tuple((to_expr(by), _expression(f"slopes[{name!r}]", slope)) for by, slope in pairs)
+            for by, slope in found[name]:
+                width = groups[by.name].dimension if isinstance(by, State) and by.name in groups else by.shape[0]
+                wanted = (groups[name].dimension, width)
+                if slope.shape != wanted:
+                    raise ShapeError(f"slopes[{name!r}] expects shape {wanted} by {short(by)}, got {slope.shape}")
+                for leaf in leaves_of(by, slope):
+                    if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in known:
+                        raise ModelError(f"slopes[{name!r}] reads {leaf.name!r}, which the system does not have")
+        return found
 
     def _place(self, leaf: Leaf) -> str:
         """Where a leaf is first used."""

@@ -31,7 +31,7 @@ from ..jax_inside import is_traced
 from ..system import System
 from .backends import Backend, Emission
 from .inputs import Values, prepare
-from .jacobian import Differentiated, RateJacobian
+from .jacobian import Differentiated, RateJacobian, fewer
 from .scalar.primitive import call_program
 
 Arrays = dict[str, jax.Array]
@@ -102,6 +102,7 @@ class Functions:
             "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
             "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
         }
+        self._constants = constants
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made = Kept(64)
         self._jit()
@@ -160,6 +161,16 @@ class Functions:
             for own in (self.controls, self.parameters)
         )
         return self.prepare(0.0, x, u, params, reads=())
+
+    @functools.cached_property
+    def slopes(self) -> dict[str, list[tuple[Expr, Expr]]]:
+        """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
+        known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
+        flat = {f"{k} {part}": each for k, (_, pair) in enumerate(known) for part, each in enumerate(pair)}
+        simple, found = _canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
+        for k, (name, _) in enumerate(known):
+            found.setdefault(name, []).append((simple[f"{k} 0"], simple[f"{k} 1"]))
+        return found
 
     @functools.cached_property
     def reads(self) -> dict[str, set[str]]:
@@ -269,8 +280,17 @@ class Functions:
         places, arrays = self.flat(inputs)
 
         def make() -> RateJacobian:
-            closed = jax.make_jaxpr(functools.partial(self.flat_rates, places))(*arrays)
-            return RateJacobian(Differentiated(closed, places, self.group, wrt))
+            def traced(function: Callable[..., list[jax.Array]]) -> Differentiated:
+                closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
+                return Differentiated(closed, places, self.group, wrt)
+
+            if not self.slopes:
+                return RateJacobian(traced(self.flat_rates))
+            known = {
+                name: [by.name if isinstance(by, State) else by.shape[0] for by, _ in pairs]
+                for name, pairs in self.slopes.items()
+            }
+            return fewer(traced(self.flat_rates), RateJacobian(traced(self._flat_slopes), known))
 
         return self._made.get((wrt, places, inputs.dtype), make), arrays
 
@@ -289,6 +309,16 @@ class Functions:
         """All rates as one vector, in arrays, of arguments as `flat` gives them."""
         rates = self.as_written("rates", *self.by_kind(places, arrays))
         return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
+
+    def _flat_slopes(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
+        """The rates as one vector; then, of what is known of their derivatives, what they are by, and the matrices."""
+        pairs = [pair for own in self.slopes.values() for pair in own]
+        roots = {name: [rate] for name, (rate,) in self.families["rates"].items()}
+        vectors = [by for by, _ in pairs if not isinstance(by, State)]
+        roots |= {f"slopes {k}": [each] for k, each in enumerate([*vectors, *(matrix for _, matrix in pairs)])}
+        found = self.values(roots, False, *self.by_kind(places, arrays))
+        rates = jnp.concatenate([found.pop(state.name).reshape(-1) for state in self.states])
+        return [rates, *found.values()]
 
     def by_kind(self, places: Places, arrays: Sequence[jax.Array]) -> tuple[jax.Array, Arrays, Arrays, Arrays]:
         """t, x, u and params again, of arguments as `flat` gives them."""

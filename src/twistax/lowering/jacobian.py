@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from .scalar.derivatives import columns_of
 from .scalar.entry import Nodes, flat
+from .scalar.graph import Graph, TooLarge
 from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
+
+#: Of larger rates the derivatives that are known were always the shorter ones: the others are not tried.
+_SMALL = 1000
 
 
 class Differentiated(NamedTuple):
@@ -25,30 +30,101 @@ class Differentiated(NamedTuple):
     wrt: Sequence[str]  # the kinds of arguments
 
 
+#: Input node -> (tangent -> its entry there), zeros left out.
+Seeds: TypeAlias = dict[int, dict[int, int]]
+
+#: Derivatives that are known, by state: what each is by, a state by name or a vector of so many entries.
+Known: TypeAlias = Mapping[str, Sequence[str | int]]
+
+
 class RateJacobian:
-    """d rates / d (states, controls, parameters) as a scalar program; the rates are one flat vector."""
+    """d rates / d (states, controls, parameters) as a scalar program; the rates are one flat vector.
 
-    def __init__(self, given: Differentiated) -> None:
+    Args:
+        given: the rates. Where derivatives are known, what they are by and the derivatives come after the rates, in the
+            order of `known`: first all vectors, then all matrices.
+        largest: the most scalars there may be.
+    Raises:
+        TooLarge: there are more.
+    """
+
+    def __init__(self, given: Differentiated, known: Known | None = None, largest: int = 200_000) -> None:
+        whole = scalarize(given.closed, largest=largest)
+        rates, *others = whole.outputs
         #: The rates alone.
-        self.rates = program = scalarize(given.closed)
-        g = program.graph
-        seeds, widths = tangents_of(program, given)
-        found = columns_of(program, seeds)
-        dense = np.full((len(program.flat), sum(widths.values())), g.zero)
-        for (row, column), node in found.items():
-            dense[row, column] = node
-        ends = np.cumsum(list(widths.values()))
-        blocks = [dense[:, end - width : end] for width, end in zip(widths.values(), ends, strict=True)]
-        self.program = one_by_one(program.restricted(blocks))
-        self.blocks: dict[str, Nodes] = dict(zip(widths, self.program.outputs, strict=True))
-        self.pattern = {kind: block != g.zero for kind, block in zip(widths, blocks, strict=True)}
+        self.rates = whole.restricted([rates])
+        g = whole.graph
+        seeds, widths = tangents_of(whole, given)
+        ends = dict(zip(widths, np.cumsum(list(widths.values())).tolist(), strict=True))
+        dense = np.full((rates.size, sum(widths.values())), g.zero)
+        learnt = np.zeros(rates.size, bool)
+        for name in known or {}:
+            learnt[given.group.slices[name]] = True
+        fixed = range(ends["params"] - widths["params"], ends["params"]) if "params" in widths else range(0)
+        self._differentiate(dense, ~learnt, seeds)
+        self._differentiate(dense, learnt, _along(seeds, lambda column: column in fixed))
+        if known:
+            moving = _along(seeds, lambda column: column not in fixed)
+            states = ends["x"] - widths["x"] if "x" in widths else None
+            vectors = iter(others)
+            pairs = [(name, next(vectors) if isinstance(by, int) else by) for name, own in known.items() for by in own]
+            for (name, by), matrix in zip(pairs, vectors, strict=True):
+                rows = dense[given.group.slices[name]]
+                if not isinstance(by, str):
+                    _add(g, rows, _product(g, matrix, columns_of(whole.restricted([by]), moving), rows.shape[1]))
+                elif states is not None:
+                    at = given.group.slices[by]
+                    _add(g, rows[:, states + at.start : states + at.stop], matrix)
+        blocks = {kind: dense[:, ends[kind] - width : ends[kind]] for kind, width in widths.items()}
+        self.program = one_by_one(whole.restricted(list(blocks.values())))
+        self.blocks: dict[str, Nodes] = dict(zip(blocks, self.program.outputs, strict=True))
+        self.pattern = {kind: block != g.zero for kind, block in blocks.items()}
+
+    def _differentiate(self, dense: Nodes, rows: NDArray[np.bool_], seeds: Seeds) -> None:
+        """The derivatives of some of the rates, on the graph."""
+        places = np.flatnonzero(rows)
+        if len(places) and seeds:
+            own = self.rates.restricted([self.rates.outputs[0][places]])
+            for (row, column), node in columns_of(own, seeds).items():
+                dense[places[row], column] = node
 
 
-def tangents_of(program: ScalarProgram, given: Differentiated) -> tuple[dict[int, dict[int, int]], dict[str, int]]:
+def fewer(plain: Differentiated, own: RateJacobian) -> RateJacobian:
+    """Of the derivatives on the graph and those that are known the ones that take fewer operations."""
+    if own.rates.operations > _SMALL:
+        return own
+    try:
+        other = RateJacobian(plain, largest=2 * len(own.program.graph.nodes) + len(own.rates.graph.nodes))
+    except TooLarge:
+        return own
+    return other if other.program.operations < own.program.operations else own
+
+
+def _along(seeds: Seeds, wanted: Callable[[int], bool]) -> Seeds:
+    """Some of the tangents alone."""
+    found = {i: {column: node for column, node in row.items() if wanted(column)} for i, row in seeds.items()}
+    return {i: row for i, row in found.items() if row}
+
+
+def _add(g: Graph, onto: Nodes, more: Nodes) -> None:
+    for place in np.ndindex(*onto.shape):
+        onto[place] = g.add(int(onto[place]), int(more[place]))
+
+
+def _product(g: Graph, matrix: Nodes, columns: Mapping[tuple[int, int], int], width: int) -> Nodes:
+    """A matrix times another one, given by its entries that are not zero."""
+    found = np.full((len(matrix), width), g.zero)
+    for (k, j), node in columns.items():
+        for i, entry in enumerate(matrix[:, k].tolist()):
+            found[i, j] = g.add(int(found[i, j]), g.mul(entry, node))
+    return found
+
+
+def tangents_of(program: ScalarProgram, given: Differentiated) -> tuple[Seeds, dict[str, int]]:
     """How the arguments of a program move: input node -> (tangent -> derivative); and how many tangents a kind has."""
     g = program.graph
     widths: dict[str, int] = {}
-    seeds: dict[int, dict[int, int]] = {}
+    seeds: Seeds = {}
     offset = 0
     for kind in given.wrt:
         own = {name: program.inputs[k] for k, (of, name) in enumerate(given.places) if of == kind}

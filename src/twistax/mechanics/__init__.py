@@ -3,6 +3,7 @@
 from . import chain_models, environment, joints
 from .bodies import SpatialInertia, power
 from .chain import Chain
+from .derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from .drives import Drive
 from .dynamics import (
     aba,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..errors import ModelError
-from ..expr import Block, Concat, Constant, Dot, Expr, Outer, Solve
+from ..expr import Block, Concat, Constant, Dot, Expr, Outer, SolvePositive
 from ..expr.fields import ExprLike
 from ..expr.lie import CoadjointAction
 from .arguments import of_shape
@@ -65,10 +65,9 @@ def carried_wrenches(
 ) -> list[Expr]:
     """F (6,) of every segment, in its frame: what its joint has to give."""
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
-    outside = _outside(owner, mechanism, wrenches)
     accelerations: list[Expr] = []
     needed: list[Expr] = []
-    for each, pushed in zip(moving, outside, strict=True):
+    for each, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
         before = each.segment.before
         base = acceleration_of_base(mechanism.gravity if gravity is None else gravity)
         B = each.carried(base if before < 0 else accelerations[before])
@@ -140,10 +139,10 @@ def forward_dynamics(
     checked(owner, mechanism).check_masses(owner)
     forces = mechanism.coordinates(owner, "tau", np.zeros(mechanism.dofs) if tau is None else tau)
     if any(segment.link.mimic for segment in mechanism.segments):
-        return Solve(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))
+        return SolvePositive(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     I = [each.inertia for each in moving]
-    b = [_less(each.gyroscopic, out) for each, out in zip(moving, _outside(owner, mechanism, wrenches), strict=True)]
+    b = [_less(each.gyroscopic, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
     hinges: list[_Hinge] = []
     for i in reversed(range(len(moving))):
         hinges.append(_Hinge(moving[i], I[i], b[i], forces))
@@ -234,7 +233,7 @@ def checked(owner: str, mechanism: Mechanism) -> Mechanism:
     return mechanism
 
 
-def _outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
+def outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
     """The sum of the outer wrenches on each segment, in its frame; None without any."""
     found: list[Expr | None] = [None] * len(mechanism.segments)
     if wrenches is not None and not isinstance(wrenches, Mapping):

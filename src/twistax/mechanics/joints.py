@@ -21,7 +21,7 @@ import numpy as np
 
 from ..checks import number, reals
 from ..errors import ModelError, ShapeError
-from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Stack, State, Where
+from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Solve, Stack, State, Where
 from ..expr.fields import ExprLike
 from ..expr.lie import AxisRotation, Pose, SE3Adjoint, SE3AdjointDual, SO3Exp, SO3Log, twist
 from ..expr.lie.base import unit_vector
@@ -220,6 +220,13 @@ class Joint(_Subspaces, ABC):
         """What a spring feels of the position (k,): the coordinates themselves; None where there is no spring."""
         return position if self.group is None else None
 
+    def velocity_of(self, position: Expr, rate: Expr) -> Expr:
+        """The velocity that gives a rate of the position: the reverse of `rate`, by its matrix unless written anew."""
+        if type(self).rate is Joint.rate:
+            return rate
+        columns = [self.rate(position, Constant(unit)) for unit in np.eye(self.dofs)]
+        return Solve(Stack(*columns).T, rate)
+
     @functools.cached_property
     def transform(self) -> Expr:
         """T_pc (4, 4): maps coordinates of the child's joint frame to the parent's.
@@ -398,6 +405,9 @@ class Planar(Joint):
     def rate(self, position: Expr, velocity: Expr) -> Expr:
         turned = AxisRotation(position[2], (0.0, 0.0, 1.0)) @ Concat(velocity[0], velocity[1], 0.0)
         return Concat(turned[0], turned[1], velocity[2])
+
+    def velocity_of(self, position: Expr, rate: Expr) -> Expr:
+        return self.rate(-position, rate)
 
 
 class Spherical(Joint):

@@ -11,6 +11,7 @@ from ..expr.fields import ExprLike
 from ..system import System
 from .dynamics import Wrenches, forward_dynamics
 from .mechanism import Mechanism
+from .system_slopes import slopes_of_accelerations
 
 
 def system_of(
@@ -59,10 +60,12 @@ def system_of(
     if forces is not None:
         total = total + mechanism.coordinates("system", "forces", forces)
     accelerations = forward_dynamics(mechanism, tau=total, wrenches=wrenches)
+    slopes = slopes_of_accelerations(mechanism, total, wrenches)
     return System(
         rates={**_kinematics(mechanism, places), mechanism.qd: accelerations},
         outputs=outputs,
         constraints=constraints,
+        slopes={mechanism.qd: slopes} if slopes else None,
     )
 
 

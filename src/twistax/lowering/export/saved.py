@@ -127,7 +127,9 @@ def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     system = dynamics.system
     leaves: dict[str, Sequence[Leaf]] = {kind: getattr(system, kind) for kind in _LEAVES}
     named: dict[str, dict[str, Expr]] = {kind: getattr(system, kind) for kind in _FAMILIES}
+    known = [each for pairs in system.slopes.values() for pair in pairs for each in pair]
     roots = [*(leaf for own in leaves.values() for leaf in own), *(e for own in named.values() for e in own.values())]
+    roots += known
     nodes, places = write_nodes(roots, arrays)
     compiled = {
         "outputs": list(dynamics.families["outputs"]),
@@ -140,6 +142,7 @@ def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
         "nodes": nodes,
         **{kind: [places[id(leaf)] for leaf in own] for kind, own in leaves.items()},
         **{kind: [[name, places[id(e)]] for name, e in own.items()] for kind, own in named.items()},
+        "slopes": [[name, [[places[id(e)] for e in pair] for pair in own]] for name, own in system.slopes.items()],
         "compiled": compiled,
         "keys": _keys(system),
         "arrays": len(arrays),
@@ -156,6 +159,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
         constraints=constraints,
         controls=[nodes[place] for place in content["controls"]],
         parameters=[nodes[place] for place in content["parameters"]],
+        slopes={name: [(nodes[by], nodes[slope]) for by, slope in own] for name, own in content["slopes"]},
     )
     compiled = content["compiled"]
     bake = {name: _value(value, arrays, nodes) for name, value in compiled["bake"]}
@@ -165,7 +169,9 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
 
 def _keys(system: System) -> list[str]:
     """The structure of all that is computed, in order."""
-    return [e.key() for own in (system.rates, system.outputs, system.constraints) for e in own.values()]
+    known = [each for pairs in system.slopes.values() for pair in pairs for each in pair]
+    named = [e for own in (system.rates, system.outputs, system.constraints) for e in own.values()]
+    return [e.key() for e in (*named, *known)]
 
 
 # ---- nodes -----------------------------------------------------------------------------------------------------------

@@ -47,6 +47,8 @@ class Module:
         self.processor = processor
         self.declarations: set[str] = set()
         self.functions: dict[str, str] = {}
+        #: How much LLVM makes of it: of long straight programs one more takes time and gains nothing.
+        self.level = 2
         #: Functions of the C library that are called.
         self.library: set[str] = set()
 

@@ -83,7 +83,7 @@ class MachineCode:
 
 #: In the code model of LLVM's JIT code and constants may lie anywhere. The small one wants them within 2 GB of each
 #: other, and LLVM ends the process where they are not: in one that has run for long free memory is farther apart.
-_OPTIONS = {"opt": 2, "reloc": "pic", "codemodel": "jitdefault", "jit": True}
+_OPTIONS: dict[str, Any] = {"reloc": "pic", "codemodel": "jitdefault", "jit": True}
 
 
 def written_by(processor: Processor) -> str:
@@ -101,9 +101,11 @@ def written_by(processor: Processor) -> str:
     return repr(own)
 
 
-def compiled(text: str, processor: Processor) -> bytes:
+def compiled(text: str, processor: Processor, level: int = 2) -> bytes:
     """The machine code of intermediate language, as the content of an object file.
 
+    Args:
+        level: how much LLVM makes of it, from 0 to 3.
     Raises:
         ImportError: llvmlite is not installed.
         BuildError: LLVM refuses the text.
@@ -111,7 +113,7 @@ def compiled(text: str, processor: Processor) -> bytes:
     import llvmlite.binding as llvm
 
     with _LOCK:
-        machine = _target_machine(processor)
+        machine = _target_machine(processor, level)
         try:
             parsed = llvm.parse_assembly(text)
             parsed.verify()
@@ -143,14 +145,14 @@ def load(code: bytes, library: Collection[str], processor: Processor, names: Col
         return MachineCode(engine, names)
 
 
-def _target_machine(processor: Processor) -> Any:
+def _target_machine(processor: Processor, level: int = 2) -> Any:
     """What LLVM writes for."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=processor.name, features=processor.features, **_OPTIONS
+        cpu=processor.name, features=processor.features, opt=level, **_OPTIONS
     )
 
 

@@ -86,15 +86,25 @@ class Rows:
 
     def write(self, values: list[str]) -> None:
         """All entries of all rows."""
-        code, size = self._code, self._array.size
+        for start, entries in self.blocks().items():
+            self.write_block(start, [values[entry] for entry in entries])
+
+    def blocks(self) -> dict[int, list[int]]:
+        """The entries that are written together, by the first of them."""
+        size = self._array.size
         if not self._blocks:
-            for entry, value in enumerate(values):
-                self._scatter(entry, value)
+            return {entry: [entry] for entry in range(size)}
+        found = dict(self._block(first) for first in range(0, size, self._code.lanes))
+        return {start: list(range(start, start + width)) for start, width in found.items()}
+
+    def write_block(self, start: int, values: list[str]) -> None:
+        """The entries of a block of all rows."""
+        if not self._blocks:
+            self._scatter(start, values[0])
             return
-        for first in range(0, size, code.lanes):
-            start, width = self._block(first)
-            columns = values[start : start + width] + ["zeroinitializer"] * (code.lanes - width)
-            self._stored(start, width, self._transposed(columns))
+        width = len(values)
+        columns = values + ["zeroinitializer"] * (self._code.lanes - width)
+        self._stored(start, width, self._transposed(columns))
 
     def _block(self, entry: int) -> tuple[int, int]:
         """The first entry of the block that an entry is in, and how many there are; the last block reaches back."""

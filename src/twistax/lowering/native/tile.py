@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -14,6 +15,7 @@ from ..scalar.graph import Limits, TooLarge
 from ..scalar.program import ScalarProgram, emitted_form
 from ..scalar.table import OPERATIONS
 from .code import NAMES, Code, Module, NotNative
+from .pieces import Scratch, Values, in_pieces
 from .rows import Array, Rows
 from .trigonometry import sines_and_cosines
 
@@ -79,6 +81,20 @@ class Scalars:
         self._in_order(live)
         return [values[i] for i in nodes]
 
+    def in_piece(self, nodes: Sequence[int], values: Values) -> Values:
+        """The values of nodes, given those of all nodes before; sines and cosines stand in the first piece."""
+        self._values = values
+        if any(self._graph.operation(i) in _TURNING for i in nodes):
+            self.compute(nodes)
+        self._in_order(nodes)
+        return values
+
+    def value(self, node: int) -> str:
+        """Of a node that is there, or is a number or an entry of an argument."""
+        if node not in self._values and self._graph.operation(node) is None:
+            self._in_order([node])
+        return self._values[node]
+
     def _in_order(self, nodes: Sequence[int]) -> None:
         g, values = self._graph, self._values
         for i in nodes:
@@ -91,7 +107,7 @@ class Scalars:
                 values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
             else:
                 own = g.dtypes[arguments[-1]]
-                values[i] = _form_of(operation, own)(self._code, NAMES[own], *(values[a] for a in arguments))
+                values[i] = _form_of(operation, own)(self._code, NAMES[own], *map(self.value, arguments))
 
     def _angles(self, live: Sequence[int]) -> list[list[int]]:
         """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
@@ -145,13 +161,18 @@ class Tile(ABC):
     def write(self, module: Module) -> None:
         """Adds the function, and what it calls."""
         code = Code(module, self.lanes)
+        self.body(code, self._moved(code))
+        module.functions["tile"] = code.function(f"internal void @tile(i64 %last{self._heads('ptr noalias')})")
+
+    def _moved(self, code: Code) -> dict[str, Rows]:
+        """The rows of all arrays, in a function that has their heads."""
         places = ["0"]  # the row of a lane: its own, or the last one
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        rows = {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
-        self.body(code, rows)
-        heads = "".join(f", ptr noalias %{name}, i64 %{name}.stride" for name in self.arrays)
-        module.functions["tile"] = code.function(f"internal void @tile(i64 %last{heads})")
+        return {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
+
+    def _heads(self, pointer: str) -> str:
+        return "".join(f", {pointer} %{name}, i64 %{name}.stride" for name in self.arrays)
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
@@ -182,10 +203,33 @@ class Straight(Tile):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        scalars = Scalars(code, self.program, lambda argument, entry: rows[f"a{argument}"].read(entry))
+        if in_pieces(self.program):
+            self._in_pieces(code, rows)
+            return
+        scalars = Scalars(code, self.program, functools.partial(_entry, rows))
         scalars.compute(self.program.live)
         for k in self.written:
             rows[f"r{k}"].write(scalars.compute(flat(self.program.outputs[k])))
+
+    def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        """One call after the other."""
+        program, module, g = self.program, code.module, self.program.graph
+        module.level = 1
+        blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
+        scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
+        memory = code.emit(f"alloca [{max(scratch.bytes(self.lanes), 1)} x i8], align 64")
+        for number, (nodes, complete) in enumerate(scratch.pieces):
+            own = Code(module, self.lanes)
+            inner = self._moved(own)
+            scalars = Scalars(own, program, functools.partial(_entry, inner))
+            values = scalars.in_piece(nodes, Values(own, scratch))
+            for k, start in complete:
+                entries = [flat(program.outputs[k])[entry] for entry in blocks[k, start]]
+                inner[f"r{k}"].write_block(start, [scalars.value(i) for i in entries])
+            values.keep(nodes)
+            head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
+            module.functions[f"piece.{number}"] = own.function(f"internal void @piece.{number}({head})")
+            code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         return by_numpy(self.program, arguments)
@@ -279,6 +323,10 @@ class Iterations(Tile):
             k = k + live
             live = live & more & (k < stop)
         return [*state, k]
+
+
+def _entry(rows: Mapping[str, Rows], argument: int, entry: int) -> str:
+    return rows[f"a{argument}"].read(entry)
 
 
 def _finite(code: Code, kind: str, values: Sequence[str]) -> str:

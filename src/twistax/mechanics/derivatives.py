@@ -1,0 +1,303 @@
+"""Derivatives of the dynamics of mechanisms by positions, velocities and accelerations or forces, in the tangent space.
+
+A position is moved by a right perturbation: all beyond joint j moves by the twist S_j d, S = Ad_T H its motion. With V
+and A the twists and accelerations of the segments, `before` the segment before j, and
+
+    S'_j = V_j x S_j        P_j = V_before x S_j        P'_j = A_before x S_j + V_before x P_j,
+
+what moves with the perturbed segments sees V_i change by P_j and A_i by P'_j - V_i x P_j. Summed from tips to base,
+with I and B of `spread.py` and F the wrench of the joint,
+
+    d tau_i / d q_j   = S_i . (I_i P'_j + B_i P_j)                for i = j and beyond,
+                      = S_i . (I_j P'_j + B_j P_j + S_j x* F_j)   for i before j,
+    d tau_i / d qd_j  = S_i . (I_k (P_j + S'_j) + B_k S_j)        with k the later one of i and j,
+    d tau_i / d qdd_j = S_i . I_k S_j.
+
+All of it is written in the frame of the first segment of a tree, which is taken at rest there but for its turning: a
+frame that moves on evenly is as good as one that stands. What the first joint does enters by the acceleration and
+the angular velocity of its segment. The derivatives of accelerations are -M^-1 times those of the forces; where the
+first joint is free, what enters by its acceleration needs no M.
+
+Sources: J. Carpentier, N. Mansard, Analytical derivatives of rigid body dynamics algorithms, RSS (2018); S. Singh,
+R. Russell, P. Wensing, Efficient analytical derivatives of rigid-body dynamics using spatial vector algebra, IEEE RA-L
+(2022), there [w; v].
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from ..expr import Concat, Constant, Cross, Expr, Hstack, InversePositive, SolvePositive, Stack, Where
+from ..expr.fields import ExprLike
+from ..expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
+from .dynamics import Wrenches, checked, forward_dynamics, outside
+from .mechanism import Mechanism, Positions
+from .motion import ZERO, acceleration_of_base
+from .spread import Spread
+from .tree import Segment
+
+_NOTHING = Constant(np.zeros(6))
+
+
+class ForceDerivatives(NamedTuple):
+    """Of the forces of the joints (n,): by right perturbations of the positions, by velocities, by accelerations."""
+
+    q: Expr
+    qd: Expr
+    qdd: Expr
+
+
+class AccelerationDerivatives(NamedTuple):
+    """Of the accelerations (n,): by right perturbations of the positions, by velocities, by forces."""
+
+    q: Expr
+    qd: Expr
+    tau: Expr
+
+
+def inverse_dynamics_derivatives(
+    mechanism: Mechanism,
+    q: Positions | None = None,
+    qd: ExprLike | None = None,
+    qdd: ExprLike | None = None,
+    *,
+    wrenches: Wrenches | None = None,
+) -> ForceDerivatives:
+    """The derivatives (n, n) of `inverse_dynamics`; that by accelerations is the mass matrix.
+
+    Columns are freedoms, in the order of velocities: of a ball, a free and a planar joint those of its body velocity.
+
+    Args: as for `inverse_dynamics`. Wrenches move with their frames and are held fixed in their axes.
+    Raises: as `inverse_dynamics` does.
+    """
+    owner = "inverse_dynamics_derivatives"
+    rates = checked(owner, mechanism).coordinates(owner, "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
+    found = _Perturbed(owner, mechanism, q, qd, rates, wrenches)
+    by_q, by_qd = found.by_motion()
+    through = found.by_acceleration
+    return ForceDerivatives(by_q + through(found.moved), by_qd + through(found.hastened), found.mass_matrix)
+
+
+def forward_dynamics_derivatives(
+    mechanism: Mechanism,
+    q: Positions | None = None,
+    qd: ExprLike | None = None,
+    tau: ExprLike | None = None,
+    *,
+    wrenches: Wrenches | None = None,
+) -> AccelerationDerivatives:
+    """The derivatives (n, n) of `forward_dynamics`; that by forces is the inverse of the mass matrix.
+
+    Columns are freedoms, as for `inverse_dynamics_derivatives`.
+
+    Args, Raises: as for `forward_dynamics`; wrenches as for `inverse_dynamics_derivatives`.
+    """
+    owner = "forward_dynamics_derivatives"
+    qdd = forward_dynamics(checked(owner, mechanism), q, qd, tau, wrenches=wrenches)
+    found = _Perturbed(owner, mechanism, q, qd, qdd, wrenches)
+    by_q, by_qd = found.by_motion()
+    M, n = found.mass_matrix, mechanism.dofs
+    moved, hastened = found.free_root(found.moved), found.free_root(found.hastened)
+    if moved is None or hastened is None:
+        by_q, by_qd = by_q + found.by_acceleration(found.moved), by_qd + found.by_acceleration(found.hastened)
+    both = -SolvePositive(M, Hstack(by_q, by_qd))
+    own_q, own_qd = both[:, :n], both[:, n:]
+    if moved is not None and hastened is not None:
+        own_q, own_qd = own_q - moved, own_qd - hastened
+    return AccelerationDerivatives(own_q, own_qd, InversePositive(M))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Freedom:
+    """What a unit of one freedom does. Six-vectors are in the frame of its tree's first segment."""
+
+    place: int  # of its segment
+    entry: int  # of the velocities
+    ratio: float  # of a follower
+    S: Expr
+    moved: tuple[Expr, Expr]  # by its position: what I acts on (6,), and the angular part of what B acts on (3,)
+    hastened: tuple[Expr, Expr]  # the same by its velocity
+
+
+class _Segment(NamedTuple):
+    T: Expr
+    V: Expr
+    A: Expr
+
+
+class _Perturbed:
+    """A motion with all that small changes of it do to the forces."""
+
+    def __init__(
+        self,
+        owner: str,
+        mechanism: Mechanism,
+        q: Positions | None,
+        qd: ExprLike | None,
+        qdd: Expr,
+        wrenches: Wrenches | None,
+    ) -> None:
+        self.mechanism = mechanism
+        places = mechanism.positions(owner, q)
+        self._qd, self._qdd = mechanism.coordinates(owner, "qd", qd), qdd
+        segments, self._freedoms = mechanism.segments, list[_Freedom]()
+        #: What a unit of a freedom of a first joint does to the acceleration of its segment: by position, by velocity.
+        self.moved, self.hastened = dict[int, Expr](), dict[int, Expr]()
+        moving: list[_Segment] = []
+        for i, (segment, place) in enumerate(zip(segments, places, strict=True)):
+            T = segment.link.transform(place)
+            known = self._first(i, segment, T) if segment.before < 0 else self._next(i, segment, T, moving)
+            moving.append(known)
+        self._spreads = [Spread.of(s.body, own.T, own.V) for s, own in zip(segments, moving, strict=True)]
+        self._F: list[Expr] = []
+        for own, spread, pushed in zip(moving, self._spreads, outside(owner, mechanism, wrenches), strict=True):
+            F = spread.inertia(own.A) + AdjointDual(own.V, spread.inertia(own.V))
+            self._F.append(F if pushed is None else F - CoadjointAction(own.T, pushed))
+        for i in reversed(range(len(segments))):
+            before = segments[i].before
+            if before >= 0:
+                self._F[before] = self._F[before] + self._F[i]
+                self._spreads[before] = self._spreads[before].plus(self._spreads[i])
+
+    # ---- outward ---------------------------------------------------------------------------------------------------
+
+    def _first(self, i: int, segment: Segment, T: Expr) -> _Segment:
+        """A segment on the base: in its own frame, with the velocity of its origin taken away."""
+        own, ratio = self.mechanism.along(segment, self._qd), _ratio(segment)
+        w, v = angular(own), linear(own)
+        up = AdjointAction(T, acceleration_of_base(self.mechanism.gravity), inverse=True)
+        A = up + twist(linear=Cross(w, v), angular=ZERO) + self.mechanism.along(segment, self._qdd)
+        for k, a in enumerate(segment.freedoms):
+            H = segment.link.joint.motion_subspace[:, k]
+            s, r, x = linear(H), angular(H), len(self._freedoms)
+            self.moved[x] = twist(linear=Cross(linear(up), r), angular=ZERO)
+            self.hastened[x] = twist(linear=Cross(r, v) + Cross(w, s), angular=Cross(w, r))
+            self._freedoms.append(_Freedom(i, a, ratio, H, (_NOTHING, ZERO), (_NOTHING, r)))
+        return _Segment(Constant(np.eye(4)), twist(linear=ZERO, angular=w), A)
+
+    def _next(self, i: int, segment: Segment, T: Expr, moving: list[_Segment]) -> _Segment:
+        before, ratio = moving[segment.before], _ratio(segment)
+        frame = Compose(before.T, T)
+        V, A = before.V, before.A
+        motions = [AdjointAction(frame, segment.link.joint.motion_subspace[:, k]) for k in range(len(segment.freedoms))]
+        rates = [_times(ratio, self._qd[a]) for a in segment.freedoms]
+        for S, rate in zip(motions, rates, strict=True):
+            V = V + S * rate
+        for S, rate, a in zip(motions, rates, segment.freedoms, strict=True):
+            P = Adjoint(before.V, S)
+            own = P if len(motions) == 1 else Adjoint(V, S)  # one motion does not change by its own turning
+            moved = Adjoint(before.A, S) + Adjoint(before.V, P), angular(P)
+            self._freedoms.append(_Freedom(i, a, ratio, S, moved, (P + own, angular(S))))
+            A = A + S * _times(ratio, self._qdd[a]) + own * rate
+        return _Segment(frame, V, A)
+
+    # ---- all pairs of freedoms ---------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _tree(self) -> list[tuple[int, int, Constant]]:
+        """Of each freedom j: the first of its joint, the end of those beyond, and which of those before are on its way.
+
+        Branches stand one after the other: what is beyond j stands together.
+        """
+        segments, own = self.mechanism.segments, [each.place for each in self._freedoms]
+        reached = np.eye(len(segments), dtype=bool)
+        for i, segment in enumerate(segments):
+            if segment.before >= 0:
+                reached[i] |= reached[segment.before]
+        found = []
+        for place in own:
+            first = own.index(place)
+            end = first + sum(bool(reached[i, place]) for i in own)
+            found.append((first, end, Constant(np.array([reached[place, i] for i in own[:first]], bool))))
+        return found
+
+    @functools.cached_property
+    def _motions(self) -> Expr:
+        """S of all freedoms, one a row (N, 6)."""
+        return Stack(*(each.S for each in self._freedoms))
+
+    @functools.cached_property
+    def _felt(self) -> Expr:
+        """I S of all freedoms, one a row: what a force feels of an acceleration (N, 6)."""
+        return Stack(*(self._spreads[each.place].inertia(each.S) for each in self._freedoms))
+
+    @functools.cached_property
+    def _turned(self) -> Expr:
+        """The angular parts of B' S of all freedoms, one a row (N, 3)."""
+        return Stack(*(self._spreads[each.place].coupled_back(each.S) for each in self._freedoms))
+
+    def by_motion(self) -> tuple[Expr, Expr]:
+        """The derivatives of the forces by positions and velocities, but for what enters by `moved`, `hastened`."""
+        by_q, by_qd = list[Expr](), list[Expr]()
+        for each, place in zip(self._freedoms, self._tree, strict=True):
+            spread, (first, end, _) = self._spreads[each.place], place
+            for columns, (x, b) in ((by_q, each.moved), (by_qd, each.hastened)):
+                carried = spread.inertia(x) + spread.coupled(b)
+                if columns is by_q:
+                    carried = carried + AdjointDual(each.S, self._F[each.place])
+                columns.append(self._column(place, self._felt[first:end] @ x + self._turned[first:end] @ b, carried))
+        return self._gathered(by_q), self._gathered(by_qd)
+
+    @functools.cached_property
+    def mass_matrix(self) -> Expr:
+        """M (n, n), with the rotors."""
+        columns: list[Expr] = []
+        for k, (each, place) in enumerate(zip(self._freedoms, self._tree, strict=True)):
+            column = self._column(place, self._felt[place[0] : place[1]] @ each.S, self._felt[k])
+            rotor = self.mechanism.segments[each.place].link.drive.rotor
+            columns.append(column if rotor is None else column + rotor * np.eye(len(self._freedoms))[k])
+        return self._gathered(columns)
+
+    def _column(self, place: tuple[int, int, Constant], beyond: Expr, carried: Expr) -> Expr:
+        """Of forces of all joints (N,): of those beyond a freedom, and what those before feel of a wrench."""
+        first, end, way = place
+        parts = [beyond, Constant(np.zeros(len(self._freedoms) - end))]
+        if first:
+            parts.insert(0, Where(way, self._motions[:first] @ carried, Constant(np.zeros(first))))
+        return Concat(*parts)
+
+    def _gathered(self, columns: list[Expr]) -> Expr:
+        """Followers with their leaders: from rows and columns of joints to those of the velocities (n, n)."""
+        pairs = Stack(*columns).T
+        G = np.zeros((len(self._freedoms), self.mechanism.dofs))
+        for row, each in enumerate(self._freedoms):
+            G[row, each.entry] = each.ratio
+        return pairs if np.array_equal(G, np.eye(len(G))) else Constant(G.T) @ pairs @ Constant(G)
+
+    # ---- by the acceleration of the first segments -------------------------------------------------------------------
+
+    def by_acceleration(self, changes: dict[int, Expr]) -> Expr:
+        """The derivatives of the forces by what changes the accelerations of the first segments."""
+        N, columns = len(self._freedoms), list[Expr]()
+        for number, (first, end, _) in enumerate(self._tree):
+            felt = self._felt[first:end] @ changes.get(number, _NOTHING)
+            columns.append(Concat(np.zeros(first), felt, np.zeros(N - end)))
+        return self._gathered(columns)
+
+    def free_root(self, changes: dict[int, Expr]) -> Expr | None:
+        """The same changes as accelerations of a free first joint (n, n); None where another one is first."""
+        segments, n = self.mechanism.segments, self.mechanism.dofs
+        firsts = [segment for segment in segments if segment.before < 0]
+        if any(len(segment.freedoms) < 6 or segment.link.drive.rotor is not None for segment in firsts):
+            return None
+        columns: list[Expr] = [Constant(np.zeros(n))] * n
+        for number, change in changes.items():
+            own = segments[self._freedoms[number].place]
+            # H of six freedoms is square: the accelerations are H^-1 of the change.
+            basis = own.link.joint.actuation_basis.T
+            spread = np.zeros((n, 6))
+            spread[list(own.freedoms), range(6)] = 1.0
+            columns[self._freedoms[number].entry] = Constant(spread) @ (basis @ change)
+        return Stack(*columns).T
+
+
+def _ratio(segment: Segment) -> float:
+    return 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
+
+
+def _times(ratio: float, value: Expr) -> Expr:
+    return value if ratio == 1.0 else ratio * value

@@ -1,0 +1,62 @@
+"""What a system of a mechanism knows of its derivatives: those of the accelerations, by the recursions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..expr import Constant, Control, Expr, Stack, State, leaves_of
+from ..expr.fields import ExprLike
+from .derivatives import forward_dynamics_derivatives
+from .dynamics import Wrenches
+from .jacobians import BODY, frame_jacobian
+from .joints import Joint
+from .mechanism import Mechanism
+from .tree import Segment
+
+
+def slopes_of_accelerations(
+    mechanism: Mechanism, forces: Expr, wrenches: Wrenches | None
+) -> list[tuple[ExprLike, ExprLike]]:
+    """The derivatives of `forward_dynamics` by the states of positions and velocities, by forces and by wrenches.
+
+    Nothing where masses or lengths change with states or controls.
+    """
+    if any(isinstance(leaf, (State, Control)) for leaf in leaves_of(*_numbers(mechanism))):
+        return []
+    found = forward_dynamics_derivatives(mechanism, tau=forces, wrenches=wrenches)
+    q, vector = mechanism.q, list[Expr]()
+    slopes: list[tuple[ExprLike, ExprLike]] = []
+    for segment, place in zip(mechanism.segments, mechanism.positions("system", None), strict=True):
+        if segment.link.mimic is not None or not segment.freedoms:
+            continue
+        columns = found.q[:, segment.freedoms[0] : segment.freedoms[-1] + 1]
+        if segment.link.joint.group is not None:
+            slopes.append((place, columns))
+        else:
+            columns = _by_coordinates(segment, place, columns)
+            vector += [columns[:, k] for k in range(segment.link.joint.dofs)]
+    if vector:
+        slopes.append((q if isinstance(q, State) else q["q"], Stack(*vector).T))
+    slopes += [(mechanism.qd, found.qd), (forces, found.tau)]
+    for frame, wrench in (wrenches or {}).items():
+        slopes.append((wrench, found.tau @ frame_jacobian(mechanism, frame, axes=BODY).T))
+    return slopes
+
+
+def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
+    """From columns of velocities to columns of coordinates, whose rates may be another thing."""
+    joint = segment.link.joint
+    if type(joint).rate is Joint.rate:
+        return columns
+    return columns @ Stack(*(joint.velocity_of(place, Constant(unit)) for unit in np.eye(joint.dofs))).T
+
+
+def _numbers(mechanism: Mechanism) -> list[Expr]:
+    """All that says how a mechanism is built."""
+    found: list[Expr] = [mechanism.gravity]
+    for segment in mechanism.segments:
+        link, body = segment.link, segment.body
+        found += [link.mount, link.joint.motion_subspace]
+        found += [] if body is None else [body.mass, body.center_of_mass, body.inertia]
+        found += [] if link.drive.rotor is None else [link.drive.rotor]
+    return found
