@@ -275,7 +275,7 @@ jax.monitoring.register_event_listener(lambda event, **_: found.append(event))
 import numpy as np, twistax as tx
 from twistax.lowering.native import kernel
 compiled, texts = kernel.compiled, []
-kernel.compiled = lambda text, processor: texts.append(text) or compiled(text, processor)
+kernel.compiled = lambda text, *a: texts.append(text) or compiled(text, *a)
 x = tx.State("x", (4,))
 dynamics = tx.compile(tx.System(rates={x: tx.Sin(x) * x}), backend=tx.Native(least=0))
 value = jax.jit(jax.vmap(lambda v: dynamics(0.0, {"x": v})["x"]))
