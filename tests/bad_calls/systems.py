@@ -79,7 +79,7 @@ ROWS = [
     # calls
     bad("a state that is missing", lambda: cart()(0.0, {"position": 0.0}, U), "'velocity'", "missing"),
     bad("a misspelt state", lambda: cart()(0.0, X | {"velocty": 1.0}, U), "'velocty'", "'velocity'"),
-    bad("a state by its leaf", lambda: decay()(0.0, {tx.State("x"): 1.0}), "unknown key x", "'x'"),
+    bad("a state by its leaf", lambda: decay()(0.0, {tx.State("x"): 1.0}), "unknown key x", "by name here: {'x': ...}"),
     bad("states as a list", lambda: cart()(0.0, [0.0, 1.0], U), "x must be a dict", "list"),
     bad("states as an array", lambda: cart()(0.0, np.zeros(2), U), "x must be a dict", "ndarray"),
     bad("states as None", lambda: cart()(0.0, None, U), "'position'", "none"),

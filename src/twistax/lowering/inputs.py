@@ -46,7 +46,9 @@ def read_values(kind: str, leaves: Iterable[Any], values: Values | None, dtype: 
         raise InputError(f"{kind} must be a dict from names to arrays, got {type(values).__name__}")
     unknown = [name for name in values if name not in known]
     if unknown:
-        raise InputError(f"unknown key {unknown[0]!r} in {kind}; expected: {listed(known, unknown[0])}")
+        own = getattr(unknown[0], "name", None)
+        hint = f"\n  fix: values go by name here: {{{own!r}: ...}}" if own in known else ""
+        raise InputError(f"unknown key {unknown[0]!r} in {kind}; expected: {listed(known, unknown[0])}{hint}")
     found = {}
     for name, value in values.items():
         place = f"{kind}[{name!r}]"
