@@ -27,7 +27,32 @@ def discretized(**options):
     return tx.trajectory.discretize(**({"dynamics": cart(), "t": 0.0, "x": X, "u": U, "h": 0.1} | options))
 
 
+@functools.cache
+def two_phases():
+    phase = functools.partial(tx.trajectory.Phase, cart(), effort, nodes=3, final_time=1.0)
+    return tx.trajectory.Problem([phase(initial=X, name="a"), phase(name="b")])
+
+
+peak, work = tx.trajectory.Maximum(force), tx.trajectory.Integral(force**2)
+
 ROWS = [
+    bad("an integral of text", lambda: tx.trajectory.Integral("fuel"), "Integral", "'fuel'"),
+    bad("an integral of a condition", lambda: tx.trajectory.Integral(force <= 1.0), "Integral", "force <= 1"),
+    bad("where an expression began", lambda: tx.trajectory.Initial(2.0 * position), "Initial", "state", "position"),
+    bad("a peak to be made large", lambda: problem(objective=tx.Maximize(peak)), "Maximum(force)", "small"),
+    bad("a peak that equals", lambda: problem(final=[peak == 1.0]), "Maximum(force)", "<="),
+    bad("a peak at a node", lambda: problem(at={2: peak <= 1.0}), "Maximum(force)", "whole path"),
+    bad("an integral at the start", lambda: problem(initial=[X, work <= 1.0]), "Integral(force ** 2.)", "begun"),
+    bad("an integral as a rate", lambda: tx.System(rates={position: work}), "Integral(force ** 2.)", "final="),
+    bad("limits at a solve of what is not free", lambda: easy().solve(free={"mass": (1.0, 2.0)}), "'mass'", "free"),
+    bad("limits at a solve that are a number", lambda: easy().solve(free=3.0), "free", "3.0"),
+    bad("parameters at a solve that are a number", lambda: easy().solve(params=3.0), "params", "3.0"),
+    bad("ends of phases by state", lambda: two_phases().solve(initial={position: 0.0}), "'position'", "'a', 'b'"),
+    bad("ends of phases that are a number", lambda: two_phases().solve(final=3.0), "final", "3.0", "phases"),
+    bad("a time of no phase", lambda: two_phases().solve(final_time={"c": 1.0}), "'c'", "'a', 'b'"),
+    bad("parameters of phases that are a number", lambda: two_phases().solve(params=3.0), "params", "3.0"),
+    bad("derivatives of phases", lambda: tx.trajectory.solution(two_phases()), "solution", "one phase"),
+    bad("derivatives by text", lambda: tx.trajectory.solution(easy())(initial={"position": "a"}), "position", "'a'"),
     bad(
         "a problem of a system that is not compiled", lambda: problem(cart().system), "Problem", "System", "tx.compile"
     ),

@@ -12,7 +12,7 @@ from trajectory_systems import double_integrator, free_flyer
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.trajectory import Initial, Integral, Maximum, Minimum, Phase, Problem
+from twistax.trajectory import Initial, Integral, Linear, Maximum, Minimum, Phase, Problem, Rate
 
 NODES, TIME = 11, 2.0
 STEP = TIME / (NODES - 1)
@@ -282,6 +282,47 @@ def test_functionals_in_phases() -> None:
     for own in result.phases:
         assert own.extremes["Maximum(v)"] == pytest.approx(own.replay().xs["v"].max(), rel=1e-9)
     assert second.xs["v"][-1] == pytest.approx(first.xs["v"][0], abs=1e-8)
+
+
+@pytest.mark.slow
+def test_bryson_and_denham_backwards() -> None:
+    """The lowest ceiling for 4 of half the integral of u^2, where a ceiling of 1/9 costs 4 (Bryson and Ho, 3.11)."""
+    p, v, u = leaves()
+    problem = Problem(
+        dynamics(),
+        tx.Minimize(Maximum(p)),
+        nodes=61,
+        final_time=1.0,
+        controls=Linear(),
+        initial={p: 0.0, v: 1.0},
+        final=[{p: 0.0, v: -1.0}, 0.5 * Integral(u**2) <= 4.0],
+    )
+    result = problem.solve(between=1e-6)
+    assert result.solved
+    assert result.cost == pytest.approx(1.0 / 9.0, rel=1e-4)
+    assert result.extremes["Maximum(p)"] == pytest.approx(result.cost, rel=1e-5)
+    # d cost / d energy of cost = 4 / (9 energy): -1/36, over the half in front.
+    (name,) = (name for name in result.multipliers if name.startswith("final: (0.5"))
+    assert result.multipliers[name] == pytest.approx([1.0 / 36.0], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_smallest_peak_of_a_rate() -> None:
+    """From force 0 to 1 in 2 s with work to do between: no faster than a straight line, and no more work."""
+    p, v, u = leaves()
+    problem = Problem(
+        dynamics(),
+        tx.Minimize(Maximum(tx.Abs(Rate(u)))),
+        nodes=5,
+        final_time=TIME,
+        controls=Linear(),
+        initial={p: 0.0, v: 0.0, u: 0.0},
+        final=[{u: 1.0}, Integral(Rate(u) ** 2) <= 0.5],
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(0.5, rel=1e-5)
+    np.testing.assert_allclose(result.us["u"], np.linspace(0.0, 1.0, 5), atol=1e-3)
 
 
 def refused(word: str, objective: Any = None, **ends: Any) -> None:

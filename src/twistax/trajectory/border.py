@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import listed, short
+from ..checks import listed, number, reals, short
 from ..errors import ModelError, TrajectoryError
 from ..expr import Control, Parameter
 from ..system import name_of
@@ -85,9 +85,12 @@ class Border:
         """
         found = np.concatenate([np.reshape(times, (-1, 2)), self.limits[self.phases :]])
         places = Controls(self.boxes).slices
-        for name in map(name_of, free or ()):
+        for name in map(name_of, free) if isinstance(free, (Mapping, list, tuple)) else ():
             if name not in places:
-                raise ModelError(f"solve: free names {name!r}; the problem leaves free: {listed(places, name)}")
+                raise ModelError(
+                    f"solve: free names {name!r}; the problem leaves free: {listed(places, name)}\n"
+                    "  fix: state the problem with free="
+                )
         for box in boxes_of(free, [Parameter(own.name, own.shape) for own in self.boxes], ()):
             own = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
             other = _sides(box)
@@ -154,3 +157,20 @@ def boxes_of(free: Any, parameters: Iterable[Parameter], baked: Iterable[str]) -
         except ModelError as error:
             raise ModelError(f"free: {error}") from None
     return tuple(boxes)
+
+
+def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
+    """The limits of a final time, a number or (low, high), and where it starts.
+
+    Raises:
+        TrajectoryError: times that cannot be.
+    """
+    limits = reals("final_time", final_time, TrajectoryError)
+    if limits.shape not in ((), (2,)):
+        raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
+    low, high = np.broadcast_to(limits, 2).tolist()
+    if not (0.0 < low <= high < np.inf):
+        raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
+    guess = 0.5 * (low + high) if guess is None else guess
+    number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
+    return (low, high), float(guess)

@@ -6,10 +6,31 @@ Magnitudes of entries likewise: |a| <= b as a <= b and -a <= b.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ..expr import Abs, Add, Constant, Control, Div, Dot, Expr, Mul, Neg, Norm, State, Sub, Time, leaves_of
+from ..expr import (
+    Abs,
+    Add,
+    Constant,
+    Control,
+    Div,
+    Dot,
+    Expr,
+    Inputs,
+    Mul,
+    Neg,
+    Norm,
+    State,
+    Sub,
+    Time,
+    evaluate_all,
+    leaves_of,
+)
 
 #: A coefficient and what it multiplies.
 Term = tuple[float, Expr]
@@ -54,6 +75,19 @@ class NormControls:
         """a.a - s^2 and -s, <= 0 both, with a name."""
         pairs = zip(self.controls, self.operands)
         return [(s.name, row) for s, a in pairs for row in ((Dot(a, a) - s * s).canonicalize(), -s)]
+
+    def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
+        """Values of the controls over all intervals, (intervals, 1) each: a little above the norms."""
+        if not self.controls:
+            return []
+        known = {name: jnp.asarray(value) for name, value in params.items()}
+
+        def norms(u: dict[str, jax.Array]) -> list[jax.Array]:
+            inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
+            return [jnp.linalg.norm(a) for a in evaluate_all(self.operands, lambda leaf: leaf.read(inputs))]
+
+        sizes = jax.vmap(norms)({name: jnp.asarray(values) for name, values in us.items()})
+        return [np.asarray(a + 0.1 * (a.max() or 1.0))[:, None] for a in map(np.asarray, sizes)]
 
 
 def norm_controls(running: Expr | None, sign: float) -> NormControls:

@@ -45,8 +45,8 @@ class Functional(Leaf):
 
     def check_in_system(self) -> NoReturn:
         raise ModelError(
-            f"{self!r} has a value over a whole path only: it belongs into the objective, final= or at= of a "
-            "tx.trajectory.Problem"
+            f"{self!r} is a value of a whole path, which nothing knows here.\n"
+            "  fix: use it in the objective or final= of a tx.trajectory.Problem"
         )
 
 

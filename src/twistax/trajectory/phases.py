@@ -275,6 +275,8 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 ends.append(part.other_ends(own["initial"], own["final"]))
                 times.append(part.other_times(own["final_time"], own["final_time_guess"]))
                 guesses.append(part.own_guess | part.checked_guess(own["guess"]))
+        if params is not None and not isinstance(params, Mapping):
+            raise InputError(f"solve: params must be a dict from parameters to values, got {short(params)}")
         unknown = [name for name in map(name_of, params or {}) if name not in self.leaves]
         if unknown:
             raise InputError(f"unknown key {unknown[0]!r} in params; expected: {listed(self.leaves, unknown[0])}")

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import number, reals
+from ..checks import reals, short
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
-from ..expr import Control, Inputs, Parameter, State, evaluate_all, leaves_of
+from ..expr import Control, Parameter, State, leaves_of
 from ..groups import Euclidean
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import name_of
-from .border import Border, boxes_of
+from .border import Border, boxes_of, times_of
 from .cases import TrajectoryResults, trajectory_results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
@@ -112,7 +112,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             )
         self.mesh = mesh_of(nodes)
         self.nodes = self.mesh.nodes
-        time_limits, self.time_guess = _times(final_time, final_time_guess)
+        time_limits, self.time_guess = times_of(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
         inner = at_nodes(at, self.nodes)
         reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within)
@@ -240,6 +240,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         ends = self.other_ends(initial, final)
         times, time_guess = self.other_times(final_time, final_time_guess)
         limits = self.border.limited(np.array([times]), free)
+        if params is not None and not isinstance(params, Mapping):
+            raise InputError(f"solve: params must be a dict from parameters to values, got {short(params)}")
         own = self.params if params is None else self._prepared({**self.params, **params})
         start = self.start(self.own_guess | self.checked_guess(guess), ends, own, np.array([time_guess]), limits)
         return Started(start, self.given(ends, own, limits), own, ends)
@@ -303,7 +305,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         """Other limits of the final time, and where it starts."""
         if limits is None and guess is None:
             return self.time_limits, self.time_guess
-        found = _times(self.time_limits if limits is None else limits, guess)
+        found = times_of(self.time_limits if limits is None else limits, guess)
         free = self.border.free[self.phase]
         if (found[0][0] < found[0][1]) != free:
             kind = "free: (low, high)" if free else "fixed: a number"
@@ -334,7 +336,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         guess = {**self._extremes(xs, us, params, durations), **given}
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
-        norms = self._norm_guess(us, {**params, **self.border.params(border)})
+        norms = self.norms.guess(us, {**params, **self.border.params(border)})
         return jax.tree.map(jnp.asarray, Point(xs, np.concatenate([*flat, *norms], axis=1), border))
 
     def _extremes(
@@ -347,23 +349,6 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         held = us | {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}
         rows = np.asarray(self.shown_rows(ts, {name: a[:-1] for name, a in xs.items()}, held, dict(params)))
         return self.reduced.extremes_of(rows, self.path.shown, params)
-
-    def _norm_guess(self, us: Mapping[str, Array], params: Mapping[str, Array]) -> list[Array]:
-        """The bounds on norms in the running cost: a little above the norms of the guess."""
-
-        if not self.norms.controls:
-            return []
-        known = {name: jnp.asarray(value) for name, value in params.items()}
-
-        def norms(u: dict[str, jax.Array]) -> list[jax.Array]:
-            inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
-            return [jnp.linalg.norm(a) for a in evaluate_all(self.norms.operands, lambda leaf: leaf.read(inputs))]
-
-        found = []
-        for size in jax.vmap(norms)({name: jnp.asarray(values) for name, values in us.items()}):
-            values = np.asarray(size)
-            found.append((values + 0.1 * (values.max() or 1.0))[:, None])
-        return found
 
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
         """What a solve with these ends, parameters and limits of the border is for."""
@@ -405,16 +390,3 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             if not np.isfinite(value).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {value}")
         return found
-
-
-def _times(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
-    """The limits of the final time and where it starts."""
-    limits = reals("final_time", final_time, TrajectoryError)
-    if limits.shape not in ((), (2,)):
-        raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
-    low, high = np.broadcast_to(limits, 2).tolist()
-    if not (0.0 < low <= high < np.inf):
-        raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
-    guess = 0.5 * (low + high) if guess is None else guess
-    number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
-    return (low, high), float(guess)

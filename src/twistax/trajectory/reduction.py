@@ -15,12 +15,13 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import ModelError
-from ..expr import Constant, Constraint, Equality, Expr, Leaf, Parameter, State, leaves_of
+from ..expr import Constant, Constraint, Control, Equality, Expr, Leaf, Parameter, State, leaves_of
 from ..expr.graph import substitute
 from ..groups import Euclidean
 from ..lowering import Dynamics, compile
 from ..system import System, free_name
 from .cones import linear_terms, sum_of
+from .controls import Rate
 from .functionals import Extreme, Functional, Initial, Integral
 from .statement import Objective, check_leaves
 
@@ -127,8 +128,10 @@ class Reduction:
                 raise ModelError(f"{leaf!r} reads {part!r}, which no constraint or objective pushes")
             self._add(dynamics, part)
         operand = self._put(leaf.operand)
+        rates = {Rate(c).key() for c in dynamics.controls}
         for read in leaves_of(leaf.operand):
-            if not isinstance(read, Functional) and (self._within.first or not isinstance(leaf, Initial)):
+            known = isinstance(read, Functional) or read.key() in rates
+            if not known and (self._within.first or not isinstance(leaf, Initial)):
                 check_leaves(dynamics, repr(leaf), read, controls=True)
         front = f"{self._within.name}: " if self._within.name and isinstance(leaf, Extreme) else ""
         name = free_name(front + leaf.name, self._taken)
@@ -160,15 +163,16 @@ class Reduction:
         """The system with what was added, compiled as it was."""
         system, functions = dynamics.system, dynamics._functions
         new = [leaf for e in (*self._rates.values(), *self._rows.values()) for leaf in leaves_of(e)]
-        known = {leaf.name for leaf in system.parameters}
+        known = {leaf.name for leaf in (*system.parameters, *system.controls)}
         parameters = {leaf.name: leaf for leaf in new if isinstance(leaf, Parameter) and leaf.name not in known}
+        rates_of_controls = {leaf.name: leaf for leaf in new if isinstance(leaf, Control) and leaf.name not in known}
         rates: dict[State | str, Any] = {state: system.rates[state.name] for state in system.states}
         return compile(
             System(
                 rates=rates | dict(self._rates.items()),
                 outputs=system.outputs,
                 constraints={**system.constraints, **self._rows},
-                controls=system.controls,
+                controls=(*system.controls, *rates_of_controls.values()),
                 parameters=(*system.parameters, *parameters.values()),
             ),
             outputs=list(functions.families["outputs"]),
@@ -180,15 +184,21 @@ class Reduction:
 
     def _check(self, objective: Objective, initial: Named, final: Named, inner: Iterable[Named]) -> None:
         for leaf in _functionals(initial.values()):
-            raise ModelError(f"initial reads {leaf!r}, but a path has only begun there")
+            raise ModelError(f"initial reads {leaf!r}, but a path has only begun there.\n  fix: ask it in final=")
         for leaf in _functionals([] if objective.running is None else [objective.running]):
             if not isinstance(leaf, Initial):
-                raise ModelError(f"the running cost reads {leaf!r}, which is a value of the whole path; add it instead")
+                raise ModelError(
+                    f"the running cost reads {leaf!r}, which is a value of the whole path.\n"
+                    "  fix: add it to the objective at the end"
+                )
         for own in inner:
             for name, constraint in own.items():
                 for leaf in _functionals([constraint]):
                     if isinstance(leaf, Extreme):
-                        raise ModelError(f"{name} is asked at a node, but {leaf!r} is a value of the whole path")
+                        raise ModelError(
+                            f"{name} is asked at a node, but {leaf!r} is a value of the whole path.\n"
+                            "  fix: ask it in final="
+                        )
         if objective.final is not None:
             _check_pushed("the objective", objective.final.canonicalize(), objective.sign)
         for name, constraint in final.items():

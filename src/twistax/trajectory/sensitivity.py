@@ -102,13 +102,15 @@ def solution(
         tolerance: likewise; derivatives are no more exact than the solution.
 
     Raises:
-        TrajectoryError: in double precision alone (`jax_enable_x64`); when called: the problem was not solved, or what
-            was found is no strict minimum and is to be differentiated.
+        TrajectoryError: in double precision alone (`jax_enable_x64`); a problem of phases; when called: the problem was
+            not solved, or what was found is no strict minimum and is to be differentiated.
     """
     if jnp.result_type(float) != np.float64:
         raise TrajectoryError(
             "solution: derivatives need double precision\n  fix: jax.config.update('jax_enable_x64', True)"
         )
+    if len(getattr(problem, "parts", ())) != 1:
+        raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
     return _Differentiable(problem, {"guess": guess, "warm": warm, "max_iterations": max_iterations}, tolerance)
 
 
