@@ -6,13 +6,14 @@ import functools
 import pickle
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from trajectory_systems import double_integrator, free_flyer
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.trajectory import Initial, Integral, Linear, Maximum, Minimum, Phase, Problem, Rate
+from twistax.trajectory import Initial, Integral, Linear, Maximum, Minimum, Phase, Problem, Rate, solution
 
 NODES, TIME = 11, 2.0
 STEP = TIME / (NODES - 1)
@@ -109,6 +110,39 @@ def test_an_integral_in_an_objective_is_a_running_cost() -> None:
     assert problem.dynamics is dynamics()
     assert repr(problem.objective.running) == repr((u * u + 2.0 * (u * u)).canonicalize())
     assert problem.objective.final.key() == tx.Time().key()
+
+
+@pytest.mark.slow
+def test_derivatives_of_optima() -> None:
+    """By a budget, by a distance under the smallest peak, and by the step of a periodic path."""
+    p, v, u = leaves()
+    budget, step = tx.Parameter("budget", value=BUDGET), tx.Parameter("step", value=1.0)
+    given: dict[str, Any] = {"nodes": NODES, "final_time": TIME, **EXACT}
+    rest = {p: 0.0, v: 0.0}
+    farther = Problem(dynamics(), tx.Maximize(p), initial=rest, final=[Integral(u**2) <= budget], **given)
+    slope = jax.grad(lambda b: solution(farther)(params={"budget": b}).cost)(BUDGET)
+    assert slope == pytest.approx(farthest(BUDGET) / (2.0 * BUDGET), rel=1e-6)
+    softest = solution(
+        Problem(dynamics(), tx.Minimize(Maximum(tx.Abs(u))), initial=rest, final={p: 1.0, v: 0.0}, **given)
+    )
+    assert jax.grad(lambda d: softest(final={"p": d}).cost)(1.0) == pytest.approx(1.0, rel=1e-6)
+    forces = jax.jacfwd(lambda d: softest(final={"p": d}).us["u"])(1.0)
+    np.testing.assert_allclose(forces, np.repeat([1.0, -1.0], 5), atol=1e-4)
+    periodic = solution(
+        Problem(
+            dynamics(),
+            tx.Minimize(running=u**2),
+            initial={p: 0.0},
+            at={5: p == 0.3},
+            final=[p == Initial(p) + step, v == Initial(v)],
+            **given,
+        )
+    )
+    z = reached()
+    rows = np.stack([z[5, 0], z[-1, 0], z[-1, 1] - z[0, 1]])
+    above, below = (least_energy(rows, [0.3, s, 0.0]) for s in (1.01, 0.99))
+    slope = jax.grad(lambda s: periodic(params={"step": s}).cost)(1.0)
+    assert slope == pytest.approx((above - below) / 0.02, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -179,6 +179,8 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 if expr.shape != known[name].shape:
                     raise ShapeError(f"{place}[{name!r}] expects shape {known[name].shape}, got {expr.shape}")
                 check_leaves(before, f"{place}[{name!r}]", expr, controls=False)
+                for leaf in leaves_of(expr):
+                    leaf.check_in_system()
                 found[name] = expr.canonicalize()
         return found
 
