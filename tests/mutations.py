@@ -808,6 +808,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/refine.py",
+        (
+            "errors measured with the steps of the transcription",
+            "steps = 2 * problem.transcription.substeps",
+            "steps, method = problem.transcription.substeps, problem.transcription.method",
+            "trajectory/test_refine.py",
+        ),
+    ),
+    *_at(
         "trajectory/restated.py",
         (
             "time at the shares of free nodes",

@@ -10,6 +10,7 @@ from .mesh import Mesh
 from .phased_result import PhasedResult
 from .phases import Phase
 from .problem import Problem
+from .refine import Meshed
 from .result import TrajectoryResult
 from .sensitivity import Solution, solution
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
@@ -34,6 +35,7 @@ __all__ = [
     "Held",
     "Linear",
     "Mesh",
+    "Meshed",
     "Rate",
     "Optimality",
     "Phase",

@@ -22,6 +22,7 @@ class Layout:
         names, places, equality, exists, decided, own: (rows,), see `Transcribed`.
         asked: of the path rows at all points of an interval one after the other, those that some interval has.
         per_interval: rows of an interval.
+        path_rows: path rows at a point, 1 where there are none.
         end_states: path rows that the last node has.
         fixed: tangents that the final values fix.
         counts: node -> how many conditions it has.
@@ -35,6 +36,7 @@ class Layout:
     own: Array
     asked: Array
     per_interval: int
+    path_rows: int
     end_states: Array
     fixed: Array
     counts: dict[int, int]
@@ -109,6 +111,7 @@ def laid_out(
         own=joined(np.zeros((count, len(kept)), bool), node_names != "", end_own),
         asked=kept,
         per_interval=len(kept) + most,
+        path_rows=max(rows, 1),
         end_states=states,
         fixed=fixed,
         counts={k: len(own.names) for k, own in at_nodes.items()},

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -23,15 +24,16 @@ from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
-from .mesh import mesh_of
+from .mesh import Mesh, mesh_of
 from .reduction import InPhase, Reduction
+from .refine import refined
 from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
 from .transcribed import Given, Point
-from .transcription import transcription_of
+from .transcription import Collocation, MultipleShooting, transcription_of
 from .warm import other_problem
 
 
@@ -106,6 +108,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         _within: InPhase = InPhase(),  # noqa: B008  it is frozen
     ) -> None:
         need_compiled("Problem", dynamics)
+        own = dict(locals())
+        #: What it was stated with.
+        self._stated = {name: own[name] for name in inspect.signature(Problem.__init__).parameters if name != "self"}
         if not isinstance(objective, Objective):
             raise ModelError(
                 f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
@@ -165,6 +170,17 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.own_guess = self.checked_guess(guess)
         self.params = self._prepared(params)
         self._build()
+
+    def on(self, mesh: Mesh, transcription: MultipleShooting | Collocation, numbers: Array) -> Problem:
+        """The same problem on another mesh, without a guess; `numbers` are the new ones of its nodes."""
+        at = self._stated["at"]
+        own = {
+            "nodes": mesh,
+            "transcription": transcription,
+            "at": None if at is None else {int(numbers[k]): asked for k, asked in at.items()},
+            **dict.fromkeys(("method", "substeps", "guess")),
+        }
+        return Problem(**self._stated | own)
 
     def as_phase(self, number: int, border: Border) -> None:
         """Make it a phase of a problem with these durations and free parameters."""
@@ -256,6 +272,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def result(self, tried: Tried) -> TrajectoryResult:
         return best_result(self, tried)
+
+    def refined(
+        self, result: TrajectoryResult, tolerance: float, solve: Callable[[Any, Any], TrajectoryResult]
+    ) -> TrajectoryResult:
+        return refined(result, tolerance, solve)
 
     def results(self, tried: Sequence[Tried]) -> TrajectoryResults:
         return trajectory_results(self, tried)

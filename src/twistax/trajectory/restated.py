@@ -53,6 +53,8 @@ class Restated:
         self.at_end: dict[str, Constraint] = {}
         self._states: dict[str, State] = {}
         self._rates: dict[str, Control] = {}
+        #: Names of the held controls that are rates of linear ones.
+        self.rates: set[str] = set()
         self._exchange: dict[str, Expr] = {}
         rows: dict[str, Constraint] = {}
         if linear:
@@ -82,6 +84,7 @@ class Restated:
         state = State(leaf.name, leaf.shape, min=leaf.min, max=leaf.max, guess=leaf.guess, scale=leaf.scale)
         rate = way.rate_control(leaf)
         self._states[leaf.name], self._rates[leaf.name] = state, rate
+        self.rates.add(rate.name)
         self._exchange |= {leaf.key(): state, rate.key(): rate}
 
     def _put(self, expr: Expr, last: bool = False) -> Expr:
@@ -156,8 +159,7 @@ class Restated:
 
     def at_rest(self, held: dict[str, Any]) -> dict[str, Any]:
         """Held controls under which linear ones stay as they are."""
-        rates = {rate.name for rate in self._rates.values()}
-        return {name: 0.0 * values if name in rates else values for name, values in held.items()}
+        return {name: 0.0 * values if name in self.rates else values for name, values in held.items()}
 
 
 def _with_bounds(objective: Objective, linear: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:

@@ -23,6 +23,7 @@ from .warm import WarmStart
 
 if TYPE_CHECKING:
     from .problem import Problem
+    from .refine import Meshed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +101,13 @@ class Trajectory:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class TrajectoryResult(Found, Trajectory):
-    """A trajectory and how well it solves its problem; see `Trajectory` and `Found` for the attributes."""
+    """A trajectory and how well it solves its problem; see `Trajectory` and `Found` for the attributes.
+
+    Attributes:
+        meshes: of `solve(refine=...)` the meshes it went through, a `Meshed` each.
+    """
+
+    meshes: tuple[Meshed, ...] = ()
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.

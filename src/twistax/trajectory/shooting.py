@@ -98,7 +98,7 @@ class Shooting(Transcribed):
         ]
         self._row_count = len(path.names)
         layout = laid_out(self.states, self.intervals, self.substeps, path, ends, final, at_nodes, border, phase)
-        self._layout = layout
+        self.layout = layout
         self.names, self.places, self.equality, self.own = layout.names, layout.places, layout.equality, layout.own
         self.exists, self.decided, self.pinned = layout.exists, layout.decided, np.zeros_like(layout.exists)
         self.rows_per_interval = layout.per_interval
@@ -124,7 +124,7 @@ class Shooting(Transcribed):
 
     def start_rows(self) -> list[tuple[int, int]]:
         """Of the path rows at the first node: where they are among all rows, and which they are."""
-        return [(place, int(row)) for place, row in enumerate(self._layout.asked) if row < self._row_count]
+        return [(place, int(row)) for place, row in enumerate(self.layout.asked) if row < self._row_count]
 
     # ---- rows that others decide ----------------------------------------------------------------------------------
 
@@ -140,11 +140,11 @@ class Shooting(Transcribed):
         ends = jax.jit(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1])
         self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda *own: ends(zero, *own), pairs)
         held = np.eye(self.n, self.size)[~self.free.d[0]]
-        asked = self._layout.asked
+        asked = self.layout.asked
         for k in sorted({0, *self._nodes}):
             slopes = jax.jit(functools.partial(self._slopes_at_node, k))
             at_start = np.flatnonzero(asked < self._row_count)
-            places = np.concatenate([at_start, len(asked) + np.arange(self._layout.counts.get(k, 0))])
+            places = np.concatenate([at_start, len(asked) + np.arange(self.layout.counts.get(k, 0))])
             places = k * self.rows_per_interval + places
             self._drop(places, held if k == 0 else held[:0], slopes, pairs)
 
@@ -152,7 +152,7 @@ class Shooting(Transcribed):
         """Of the path rows at the start of an interval and of the conditions there, by [d, u, b]."""
         base, zero = {name: a[k] for name, a in point.xs.items()}, jnp.zeros(self.n, point.us.dtype)
         share = jnp.asarray(self.mesh.shares[k], zero.dtype)
-        q, asked = jnp.concatenate([zero, point.us[k], point.border]), self._layout.asked
+        q, asked = jnp.concatenate([zero, point.us[k], point.border]), self.layout.asked
         rows = self._point.slopes(q, share, base, given.params)[asked[asked < self._row_count]]
         return (
             jnp.concatenate([rows, self._node_slopes(k, point, jnp.zeros((self.nodes, self.n)), given)])
@@ -214,14 +214,14 @@ class Shooting(Transcribed):
 
     def spread_over_points(self, of_rows: Array) -> Array:
         """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
-        asked = self._layout.asked
+        asked = self.layout.asked
         found = np.zeros((self.intervals, self.rows_per_interval))
         found[:, : len(asked)] = of_rows[:, asked % max(self._row_count, 1)]
         return np.concatenate([found.ravel(), np.zeros(len(self.exists) - found.size)])
 
     def path_scales(self, rows: Array) -> Array:
         """(path rows,) the least scale of every path row, infinite where it is asked nowhere; of the scales of rows."""
-        found, columns = np.full(self._row_count, np.inf), self._layout.asked % max(self._row_count, 1)
+        found, columns = np.full(self._row_count, np.inf), self.layout.asked % max(self._row_count, 1)
         inner = (self.intervals, self.rows_per_interval)
         sizes, exists = (a[: inner[0] * inner[1]].reshape(inner)[:, : len(columns)] for a in (rows, self.exists))
         np.minimum.at(found, columns, np.where(exists, sizes, np.inf).min(axis=0, initial=np.inf))
@@ -244,7 +244,7 @@ class Shooting(Transcribed):
 
     def _spread(self, parts: Mapping[int, jax.Array], like: jax.Array) -> jax.Array:
         """Rows of single nodes among those of all intervals."""
-        found = jnp.zeros((self.intervals, self._layout.at_nodes, *like.shape[2:]), like.dtype)
+        found = jnp.zeros((self.intervals, self.layout.at_nodes, *like.shape[2:]), like.dtype)
         for k, rows in parts.items():
             found = found.at[k, : len(rows)].set(rows)
         return found
@@ -298,7 +298,7 @@ class Shooting(Transcribed):
         begin, length = self.span(b)
         conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, given.final, params)
         limits = self.border.rows(b, given.limits) if self._is_last else jnp.zeros(0, b.dtype)
-        return jnp.concatenate([conditions, gap[self._layout.fixed], path[self._layout.end_states], limits, cost[None]])
+        return jnp.concatenate([conditions, gap[self.layout.fixed], path[self.layout.end_states], limits, cost[None]])
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
@@ -309,7 +309,7 @@ class Shooting(Transcribed):
         left, right = _sides(point.xs)
         d = jnp.zeros((self.nodes, self.n), y.dtype) if d is None else d
         split = self.intervals * self.rows_per_interval
-        inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self._layout.asked)], axis=1)
+        inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self.layout.asked)], axis=1)
         found = jax.vmap(self._interval.derivatives, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
             self._slots(point),
             left,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
@@ -25,6 +26,9 @@ from .solver import Callback, Outcome, Solver
 from .transcribed import Given, Point, Step, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
+
+#: The solver's tolerance over that of a refinement.
+CLOSER = 0.1
 
 One = TypeVar("One")
 Many = TypeVar("Many")
@@ -91,6 +95,10 @@ class Solvable(Generic[One, Many]):
         """The best of several tries."""
         raise NotImplementedError
 
+    def refined(self, result: One, tolerance: float, solve: Callable[[Any, Any], One]) -> One:
+        """The result on finer meshes; `solve` solves a problem warm."""
+        raise TrajectoryError("solve: problems of phases are not refined.\n  fix: leave out refine")
+
     def results(self, tried: Sequence[Tried]) -> Many:
         """The results of many cases."""
         raise NotImplementedError
@@ -118,6 +126,7 @@ class Solvable(Generic[One, Many]):
         tolerance: float = 1e-6,
         solver: Any = None,
         between: float | None = None,
+        refine: Any = None,
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
@@ -149,6 +158,11 @@ class Solvable(Generic[One, Many]):
             between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
                 tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
                 are asked.
+            refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
+                within this of its planned end, in scales of the states, and the objective changes by no more than this,
+                relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
+                `result.meshes` has all of them. Every mesh compiles. The status is COARSE where a thousand nodes are
+                not enough. Of problems of one phase.
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
             TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
@@ -160,6 +174,9 @@ class Solvable(Generic[One, Many]):
             names = ", ".join(name for name, value in given_too.items() if value is not None)
             raise TrajectoryError(f"solve: warm is a start already; leave out {names}")
         check_options(max_iterations, tolerance)
+        if refine is not None:
+            number("refine", refine, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
+            tolerance = min(tolerance, CLOSER * refine)
         if between is not None:
             number("between", between, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
         if seed is not None:
@@ -193,11 +210,20 @@ class Solvable(Generic[One, Many]):
                     rng = np.random.default_rng([seed or 0, attempt])
                     start = own_solver.perturbed(plain, given, rng)
                 found = run(start, given)
-                if between is not None and found.status is Status.SOLVED:
+                if between is not None and refine is None and found.status is Status.SOLVED:
                     found = held(self, found, given, own, run, between)
                 outcomes.append(found)
             done = time.perf_counter()
-        return self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
+        result = self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
+        if refine is None:
+            return result
+        asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
+        asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
+        asked |= {"solver": solver, "callback": callback}
+        finest: Any = self.refined(result, refine, lambda problem, warm: problem.solve(warm=warm, **asked))
+        if between is None or not finest.solved:
+            return finest
+        return dataclasses.replace(finest.problem.solve(warm=finest, between=between, **asked), meshes=finest.meshes)
 
     def solve_many(
         self,

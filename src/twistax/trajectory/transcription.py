@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 from ..checks import whole
 from ..errors import TrajectoryError
-from ..integrators import RKMK
-from ..integrators.tableaus import RK4, CollocationTableau
+from ..integrators import RKMK, ImplicitRKMK, Method
+from ..integrators.tableaus import DOP853, RK4, CollocationTableau
 from .discretize import method_of
 from .interval import Collocated, Interval
 
@@ -37,6 +37,11 @@ class MultipleShooting:
     def tableau(self) -> Any:
         return self.method.tableau
 
+    @property
+    def closer(self) -> Method:
+        """A method of higher order, to measure errors with."""
+        return RKMK(DOP853)
+
 
 @dataclasses.dataclass(frozen=True)
 class Collocation:
@@ -64,6 +69,11 @@ class Collocation:
                 f"Collocation expects a tableau like tx.tableaus.GAUSS_LEGENDRE6, got {self.tableau!r}"
             )
         whole("substeps", self.substeps, 1, TrajectoryError)
+
+    @property
+    def closer(self) -> Method:
+        """A method for the same systems, to measure errors with, in finer steps."""
+        return ImplicitRKMK(self.tableau)
 
 
 def transcription_of(given: Any, method: Any, substeps: Any) -> MultipleShooting | Collocation:

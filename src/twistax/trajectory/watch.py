@@ -27,6 +27,7 @@ class Status(enum.Enum):
         "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
     )
     EXCEEDED = "the first-order conditions hold, but between nodes limits are exceeded by more than was asked for"
+    COARSE = "the first-order conditions hold, but the mesh could not be refined to what was asked for"
     INFEASIBLE = "no trajectory was found that meets every constraint"
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
     STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
