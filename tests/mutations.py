@@ -707,6 +707,30 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/closed_loops.py",
+        (
+            "rate of a closure without its own turn",
+            " + Adjoint(V[1] - seen, seen)",
+            "",
+            "mechanics/test_closed_loops.py",
+        ),
+        (
+            "closure's wrench on both frames alike",
+            "(loop.frame, -(SE3AdjointDual(T) @ F))",
+            "(loop.frame, SE3AdjointDual(T) @ F)",
+            "mechanics/test_closed_loops.py",
+        ),
+    ),
+    *_at(
+        "integrators/projected.py",
+        (
+            "steps are not brought back",
+            "_CORRECTIONS = 2",
+            "_CORRECTIONS = 0",
+            "mechanics/test_closed_loops.py",
+        ),
+    ),
+    *_at(
         "mechanics/jacobians.py",
         (
             "Jacobian's rate without the frame's own motion",

@@ -53,6 +53,9 @@ class System:
             The rate of a group-valued state is its body velocity, shape (3,) or (6,); of another state, of its shape.
         outputs: named expressions to be computed on demand.
         constraints: constraints (`a <= b`, `a >= b`, `a == b`): one, a list, or a mapping from names.
+        corrections: of states that the exact motion keeps on a manifold, such as one of closed loops: what to add to
+            bring them back, one step of Newton's; keys and shapes as of rates. `tx.integrate` adds them after every
+            step, `Dynamics.project` until they vanish.
         controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
         slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs of what its rate depends
             on and the derivative by it. The former is a state, whose derivative is by right perturbations, or any
@@ -61,7 +64,7 @@ class System:
     Attributes:
         states, controls, parameters: tuples of leaves in order.
         rates: mapping from state name to expression.
-        outputs, constraints: mappings from name to expression.
+        outputs, constraints, corrections: mappings from name to expression.
         slopes: mapping from state name to pairs of expressions.
         group: the product group the state lives on.
 
@@ -77,6 +80,7 @@ class System:
         outputs: Mapping[str, ExprLike] | None = None,
         constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
         *,
+        corrections: Mapping[State | str, ExprLike] | None = None,
         controls: Iterable[Control] | None = None,
         parameters: Iterable[Parameter] | None = None,
         slopes: Slopes | None = None,
@@ -92,7 +96,13 @@ class System:
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         self.constraints: dict[str, Constraint] = _named_constraints(constraints)
+        if corrections is not None and not isinstance(corrections, Mapping):
+            raise ModelError(f"corrections must be a dict from states to expressions, got {short(corrections)}")
+        self.corrections: dict[str, Expr] = {
+            name_of(key): _expression(f"corrections[{name_of(key)!r}]", e) for key, e in (corrections or {}).items()
+        }
         self._roots: dict[str, Expr] = {
+            **{f"corrections[{name!r}]": expr for name, expr in self.corrections.items()},
             **{f"rates[{name_of(key)!r}]": rate for key, rate in expressions.items()},
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
@@ -109,6 +119,7 @@ class System:
         self._check_names([*self.states, *self.controls, *self.parameters], used)
         self.group = Product({state.name: state.group for state in self.states})
         self._check_shapes()
+        self._check_corrections()
         self.slopes = self._known_slopes(slopes or {})
         check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
 
@@ -207,20 +218,32 @@ class System:
                 )
         for state in self.states:
             rate = self.rates[state.name]
-            euclidean = isinstance(state.group, Euclidean)
-            wanted = state.shape if euclidean else (state.group.dimension,)
-            if rate.boolean:
-                raise ModelError(
-                    f"the rate of {state.name!r} is true or false, not a number.\n"
-                    f"  at: rates[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
-                )
-            if rate.shape != wanted:
-                kind = "of the state's shape" if euclidean else f"a body velocity on {state.group.name}"
-                raise ShapeError(
-                    f"the rate of {state.name!r} expects shape {wanted}, got {rate.shape}",
-                    at=f"rates[{state.name!r}] = {rate!r}",
-                    hint=f"a rate here is {kind}",
-                )
+            _check_rate("rate", "rates", state, rate)
+
+    def _check_corrections(self) -> None:
+        known = {state.name: state for state in self.states}
+        for name, expr in self.corrections.items():
+            if name not in known:
+                raise ModelError(f"corrections names {name!r}, which has no rate; known are {listed(known, name)}")
+            _check_rate("correction", "corrections", known[name], expr)
+
+
+def _check_rate(what: str, argument: str, state: State, rate: Expr) -> None:
+    """Raise ModelError or ShapeError for a rate or correction that is no tangent of the state."""
+    euclidean = isinstance(state.group, Euclidean)
+    wanted = state.shape if euclidean else (state.group.dimension,)
+    if rate.boolean:
+        raise ModelError(
+            f"the {what} of {state.name!r} is true or false, not a number.\n"
+            f"  at: {argument}[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
+        )
+    if rate.shape != wanted:
+        kind = "of the state's shape" if euclidean else f"a body velocity on {state.group.name}"
+        raise ShapeError(
+            f"the {what} of {state.name!r} expects shape {wanted}, got {rate.shape}",
+            at=f"{argument}[{state.name!r}] = {rate!r}",
+            hint=f"a {what} here is {kind}",
+        )
 
 
 def _kind(leaf: Leaf) -> str:

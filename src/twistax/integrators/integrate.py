@@ -27,6 +27,7 @@ from .charts import Ambient
 from .controls import ByName, OfTime, controls_of
 from .events import watch_of
 from .method import Method, Stepper
+from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
 from .solution import Dense, Solution, Stats, failure
@@ -58,13 +59,14 @@ def integrate(
 ) -> Solution:
     """Integrate a system from x0 at t0 to t1, with fixed steps or with as long ones as tolerances allow.
 
-    Every state stays in its group. The loop is compiled once for the dynamics, the method and the number of saved
-    times: another dt, t1, tolerance, start, u or params does not compile again. Where something is traced (inside jit,
-    grad, jacfwd or vmap) checks that need numbers are left out: look at `Solution.result`. Derivatives of any order,
-    forward and in reverse, with respect to x0, u, params, t0, t1, save_at and the times of tables are those of the
-    steps taken, in memory that grows with the square root of their number, with save_at or dense in proportion to the
-    number of steps there may be; with fixed steps a traced t0 or t1 needs `steps` in place of `dt`. Where jumps of two
-    tables coincide, only derivatives that move both alike are right.
+    Every state stays in its group, and on the manifold that the system's corrections bring it back to. The loop is
+    compiled once for the dynamics, the method and the number of saved times: another dt, t1, tolerance, start, u or
+    params does not compile again. Where something is traced (inside jit, grad, jacfwd or vmap) checks that need numbers
+    are left out: look at `Solution.result`. Derivatives of any order, forward and in reverse, with respect to x0, u,
+    params, t0, t1, save_at and the times of tables are those of the steps taken, in memory that grows with the square
+    root of their number, with save_at or dense in proportion to the number of steps there may be; with fixed steps a
+    traced t0 or t1 needs `steps` in place of `dt`. Where jumps of two tables coincide, only derivatives that move both
+    alike are right.
 
     Args:
         x0: the start, a dict by state name. Its precision is that of the whole integration.
@@ -111,6 +113,7 @@ def integrate(
         method = RKMK(DOP853, Ambient()) if adaptive else RKMK(RK4)
     if not isinstance(method, Method):
         raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
+    method = projected(method, dynamics)
     method.check(dynamics)
     for name, flag in (("dense", dense), ("throw", throw)):
         if not isinstance(flag, (bool, np.bool_)):
@@ -123,6 +126,7 @@ def integrate(
     now = controls.sample(jnp.asarray(t0, precision(x0, params)))
     inputs = dynamics._functions.prepare(t0, x0, now, params, names=places)
     _check_start(dynamics, inputs, places)
+    need_start_on_manifold(dynamics, inputs)
     if span is not None and isinstance(controls, ByName):
         controls.check_span(*span)
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype

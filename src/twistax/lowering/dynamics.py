@@ -22,6 +22,7 @@ from .functions import Arrays, Functions
 from .hessian import hessian, hessian_pattern
 from .inputs import Values
 from .native.backend import Auto
+from .projection import project
 
 
 class Dynamics:
@@ -146,6 +147,19 @@ class Dynamics:
             ModelError: it takes too many scalars, or calls what only JAX can differentiate.
         """
         return hessian_pattern(self._functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
+
+    def project(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """The state near x that the system's corrections leave where it is: on its manifold, with closed loops.
+
+        Newton's method, in steps x (+) correction. Not traceable.
+
+        Raises:
+            InputError: what a call raises; no such state is found from here.
+            ModelError: the system has no corrections.
+        """
+        if not self.system.corrections:
+            raise ModelError("project expects a system with corrections, such as that of a mechanism with loops")
+        return project(self._functions, t, x, u, params)
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""

@@ -77,7 +77,7 @@ class Functions:
 
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
-        families: the simplified expressions of "rates", "outputs" and "constraints", by name.
+        families: the simplified expressions of "rates", "outputs", "constraints" and "corrections", by name.
         constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
         hessians: likewise the programs of Hessians.
@@ -101,6 +101,7 @@ class Functions:
             "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
             "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
             "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
+            "corrections": {name: [expr] for name, expr in _canonical(system.corrections, constants).items()},
         }
         self._constants = constants
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)

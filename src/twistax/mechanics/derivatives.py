@@ -31,6 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import ModelError
 from ..expr import Concat, Constant, Cross, Expr, Hstack, InversePositive, SolvePositive, Stack, Where
 from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
@@ -97,6 +98,11 @@ def forward_dynamics_derivatives(
     Args, Raises: as for `forward_dynamics`; wrenches as for `inverse_dynamics_derivatives`.
     """
     owner = "forward_dynamics_derivatives"
+    if checked(owner, mechanism).loops:
+        raise ModelError(
+            f"{owner} expects a tree, got one with closed loops.\n"
+            "  fix: tx.compile(mechanism.system()).jacobian, by the chain rule"
+        )
     qdd = forward_dynamics(checked(owner, mechanism), q, qd, tau, wrenches=wrenches)
     found = _Perturbed(owner, mechanism, q, qd, qdd, wrenches)
     by_q, by_qd = found.by_motion()

@@ -124,7 +124,7 @@ def forward_dynamics(
 
     The articulated-body algorithm (ABA). From tips to base it finds what a segment and all that hangs on it need for
     the acceleration B of the segment, the wrench I B + b; from base to tips the accelerations. Where joints mimic
-    others the equations of the mass matrix are solved instead.
+    others the equations of the mass matrix are solved instead, and with them those of closed loops where there are any.
 
     Args:
         mechanism: a tree or a chain.
@@ -138,6 +138,10 @@ def forward_dynamics(
     owner = "forward_dynamics"
     checked(owner, mechanism).check_masses(owner)
     forces = mechanism.coordinates(owner, "tau", np.zeros(mechanism.dofs) if tau is None else tau)
+    if mechanism.loops:
+        from .closed_loops import closed_dynamics
+
+        return closed_dynamics(mechanism, q, qd, forces, wrenches=wrenches)[0]
     if any(segment.link.mimic for segment in mechanism.segments):
         return SolvePositive(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))

@@ -15,6 +15,7 @@ from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
 from .arguments import of_shape
 from .bodies import SpatialInertia
+from .loops import Loop
 from .tree import Frame, Link, Segment, segments_of, sorted_links
 
 if TYPE_CHECKING:
@@ -41,9 +42,10 @@ class Mechanism:
         base: name of the base's frame.
         keep: names of `Fixed` joints that are not merged, so that the wrench they carry can be asked for.
         notes: what else there is to say about the model, such as what a file has and nobody uses.
+        loops: closures of frames beyond the tree, see `loops`; they act in `forward_dynamics` and in `system`.
         driven: names of the joints that motors drive; all but the free ones unless given. A follower has no motor.
     Attributes:
-        links, gravity, notes, driven: as given, the links each after its parent; gravity as an expression.
+        links, gravity, driven, loops: as given, the links each after its parent; gravity as an expression.
         segments: what is left after merging; see `Segment`.
         frames: the names of all frames, with the segment each is fixed to.
         dofs: n.
@@ -62,6 +64,7 @@ class Mechanism:
         keep: Collection[str] = (),
         notes: Iterable[str] = (),
         driven: Collection[str] | None = None,
+        loops: Iterable[Loop] = (),
     ) -> None:
         name = type(self).__name__
         try:
@@ -72,12 +75,42 @@ class Mechanism:
         self.gravity = of_shape(name, "gravity", gravity, (3,), "a vector in the base's axes")
         if isinstance(self.gravity, Constant) and not np.isfinite(self.gravity.value).all():
             raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
-        self.notes = tuple(notes)
+        self._notes = tuple(notes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.link.joint.dofs < 6 and s.link.mimic is None]
         self.driven = tuple(driven)
         self.freedoms(self.driven)
+        self.loops = tuple(loops)
+        self._check_loops()
+
+    def _check_loops(self) -> None:
+        for loop in self.loops:
+            if not isinstance(loop, Loop):
+                raise ModelError(f"Mechanism expects loops, such as loops.Point, got {short(loop)}")
+            if self.frame(loop.frame).segment == self.frame(loop.other).segment:
+                raise ModelError(f"{loop!r} joins two frames of one body, which do not move against each other")
+        names = [loop.name for loop in self.loops]
+        if len(set(names)) < len(names):
+            raise ModelError(f"two loops have one name, got {listed(names)}")
+
+    @functools.cached_property
+    def redundant_closures(self) -> int:
+        """How many of the things that the loops say follow from others, in whatever posture. Looked at in one."""
+        from .closed_loops import redundant_rows
+
+        return redundant_rows(self) if self.loops else 0
+
+    @functools.cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What else there is to say about the model."""
+        if not self.redundant_closures:
+            return self._notes
+        rows = sum(loop.rows for loop in self.loops)
+        return (
+            *self._notes,
+            f"the loops say {self.redundant_closures} of {rows} things twice: what they carry is the shortest solution",
+        )
 
     def check_masses(self, owner: str) -> None:
         """Raise ModelError for a joint that moves no mass, so that its acceleration is not determined."""

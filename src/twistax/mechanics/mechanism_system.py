@@ -9,6 +9,7 @@ from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Expr, State
 from ..expr.fields import ExprLike
 from ..system import System
+from .closed_loops import ClosedLoops
 from .dynamics import Wrenches, forward_dynamics
 from .mechanism import Mechanism
 from .system_slopes import slopes_of_accelerations
@@ -26,7 +27,7 @@ def system_of(
     """The mechanism as a `tx.System`, with the states `mechanism.q` and `mechanism.qd`.
 
     The rate of qd is the forward dynamics under the motors, gears, damping, friction and springs of the links' drives.
-    Limits are the bounds of states and controls.
+    Limits are the bounds of states and controls. The corrections close the loops of the mechanism.
 
     Args:
         mechanism: a tree or a chain.
@@ -60,17 +61,22 @@ def system_of(
     if forces is not None:
         total = total + mechanism.coordinates("system", "forces", forces)
     accelerations = forward_dynamics(mechanism, tau=total, wrenches=wrenches)
-    slopes = slopes_of_accelerations(mechanism, total, wrenches)
+    corrections: dict[Any, Expr] = {}
+    slopes = None if mechanism.loops else slopes_of_accelerations(mechanism, total, wrenches)
+    if mechanism.loops:
+        moved, sped = ClosedLoops(mechanism).corrections
+        corrections = {**_kinematics(mechanism, places, moved), mechanism.qd: sped}
     return System(
-        rates={**_kinematics(mechanism, places), mechanism.qd: accelerations},
+        rates={**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations},
         outputs=outputs,
         constraints=constraints,
+        corrections=corrections,
         slopes={mechanism.qd: slopes} if slopes else None,
     )
 
 
-def _kinematics(mechanism: Mechanism, places: list[Expr]) -> dict[Any, Expr]:
-    """The rates of all positions."""
+def _kinematics(mechanism: Mechanism, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
+    """The rates of all positions at velocities (n,)."""
     q = mechanism.q
     vector = q if isinstance(q, State) else q.get("q")
     found: dict[Any, Expr] = {}
@@ -78,7 +84,7 @@ def _kinematics(mechanism: Mechanism, places: list[Expr]) -> dict[Any, Expr]:
     for segment, place in zip(mechanism.segments, places, strict=True):
         if segment.link.mimic is not None or not segment.freedoms:
             continue
-        own = mechanism.qd[segment.freedoms[0] : segment.freedoms[-1] + 1]
+        own = qd[segment.freedoms[0] : segment.freedoms[-1] + 1]
         if segment.link.joint.group is None:
             rows.append(segment.link.joint.rate(place, own))
         else:

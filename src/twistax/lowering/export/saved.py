@@ -44,7 +44,7 @@ _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # equal systems give equal files
 _PACKAGE = __name__.partition(".")[0]
 #: Values of which there is one object.
 _KNOWN: tuple[Any, ...] = (LINEAR_FIRST, ANGULAR_FIRST, SO3, SE3)
-_FAMILIES, _LEAVES = ("rates", "outputs", "constraints"), ("states", "controls", "parameters")
+_FAMILIES, _LEAVES = ("rates", "outputs", "constraints", "corrections"), ("states", "controls", "parameters")
 _SHAPE, _ORIGIN = "_shape", "_folded_from"
 
 
@@ -152,11 +152,13 @@ def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
 def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System, dict[str, Any]]:
     nodes: list[Any] = read_nodes(content["nodes"], arrays)
     states = {nodes[place].name: nodes[place] for place in content["states"]}
-    rates, outputs, constraints = ({n: nodes[place] for n, place in content[kind]} for kind in _FAMILIES)
+    families = ({n: nodes[place] for n, place in content.get(kind, [])} for kind in _FAMILIES)
+    rates, outputs, constraints, corrections = families
     system = System(
         rates={states[name]: rate for name, rate in rates.items()},
         outputs=outputs,
         constraints=constraints,
+        corrections=corrections,
         controls=[nodes[place] for place in content["controls"]],
         parameters=[nodes[place] for place in content["parameters"]],
         slopes={name: [(nodes[by], nodes[slope]) for by, slope in own] for name, own in content["slopes"]},
@@ -170,7 +172,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
 def _keys(system: System) -> list[str]:
     """The structure of all that is computed, in order."""
     known = [each for pairs in system.slopes.values() for pair in pairs for each in pair]
-    named = [e for own in (system.rates, system.outputs, system.constraints) for e in own.values()]
+    named = [e for kind in _FAMILIES for e in getattr(system, kind).values()]
     return [e.key() for e in (*named, *known)]
 
 

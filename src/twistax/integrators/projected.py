@@ -1,0 +1,144 @@
+"""Steps that end on the manifold of a system: any method, with the system's corrections after every step."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..errors import InputError
+from ..expr import Inputs
+from ..jax_inside import is_traced
+from ..lowering import Dynamics
+from ..lowering.dynamics import Arrays
+from ..lowering.projection import increments
+from .charts import Blocks, StateCoordinates, StoredState
+from .method import Attempt, Carry, Method, VectorField
+from .tolerances import Tolerances
+
+#: Steps of Newton's: a step ends as far from the manifold as its error is, d; it is brought to about d^2, then d^4.
+_CORRECTIONS = 2
+#: How far the start may be, in m and rad: more is a mistake.
+_FAR = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class Projected(Method):
+    """A method whose steps are brought back to the manifold of the system. `tx.integrate` makes it where there is one.
+
+    Attributes:
+        inner: the method that takes the steps.
+
+    Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), section IV.4.
+    """
+
+    inner: Method
+
+    @property
+    def name(self) -> str:
+        return f"{self.inner.name}, projected"
+
+    @property
+    def order(self) -> int:
+        return self.inner.order
+
+    @property
+    def evaluations(self) -> int:
+        return self.inner.evaluations
+
+    def evaluations_of(self, dynamics: Dynamics) -> int:
+        return self.inner.evaluations_of(dynamics)
+
+    @property
+    def solves(self) -> bool:  # type: ignore[override]
+        return self.inner.solves
+
+    @property
+    def resume_evaluations(self) -> int:  # type: ignore[override]
+        return self.inner.resume_evaluations
+
+    @property
+    def error_order(self) -> int:
+        return self.inner.error_order
+
+    def check(self, dynamics: Dynamics) -> None:
+        self.inner.check(dynamics)
+        self.inner.coordinates(dynamics)  # a method without them says so here
+
+    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
+        return self.inner.coordinates(dynamics)
+
+    def stored(self, dynamics: Dynamics, params: Arrays) -> StoredState:
+        return self.inner.stored(dynamics, params)
+
+    def rate(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
+        return self.inner.rate(field, t, y)
+
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
+
+    def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
+        return self.inner.before(dynamics, y)
+
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        found = self.inner.follow(field, t, y, carry, h)
+        return found._replace(y=self._brought_back(field, t + h, found.y))
+
+    def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
+        return self.inner.begin(dynamics, y, rate)
+
+    def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
+        return self.inner.resume(field, t, y, carry)
+
+    def attempt(
+        self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
+    ) -> Attempt:
+        found = self.inner.attempt(field, t, y, carry, h, tolerances)
+        end = self._brought_back(field, t + h, found.y)
+        # What the next step begins with belongs to where it begins.
+        carry = self.inner.resume(field, t + h, end, found.carry)
+        return found._replace(y=end, carry=carry, evaluations=found.evaluations + self.inner.resume_evaluations)
+
+    def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
+        local, functions = self.coordinates(field.dynamics), field.dynamics._functions
+        slices, factors = functions.group.slices, functions.group.factors
+        u = field.controls(t)
+        for _ in range(_CORRECTIONS):
+            found = functions.evaluate("corrections", field.clock(t), local.value(y), u, field.params)
+            vector = increments(functions, found)
+            step: dict[str, Any] = {
+                name: vector[slices[name]].reshape(factors[name].shape if _flat(factors[name]) else (-1,))
+                for name in factors
+            }
+            y = local.settle(local.move(y, local.first_slope(y, local.rate(step))))
+        return y
+
+
+def _flat(group: Any) -> bool:
+    from ..groups import Euclidean
+
+    return isinstance(group, Euclidean)
+
+
+def projected(method: Method, dynamics: Dynamics) -> Method:
+    """The method, with corrections where the system has any."""
+    if not dynamics.system.corrections or isinstance(method, Projected):
+        return method
+    return Projected(method)
+
+
+def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
+    """Raise InputError for a start that is known and off the system's manifold."""
+    functions = dynamics._functions
+    if not dynamics.system.corrections or is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
+        return
+    found = functions._jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
+    off = float(jnp.abs(increments(functions, found)).max())
+    far = max(_FAR, 1e3 * float(jnp.finfo(inputs.dtype).eps))
+    if not off <= far:
+        raise InputError(
+            f"x0 is off the manifold of the system by {off:.3g}, where {far:.0e} is allowed: loops are open, or the "
+            "velocities open them.\n  fix: x0 = dynamics.project(0.0, x0)"
+        )

@@ -1,0 +1,48 @@
+"""States brought to the manifold of a system, by its corrections."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError
+from .functions import Arrays, Functions
+from .inputs import Values
+
+#: Newton's method doubles the digits from near by; from far away it may need some steps to come near.
+_STEPS = 50
+#: A correction of so many units of round-off is none.
+_ROUND_OFF = 1e3
+
+
+def increments(functions: Functions, found: Arrays) -> jax.Array:
+    """The corrections of all states as one tangent vector; zeros for states without one."""
+    named = functions.group.factors.items()
+    dtype = next(iter(found.values())).dtype
+    parts = [found[name].reshape(-1) if name in found else jnp.zeros(g.dimension, dtype) for name, g in named]
+    return jnp.concatenate(parts)
+
+
+def project(functions: Functions, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
+    """What `Dynamics.project` does."""
+    inputs = functions.prepare(t, x, u, params, reads=("corrections",))
+    now, size = dict(inputs.x), np.inf
+    least = _ROUND_OFF * float(jnp.finfo(inputs.dtype).eps)
+    for _ in range(_STEPS):
+        found = functions._jitted("corrections", inputs.t, now, inputs.u, inputs.params)
+        step = increments(functions, found)
+        now = functions.group.retract(now, step)
+        before, size = size, float(jnp.abs(step).max())
+        if (size <= least and not size < 0.5 * before) or size == 0.0:
+            return now
+        if not np.isfinite(size):
+            break
+    if size <= 1e3 * least:
+        return now
+    raise InputError(
+        f"project finds no state on the manifold from here: the last of its steps is {size:.3g}.\n"
+        "  fix: start nearer to one, such as a posture in which the loops are almost closed"
+    )

@@ -1,0 +1,111 @@
+"""Loop closures: what holds two frames of a mechanism together beyond its tree.
+
+A closure is a bearing between two frames. It carries wrenches in the span of a basis W (6, m), the constraint wrenches
+H-bar* of a joint, in the axes of the second frame. With T the pose of the second frame in the first, and V the twist
+of the second relative to the first, in the second's axes, a closed loop has
+
+    gap(T) = 0 (m,)        W' V = 0 (m,)
+
+and the rate of the gap is W' V where the loop is closed. See `joints` for H-bar*.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from ..errors import ModelError
+from ..expr import Concat, Constant, Cross, Expr
+from ..expr.lie import SO3Log
+from ..expr.lie.base import unit_vector
+from .joints import complement
+
+__all__ = ["Axis", "Loop", "Point", "Pose"]
+
+
+class Loop(ABC):
+    """A bearing between two frames of a mechanism, each known by the name of a link or a joint, or the base's.
+
+    Args:
+        name: of the closure, unique within the mechanism.
+        frame, other: names of the two frames. Put frames where they are wanted by links on `Fixed` joints.
+        wrenches: W (6, m), what it carries, in the axes of `other`.
+    Raises: ModelError for no name, or one frame twice.
+    """
+
+    def __init__(self, name: str, frame: str, other: str, wrenches: np.ndarray) -> None:
+        for what, text in (("name", name), ("frame", frame), ("other", other)):
+            if not isinstance(text, str) or not text:
+                raise ModelError(f"{type(self).__name__} expects {what} to be a non-empty string, got {text!r}")
+        if frame == other:
+            raise ModelError(f"loop {name!r} expects two frames, got {frame!r} twice")
+        self.name, self.frame, self.other = name, frame, other
+        self.constraint_basis = Constant(wrenches)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r}, {self.frame!r}, {self.other!r})"
+
+    @property
+    def rows(self) -> int:
+        """m."""
+        return self.constraint_basis.shape[1]
+
+    @abstractmethod
+    def gap(self, T: Expr) -> Expr:
+        """How far the loop is from closed (m,), m and rad."""
+
+
+class Point(Loop):
+    """The origins of two frames stay together, a ball-and-socket: the gap is R'p (3,), m.
+
+    Args:
+        name, frame, other: as for `Loop`.
+    Raises: ModelError as `Loop` does.
+    """
+
+    def __init__(self, name: str, frame: str, other: str) -> None:
+        super().__init__(name, frame, other, np.eye(6)[:, :3])
+
+    def gap(self, T: Expr) -> Expr:
+        return T[:3, :3].T @ T[:3, 3]
+
+
+class Axis(Loop):
+    """The origins stay together and an axis of one frame along that of the other, a hinge.
+
+    With U (3, 2) two directions across the axis a, the gap is [R'p; U'(R'a x a)] (5,).
+
+    Args:
+        name, frame, other: as for `Loop`.
+        axis: a (3,), the same in both frames; any non-zero length.
+    Raises:
+        ShapeError: axis is not of shape (3,).
+        ModelError: as `Loop` does; an axis that is zero or not finite.
+    """
+
+    def __init__(self, name: str, frame: str, other: str, axis: Any) -> None:
+        self.axis = unit_vector(f"Axis {name!r}", "axis", axis)
+        self._across = complement(self.axis[:, None])
+        turning = np.concatenate([np.zeros((3, 2)), self._across])
+        super().__init__(name, frame, other, np.concatenate([np.eye(6)[:, :3], turning], axis=1))
+
+    def gap(self, T: Expr) -> Expr:
+        turned = Cross(T[:3, :3].T @ self.axis, Constant(self.axis))
+        return Concat(T[:3, :3].T @ T[:3, 3], self._across.T @ turned)
+
+
+class Pose(Loop):
+    """Two frames stay together, a weld: the gap is [R'p; Log R] (6,).
+
+    Args:
+        name, frame, other: as for `Loop`.
+    Raises: ModelError as `Loop` does.
+    """
+
+    def __init__(self, name: str, frame: str, other: str) -> None:
+        super().__init__(name, frame, other, np.eye(6))
+
+    def gap(self, T: Expr) -> Expr:
+        return Concat(T[:3, :3].T @ T[:3, 3], SO3Log(T[:3, :3]))
