@@ -5,13 +5,20 @@ import math
 import pytest
 
 from twistax.report.checks import Absent
-from twistax.report.sections import OPTIMAL, optimal
+from twistax.report.sections import OPTIMAL, optimal, refined
 
 
 def test_every_problem_is_asked_the_same() -> None:
     whats = {check.what for check in OPTIMAL["published"]}
     assert whats == {check.what for check in OPTIMAL["solvers"]} == set(optimal.PROBLEMS)
     assert len(OPTIMAL["solvers"]) == 6 * len(optimal.PROBLEMS)
+
+
+def test_refined_meshes_are_asked_for_a_millionth_where_digits_are_published() -> None:
+    assert {check.what for check in OPTIMAL["refined"]} == set(refined.KNOWN)
+    assert len(OPTIMAL["refined"]) == 6 * len(refined.KNOWN)
+    for name, known in refined.KNOWN.items():
+        assert known.bar <= 5e-6 or "landing" in name
 
 
 def test_a_convex_problem_is_reached_from_every_start() -> None:

@@ -3,7 +3,7 @@
 import functools
 
 from ..checks import Checked, Section
-from . import costs, edges, identities, keeping, maps, optima, optimal, scalars, steps, stiff
+from . import costs, edges, identities, keeping, maps, optima, optimal, refined, scalars, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -40,6 +40,7 @@ FIGURES: dict[str, Section] = {
 
 OPTIMAL: dict[str, Section] = {
     "published": optimal.PUBLISHED,
+    "refined": refined.REFINED,
     "solvers": optimal.SOLVERS,
     "ratios": optimal.RATIOS,
 }

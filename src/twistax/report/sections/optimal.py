@@ -23,24 +23,26 @@ from .optima import goddard, rendezvous
 _REPEATS, _STARTS, _SAME = 5, 8, 1e-4
 
 
-def _brachistochrone() -> Problem:
+def brachistochrone(**options: Any) -> Problem:
     """Fastest slide from (0, 10) m to (10, 5) m. Source: dymos, example brachistochrone."""
     x, y, v = tx.State("x"), tx.State("y"), tx.State("v")
     angle = tx.Control("angle", min=0.01, max=3.13)
     system = tx.System(rates={x: v * tx.Sin(angle), y: -v * tx.Cos(angle), v: 9.80665 * tx.Cos(angle)})
     ends: dict[str, Any] = {"initial": {x: 0.0, y: 10.0, v: 0.0}, "final": {x: 10.0, y: 5.0}}
-    return Problem(tx.compile(system), tx.Minimize(tx.Time()), nodes=51, final_time=(0.5, 10.0), **ends)
+    return Problem(
+        tx.compile(system), tx.Minimize(tx.Time()), final_time=(0.5, 10.0), **ends, **{"nodes": 51, **options}
+    )
 
 
-def _bryson_denham() -> Problem:
+def bryson_denham(**options: Any) -> Problem:
     """Least effort there and back below a ceiling. Source: Bryson and Ho, Applied Optimal Control (1975), 3.11."""
     x, v, u = tx.State("x", max=1.0 / 9.0), tx.State("v"), tx.Control("u")
     ends: dict[str, Any] = {"initial": {x: 0.0, v: 1.0}, "final": {x: 0.0, v: -1.0}}
     dynamics = tx.compile(tx.System(rates={x: v, v: u}))
-    return Problem(dynamics, tx.Minimize(running=0.5 * u**2), nodes=61, final_time=1.0, **ends)
+    return Problem(dynamics, tx.Minimize(running=0.5 * u**2), final_time=1.0, **ends, **{"nodes": 61, **options})
 
 
-def _cart_pole() -> Problem:
+def cart_pole(**options: Any) -> Problem:
     """Swing-up in 2 s by least squared force. Source: Kelly, SIAM Review 59 (2017), section 6 and appendix E."""
     cart, pole, g, length = 1.0, 0.3, 9.81, 0.5
     q, a = tx.State("q", min=-2.0, max=2.0), tx.State("a")
@@ -59,10 +61,12 @@ def _cart_pole() -> Problem:
     still: dict[Any, Any] = {q: 0.0, a: 0.0, dq: 0.0, da: 0.0}
     there = {**still, q: 1.0, a: math.pi}
     objective = tx.Minimize(running=u**2)
-    return Problem(tx.compile(system), objective, nodes=51, final_time=2.0, initial=still, final=there)
+    return Problem(
+        tx.compile(system), objective, final_time=2.0, initial=still, final=there, **{"nodes": 51, **options}
+    )
 
 
-def _reorientation() -> Problem:
+def reorientation(**options: Any) -> Problem:
     """Fastest half turn of a ball with three torques. Source: Bilimoria and Wie, J. Guidance 16 (1993)."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     u = tx.Control("u", shape=(3,), min=-1.0, max=1.0)
@@ -70,16 +74,16 @@ def _reorientation() -> Problem:
     return Problem(
         tx.compile(tx.System(rates={R: w, w: u})),
         tx.Minimize(tx.Time()),
-        nodes=51,
         final_time=(1.0, 6.0),
         initial={R: np.eye(3), w: np.zeros(3)},
         final={R: half, w: np.zeros(3)},
+        **{"nodes": 51, **options},
     )
 
 
-def _landing() -> Problem:
+def landing(**options: Any) -> Problem:
     """The landing of the demo; its mass at the end is our own best."""
-    return powered_descent.problem(tx.compile(powered_descent.system()), nodes=25)
+    return powered_descent.problem(tx.compile(powered_descent.system()), **{"nodes": 25, **options})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,15 +97,15 @@ class Published:
 
 #: Controls are held, so a mesh misses a continuous optimum by the square of its intervals.
 PROBLEMS: dict[str, Published] = {
-    "brachistochrone: 1.80160 s, 51 nodes": Published(_brachistochrone, 1.80160, 1e-3),
-    "Bryson-Denham: 4, 61 nodes": Published(_bryson_denham, 4.0, 5e-3),
+    "brachistochrone: 1.80160 s, 51 nodes": Published(brachistochrone, 1.80160, 1e-3),
+    "Bryson-Denham: 4, 61 nodes": Published(bryson_denham, 4.0, 5e-3),
     "Goddard: 1.01284, 51 nodes": Published(goddard, 1.01284, 1e-5),
-    "cart-pole of Kelly: 58.8077, 51 nodes": Published(_cart_pole, 58.8077, 1e-2),
-    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Published(_reorientation, 3.24307, 1e-3),
+    "cart-pole of Kelly: 58.8077, 51 nodes": Published(cart_pole, 58.8077, 1e-2),
+    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Published(reorientation, 3.24307, 1e-3),
     "rendezvous of least fuel: 1.212619, 31 nodes": Published(
         functools.partial(rendezvous, "norm as cost"), 1.212619, 1e-5
     ),
-    "landing of the demo: 27,260 kg, 25 nodes": Published(_landing, 27_260.0, 1e-4),
+    "landing of the demo: 27,260 kg, 25 nodes": Published(landing, 27_260.0, 1e-4),
 }
 
 
