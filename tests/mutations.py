@@ -903,6 +903,12 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_functionals.py",
         ),
         (
+            "budgets with the kinks of their norms",
+            "(low if pushed else other).update",
+            "other.update",
+            "trajectory/test_functionals.py",
+        ),
+        (
             "starts that are not those of the path",
             "        if within.first:",
             "        if False:",

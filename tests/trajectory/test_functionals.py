@@ -319,6 +319,43 @@ def test_functionals_in_phases() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("linear", [False, True])
+def test_least_time_on_a_budget_of_velocity(linear: bool) -> None:
+    """1 m from rest to rest with |f| <= 1 and 1 m/s to spend: thrust for half a second, coast for 1.5 s, thrust."""
+    x, w, f = tx.State("x", shape=(2,)), tx.State("w", shape=(2,)), tx.Control("f", shape=(2,))
+    size = tx.linalg.Norm(f)
+    problem = Problem(
+        tx.compile(tx.System(rates={x: w, w: f}, constraints=[size <= 1.0])),
+        tx.Minimize(tx.Time()),
+        nodes=31,
+        final_time=(0.5, 10.0),
+        **({"controls": {f: Linear()}} if linear else EXACT),
+        initial={x: [0.0, 0.0], w: [0.0, 0.0]},
+        final=[{x: [0.8, 0.6], w: [0.0, 0.0]}, Integral(size) <= 1.0],
+    )
+    result = problem.solve()
+    assert result.solved
+    assert set(result.us) == {"f"}
+    thrust = np.linalg.norm(result.us["f"], axis=1)
+    if linear:
+        assert 2.5 < result.final_time < 2.52  # it cannot jump
+        spent = float(np.sum(np.diff(result.ts) * (thrust[1:] + thrust[:-1]) / 2.0))
+    else:
+        assert result.final_time == pytest.approx(2.5, rel=1e-5)
+        np.testing.assert_allclose(thrust, np.repeat([1.0, 0.0, 1.0], [6, 18, 6]), atol=1e-3)
+        spent = float(np.sum(np.diff(result.ts) * thrust))
+    assert result.integrals["Integral(Norm(f))"][-1] == pytest.approx(spent, rel=1e-6)
+    assert spent == pytest.approx(1.0, rel=1e-5)
+    # Plenty: the budget does not bind, and what is told is what was spent.
+    rich = problem.solve(warm=result, final={x: [0.08, 0.06]})
+    assert rich.solved
+    assert rich.final_time == pytest.approx(2.0 * np.sqrt(0.1), rel=2e-2)
+    thrust = np.linalg.norm(rich.us["f"], axis=1)
+    own = thrust if len(thrust) < 31 else (thrust[1:] + thrust[:-1]) / 2.0
+    assert rich.integrals["Integral(Norm(f))"][-1] == pytest.approx(float(np.sum(np.diff(rich.ts) * own)), rel=1e-6)
+
+
+@pytest.mark.slow
 def test_bryson_and_denham_backwards() -> None:
     """The lowest ceiling for 4 of half the integral of u^2, where a ceiling of 1/9 costs 4 (Bryson and Ho, 3.11)."""
     p, v, u = leaves()

@@ -49,7 +49,7 @@ def without_norms(residual: Expr) -> list[Expr]:
         rest = sum_of([term for term in terms if term[1] is not size])
         (operand,) = size.children()
         return [(rest + side * factor * operand).canonicalize() for side in (1.0, -1.0)]
-    norms = [term for term in terms if _is_norm(term[1])]
+    norms = [term for term in terms if is_norm(term[1])]
     if residual.shape != () or len(norms) != 1 or norms[0][0] == 0.0:
         return [residual]
     ((factor, norm),) = norms
@@ -102,7 +102,7 @@ def norm_controls(running: Expr | None, sign: float) -> NormControls:
     operands: list[Expr] = []
     found: dict[str, Control] = {}
     for factor, part in linear_terms(running.canonicalize()):
-        if _is_norm(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
+        if is_norm(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
             if part.key() not in found:
                 controls.append(Control(f"bound on {part!r}"))
                 operands.append(part.children()[0])
@@ -140,7 +140,8 @@ def sum_of(terms: list[Term]) -> Expr:
     return found
 
 
-def _is_norm(expr: Expr) -> bool:
+def is_norm(expr: Expr) -> bool:
+    """Whether it is the Euclidean norm of a vector."""
     return isinstance(expr, Norm) and expr.ord == "fro" and len(expr.operand.shape) == 1
 
 

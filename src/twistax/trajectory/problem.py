@@ -123,7 +123,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within)
         #: What functionals of the path became.
         self.reduced = reduced
-        restated = Restated(reduced.dynamics, reduced.objective, controls, self.mesh, _within.first)
+        ways = reduced.shapes_of_bounds(controls)
+        restated = Restated(reduced.dynamics, reduced.objective, ways, self.mesh, _within.first, added=reduced.bounds)
         #: What linear controls and free node times became.
         self.restated = restated
         self.dynamics = dynamics = restated.dynamics
@@ -353,6 +354,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
+        for name, values in self.reduced.bounds_of(xs | us, params).items():
+            (us if name in us else xs)[name] = values + 0.1 * (values.max() or 1.0)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
         guess = {**self._extremes(xs, us, params, durations), **given}
         border = self.border.start(durations, params, guess, limits)

@@ -1,6 +1,7 @@
 """A statement with functionals of whole paths, reduced to one without.
 
-An integral becomes a state with the integrand as its rate, as Bolza's form of a problem becomes Mayer's. The largest
+An integral becomes a state with the integrand as its rate, as Bolza's form of a problem becomes Mayer's; where it is
+pushed down, each norm of controls in it has a bound, a control of its own, so that there is no kink. The largest
 value of an expression becomes a free parameter s with expression <= s along the path. Where a state began becomes a
 state that does not change, equal to the first at the first node. All of them keep the names that users gave.
 """
@@ -11,17 +12,32 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import ModelError
-from ..expr import Constant, Constraint, Control, Equality, Expr, Leaf, Parameter, State, leaves_of
+from ..expr import (
+    Abs,
+    Constant,
+    Constraint,
+    Control,
+    Equality,
+    Expr,
+    Inputs,
+    Leaf,
+    Parameter,
+    State,
+    evaluate_all,
+    leaves_of,
+)
 from ..expr.graph import substitute
 from ..groups import Euclidean
 from ..lowering import Dynamics, compile
-from ..system import System, free_name
-from .cones import linear_terms, sum_of
-from .controls import Rate
+from ..system import System, free_name, name_of
+from .cones import Term, is_norm, linear_terms, sum_of
+from .controls import Linear, Rate
 from .functionals import Extreme, Functional, Initial, Integral
 from .statement import Objective, check_leaves
 
@@ -57,6 +73,8 @@ class Reduction:
         states: the states of the system as users wrote it.
         integrals, starts: states that were added, by name: the integral, the state that began so.
         extremes: name of the constraint along the path -> the extreme, and the name of its parameter.
+        bounds: name of a control that was added -> the norm of controls that it bounds.
+        loose: names of the integrals with such bounds, which may be above the integrals that they stand for.
 
     Raises:
         ModelError: a functional where it has no meaning, or that would be unbounded.
@@ -79,9 +97,12 @@ class Reduction:
         self.integrals: dict[str, Integral] = {}
         self.starts: dict[str, State] = {}
         self.extremes: dict[str, tuple[Extreme, str]] = {}
+        self.bounds: dict[str, Expr] = {}
+        self.loose: set[str] = set()
         self._rows: dict[str, Constraint] = {}
         self._check(objective, initial, final, inner)
         objective = _with_running(objective)
+        self._low = _pushed_down(objective, [*final.values(), *(c for own in inner for c in own.values())])
         parts = [e for e in (*within.carried, objective.final, objective.running) if e is not None]
         for leaf in _functionals([*parts, *final.values(), *(c for own in inner for c in own.values())]):
             self._add(dynamics, leaf)
@@ -127,7 +148,8 @@ class Reduction:
             if isinstance(part, Extreme):
                 raise ModelError(f"{leaf!r} reads {part!r}, which no constraint or objective pushes")
             self._add(dynamics, part)
-        operand = self._put(leaf.operand)
+        before = len(self.bounds)
+        operand = self._put(self._bounded(leaf) if leaf.key() in self._low else leaf.operand)
         rates = {Rate(c).key() for c in dynamics.controls}
         for read in leaves_of(leaf.operand):
             known = isinstance(read, Functional) or read.key() in rates
@@ -146,11 +168,53 @@ class Reduction:
         elif isinstance(leaf, Integral):
             state = State(name, leaf.shape, initial=np.zeros(leaf.shape))
             self._rates[state], self.integrals[name], self._exchange[leaf.key()] = operand, leaf, state
+            self.loose |= {name} if len(self.bounds) > before else set()
         elif isinstance(leaf, Initial):
             group, flat = leaf.operand.group, isinstance(leaf.operand.group, Euclidean)
             state = State(name, leaf.shape, group=None if flat else group, scale=leaf.operand.scale)
             self._rates[state] = Constant(np.zeros(leaf.shape if flat else group.dimension))
             self.starts[name], self._exchange[leaf.key()] = leaf.operand, state
+
+    def _bounded(self, leaf: Functional) -> Expr:
+        """The integrand with a bound in place of each norm of controls."""
+        terms: list[Term] = []
+        for factor, part in linear_terms(leaf.operand.canonicalize()):
+            sized = is_norm(part) or (isinstance(part, Abs) and part.shape == ())
+            if sized and factor > 0.0 and all(isinstance(e, (Control, Parameter, Constant)) for e in leaves_of(part)):
+                bound = Control(free_name(f"bound on {part!r} in {leaf!r}", self._taken))
+                self._taken.add(bound.name)
+                self.bounds[bound.name], self._rows[bound.name] = part, part <= bound
+                terms.append((factor, bound))
+            else:
+                terms.append((factor, part))
+        return sum_of(terms).canonicalize()
+
+    def bounds_of(self, us: Mapping[str, Array], params: Mapping[str, Array]) -> dict[str, Array]:
+        """The norms that bounds stand for, given controls, leading axis the intervals or the nodes."""
+        if not self.bounds:
+            return {}
+        known = {name: jnp.asarray(value) for name, value in params.items()}
+
+        def sizes(u: dict[str, jax.Array]) -> list[jax.Array]:
+            inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
+            return evaluate_all(list(self.bounds.values()), lambda leaf: leaf.read(inputs))
+
+        read = {leaf.name for part in self.bounds.values() for leaf in leaves_of(part) if isinstance(leaf, Control)}
+        count = min(len(us[name]) for name in read)
+        found = jax.vmap(sizes)({name: jnp.asarray(us[name][:count]) for name in read})
+        return {name: np.asarray(values) for name, values in zip(self.bounds, found)}
+
+    def shapes_of_bounds(self, controls: Any) -> Any:
+        """How controls go on between nodes, with bounds as what they bound."""
+        if not isinstance(controls, Mapping):
+            return controls
+        ways = {name_of(key): way for key, way in controls.items()}
+        found = dict(controls)
+        for name, part in self.bounds.items():
+            linear = [ways[e.name] for e in leaves_of(part) if isinstance(e, Control) and e.name in ways]
+            if any(isinstance(way, Linear) for way in linear):
+                found[name] = Linear()
+        return found
 
     def _put(self, expr: Expr) -> Expr:
         return substitute(expr, self._exchange)
@@ -165,14 +229,15 @@ class Reduction:
         new = [leaf for e in (*self._rates.values(), *self._rows.values()) for leaf in leaves_of(e)]
         known = {leaf.name for leaf in (*system.parameters, *system.controls)}
         parameters = {leaf.name: leaf for leaf in new if isinstance(leaf, Parameter) and leaf.name not in known}
-        rates_of_controls = {leaf.name: leaf for leaf in new if isinstance(leaf, Control) and leaf.name not in known}
+        # Rates of controls, and bounds.
+        controls = {leaf.name: leaf for leaf in new if isinstance(leaf, Control) and leaf.name not in known}
         rates: dict[State | str, Any] = {state: system.rates[state.name] for state in system.states}
         return compile(
             System(
                 rates=rates | dict(self._rates.items()),
                 outputs=system.outputs,
                 constraints={**system.constraints, **self._rows},
-                controls=(*system.controls, *rates_of_controls.values()),
+                controls=(*system.controls, *controls.values()),
                 parameters=(*system.parameters, *parameters.values()),
             ),
             outputs=list(functions.families["outputs"]),
@@ -236,6 +301,17 @@ def _check_pushed(place: str, expr: Expr, sign: float) -> None:
                     f"{place} must push {leaf!r} {pushed[2]}, in a sum with a number in front, got {expr!r}.\n"
                     f"  fix: make it as {pushed[0]} as possible, or ask {leaf!r} {pushed[1]} something"
                 )
+
+
+def _pushed_down(objective: Objective, constraints: Iterable[Constraint]) -> set[str]:
+    """The keys of integrals that stand in sums of inequalities alone, each of which wants less of them."""
+    seen = {leaf.key() for leaf in _functionals(e for e in (objective.final, objective.running) if e is not None)}
+    low, other = set[str](), seen
+    for constraint in constraints:
+        for factor, part in linear_terms(constraint.residual().canonicalize()):
+            pushed = isinstance(part, Integral) and factor > 0.0 and not isinstance(constraint, Equality)
+            (low if pushed else other).update(leaf.key() for leaf in functionals_of(part))
+    return low - other
 
 
 def _with_running(objective: Objective) -> Objective:

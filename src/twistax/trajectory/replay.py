@@ -33,6 +33,7 @@ class Replay:
         vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
         violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
             where it holds; each interval is looked at with its own control, both ends included.
+        integrals: `Integral(...)` -> from the beginning, leading axis n.
         extremes: `Maximum(...)`, `Minimum(...)` -> that value along the rollout.
         final: name of a condition at a node -> its violation there, of the rollout.
     """
@@ -43,6 +44,7 @@ class Replay:
     misses: dict[str, dict[str, float]]
     vectors: dict[str, Array]
     violations: dict[str, float]
+    integrals: dict[str, Array]
     extremes: dict[str, float]
     final: dict[str, float]
 
@@ -82,7 +84,8 @@ def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Arra
 
 def _start(result: Trajectory) -> dict[str, Array]:
     """The first node, with what was added to the states."""
-    return {name: np.asarray(values[0]) for name, values in (result.xs | result.added).items()}
+    found, bounds = result.xs | result.added, _bounds(result)
+    return {name: np.asarray(bounds.get(name, values)[0]) for name, values in found.items()}
 
 
 def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
@@ -130,7 +133,13 @@ def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, a
 
 def held_of(result: Trajectory) -> dict[str, Array]:
     """The held controls of the system that is integrated."""
-    return result.problem.restated.held(result.ts, result.us, result.us | result.added)
+    bounds = _bounds(result)
+    return result.problem.restated.held(result.ts, result.us | bounds, result.us | result.added | bounds)
+
+
+def _bounds(result: Trajectory) -> dict[str, Array]:
+    """Bounds on norms as tight as they can be."""
+    return result.problem.reduced.bounds_of(result.us, result.params)
 
 
 def times_along(result: Trajectory, steps: int) -> Array:
@@ -145,7 +154,8 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
     end = {name: np.asarray(values[-1]) for name, values in xs.items()}
     planned = {name: np.asarray(values[-1]) for name, values in (result.xs | result.added).items()}
-    factors = [(n, group) for n, group in problem.dynamics.group.factors.items() if n not in problem.restated.hidden]
+    unseen = problem.restated.hidden | problem.reduced.loose
+    factors = [(n, group) for n, group in problem.dynamics.group.factors.items() if n not in unseen]
     vectors = {name: np.asarray(jax.jit(g.difference)(planned[name], end[name])) for name, g in factors}
     path, rows = problem.path, _shown_along(result, ts, xs, steps)
     extremes = problem.reduced.extremes_of(rows, path.shown, result.params)
@@ -156,6 +166,7 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
         misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
         vectors=vectors,
         violations=largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0)),
+        integrals={name: xs[name] for name in problem.reduced.integrals},
         extremes={leaf.name: float(extremes[name]) for leaf, name in problem.reduced.extremes.values()},
         final=_node_violations(result, ts, xs, steps),
     )

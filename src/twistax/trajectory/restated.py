@@ -7,7 +7,7 @@ with rate 1, which ends at the final time. So both keep the problem in stages.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ class Restated:
         dynamics, objective: as stated.
         controls: how controls go on between nodes.
         first: whether the path begins here, and not with another phase.
+        added: names of controls that users do not see.
 
     Attributes:
         dynamics, objective: restated.
@@ -44,10 +45,19 @@ class Restated:
         ModelError: see `linear_controls`.
     """
 
-    def __init__(self, dynamics: Dynamics, objective: Objective, controls: Any, mesh: Mesh, first: bool) -> None:
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        objective: Objective,
+        controls: Any,
+        mesh: Mesh,
+        first: bool,
+        added: Collection[str] = (),
+    ) -> None:
         linear = linear_controls(controls, dynamics.controls)
         rates = {Rate(c).name for c in dynamics.controls}
         self.controls = [c for c in dynamics.controls if c.name not in rates]
+        self._added = frozenset(added)
         self._mesh, self._linear = mesh, {c.name: c for c in self.controls if c.name in linear}
         self.dynamics, self.objective = dynamics, objective
         self.at_end: dict[str, Constraint] = {}
@@ -136,7 +146,8 @@ class Restated:
 
     def us(self, xs: Mapping[str, Any], held: Mapping[str, Any]) -> dict[str, Any]:
         """The controls that users see: linear ones at the nodes, the others over the intervals."""
-        return {c.name: xs[c.name] if c.name in self._linear else held[c.name] for c in self.controls}
+        seen = [c.name for c in self.controls if c.name not in self._added]
+        return {name: xs[name] if name in self._linear else held[name] for name in seen}
 
     def held(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Array]:
         """The held controls of the restated system, from what users see and all states at the nodes."""

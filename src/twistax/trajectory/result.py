@@ -60,7 +60,12 @@ class Trajectory:
     @property
     def integrals(self) -> dict[str, Array]:
         """`Integral(...)` -> from the beginning until each node."""
-        return {name: self.added[name] for name in self.problem.reduced.integrals}
+        reduced, found = self.problem.reduced, dict[str, Array]()
+        for name in reduced.integrals:
+            # What bounds of norms stand for is told by a rollout with the norms themselves.
+            along = self._dense.integrals[name] if name in reduced.loose else self.added[name]
+            found[name] = along[:: (len(along) - 1) // (len(self.ts) - 1)]
+        return found
 
     @functools.cached_property
     def _dense(self) -> Replay:
