@@ -318,6 +318,20 @@ def test_functionals_in_phases() -> None:
     assert second.xs["v"][-1] == pytest.approx(first.xs["v"][0], abs=1e-8)
 
 
+def test_norms_have_bounds_where_less_is_wanted() -> None:
+    """In a budget alone; an equation or a gain wants the norm itself."""
+    _, _, u = leaves()
+    spent = Integral(tx.Abs(u) + 2.0 * u**2)
+
+    def bounds(*final: Any, objective: Any = None) -> list[str]:
+        problem = Problem(dynamics(), objective or tx.Minimize(tx.Time()), final_time=1.0, final=list(final))
+        return list(problem.reduced.bounds)
+
+    assert bounds(2.0 * spent <= 3.0) == [f"bound on {tx.Abs(u)!r} in {spent!r}"]
+    assert bounds(spent == 3.0) == bounds(spent >= 3.0) == bounds(spent <= 3.0, spent >= 1.0) == []
+    assert bounds(spent <= 3.0, objective=tx.Maximize(spent**2)) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("linear", [False, True])
 def test_least_time_on_a_budget_of_velocity(linear: bool) -> None:
