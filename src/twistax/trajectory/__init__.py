@@ -7,8 +7,8 @@ from .external import IPOPT, Fatrop
 from .found import Optimality
 from .functionals import Initial, Integral, Maximum, Minimum
 from .mesh import Mesh
+from .phase import Phase
 from .phased_result import PhasedResult
-from .phases import Phase
 from .problem import Problem
 from .refine import Meshed
 from .result import TrajectoryResult

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -14,18 +12,18 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import listed, reals, short
-from ..errors import InputError, ModelError, ShapeError, TwistaxError
+from ..errors import InputError, ModelError, ShapeError
 from ..expr import Expr, Parameter, State, leaves_of, to_expr
-from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..system import free_name, name_of
 from .border import Border, boxes_of
 from .cases import PhasedResults, phased_results
-from .conditions import Ends, split
+from .conditions import Ends
 from .found import Tried
 from .functionals import Initial
 from .guess import resample
 from .joined import Join, Joined, told_before
+from .phase import Phase, as_dict, asked, in_phase, names_read
 from .phased_result import PhasedResult, best_of_phases
 from .problem import Problem
 from .reduction import InPhase, functionals_of
@@ -33,39 +31,6 @@ from .solving import Solvable, Started
 from .statement import Objective, check_leaves
 from .transcribed import Given, PhaseEnds, Point
 from .warm import other_problem
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Phase:
-    """One phase of a problem: `tx.trajectory.Problem([Phase(...), Phase(...)])`.
-
-    Args:
-        dynamics: a compiled system.
-        objective: what the phase adds to the objective: at its end, where `tx.Time()` is the time since the beginning
-            of the first phase, and along it. None adds nothing.
-        nodes: number of state nodes, or where they lie, as for a `Problem`.
-        final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
-        initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
-            phase before left.
-        controls, guess, final_time_guess, transcription, method, substeps: as for a `Problem`.
-        name: what results and messages call it; "phase 0", "phase 1", ... unless given.
-    """
-
-    dynamics: Dynamics
-    objective: Any = None
-    _: dataclasses.KW_ONLY
-    nodes: Any = 25
-    final_time: Any
-    initial: Any = None
-    final: Any = None
-    at: Any = None
-    controls: Any = None
-    guess: Mapping[Any, Any] | None = None
-    final_time_guess: Any = None
-    transcription: Any = None
-    method: Any = None
-    substeps: int | None = None
-    name: str | None = None
 
 
 class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
@@ -112,8 +77,8 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
             )
         self.none: Objective = kinds.pop()(0.0)
-        given, free = dict(params or {}), _as_dict(free)
-        carried = [[leaf for leaf in functionals_of(*_asked(p)) if isinstance(leaf, Initial)] for p in phases]
+        given, free = dict(params or {}), as_dict(free)
+        carried = [[leaf for leaf in functionals_of(*asked(p)) if isinstance(leaf, Initial)] for p in phases]
         within = [
             InPhase(name, tuple(itertools.chain(*carried[index:])), first=index == 0)
             for index, name in enumerate(self.names)
@@ -135,8 +100,8 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         )
         # What leaves declare themselves are the ends of the whole.
         none = dict.fromkeys((s.name for s in phase.dynamics.states), None)
-        read = _names_read(phase)
-        with _in_phase(name):
+        read = names_read(phase)
+        with in_phase(name):
             return Problem(
                 phase.dynamics,
                 self.none if phase.objective is None else phase.objective,
@@ -273,7 +238,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         ends, times, guesses = [], [], []
         for part, name in zip(self.parts, self.names):
             own = {what: of_phases.get(name) for what, of_phases in by_phase.items()}
-            with _in_phase(name):
+            with in_phase(name):
                 ends.append(part.other_ends(own["initial"], own["final"]))
                 times.append(part.other_times(own["final_time"], own["final_time_guess"]))
                 guesses.append(part.own_guess | part.checked_guess(own["guess"]))
@@ -384,40 +349,3 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         """Whether a state is the same on both sides of a join."""
         source = self.sources[join].get(state.name)
         return isinstance(source, State) and source.key() == state.key()
-
-
-@contextlib.contextmanager
-def _in_phase(name: str) -> Iterator[None]:
-    """Errors with the phase's name in front."""
-    try:
-        yield
-    except ShapeError as error:
-        raise ShapeError(f"{name}: {error}") from None
-    except TwistaxError as error:
-        raise type(error)(f"{name}: {error}") from None
-
-
-def _as_dict(free: Any) -> dict[Any, Any]:
-    if isinstance(free, (list, tuple)):
-        return dict.fromkeys(free, (None, None))
-    if free is not None and not isinstance(free, Mapping):
-        boxes_of(free, (), ())  # which refuses it
-    return dict(free or {})
-
-
-def _names_read(phase: Phase) -> set[str]:
-    """The names that a phase reads; more than parameters."""
-    reads = phase.dynamics._functions.reads
-    names = set(reads["rates"]) | set(reads["constraints"])
-    exprs = _asked(phase)
-    exprs += [leaf.operand for leaf in functionals_of(*exprs)]
-    return names | {leaf.name for e in exprs for leaf in leaves_of(e)}
-
-
-def _asked(phase: Phase) -> list[Expr]:
-    """The expressions that a phase states."""
-    exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
-    at = phase.at.values() if isinstance(phase.at, Mapping) else []
-    for what, given in (("initial", phase.initial), ("final", phase.final), *(("at", own) for own in at)):
-        exprs += split(what, given)[1].values()
-    return [e for e in exprs if isinstance(e, Expr)]
