@@ -143,11 +143,11 @@ def test_without_a_strict_minimum_there_is_no_derivative() -> None:
     optimum = solution(problem)
     thrust = lambda end: optimum(final={"x": end}).us["free"]  # noqa: E731
     assert float(jnp.sum(thrust(2.0))) == pytest.approx(4.0)
+    along = lambda end: jax.jvp(thrust, (end,), (1.0,))[1]  # noqa: E731
     with pytest.raises(TrajectoryError, match="no strict minimum"):
-        jax.jacfwd(thrust)(1.0)
-    for compiled in (jax.jit(jax.jacfwd(thrust)), jax.jit(jax.jacrev(thrust))):
-        with pytest.raises(jax.errors.JaxRuntimeError, match="no strict minimum"):
-            jax.block_until_ready(compiled(1.0))
+        along(1.0)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="no strict minimum"):
+        jax.block_until_ready(jax.jit(along)(1.0))
     with pytest.raises(InputError, match=r"final\['x'\] expects real numbers, got 'a'"):
         thrust("a")
 
