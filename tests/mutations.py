@@ -707,6 +707,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/contact.py",
+        (
+            "ground harder for what leaves it",
+            "self.height - place[2], -velocity[2]",
+            "self.height - place[2], velocity[2]",
+            "mechanics/test_contact.py",
+        ),
+    ),
+    *_at(
         "mechanics/closed_loops.py",
         (
             "rate of a closure without its own turn",

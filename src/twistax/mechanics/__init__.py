@@ -4,6 +4,7 @@ from . import chain_models, environment, joints, loops
 from .bodies import SpatialInertia, power
 from .chain import Chain
 from .closed_loops import closed_dynamics, loop_gap, loop_wrench, loop_wrenches
+from .contact import GivenForces, Ground, given_forces
 from .derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from .drives import Drive
 from .dynamics import (
@@ -33,11 +34,11 @@ from .tree import Link, Mimic
 
 # fmt: off
 __all__ = [
-    "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "Link", "Mechanism", "Mimic", "SpatialInertia", "aba",
-    "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum", "chain_models", "closed_dynamics",
-    "coriolis_forces", "environment", "forward_dynamics", "frame_jacobian", "frame_jacobian_rate", "frame_twist",
-    "gravity_forces", "inverse_dynamics", "joint_wrench", "joints", "kinetic_energy", "load", "loop_gap",
-    "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "potential_energy", "power", "rnea", "spatial_momentum",
-    "total_mass",
+    "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "GivenForces", "Ground", "Link", "Mechanism", "Mimic",
+    "SpatialInertia", "aba", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
+    "chain_models", "closed_dynamics", "coriolis_forces", "environment", "forward_dynamics", "frame_jacobian",
+    "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces", "inverse_dynamics", "joint_wrench",
+    "joints", "kinetic_energy", "load", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix",
+    "potential_energy", "power", "rnea", "spatial_momentum", "total_mass",
 ]
 # fmt: on

@@ -35,6 +35,7 @@ from ..expr import (
     Hstack,
     Inputs,
     Parameter,
+    Solve,
     SolvePositive,
     Sqrt,
     Stack,
@@ -52,6 +53,8 @@ from .mechanism import Mechanism, Positions
 
 #: What is added to the diagonal of A, whose entries there are one, and the rounds in which its share is taken out.
 _SOFT, _ROUNDS = 1e-8, 3
+#: Systems of more unknowns are LAPACK's.
+_SMALL = 8
 #: A row that moves nothing is scaled as one that moves so little, against the mean of all.
 _LEAST = 1e-12
 
@@ -126,7 +129,7 @@ class ClosedLoops:
     def motion(self, tau: Expr, wrenches: Wrenches | None = None) -> tuple[Expr, Expr]:
         """The accelerations (n,), and the multipliers (m,), under forces of the joints (n,)."""
         bias = bias_forces(self.mechanism, self.q, self.qd, wrenches=wrenches)
-        solved = SolvePositive(self._mass, Hstack(self.jacobian.T, (tau - bias)[:, None]))
+        solved = _solved(self._mass, Hstack(self.jacobian.T, (tau - bias)[:, None]))
         free, felt = solved[:, -1], solved[:, :-1]
         multipliers = self._shortest(felt, -self.drift - self.jacobian @ free)
         return free + felt @ multipliers, multipliers
@@ -138,7 +141,7 @@ class ClosedLoops:
         The shortest steps, measured by the mass matrix; so what is added to the velocities takes energy to second order
         only.
         """
-        felt = SolvePositive(self._mass, self.jacobian.T)
+        felt = _solved(self._mass, self.jacobian.T)
         back = felt @ self._shortest(felt, Stack(self.gaps, self.velocities).T)
         return -back[:, 0], -back[:, 1]
 
@@ -155,9 +158,9 @@ class ClosedLoops:
         columns = scale if len(r.shape) == 1 else scale[:, None]
         soft = scale[:, None] * A * scale + _SOFT * np.eye(m)
         wanted: Expr = columns * r
-        found = SolvePositive(soft, wanted)
+        found = _solved(soft, wanted)
         for _ in range(_ROUNDS - 1):
-            found = SolvePositive(soft, wanted + _SOFT * found)
+            found = _solved(soft, wanted + _SOFT * found)
         return columns * found
 
 
@@ -249,6 +252,11 @@ def loop_of(mechanism: Mechanism, name: str) -> Loop:
     if name not in loops:
         raise ModelError(f"there is no loop {name!r}; known are {listed(loops, name)}")
     return loops[name]
+
+
+def _solved(A: Expr, b: Expr) -> Expr:
+    """A^-1 b of a positive definite matrix: small ones entry by entry, large ones by LAPACK, which compiles at once."""
+    return SolvePositive(A, b) if A.shape[0] <= _SMALL else Solve(A, b)
 
 
 def redundant_rows(mechanism: Mechanism) -> int:

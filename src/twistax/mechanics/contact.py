@@ -1,0 +1,130 @@
+"""Contact: forces given at frames, within friction cones, for optimal control; and a compliant ground.
+
+A point of contact is the origin of a frame; its Jacobian is that of the frame (`frame_jacobian`). Forces are in the
+base's axes, the ground's normal is the base's z.
+
+Source: K. Hunt, F. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of Applied
+Mechanics (1975), for the normal force.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection
+
+import numpy as np
+
+from ..checks import number
+from ..errors import ModelError
+from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Norm, Sqrt
+from ..expr.fields import ExprLike
+from ..expr.lie import wrench
+from .dynamics import checked
+from .jacobians import ALIGNED, frame_twist
+from .mechanism import Mechanism, Positions
+
+_ZERO = Constant(np.zeros(3))
+
+
+@dataclasses.dataclass(frozen=True)
+class GivenForces:
+    """Forces at points of contact that an optimiser chooses. Made by `given_forces`.
+
+    Attributes:
+        controls: by frame the Control "force_<frame>" (3,), N in the base's axes.
+        wrenches: for `wrenches=` of `system` and of the dynamics.
+        cones: the friction cones |f_t| <= mu f_z, for `constraints=` of `system`, by name.
+        at_rest: the velocities (3,) of the points are zero, likewise, m/s.
+    """
+
+    controls: dict[str, Control]
+    wrenches: dict[str, Expr]
+    cones: dict[str, Constraint]
+    at_rest: dict[str, Constraint]
+
+
+def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float) -> GivenForces:
+    """Controls for the forces at frames that touch the ground, and what holds of them and of the frames.
+
+    Args:
+        mechanism: a tree or a chain.
+        frames: names; the points are their origins.
+        friction: mu, not negative.
+    Raises: ModelError: a frame that is not known; a friction that is no such number.
+    """
+    checked("given_forces", mechanism)
+    mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))
+    found = GivenForces({}, {}, {}, {})
+    for name in [frames] if isinstance(frames, str) else frames:
+        f = found.controls[name] = Control(f"force_{name}", (3,))
+        found.wrenches[name] = _at_origin(mechanism, name, None, f)
+        found.cones[f"friction of {name}"] = Norm(f[:2]) <= mu * f[2]
+        found.at_rest[f"rest of {name}"] = frame_twist(mechanism, name, axes=ALIGNED)[:3] == np.zeros(3)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Ground:
+    """A soft, level ground: a smooth force on every point below it, and almost none above.
+
+    With the depth d of a point and s(d) = (d + sqrt(d^2 + sharpness^2)) / 2, which is smooth and about max(d, 0), the
+    normal force is n = stiffness s(d) g(1 + damping d'), g a smooth max(., 0), and friction is
+    -mu n v / sqrt(|v|^2 + slip^2) along the ground. It is stiff: fly it by `tx.ImplicitRKMK` with Radau.
+
+    Attributes:
+        stiffness: N/m, positive.
+        damping: s/m, not negative: how much harder the ground is pushed into than left.
+        friction: mu, not negative.
+        height: z of the ground in the base, m.
+        sharpness: m, positive: how near to the ground the force begins.
+        slip: m/s, positive: the speed at which friction has come to 71 % of mu n.
+    Raises: ModelError for other values.
+    """
+
+    stiffness: float = 2e4
+    damping: float = 0.5
+    friction: float = 0.8
+    height: float = 0.0
+    sharpness: float = 1e-4
+    slip: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "sharpness", "slip"):
+            number(f"Ground: {name}", getattr(self, name), "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
+        for name in ("damping", "friction"):
+            value = getattr(self, name)
+            number(f"Ground: {name}", value, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
+        number("Ground: height", self.height, error=ModelError)
+
+    def force(self, place: Expr, velocity: Expr) -> Expr:
+        """On a point at a place (3,) with a velocity (3,), both in the base: (3,), N."""
+        depth, sinking = self.height - place[2], -velocity[2]
+        firm = _positive(1.0 + self.damping * sinking, 1e-3)
+        normal = self.stiffness * _positive(depth, self.sharpness) * firm
+        along = velocity[:2]
+        rubbing = (-self.friction) * normal * along / Sqrt(Dot(along, along) + self.slip**2)
+        return Concat(rubbing, normal)
+
+    def wrenches(
+        self, mechanism: Mechanism, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
+    ) -> dict[str, Expr]:
+        """What the ground does to the origins of frames, for `wrenches=` of `system` and of the dynamics.
+
+        Raises: ModelError for a frame that is not known; ShapeError for positions of another shape.
+        """
+        found: dict[str, Expr] = {}
+        for name in [frames] if isinstance(frames, str) else frames:
+            velocity = frame_twist(mechanism, name, q, qd, axes=ALIGNED)[:3]
+            f = self.force(mechanism.pose(name, q)[:3, 3], velocity)
+            found[name] = _at_origin(mechanism, name, q, f)
+        return found
+
+
+def _at_origin(mechanism: Mechanism, name: str, q: Positions | None, f: Expr) -> Expr:
+    """The wrench (6,) of a force (3,) in the base's axes, at a frame's origin, in its axes."""
+    return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
+
+
+def _positive(a: Expr, width: float) -> Expr:
+    """(a + sqrt(a^2 + width^2)) / 2."""
+    return 0.5 * (a + Sqrt(a * a + width**2))

@@ -1,0 +1,90 @@
+"""A ground that gives way, and given forces at contacts."""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax import mechanics
+from twistax.mechanics import Ground, Link, Mechanism, SpatialInertia, joints
+
+GROUND = Ground(stiffness=1e4, damping=0.3, friction=0.6, height=0.2, sharpness=1e-5, slip=0.02)
+
+
+@functools.cache
+def block() -> Mechanism:
+    """A body of 2 kg with a point 0.1 m below its centre."""
+    body = SpatialInertia(mass=2.0, inertia=np.diag([0.02, 0.03, 0.04]))
+    low = tx.pose(position=[0.0, 0.0, -0.1], euler=[0.3, -0.2, 0.4])
+    return Mechanism(
+        [Link(joints.Free("block"), body, np.eye(4)), Link(joints.Fixed("low"), None, low, parent="block")]
+    )
+
+
+def test_the_ground_pushes_and_rubs() -> None:
+    place, velocity = tx.State("p", (3,)), tx.State("v", (3,))
+    force = jax.jit(tx.lower(GROUND.force(place, velocity)))
+
+    def of(z: float, v: list[float]) -> np.ndarray:
+        return np.asarray(force(0.0, {"p": np.array([3.0, 4.0, z]), "v": np.array(v)}))
+
+    np.testing.assert_allclose(of(0.19, [0.0, 0.0, 0.0]), [0.0, 0.0, 100.0], rtol=1e-6)
+    np.testing.assert_allclose(of(0.19, [0.0, 0.0, -1.0])[2], 130.0, rtol=1e-6)
+    np.testing.assert_allclose(of(0.19, [3.0, -4.0, 0.0])[:2], [-36.0, 48.0], rtol=1e-4)
+    np.testing.assert_allclose(of(0.19, [0.02, 0.0, 0.0])[0], -60.0 / np.sqrt(2.0), rtol=1e-6)
+    # It does not pull: not above, and not where the point leaves fast.
+    assert 0.0 < of(0.25, [0.0, 0.0, 0.0])[2] < 1e-4
+    assert 0.0 < of(0.19, [0.0, 0.0, 10.0])[2] < 1e-3
+
+
+def test_the_force_acts_at_the_point_in_the_bases_axes() -> None:
+    robot = block()
+    x = {
+        "block_position": tx.pose(position=[0.1, 0.2, 0.29], euler=[0.2, 0.1, -0.5]),
+        "qd": np.array([0.3, -0.2, -0.4, 0.5, 0.1, -0.3]),
+    }
+    wrenches = GROUND.wrenches(robot, ["low"])
+    F = mechanics.inverse_dynamics(robot, wrenches=wrenches) - mechanics.inverse_dynamics(robot)
+    found = tx.lower({"tau": F, "F": wrenches["low"]})(0.0, x)
+    R, p = x["block_position"][:3, :3], x["block_position"][:3, 3]
+    arm, w = np.array([0.0, 0.0, -0.1]), x["qd"][3:]
+    velocity = R @ (x["qd"][:3] + np.cross(w, arm))
+    f = np.asarray(tx.lower(GROUND.force(tx.Constant(p + R @ arm), tx.Constant(velocity)))(0.0))
+    assert f[2] > 10.0
+    np.testing.assert_allclose(-found["tau"], np.concatenate([R.T @ f, np.cross(arm, R.T @ f)]), rtol=1e-9, atol=1e-9)
+
+
+def test_given_forces_have_cones_and_points_at_rest() -> None:
+    robot = block()
+    given = mechanics.given_forces(robot, ["low"], friction=0.5)
+    system = robot.system(controls=[], wrenches=given.wrenches, constraints=given.cones | given.at_rest)
+    dynamics = tx.compile(system, backend=tx.JAX())
+    R = tx.pose(position=[0.1, 0.2, 0.29], euler=[0.2, 0.1, -0.5])[:3, :3]
+    V, f = np.array([0.3, -0.2, -0.4, 0.5, 0.1, -0.3]), np.array([3.0, -4.0, 8.0])
+    x = {"block_position": tx.pose(position=[0.1, 0.2, 0.29], euler=[0.2, 0.1, -0.5]), "qd": V}
+    found = dynamics.constraints(0.0, x, {"force_low": f})
+    np.testing.assert_allclose(found["inequality"], [5.0 - 4.0], atol=1e-12)
+    np.testing.assert_allclose(found["equality"], R @ (V[:3] + np.cross(V[3:], [0.0, 0.0, -0.1])), atol=1e-12)
+    rate = np.asarray(dynamics(0.0, x, {"force_low": f})["qd"])
+    np.testing.assert_allclose(
+        R @ (rate[:3] + np.cross(V[3:], V[:3])), f / 2.0 + np.array([0.0, 0.0, -9.81]), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Ground(stiffness=0.0), "Ground: stiffness must be a positive number, got 0.0"),
+        (lambda: Ground(friction=-1.0), "Ground: friction must be a number not below zero"),
+        (lambda: mechanics.given_forces(block(), ["low"], friction=-0.1), "friction must be a number not below zero"),
+        (lambda: mechanics.given_forces(block(), ["foot"], friction=0.1), "no frame 'foot'"),
+        (lambda: GROUND.wrenches(block(), ["foot"]), "no frame 'foot'"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(make: object, message: str) -> None:
+    with pytest.raises(tx.ModelError, match=message):
+        make()  # type: ignore[operator]
