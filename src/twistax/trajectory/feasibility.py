@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .interior_point import InteriorPoint, State, in_units, largest
+from .interior_point import InteriorPoint, in_units, largest
+from .iterate import State
 from .riccati import Rows, Stages, along_rows, factorize, solve
 from .transcribed import Derivatives, Given, Point, Values
 

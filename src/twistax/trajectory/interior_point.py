@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import any_of_batch
+from .iterate import FILTER, Errors, Scales, State
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 
@@ -42,46 +43,6 @@ _EQUALITY = 1e-8
 _LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH = 1.5, 0.5, 2.0
 #: The least first slack.
 _FIRST_SLACK = 1e-2
-_FILTER = 128
-
-
-class Scales(NamedTuple):
-    """Sizes by which unknowns, rows and the objective are divided."""
-
-    d: Any  # (nodes, n)
-    u: Any  # (intervals, m)
-    border: Any  # (g,)
-    rows: Any  # (rows,)
-    cost: Any
-
-
-class Errors(NamedTuple):
-    """How far a point is from the first-order conditions, scaled."""
-
-    stationarity: Any
-    feasibility: Any
-    complementarity: Any  # largest s w
-    gap: Any  # sum of s w and of |multiplier times violation|: what they can cost
-
-
-class State(NamedTuple):
-    """Where the solver stands. Slacks and multipliers are scaled."""
-
-    point: Point
-    values: Values
-    slack: Any  # (rows,), 1 where a row is no inequality
-    dynamics: Any  # (intervals, n) multipliers
-    rows: Any  # (rows,) multipliers
-    barrier: Any
-    damping: Any  # the last that was needed
-    raised: Any  # what the last step needed
-    filter: Any  # (2, _FILTER) violation and barrier function
-    filtered: Any  # how many
-    first: Any  # violation at the start
-    scales: Scales
-    errors: Errors
-    lengths: Any  # (2,) shares of the last step, primal and dual
-    stuck: Any  # the line search found no step
 
 
 class _Trial(NamedTuple):
@@ -222,7 +183,7 @@ class InteriorPoint:
             barrier,
             zero,
             zero,
-            jnp.full((2, _FILTER), jnp.inf, slack.dtype),
+            jnp.full((2, FILTER), jnp.inf, slack.dtype),
             jnp.zeros((), int),
             theta,
             scales,
@@ -316,7 +277,7 @@ class InteriorPoint:
         central = barrier / found.slack
         rows = jnp.where(inequality, jnp.clip(rows, central / _CENTRAL, central * _CENTRAL), rows)
         remember = done & ~search.by_phi
-        kept = jnp.where(remember, state.filter.at[:, state.filtered % _FILTER].set(search.entry), state.filter)
+        kept = jnp.where(remember, state.filter.at[:, state.filtered % FILTER].set(search.entry), state.filter)
         return state._replace(
             point=found.point,
             values=found.values,

@@ -15,8 +15,8 @@ from numpy import ndarray as Array
 
 from ..precision import in_double
 from . import scaling
-from .interior_point import Scales
-from .interior_point import State as Iterate
+from .iterate import Scales
+from .iterate import State as Iterate
 from .solver import Outcome, Solver, jitted
 from .transcribed import Derivatives, Given, Point
 from .watch import Status, Watch

@@ -21,7 +21,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
-from .interior_point import InteriorPoint, Scales
+from .interior_point import InteriorPoint
+from .iterate import Scales
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 
 

@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from ..expr import Control, State
 from ..groups import Euclidean, SpecialEuclidean
 from .border import Border
-from .interior_point import Scales
+from .iterate import Scales
 from .riccati import of_stages
 from .shooting import Shooting
 from .transcribed import Derivatives, Point, Step, Transcribed

@@ -25,7 +25,8 @@ from ..errors import InputError, TrajectoryError
 from ..jax_inside import is_traced
 from ..precision import in_double
 from ..system import name_of
-from .interior_point import InteriorPoint, Scales, State, in_units
+from .interior_point import InteriorPoint, in_units
+from .iterate import Scales, State
 from .riccati import Factors, Rows, Stages, factorize, refined
 from .transcribed import Given, Point, Step
 

@@ -13,8 +13,9 @@ from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
 from . import feasibility, scaling, warm
-from .interior_point import Errors, InteriorPoint, Scales
-from .interior_point import State as Iterate
+from .interior_point import InteriorPoint
+from .iterate import Errors, Scales
+from .iterate import State as Iterate
 from .program import Program
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 from .warm import WarmStart

@@ -12,7 +12,8 @@ from numpy import ndarray as Array
 from ..checks import short, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
-from .interior_point import InteriorPoint, Scales, State
+from .interior_point import InteriorPoint
+from .iterate import Scales, State
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:

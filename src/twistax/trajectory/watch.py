@@ -9,8 +9,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from . import scaling
-from .interior_point import Scales
-from .interior_point import State as Iterate
+from .iterate import Scales
+from .iterate import State as Iterate
 from .transcribed import Derivatives, Transcribed
 
 #: Scales are renewed once they are off by this factor. A result stands in scales that are not.
