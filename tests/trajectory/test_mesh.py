@@ -97,3 +97,16 @@ def test_time_and_running_costs_on_free_nodes() -> None:
 def test_limits_of_lengths_that_are_none(free: Any) -> None:
     with pytest.raises(tx.TrajectoryError, match="Mesh: free"):
         Mesh(5, free=free)
+
+
+def test_free_nodes_after_a_phase_with_others() -> None:
+    """Rest to rest in least time, T = 2: the clock of the second phase begins when the first has ended."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    Phase, heun = tx.trajectory.Phase, {"method": tx.RKMK(tx.tableaus.HEUN), "substeps": 1}
+    first = Phase(dynamics, nodes=2, final_time=(0.1, 3.0), initial={p: 0.0, v: 0.0}, final=[p == 0.3], **heun)
+    ends: dict[str, Any] = {"final_time": (0.1, 3.0), "final": {p: 1.0, v: 0.0}}
+    second = Phase(dynamics, tx.Minimize(tx.Time()), nodes=Mesh(3, free=True), **ends, **heun)
+    result = Problem([first, second]).solve()
+    assert result.solved
+    np.testing.assert_allclose(result.phases[1].ts, [np.sqrt(0.6), 1.0, 2.0], atol=1e-5)

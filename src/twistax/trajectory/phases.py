@@ -132,6 +132,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         for name, state in known.items():
             same = name in last and last[name].key() == state.key()
             found[name] = last[name] if same else None
+        found |= self.parts[index + 1].restated.at_join
         for key, value in (links or {}).items():
             name = name_of(key)
             if name not in known:

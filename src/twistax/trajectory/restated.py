@@ -40,6 +40,7 @@ class Restated:
         controls: those of the system as stated, without rates.
         straight: names of the states that are linear over each interval.
         at_end: constraints on the last node that come with free node times.
+        at_join: state -> what it begins as after another phase, of the end of that.
 
     Raises:
         ModelError: see `linear_controls`.
@@ -61,6 +62,7 @@ class Restated:
         self._mesh, self._linear = mesh, {c.name: c for c in self.controls if c.name in linear}
         self.dynamics, self.objective = dynamics, objective
         self.at_end: dict[str, Constraint] = {}
+        self.at_join: dict[str, Expr] = {}
         self._states: dict[str, State] = {}
         self._rates: dict[str, Control] = {}
         #: Names of the held controls that are rates of linear ones.
@@ -78,6 +80,7 @@ class Restated:
         if mesh.free is not None:
             self._exchange[Time().key()] = clock
             self.at_end = {"the last node is at the final time": clock == Time()}
+            self.at_join = {_CLOCK: Time()}
         self.straight = set(self._linear)
         #: States that are none of the system as stated.
         self.hidden = self.straight | ({_CLOCK} if mesh.free is not None else set())
