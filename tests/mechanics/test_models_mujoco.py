@@ -177,6 +177,42 @@ def test_what_is_not_used_is_said() -> None:
     np.testing.assert_allclose([machine.q["q"].min[at], machine.q["q"].max[at]], np.radians([[-80.0], [70.0]]))
 
 
+ROD = '<inertial pos="0.1 0 0.2" mass="1" diaginertia="0.2 0.3 0.4"/>'
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        '<flag spring="disable" damper="disable"/>',
+        '<flag actuation="disable"/>',
+        '<option actuatorgroupdisable="2"/>',
+    ],
+)
+def test_what_a_file_switches_off_does_not_act(option: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    option = option if option.startswith("<option") else f"<option>{option}</option>"
+    path.write_text(
+        f"<mujoco>{option}<worldbody><body>{ROD}<joint name='h' axis='0 1 1' stiffness='20' damping='2'/>"
+        "</body></worldbody><actuator><position joint='h' kp='30' kv='3' group='2'/></actuator></mujoco>"
+    )
+    robot, model = mechanics.load(path), mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = 0.3, 1.0, 0.1
+    mujoco.mj_forward(model, data)
+    control = {"tau": data.ctrl} if robot.driven else {}
+    found = tx.lower(robot.system().rates["qd"])(0.0, {"q": data.qpos, "qd": data.qvel}, control)
+    np.testing.assert_allclose(found, data.qacc, rtol=1e-12)
+
+
+def test_the_armature_of_a_free_joint_is_noted(tmp_path: Path) -> None:
+    """Along world axes there, along the body's here: the same but for what turning them takes."""
+    path = tmp_path / "model.xml"
+    path.write_text(f"<mujoco><worldbody><body>{ROD}<joint type='free' armature='1'/></body></worldbody></mujoco>")
+    assert mechanics.load(path).notes == (
+        "the armature along world axes, here along the body's, of the free joint 'joint_0'",
+    )
+
+
 def test_numbers_of_a_file_become_parameters() -> None:
     """Other values, given to one expression, are those of a file that has them."""
     machine = mechanics.load(OWN / "machine.xml", parameters=["load_mass", "crane_origin", "sway_axis"])

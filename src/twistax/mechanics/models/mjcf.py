@@ -63,8 +63,7 @@ class Mjcf:
         self.model = file.model
         self.notes = [f"{kind}: {count}" for kind, count in sorted(file.left_out.items())]
         self.base = self._name("body", 0)
-        flags, off = self.model.opt.disableflags, self.mujoco.mjtDisableBit
-        self.gravity = np.array(self.model.opt.gravity) * (not flags & off.mjDSBL_GRAVITY)
+        self.gravity = np.array(self.model.opt.gravity) * self._switched_on("GRAVITY")
         if not self.model.njnt:
             raise root.wrong("there is no joint, so nothing moves")
         self._servos = self._actuators()
@@ -80,6 +79,10 @@ class Mjcf:
 
     def _name(self, kind: str, i: int) -> str:
         return getattr(self.model, kind)(i).name or f"{kind}_{i}"
+
+    def _switched_on(self, what: str) -> bool:
+        """Whether the file leaves a part of the dynamics in: of its <flag>."""
+        return not self.model.opt.disableflags & getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{what}")
 
     # ---- bodies ------------------------------------------------------------------------------------------------------
 
@@ -165,7 +168,7 @@ class Mjcf:
         model, name, at = self.model, self._name("joint", j), int(self.model.jnt_dofadr[j])
         single = self._single(j)
         servo = self._servos.get(j, _Servo())
-        stiffness, rest = float(model.jnt_stiffness[j]), 0.0
+        stiffness, rest = float(model.jnt_stiffness[j]) * self._switched_on("SPRING"), 0.0
         if single:
             rest = float(model.qpos_spring[model.jnt_qposadr[j]])
             together = stiffness + servo.stiffness
@@ -173,8 +176,8 @@ class Mjcf:
             stiffness = together
         numbers = {
             "armature": float(model.dof_armature[at]) + servo.armature,
-            "damping": float(model.dof_damping[at]) + servo.damping,
-            "friction": float(model.dof_frictionloss[at]),
+            "damping": float(model.dof_damping[at]) * self._switched_on("DAMPER") + servo.damping,
+            "friction": float(model.dof_frictionloss[at]) * self._switched_on("FRICTIONLOSS"),
             "stiffness": stiffness,
         }
         given: dict[str, Any] = {what: self.choices.of(name, what, value) for what, value in numbers.items() if value}
@@ -191,7 +194,11 @@ class Mjcf:
             j = int(model.actuator_trnid[a, 0])
             what = self._actuator(a)
             single = self._single(j)
-            if not self._is_linear(a):
+            group = int(model.actuator_group[a])
+            grouped_out = 0 <= group < 31 and model.opt.disableactuator >> group & 1
+            if grouped_out or not self._switched_on("ACTUATION"):
+                self.notes.append(f"{what}, which the file switches off")
+            elif not self._is_linear(a):
                 self.notes.append(f"{what}, whose force is no linear function of control and motion")
             elif j in found:
                 self.notes.append(f"{what}: its joint has another one, whose control is used")
@@ -245,7 +252,7 @@ class Mjcf:
             gear=g * k,
             stiffness=-bias[1] * g * g,
             offset=bias[0] * g,
-            damping=-bias[2] * g * g + float(model.actuator_damping[a]) * g * g,
+            damping=(float(model.actuator_damping[a]) * self._switched_on("DAMPER") - bias[2]) * g * g,
             armature=float(model.actuator_armature[a]) * g * g,
             limits=limits,
         )
@@ -256,6 +263,11 @@ class Mjcf:
         model, kinds = self.model, self.mujoco.mjtJoint
         balls = [j for j in range(model.njnt) if model.jnt_type[j] == kinds.mjJNT_BALL and model.jnt_limited[j]]
         free = [j for j in range(model.njnt) if model.jnt_type[j] == kinds.mjJNT_FREE and model.jnt_stiffness[j]]
+        armed = [
+            j
+            for j in range(model.njnt)
+            if model.jnt_type[j] == kinds.mjJNT_FREE and model.dof_armature[model.jnt_dofadr[j]]
+        ]
         curved = [
             j
             for j in range(model.njnt)
@@ -272,6 +284,7 @@ class Mjcf:
         self.notes += [f"{kind}: {count}" for kind, count in counted if count]
         self._note("the limit of the ball joint", balls)
         self._note("the spring of the free joint", free)
+        self._note("the armature along world axes, here along the body's, of the free joint", armed)
         self._note("what is not linear in spring and damper of joint", curved)
         if model.opt.density or model.opt.viscosity or model.opt.wind.any():
             self.notes.append("the forces of the medium")
