@@ -15,6 +15,8 @@ from .code import NAMES, Code
 _LENGTH = 2000
 #: Shorter programs stay whole: they run a tenth faster so.
 _LONG = 20_000
+#: The most bytes that pass on the stack.
+_STACK = 32_768
 
 #: A piece of a program: its nodes, and of each result the blocks, by their first entries, that are complete with it.
 Piece = tuple[list[int], list[tuple[int, int]]]
@@ -70,6 +72,19 @@ class Scratch:
 
     def bytes(self, lanes: int) -> int:
         return 8 * lanes * self.size
+
+    def allocated(self, code: Code) -> str:
+        """The memory of all places: on the stack where there is little. Stacks of threads may be small."""
+        size = max(self.bytes(code.lanes), 1)
+        return (
+            code.call("ptr", "malloc", ("i64", str(size)))
+            if size > _STACK
+            else code.emit(f"alloca [{size} x i8], align 64")
+        )
+
+    def freed(self, code: Code, memory: str) -> None:
+        if self.bytes(code.lanes) > _STACK:
+            code.call("void", "free", ("ptr", memory))
 
 
 class Values(dict[int, str]):

@@ -217,7 +217,7 @@ class Straight(Tile):
         module.level = 1
         blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
-        memory = code.emit(f"alloca [{max(scratch.bytes(self.lanes), 1)} x i8], align 64")
+        memory = scratch.allocated(code)
         for number, (nodes, complete) in enumerate(scratch.pieces):
             own = Code(module, self.lanes)
             inner = self._moved(own)
@@ -230,6 +230,7 @@ class Straight(Tile):
             head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
             module.functions[f"piece.{number}"] = own.function(f"internal void @piece.{number}({head})")
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
+        scratch.freed(code, memory)
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         return by_numpy(self.program, arguments)
