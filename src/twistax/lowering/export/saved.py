@@ -161,7 +161,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
         corrections=corrections,
         controls=[nodes[place] for place in content["controls"]],
         parameters=[nodes[place] for place in content["parameters"]],
-        slopes={name: [(nodes[by], nodes[slope]) for by, slope in own] for name, own in content["slopes"]},
+        slopes={name: [(nodes[by], nodes[slope]) for by, slope in own] for name, own in content.get("slopes", [])},
     )
     compiled = content["compiled"]
     bake = {name: _value(value, arrays, nodes) for name, value in compiled["bake"]}
