@@ -204,6 +204,12 @@ def test_what_a_file_switches_off_does_not_act(option: str, tmp_path: Path) -> N
     np.testing.assert_allclose(found, data.qacc, rtol=1e-12)
 
 
+def test_sizes_take_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(f"<mujoco><size memory='9000P'/><worldbody><body>{ROD}<joint/></body></worldbody></mujoco>")
+    assert mechanics.load(path).dofs == 1
+
+
 def test_the_armature_of_a_free_joint_is_noted(tmp_path: Path) -> None:
     """Along world axes there, along the body's here: the same but for what turning them takes."""
     path = tmp_path / "model.xml"
@@ -252,6 +258,14 @@ def test_numbers_of_a_file_become_parameters() -> None:
             "line 3, <mesh name='m'>: Error opening file",
         ),
         ("<!DOCTYPE mujoco>", "this is no XML|document type"),
+        (
+            "<worldbody><body><joint/>\n<inertial pos='nan 0 0' mass='1' diaginertia='1 1 1'/></body></worldbody>",
+            "line 3, <inertial>: expected finite numbers in pos, got 'nan 0 0'",
+        ),
+        (
+            f"<worldbody>{'<body>' * 2000}{'</body>' * 2000}</worldbody>",
+            "<body>: elements are nested more than 200 deep",
+        ),
     ],
 )
 def test_broken_files_say_where(text: str, message: str, tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ _REFUSED = {
     "flexcomp": "deformable bodies are not read",
     "flex": "deformable bodies are not read",
 }
+#: Of elements within elements: all that goes through them calls itself.
+_DEEPEST = 200
 
 
 def compiler(element: Element) -> Any:
@@ -64,20 +66,28 @@ class Compiled:
         except ValueError as error:
             raise self._said(str(error)) from None
 
-    def _with_included(self, element: Element) -> Element:
+    def _with_included(self, element: Element, depth: int = 0) -> Element:
         """The element with what it includes in place. Raises ModelError where something is not to be read."""
         if element.tag in _REFUSED and (element.tag != "model" or "file" in element.attributes):
             raise element.wrong(_REFUSED[element.tag])
+        if depth > _DEEPEST:
+            raise element.wrong(f"elements are nested more than {_DEEPEST} deep")
+        for name, value in element.attributes.items():
+            if name != "name" and "nan" in value.lower().split():
+                raise element.wrong(f"expected finite numbers in {name}, got {value!r}")
         children = list[Element]()
         for child in element.children:
+            # Sizes are of memory for users and of simulations: the dynamics need none.
+            if child.tag == "size":
+                continue
             if child.tag != "include":
-                children.append(self._with_included(child))
+                children.append(self._with_included(child, depth + 1))
                 continue
             path = self._inside(child, child.text("file"))
             if path in self._read:
                 raise child.wrong(f"{path.name!r} is included twice, or includes itself")
             self._read.add(path)
-            children += self._with_included(read_xml(path)).children
+            children += self._with_included(read_xml(path), depth).children
         element.children = children
         return element
 
