@@ -683,6 +683,42 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/derivatives.py",
+        (
+            "wrench of a turned joint the wrong way",
+            "carried + AdjointDual(",
+            "carried - AdjointDual(",
+            "mechanics/test_derivatives.py",
+        ),
+    ),
+    *_at(
+        "mechanics/spread.py",
+        (
+            "velocity and moment of mass exchanged",
+            "Outer(v, h)",
+            "Outer(h, v)",
+            "mechanics/test_derivatives.py",
+        ),
+    ),
+    *_at(
+        "mechanics/joints.py",
+        (
+            "coordinates of a plane turned the other way",
+            "return self.rate(-position, rate)",
+            "return self.rate(position, rate)",
+            "mechanics/test_derivatives.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/pieces.py",
+        (
+            "results written before they are there",
+            "number = max(place.get(i, 0) for i in nodes)",
+            "number = min(place.get(i, 0) for i in nodes)",
+            "lowering/native/test_native_pieces.py",
+        ),
+    ),
+    *_at(
         "mechanics/models/urdf.py",
         (
             "turns in the other order",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from mechanics_oracles import Cloud, hat, pose
@@ -14,10 +16,12 @@ from test_mechanisms import Tree, body_of, free_tree, mimicking_tree
 import twistax as tx
 from twistax import mechanics
 from twistax.expr.graph import leaves_of
+from twistax.lowering.native import kernel
 from twistax.lowering.native.tile import by_numpy
 from twistax.lowering.scalar.program import ScalarProgram, scalarize
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 LONG = np.longdouble
 _OPERATIONS: Mapping[str, Any] = {
     "add": np.add,
@@ -85,8 +89,7 @@ def moved(tree: Tree, values: Mapping[str, np.ndarray], name: str, step: Any) ->
     return found
 
 
-@pytest.mark.parametrize("tree", [free_tree, mimicking_tree])
-@pytest.mark.parametrize("forward", [False, True])
+@pytest.mark.parametrize(("tree", "forward"), [(free_tree, False), (mimicking_tree, True)])
 def test_against_differences_in_extended_precision(tree: Any, forward: bool, unchecked: None) -> None:
     made, rng = tree(), np.random.default_rng(3)
     robot, n = made.mechanism, made.mechanism.dofs
@@ -144,3 +147,60 @@ def test_systems_use_them(unchecked: None) -> None:
     assert operations[0] < 0.9 * operations[1]
     for kind in wrt:
         np.testing.assert_allclose(found[0][kind], found[1][kind], atol=1e-11 * np.max(np.abs(found[1][kind])))
+
+
+def test_other_numbers_compile_nothing(unchecked: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Masses, lengths and axes as Parameters: a heavier tool runs by the same kernels; and the slope by its mass."""
+    robot = mechanics.load(
+        EXAMPLES / "arm.urdf", parameters=["tool_mass", "tool_center_of_mass", "elbow_origin", "elbow_axis"]
+    )
+    dynamics = tx.compile(robot.system(), backend=tx.Native(least=0))
+    x, u = {"q": np.array([0.3, -0.4, 0.1]), "qd": np.array([0.5, 0.2, -0.3])}, {"tau": np.zeros(3)}
+    values = {leaf.name: np.asarray(leaf.value) for leaf in dynamics.parameters}
+    assert set(values) == set(names)
+
+    def found(step: float) -> tuple[jax.Array, jax.Array]:
+        own = {**values, "tool_mass": values["tool_mass"] + step}
+        return dynamics(0.0, x, u, own)["qd"], dynamics.jacobian(0.0, x, u, own, wrt="params")["params"]
+
+    before, slopes = found(0.0)
+    monkeypatch.setattr(kernel, "compiled", lambda *a: pytest.fail("a kernel was compiled"))
+    with jax.no_tracing():
+        after, _ = found(1e-6)
+    ends = np.cumsum([value.size for value in values.values()])
+    slope = slopes[-3:, ends[list(values).index("tool_mass")] - 1]
+    np.testing.assert_allclose((after - before) / 1e-6, slope, rtol=1e-4)
+    assert np.max(np.abs(slope)) > 0.1
+
+
+def test_in_single_precision(unchecked: None) -> None:
+    """Derivatives in float32, which take everything else, are near those in float64."""
+    system, rng = mechanics.load(EXAMPLES / "arm.urdf").system(), np.random.default_rng(9)
+    dynamics = tx.compile(system, backend=tx.Native(least=0))
+    at = {"q": rng.normal(size=(20, 3)), "qd": rng.normal(size=(20, 3))}, {"tau": rng.normal(size=(20, 3))}
+    found = []
+    for dtype in (np.float32, np.float64):
+        x, u = jax.tree.map(lambda a, dtype=dtype: jnp.asarray(a, dtype), at)
+        found.append(np.asarray(jax.vmap(lambda x, u: dynamics.jacobian(0.0, x, u))(x, u)["x"]))
+        assert found[-1].dtype == dtype
+    assert np.max(np.abs(found[0] - found[1])) < 2e-5 * np.max(np.abs(found[1]))
+
+
+@pytest.mark.slow
+def test_free_arm_keeps_its_momentum(unchecked: None) -> None:
+    """Ten links on a free body, 100 s without motors: the linear and the angular momentum about the base's origin."""
+    hull = SpatialInertia(mass=120.0, inertia=np.diag([20.0, 18.0, 15.0]))
+    rod = SpatialInertia(mass=6.0, center_of_mass=(0.25, 0.0, 0.0), inertia=np.diag([0.02, 0.13, 0.13]))
+    links = [Link(joints.Free("hull"), hull, tx.pose())]
+    for k in range(10):
+        hinge = joints.Revolute(f"hinge{k}", ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))[k % 2])
+        links.append(Link(hinge, rod, tx.pose(position=[0.5, 0.0, 0.0]), parent=links[-1].name))
+    robot, rng = Mechanism(links, gravity=np.zeros(3)), np.random.default_rng(0)
+    outputs = {"momentum": mechanics.spatial_momentum(robot), "energy": robot.energy()}
+    dynamics = tx.compile(robot.system(controls=(), outputs=outputs))
+    qd = np.concatenate([[0.1, -0.05, 0.02], 0.1 * rng.normal(size=3), 0.2 * rng.normal(size=10)])
+    start, method = {"q": 0.3 * rng.normal(size=10), "hull_position": np.eye(4), "qd": qd}, tx.RKMK(tx.tableaus.DOP853)
+    sol = tx.integrate(dynamics, start, t1=100.0, dt=5e-3, method=method, save_at=np.linspace(0.0, 100.0, 11))
+    kept = jax.vmap(dynamics.outputs)(sol.ts, sol.xs)
+    for own in (kept["momentum"][:, :3], kept["momentum"][:, 3:], kept["energy"][:, None]):
+        assert np.max(np.abs(own - own[0])) < 1e-12 * np.linalg.norm(own[0])

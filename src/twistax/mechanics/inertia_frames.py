@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..expr import Block, Constant, Cos, Expr, Sin, Where
 from ..expr.lie import AxisRotation, CoadjointAction, translation
 from ..expr.lie.elements import parts_of_pose
-from .joints import complement
+from .screws import complement
 
 #: The entries on and above the diagonal of a 6x6 matrix.
 _UPPER = np.triu(np.ones((6, 6), dtype=bool))

@@ -3,7 +3,7 @@
 import functools
 
 from ..checks import Checked, Section
-from . import costs, edges, identities, keeping, maps, optima, optimal, refined, scalars, steps, stiff
+from . import costs, edges, identities, keeping, maps, mechanisms, optima, optimal, refined, scalars, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -34,6 +34,7 @@ FIGURES: dict[str, Section] = {
     "operations": scalars.OPERATIONS,
     "kernels": scalars.KERNELS,
     "small": scalars.SMALL,
+    "mechanisms": mechanisms.MECHANISMS,
     "landings": costs.LANDINGS,
     "optima": optima.OPTIMA,
 }

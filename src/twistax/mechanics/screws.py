@@ -1,0 +1,105 @@
+"""Joints as screws: what a joint lets move, what drives it, and what its bearing carries.
+
+With k freedoms: motion subspace H (6, k), working wrenches h* (6, k), constraint wrenches H-bar* (6, 6 - k), and
+
+    h*^T H = I        H^T H-bar* = 0        [h* H-bar*] is a basis of all wrenches.
+
+A change of frame by T_ab maps motions by Ad_T and wrenches by Ad*_T = Ad_T^-T, so all three hold in every frame. That
+h* and H-bar* are orthogonal does not: a dot product of two wrenches changes with the frame.
+
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..expr import Expr
+from ..expr.fields import ExprLike
+from ..expr.lie import SE3Adjoint, SE3AdjointDual
+from .arguments import of_shape, pose
+
+
+class Subspaces:
+    """Wrenches split by the subspaces of a joint, in one frame."""
+
+    motion_subspace: Expr
+    actuation_basis: Expr
+    constraint_basis: Expr
+
+    def actuation(self, F: ExprLike) -> Expr:
+        """H^T F (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
+
+        Raises: ShapeError if F is not of shape (6,).
+        """
+        return self.motion_subspace.T @ of_shape("actuation of a joint", "the wrench F", F, (6,))
+
+    def wrench(self, tau: ExprLike) -> Expr:
+        """h* tau (6,): the wrench on the child of an actuator with the generalised force tau (k,).
+
+        Raises: ShapeError if tau is not of shape (k,).
+        """
+        freedoms = self.motion_subspace.shape[1]
+        return self.actuation_basis @ of_shape("wrench of a joint", "the generalised force tau", tau, (freedoms,))
+
+    def reaction(self, F: ExprLike) -> Expr:
+        """F - h* (H^T F) (6,): the part of a wrench F (6,) that the bearing carries; in the span of H-bar*.
+
+        Raises: ShapeError if F is not of shape (6,).
+        """
+        whole = of_shape("reaction of a joint", "the wrench F", F, (6,))
+        return whole - self.actuation_basis @ (self.motion_subspace.T @ whole)
+
+
+@dataclasses.dataclass(frozen=True)
+class Screws(Subspaces):
+    """The subspaces of a joint in one frame, and the wrenches split by them. Six-vectors are [v; w] and [f; tau].
+
+    Attributes:
+        motion_subspace: H (6, k); the twist of the child relative to the parent is H @ velocity.
+        actuation_basis: h* (6, k), the wrench of a unit actuator on the child; h*^T H = I.
+        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; H^T H-bar* = 0.
+    """
+
+    motion_subspace: Expr
+    actuation_basis: Expr
+    constraint_basis: Expr
+
+    def in_frame(self, T: ExprLike) -> Screws:
+        """The same joint seen in frame a: Ad_T H, Ad*_T h*, Ad*_T H-bar* with T = T_ab (4, 4), b the frame of these.
+
+        Raises:
+            ShapeError: T is not of shape (4, 4).
+            ModelError: T is made of numbers and no pose.
+        """
+        T_ab = pose("a change of frame of a joint", "the pose T", T)
+        moved = SE3AdjointDual(T_ab)
+        return Screws(
+            SE3Adjoint(T_ab) @ self.motion_subspace, moved @ self.actuation_basis, moved @ self.constraint_basis
+        )
+
+
+def complement(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (n, n - k) of what is orthogonal to the independent columns (n, k).
+
+    The k coordinate axes closest to the columns are left out; the others, in order, are made orthogonal to the columns
+    and to each other. So the complement of coordinate axes is the other coordinate axes.
+    """
+    n, k = columns.shape
+    basis = list(np.linalg.qr(columns)[0].T)
+    left, near = sum((np.outer(b, b) for b in basis), start=np.zeros((n, n))), []
+    for _ in range(k):
+        # Rounded, so that a tie falls to the first axis on every machine.
+        i = int(np.argmax(np.round(np.diag(left), 9)))
+        near.append(i)
+        left = left - np.outer(left[:, i], left[i]) / left[i, i]
+    for i in range(n):
+        if i not in near:
+            vector = np.eye(n)[i]
+            for b in basis * 2:  # twice: the second pass removes the round-off of the first
+                vector = vector - b * (b @ vector)
+            basis.append(vector / np.linalg.norm(vector))
+    # Adding 0 turns -0 into 0.
+    return np.stack(basis[k:], axis=1) + 0.0 if k < n else np.zeros((n, 0))
