@@ -135,21 +135,30 @@ class System:
 
     def _known_slopes(self, slopes: Slopes) -> dict[str, tuple[tuple[Expr, Expr], ...]]:
         """The derivatives that were given, of the shapes they must have, made of leaves of the system."""
+        if not isinstance(slopes, Mapping):
+            raise ModelError(f"slopes must be a dict from states to pairs, got {type(slopes).__name__}")
         groups, found = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
         known = {leaf.name for leaf in (*self.states, *self.controls, *self.parameters)}
         for key, pairs in slopes.items():
             name = name_of(key)
+            place = f"slopes[{name!r}]"
             if name not in groups:
-                raise ModelError(f"slopes names {name!r}, which has no rate; states are {listed(groups, name)}")
-            found[name] = tuple((to_expr(by), _expression(f"slopes[{name!r}]", slope)) for by, slope in pairs)
+                raise ModelError(f"slopes names {name!r}, which has no rate; it expects one of {listed(groups, name)}")
+            own = list(pairs) if isinstance(pairs, Iterable) else [pairs]
+            if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in own):
+                raise ModelError(
+                    f"{place} expects pairs of what the rate depends on and the derivative, got {short(own)}"
+                )
+            found[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in own)
             for by, slope in found[name]:
-                width = groups[by.name].dimension if isinstance(by, State) and by.name in groups else by.shape[0]
-                wanted = (groups[name].dimension, width)
-                if slope.shape != wanted:
-                    raise ShapeError(f"slopes[{name!r}] expects shape {wanted} by {short(by)}, got {slope.shape}")
+                if not isinstance(by, State) and by.ndim != 1:
+                    raise ShapeError(f"{place} expects derivatives by a state or a vector, got one by shape {by.shape}")
                 for leaf in leaves_of(by, slope):
                     if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in known:
-                        raise ModelError(f"slopes[{name!r}] reads {leaf.name!r}, which the system does not have")
+                        raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
+                wanted = (groups[name].dimension, groups[by.name].dimension if isinstance(by, State) else by.shape[0])
+                if slope.shape != wanted:
+                    raise ShapeError(f"{place} expects shape {wanted} by {short(by)}, got {slope.shape}")
         return found
 
     def _place(self, leaf: Leaf) -> str:

@@ -102,6 +102,19 @@ ROWS = [
     bad("a stiffness of text", lambda: Drive(stiffness="soft"), "Drive", "stiffness", "soft"),
     bad("bounds the wrong way round", lambda: Drive(lower=1.0, upper=-1.0), "lower", "1.0"),
     bad("a frame that is not there", lambda: arm().pose("tip"), "'tip'", "joint0"),
+    bad(
+        "derivatives of a word",
+        lambda: tx.mechanics.forward_dynamics_derivatives("arm"),
+        "forward_dynamics_derivatives",
+        "str",
+    ),
+    bad(
+        "derivatives at two accelerations",
+        lambda: tx.mechanics.inverse_dynamics_derivatives(arm(), q, q, np.zeros(9)),
+        "inverse_dynamics_derivatives",
+        "qdd",
+        "(9,)",
+    ),
     bad("axes by name", lambda: tx.mechanics.frame_jacobian(arm(), "joint1", q, "world"), "axes", "'world'"),
     bad(
         "a wrench of three",
