@@ -36,9 +36,10 @@ from .tree import Link, Mimic
 __all__ = [
     "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "GivenForces", "Ground", "Link", "Mechanism", "Mimic",
     "SpatialInertia", "aba", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
-    "chain_models", "closed_dynamics", "coriolis_forces", "environment", "forward_dynamics", "frame_jacobian",
-    "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces", "inverse_dynamics", "joint_wrench",
-    "joints", "kinetic_energy", "load", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix",
-    "potential_energy", "power", "rnea", "spatial_momentum", "total_mass",
+    "chain_models", "closed_dynamics", "coriolis_forces", "environment", "forward_dynamics",
+    "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces",
+    "gravity_forces", "inverse_dynamics", "inverse_dynamics_derivatives", "joint_wrench", "joints", "kinetic_energy",
+    "load", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "potential_energy", "power", "rnea",
+    "spatial_momentum", "total_mass",
 ]
 # fmt: on
