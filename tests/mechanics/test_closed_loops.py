@@ -14,7 +14,7 @@ from mechanics_oracles import Cloud, pose
 
 import twistax as tx
 from twistax import mechanics
-from twistax.mechanics import Link, Mechanism, SpatialInertia, joints, loops
+from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints, loops
 
 GRAVITY = np.array([0.7, -1.1, -9.6])
 AXIS = np.array([0.6, 0.0, -0.8])
@@ -302,3 +302,83 @@ def test_a_linkage_over_a_hundred_seconds() -> None:
         energy = np.asarray(found["energy"])
         assert np.abs(found["gap"]).max() < 1e-12
         assert np.ptp(energy) < bound * np.abs(energy).max()
+
+
+def stewart() -> tuple[tx.System, dict[str, Any]]:
+    """Six legs that slide on springs, on universal joints below and balls above; six freedoms are left of 24."""
+    sides, length, height, stiffness = 2.0 * np.pi / 3.0 * np.arange(3), 0.5, 0.8, 4e3
+    below = np.concatenate([[a - 0.3, a + 0.3] for a in sides])
+    above = np.concatenate([[a - 0.8, a + 0.8] for a in sides])
+    feet = np.stack([np.cos(below), np.sin(below), 0.0 * below], 1)
+    tops = 0.6 * np.stack([np.cos(above), np.sin(above), 0.0 * above], 1)
+    plate = SpatialInertia(mass=20.0, inertia=np.diag([1.8, 1.8, 3.6]))
+    tube = SpatialInertia(mass=2.0, center_of_mass=(0.0, 0.0, 0.25), inertia=np.diag([0.04, 0.04, 0.001]))
+    rod = SpatialInertia(mass=1.0, center_of_mass=(0.0, 0.0, -0.2), inertia=np.diag([0.02, 0.02, 0.001]))
+    links, closures, q = [Link(joints.Free("plate"), plate, np.eye(4))], [], list[float]()
+    springs: tx.Expr = tx.Constant(0.0)
+    for i, (foot, top) in enumerate(zip(feet, tops, strict=True)):
+        one, two = joints.universal(f"foot{i}", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        way = top + [0.0, 0.0, height] - foot
+        reach = float(np.linalg.norm(way))
+        drive = Drive(stiffness=stiffness, rest=reach + 0.02 - length)
+        slide = joints.Prismatic(f"leg{i}", (0.0, 0.0, 1.0))
+        links += [
+            Link(one, None, tx.pose(position=foot)),
+            Link(two, tube, np.eye(4), parent=one.name, name=f"tube{i}"),
+            Link(slide, rod, tx.pose(position=[0.0, 0.0, length]), parent=f"tube{i}", drive=drive),
+            Link(joints.Fixed(f"ball{i}"), None, tx.pose(position=top), parent="plate"),
+        ]
+        closures.append(loops.Point(f"closure{i}", f"leg{i}", f"ball{i}"))
+        x, y, z = way / reach
+        q += [-np.arctan2(y, z), np.arcsin(x), reach - length]
+    platform = Mechanism(links, loops=closures, driven=[])
+    for i in range(6):
+        (at,) = range(24)[platform.segment_of(f"leg{i}").coordinates]
+        springs = springs + 0.5 * stiffness * (platform.q["q"][at] - (q[3 * i + 2] + 0.02)) ** 2
+    assert platform.redundant_closures == 0
+    gaps = tx.Concat(*(mechanics.loop_gap(platform, loop.name) for loop in closures))
+    system = platform.system(outputs={"energy": platform.energy() + springs, "gap": gaps})
+    qd = np.concatenate([[0.3, 0.0, 0.5, 0.0, 0.4, 1.0], np.zeros(18)])
+    return system, {"q": np.array(q), "plate_position": tx.pose(position=[0.0, 0.0, height]), "qd": qd}
+
+
+@pytest.mark.slow
+def test_a_stewart_platform_over_a_hundred_seconds() -> None:
+    system, x = stewart()
+    dynamics = tx.compile(system, backend=tx.JAX())  # unrolled, XLA takes minutes to compile it
+    times = np.linspace(0.0, 100.0, 201)
+    sol = tx.integrate(dynamics, dynamics.project(0.0, x), t1=100.0, rtol=1e-10, atol=1e-10, save_at=times)
+    found = jax.vmap(lambda t, x: dynamics.outputs(t, x))(sol.ts, sol.xs)
+    energy = np.asarray(found["energy"])
+    assert np.abs(found["gap"]).max() < 1e-10
+    assert np.ptp(energy) < 1e-8 * np.abs(energy).max()
+
+
+@pytest.mark.slow
+def test_the_fastest_move_of_an_arm_of_two_links() -> None:
+    """A mechanism in a trajectory problem: solved, and flown again by another method, it arrives."""
+    z, drive = (0.0, 0.0, 1.0), Drive(effort=5.0, lower=-3.0, upper=3.0, speed=8.0)
+    body = SpatialInertia(mass=1.0, center_of_mass=(0.25, 0.0, 0.0), inertia=np.diag([0.001, 0.02, 0.02]))
+    arm = mechanics.Chain(
+        [
+            Link(joints.Revolute("a", z), body, np.eye(4), drive=drive),
+            Link(joints.Revolute("b", z), body, tx.pose(position=[0.5, 0.0, 0.0]), drive=drive),
+        ],
+        gravity=(0.0, 0.0, 0.0),
+    )
+    dynamics, rest = tx.compile(arm.system()), np.zeros(2)
+    end = np.array([1.5, 0.5])
+    problem = tx.trajectory.Problem(
+        dynamics,
+        tx.Minimize(tx.Time()),
+        nodes=21,
+        final_time=(0.3, 3.0),
+        initial={"q": rest, "qd": rest},
+        final={"q": end, "qd": rest},
+    )
+    result = problem.solve()
+    assert "SOLVED" in str(result.status)
+    assert 0.4 < result.final_time < 1.0
+    start = {"q": rest, "qd": rest}
+    flown = tx.integrate(dynamics, start, t1=result.final_time, rtol=1e-10, atol=1e-10, u=result.controls)
+    np.testing.assert_allclose(flown.xs["q"][-1], end, atol=1e-3)
