@@ -204,6 +204,23 @@ def test_what_a_file_switches_off_does_not_act(option: str, tmp_path: Path) -> N
     np.testing.assert_allclose(found, data.qacc, rtol=1e-12)
 
 
+def test_parameters_of_a_joint_are_its_own_beside_a_servo(tmp_path: Path) -> None:
+    """Its spring and damper, with the values of the file; those of the servo stay."""
+    path = tmp_path / "model.xml"
+    text = (
+        "<mujoco><worldbody><body>{}<joint name='h' axis='0 1 1' stiffness='{}' springref='40' damping='{}'/>"
+        "</body></worldbody><actuator><position joint='h' kp='30' kv='3'/></actuator></mujoco>"
+    )
+    path.write_text(text.format(ROD, 20, 2))
+    rates = mechanics.load(path, parameters=["h_stiffness", "h_damping"]).system().rates["qd"]
+    model = mujoco.MjModel.from_xml_string(text.format(ROD, 50, 5))
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = 0.3, 1.0, 0.1
+    mujoco.mj_forward(model, data)
+    state, other = {"q": data.qpos, "qd": data.qvel}, {"h_stiffness": 50.0, "h_damping": 5.0}
+    np.testing.assert_allclose(tx.lower(rates)(0.0, state, {"tau": data.ctrl}, other), data.qacc, rtol=1e-12)
+
+
 def test_sizes_take_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "model.xml"
     path.write_text(f"<mujoco><size memory='9000P'/><worldbody><body>{ROD}<joint/></body></worldbody></mujoco>")

@@ -168,19 +168,20 @@ class Mjcf:
         model, name, at = self.model, self._name("joint", j), int(self.model.jnt_dofadr[j])
         single = self._single(j)
         servo = self._servos.get(j, _Servo())
-        stiffness, rest = float(model.jnt_stiffness[j]) * self._switched_on("SPRING"), 0.0
-        if single:
-            rest = float(model.qpos_spring[model.jnt_qposadr[j]])
-            together = stiffness + servo.stiffness
-            rest = (stiffness * rest + servo.offset) / together if together else rest
-            stiffness = together
         numbers = {
-            "armature": float(model.dof_armature[at]) + servo.armature,
-            "damping": float(model.dof_damping[at]) * self._switched_on("DAMPER") + servo.damping,
+            "armature": float(model.dof_armature[at]),
+            "damping": float(model.dof_damping[at]) * self._switched_on("DAMPER"),
             "friction": float(model.dof_frictionloss[at]) * self._switched_on("FRICTIONLOSS"),
-            "stiffness": stiffness,
+            "stiffness": float(model.jnt_stiffness[j]) * self._switched_on("SPRING"),
         }
         given: dict[str, Any] = {what: self.choices.of(name, what, value) for what, value in numbers.items() if value}
+        rest: Any = float(model.qpos_spring[model.jnt_qposadr[j]]) if single else 0.0
+        if servo.stiffness:
+            own = given.get("stiffness", 0.0)
+            rest = (own * rest + servo.offset) / (own + servo.stiffness)
+        for what in ("armature", "damping", "stiffness"):
+            if getattr(servo, what):
+                given[what] = given.get(what, 0.0) + getattr(servo, what)
         if single and model.jnt_limited[j]:
             given |= dict(zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True))
         return Drive(rest=rest if "stiffness" in given else 0.0, gear=servo.gear, effort=servo.limits, **given)
