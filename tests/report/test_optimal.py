@@ -18,7 +18,7 @@ def test_every_problem_is_asked_the_same() -> None:
 
 def test_refined_meshes_are_asked_for_a_millionth_where_digits_are_published() -> None:
     assert {check.what for check in OPTIMAL["refined"]} == set(refined.KNOWN)
-    assert len(OPTIMAL["refined"]) == 6 * len(refined.KNOWN)
+    assert len(OPTIMAL["refined"]) == 5 * len(refined.KNOWN)
     for name, known in refined.KNOWN.items():
         assert known.bar <= 5e-6 or "landing" in name
 
