@@ -688,7 +688,7 @@ MUTATIONS: list[Mutation] = [
             "wrench of a turned joint the wrong way",
             "carried + AdjointDual(",
             "carried - AdjointDual(",
-            "mechanics/test_derivatives.py",
+            "mechanics/test_mechanism_derivatives.py",
         ),
     ),
     *_at(
@@ -697,7 +697,7 @@ MUTATIONS: list[Mutation] = [
             "velocity and moment of mass exchanged",
             "Outer(v, h)",
             "Outer(h, v)",
-            "mechanics/test_derivatives.py",
+            "mechanics/test_mechanism_derivatives.py",
         ),
     ),
     *_at(
@@ -706,7 +706,7 @@ MUTATIONS: list[Mutation] = [
             "coordinates of a plane turned the other way",
             "return self.rate(-position, rate)",
             "return self.rate(position, rate)",
-            "mechanics/test_derivatives.py",
+            "mechanics/test_mechanism_derivatives.py",
         ),
     ),
     *_at(

@@ -38,11 +38,15 @@ OTHER: dict[str, Callable[[Any], Any]] = {
     "body": lambda body: body + 1.0,
     "placeholders": lambda placeholders: placeholders[::-1] + placeholders[:1],
     "air": lambda air: dataclasses.replace(air, molar_mass=np.nextafter(air.molar_mass, 99.0)),
+    "operand": lambda operand: (
+        operand.replace(name=f"{operand.name}_") if isinstance(operand, tx.State) else operand + 1.0
+    ),
     "ellipsoid": lambda ellipsoid: dataclasses.replace(ellipsoid, radius=np.nextafter(ellipsoid.radius, 9e9)),
 }
 #: A leaf is its kind, name and shape; what else it declares a system compares where two of a name meet. The names of
 #: the others are what they are printed as.
 LEAVES_SAY = {"min", "max", "guess", "scale", "initial", "final", "Parameter.value", "Constant.name", "Time.name"}
+LEAVES_SAY |= {f"{kind}.name" for kind in ("Initial", "Integral", "Maximum", "Minimum")}
 
 FIELDS = [(node, f.name) for node in NODES for f in node._fields if not (f.operand or f.variadic)]
 

@@ -9,7 +9,7 @@ import pytest
 
 import twistax as tx
 from twistax.lowering.native.backend import installed
-from twistax.mechanics import joints
+from twistax.mechanics import screws
 from twistax.report.checks import Absent, Check, explained
 from twistax.report.page import texts
 from twistax.report.sections import FIGURES, identities, keeping, scalars, steps
@@ -72,7 +72,7 @@ def test_every_statement_on_joints_holds() -> None:
 
 
 def test_wrenches_moved_as_twists_stand_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(joints, "SE3AdjointDual", tx.lie.SE3Adjoint)
+    monkeypatch.setattr(screws, "SE3AdjointDual", tx.lie.SE3Adjoint)
     monkeypatch.setattr(identities, "JOINTS", identities.JOINTS[:1])
     z = identities.random_values(3)
     worst = identities.worst_errors(identities.joint_identities(z), z)

@@ -113,7 +113,8 @@ def integrate(
         method = RKMK(DOP853, Ambient()) if adaptive else RKMK(RK4)
     if not isinstance(method, Method):
         raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
-    method = projected(method, dynamics)
+    if dynamics.system.corrections:
+        method = projected(method)
     method.check(dynamics)
     for name, flag in (("dense", dense), ("throw", throw)):
         if not isinstance(flag, (bool, np.bool_)):
@@ -126,7 +127,8 @@ def integrate(
     now = controls.sample(jnp.asarray(t0, precision(x0, params)))
     inputs = dynamics._functions.prepare(t0, x0, now, params, names=places)
     _check_start(dynamics, inputs, places)
-    need_start_on_manifold(dynamics, inputs)
+    if dynamics.system.corrections:
+        need_start_on_manifold(dynamics, inputs)
     if span is not None and isinstance(controls, ByName):
         controls.check_span(*span)
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype

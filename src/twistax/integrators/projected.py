@@ -122,17 +122,15 @@ def _flat(group: Any) -> bool:
     return isinstance(group, Euclidean)
 
 
-def projected(method: Method, dynamics: Dynamics) -> Method:
-    """The method, with corrections where the system has any."""
-    if not dynamics.system.corrections or isinstance(method, Projected):
-        return method
-    return Projected(method)
+def projected(method: Method) -> Projected:
+    """The method with corrections."""
+    return method if isinstance(method, Projected) else Projected(method)
 
 
 def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
     """Raise InputError for a start that is known and off the system's manifold."""
     functions = dynamics._functions
-    if not dynamics.system.corrections or is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
+    if is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
         return
     found = functions._jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
     off = float(jnp.abs(increments(functions, found)).max())

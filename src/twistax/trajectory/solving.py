@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -43,15 +44,13 @@ class Started(NamedTuple):
     ends: Any
 
 
-class Solvable(Generic[One, Many]):
+class Solvable(ABC, Generic[One, Many]):
     """A problem that can be solved.
 
     Attributes:
         shooting: the discrete problem.
         border: the unknowns that all stages share.
         params: all parameters.
-        parts: the problem of each phase.
-        sign: 1 where less is better, -1 where more is.
     """
 
     shooting: Transcribed
@@ -59,13 +58,16 @@ class Solvable(Generic[One, Many]):
     params: dict[str, Array]
 
     @property
+    @abstractmethod
     def parts(self) -> Sequence[Any]:
-        raise NotImplementedError
+        """The problem of each phase."""
 
     @property
+    @abstractmethod
     def sign(self) -> float:
-        raise NotImplementedError
+        """1 where less is better, -1 where more is."""
 
+    @abstractmethod
     def started(
         self,
         guess: Mapping[Any, Any] | None = None,
@@ -77,31 +79,30 @@ class Solvable(Generic[One, Many]):
         free: Mapping[Any, Any] | None = None,
     ) -> Started:
         """What `solve` with these arguments starts from and is for; in double precision."""
-        raise NotImplementedError
 
+    @abstractmethod
     def at_ends(self, xs: Any, ends: Any) -> Any:
         """States at the nodes with what ends fix in place.
 
         Raises:
             TrajectoryError: they are those of another problem.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def axes(self) -> dict[str, Any]:
         """How many axes each argument of `started` has, in dicts as the arguments are."""
-        raise NotImplementedError
 
+    @abstractmethod
     def result(self, tried: Tried) -> One:
         """The best of several tries."""
-        raise NotImplementedError
 
     def refined(self, result: One, tolerance: float, solve: Callable[[Any, Any], One]) -> One:
         """The result on finer meshes; `solve` solves a problem warm."""
         raise TrajectoryError("solve: problems of phases are not refined.\n  fix: leave out refine")
 
+    @abstractmethod
     def results(self, tried: Sequence[Tried]) -> Many:
         """The results of many cases."""
-        raise NotImplementedError
 
     def built(self) -> None:
         """Forget what was compiled."""

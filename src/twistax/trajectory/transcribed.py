@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -83,7 +84,7 @@ class Segment(NamedTuple):
         return Point(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
 
 
-class Transcribed:
+class Transcribed(ABC):
     """What solvers are given: a discrete problem in stages.
 
     Attributes:
@@ -121,36 +122,36 @@ class Transcribed:
     segments: Sequence[Segment]
     joins: Sequence[Any]
 
+    @abstractmethod
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
         """Take rows out that leave no room for slacks."""
-        raise NotImplementedError
 
+    @abstractmethod
     def defect(self, stage: int, column: int) -> str:
         """What an entry of the defects is called, and where it is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def move(self, point: Point, step: Step) -> Point:
         """The point after a step."""
-        raise NotImplementedError
 
+    @abstractmethod
     def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
         """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
-        raise NotImplementedError
 
+    @abstractmethod
     def derivatives(
         self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
     ) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
-        raise NotImplementedError
 
+    @abstractmethod
     def charts(self, xs: Any, d: jax.Array) -> jax.Array:
         """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def whole_rows(self, parts: Sequence[Array]) -> Array:
         """Numbers for the rows of each phase as numbers for all rows."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rows_of(self, part: Segment, rows: Any) -> Any:
         """The rows of a phase among all rows, or anything with an entry for each."""
-        raise NotImplementedError

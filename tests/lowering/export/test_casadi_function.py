@@ -138,7 +138,7 @@ def test_names_that_meet_are_refused(casadi: Any) -> None:
     assert dynamics.to_casadi().name_out() == ["rate_x"]
     with pytest.raises(tx.ModelError, match="'x' stands for two"):
         dynamics.to_casadi("outputs")
-    with pytest.raises(tx.ModelError, match="families among rates, outputs, constraints, got 'rate'"):
+    with pytest.raises(tx.ModelError, match="families among rates, outputs, constraints, corrections, got 'rate'"):
         dynamics.to_casadi("rate")
     with pytest.raises(tx.InputError, match=r"name expects what CasADi allows, .* got 'two words'"):
         dynamics.to_casadi(name="two words")

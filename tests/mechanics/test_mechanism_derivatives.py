@@ -151,9 +151,8 @@ def test_systems_use_them(unchecked: None) -> None:
 
 def test_other_numbers_compile_nothing(unchecked: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Masses, lengths and axes as Parameters: a heavier tool runs by the same kernels; and the slope by its mass."""
-    robot = mechanics.load(
-        EXAMPLES / "arm.urdf", parameters=["tool_mass", "tool_center_of_mass", "elbow_origin", "elbow_axis"]
-    )
+    names = ["tool_mass", "tool_center_of_mass", "elbow_origin", "elbow_axis"]
+    robot = mechanics.load(EXAMPLES / "arm.urdf", parameters=names)
     dynamics = tx.compile(robot.system(), backend=tx.Native(least=0))
     x, u = {"q": np.array([0.3, -0.4, 0.1]), "qd": np.array([0.5, 0.2, -0.3])}, {"tau": np.zeros(3)}
     values = {leaf.name: np.asarray(leaf.value) for leaf in dynamics.parameters}
