@@ -224,7 +224,7 @@ def test_what_is_no_model_is_refused(text: str, message: str, tmp_path: Path) ->
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match="cannot read"):
         load(tmp_path / "nothing.urdf")
-    with pytest.raises(tx.ModelError, match=r"no number 'tool_mas'(.|\n)*did you mean 'tool_mass'"):
+    with pytest.raises(tx.ModelError, match=r"no parameter 'tool_mas'(.|\n)*did you mean 'tool_mass'"):
         load(OWN / "arm.urdf", parameters=["tool_mas"])
     with pytest.raises(tx.ModelError, match="parameters=True or a list of names, got 'tool_mass'"):
         load(OWN / "arm.urdf", parameters="tool_mass")

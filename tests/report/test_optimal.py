@@ -20,7 +20,8 @@ def test_refined_meshes_are_asked_for_a_millionth_where_digits_are_published() -
     assert {check.what for check in OPTIMAL["refined"]} == set(refined.KNOWN)
     assert len(OPTIMAL["refined"]) == 5 * len(refined.KNOWN)
     for name, known in refined.KNOWN.items():
-        assert known.bar <= 5e-6 or "landing" in name
+        # Goddard's climb is published to five decimals; the landing has no optimum of others.
+        assert known.bar <= (5e-6 if name.startswith("Goddard") else 1e-6) or "landing" in name
 
 
 def test_a_convex_problem_is_reached_from_every_start() -> None:

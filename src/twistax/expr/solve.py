@@ -134,7 +134,35 @@ class Inv(Expr):
         return self.operand
 
 
-class Solve(Expr):
+class LinearSystem(Expr):
+    """The x with A x = b. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
+
+    Attributes:
+        A: the matrix, an inertia for example.
+        b: the right-hand side, one or several columns.
+    """
+
+    abstract = True
+    of_numbers = True
+    A: Operand
+    b: Operand
+    precedence = 20
+    formula = r"{<0:60>}^{-1} \, <1:21>"
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        A, b = shapes
+        expect_square(self, "A", A)
+        if len(b) not in (1, 2) or b[0] != A[0]:
+            raise ShapeError(f"{type(self).__name__} expects b with shape ({A[0]},) or ({A[0]}, k), got {b}")
+        return b
+
+    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
+        rows = -self.b.ndim
+        columns = [[(self.b, -1), (self, -1)]] if rows == -2 else []
+        return [[(self.A, -2), (self.b, rows)], [(self.A, -1), (self, rows)], *columns]
+
+
+class Solve(LinearSystem):
     """The x with A x = b. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
 
     A singular matrix gives inf or NaN.
@@ -145,31 +173,14 @@ class Solve(Expr):
     Raises: ShapeError if A is no square matrix, or b has another number of rows.
     """
 
-    of_numbers = True
-    A: Operand
-    b: Operand
-    precedence = 20
-    formula = r"{<0:60>}^{-1} \, <1:21>"
     cases = (
         *({"A": _well_conditioned(n), "b": [1.0, -2.0, 0.5, 3.0][:n]} for n in (1, 2, 3, 4)),
         {"A": _well_conditioned(3), "b": [[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]]},
     )
 
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        A, b = shapes
-        expect_square(self, "A", A)
-        if len(b) not in (1, 2) or b[0] != A[0]:
-            raise ShapeError(f"Solve expects b with shape ({A[0]},) or ({A[0]}, k), got {b}")
-        return b
-
     def evaluate(self, *values: jax.Array) -> jax.Array:
         stays = all(isinstance(leaf, (Constant, Parameter)) for leaf in leaves_of(self.A))
         return solve_again(*values) if stays and 3 < self.A.shape[0] <= LARGEST_INVERTED else solve(*values)
-
-    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
-        rows = -self.b.ndim
-        columns = [[(self.b, -1), (self, -1)]] if rows == -2 else []
-        return [[(self.A, -2), (self.b, rows)], [(self.A, -1), (self, rows)], *columns]
 
     def simplify(self) -> Expr:
         """I x = b is x = b; a diagonal divides; a known inverse multiplies; a good constant is inverted once."""

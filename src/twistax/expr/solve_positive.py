@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ShapeError
 from .bases import expect_square
 from .fields import Operand
 from .node import Expr, Shape
+from .solve import LinearSystem
 
 
 def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
@@ -41,7 +41,7 @@ def inverse_positive(A: jax.Array) -> jax.Array:
     return jnp.where(np.tri(A.shape[-1], dtype=bool), above.T, above)
 
 
-class SolvePositive(Expr):
+class SolvePositive(LinearSystem):
     """The x with A x = b, A symmetric positive definite. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k).
 
     Only the lower half of A is read. A matrix that is not positive definite gives inexact numbers, inf or NaN.
@@ -52,31 +52,14 @@ class SolvePositive(Expr):
     Raises: ShapeError if A is no square matrix, or b has another number of rows.
     """
 
-    of_numbers = True
-    A: Operand
-    b: Operand
-    precedence = 20
-    formula = r"{<0:60>}^{-1} \, <1:21>"
     cases = (
         {"A": [[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]], "b": [1.0, -2.0, 0.5]},
         {"A": [[4.0, 1.0], [1.0, 3.0]], "b": [[1.0, -2.0, 0.0], [0.5, 3.0, 1.0]]},
     )
 
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        A, b = shapes
-        expect_square(self, "A", A)
-        if len(b) not in (1, 2) or b[0] != A[0]:
-            raise ShapeError(f"SolvePositive expects b with shape ({A[0]},) or ({A[0]}, k), got {b}")
-        return b
-
     def evaluate(self, *values: jax.Array) -> jax.Array:
         A, b = values
         return solve_positive(A, b[:, None])[:, 0] if b.ndim == 1 else solve_positive(A, b)
-
-    def shared_orders(self) -> list[list[tuple[Expr, int]]]:
-        rows = -self.b.ndim
-        columns = [[(self.b, -1), (self, -1)]] if rows == -2 else []
-        return [[(self.A, -2), (self.b, rows)], [(self.A, -1), (self, rows)], *columns]
 
 
 class InversePositive(Expr):

@@ -14,7 +14,7 @@ from .inputs import Values
 
 #: Newton's method doubles the digits from near by; from far away it may need some steps to come near.
 _STEPS = 50
-#: A correction of so many units of round-off is none.
+#: A correction of so many units of round-off counts as zero.
 _ROUND_OFF = 1e3
 
 

@@ -65,7 +65,7 @@ def linear_controls(given: Any, controls: Sequence[Control]) -> dict[str, Linear
     """Which controls are linear, from `controls=`: one way for all, or a dict by control or name.
 
     Raises:
-        ModelError: what is none, or the rate of a control that is held.
+        ModelError: an unknown control, another way than Held or Linear, or the rate of a control that is held.
     """
     known = {leaf.name: leaf for leaf in controls}
     rates = {Rate(leaf).name: leaf.name for leaf in controls}

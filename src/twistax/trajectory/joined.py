@@ -35,7 +35,7 @@ class Join:
     Args:
         before, after: the phases.
         sources: state -> an expression of the last states before, or None where the state is free.
-        given: state -> values in place of it as stated, NaN where there are none; a solve has others there.
+        given: state -> values in place of it as stated, NaN where entries are free; a solve has others there.
         fixed: state -> (dimension,) which tangents have such a value.
 
     Attributes:

@@ -22,7 +22,7 @@ class Layout:
         names, places, equality, exists, decided, own: (rows,), see `Transcribed`.
         asked: of the path rows at all points of an interval one after the other, those that some interval has.
         per_interval: rows of an interval.
-        path_rows: path rows at a point, 1 where there are none.
+        path_rows: path rows at a point, 1 where the path has no rows.
         end_states: path rows that the last node has.
         fixed: tangents that the final values fix.
         counts: node -> how many conditions it has.

@@ -82,7 +82,7 @@ class Restated:
             self.at_end = {"the last node is at the final time": clock == Time()}
             self.at_join = {_CLOCK: Time()}
         self.straight = set(self._linear)
-        #: States that are none of the system as stated.
+        #: States that the system as stated does not have.
         self.hidden = self.straight | ({_CLOCK} if mesh.free is not None else set())
         if self._states or mesh.free is not None:
             final, running = self.objective.final, self.objective.running

@@ -80,7 +80,7 @@ def transcription_of(given: Any, method: Any, substeps: Any) -> MultipleShooting
     """The transcription that was given, or multiple shooting by a method.
 
     Raises:
-        TrajectoryError: it is none, or there are both.
+        TrajectoryError: another object, or both are given.
     """
     if given is None:
         chosen = {} if substeps is None else {"substeps": substeps}

@@ -60,4 +60,4 @@ class Choices:
     def check(self) -> None:
         """Raise ModelError for a name that the model does not have."""
         for name in sorted(set() if isinstance(self.wanted, bool) else self.wanted - set(self.known)):
-            raise ModelError(f"load: the model has no number {name!r}; known are {listed(self.known, name)}")
+            raise ModelError(f"load: the model calls no parameter {name!r}; expected: {listed(self.known, name)}")
