@@ -61,6 +61,29 @@ def _at(file: str, *entries: tuple[str, str, str, str]) -> list[Mutation]:
 
 
 MUTATIONS: list[Mutation] = [
+    # ---- language ----------------------------------------------------------------------------------------------------
+    *_at(
+        "expr/arithmetic.py",
+        ("strict at a tie", "function = operator.lt", "function = operator.le", "expr/test_comparisons.py"),
+    ),
+    *_at(
+        "expr/operators.py",
+        (
+            "greater the wrong way",
+            "return _nodes().Less(other, self)",
+            "return _nodes().Less(self, other)",
+            "expr/test_comparisons.py",
+        ),
+    ),
+    *_at(
+        "expr/choice.py",
+        (
+            "not, turned round halfway",
+            "return Where(condition.condition, self.y, self.x)",
+            "return Where(condition.condition, self.x, self.y)",
+            "expr/test_comparisons.py",
+        ),
+    ),
     # ---- groups ------------------------------------------------------------------------------------------------------
     *_at(
         "groups/se3.py",

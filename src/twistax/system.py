@@ -31,6 +31,7 @@ from .expr import (
     check_orders,
     find_path,
     leaves_of,
+    refuse_conditions,
     to_expr,
 )
 from .expr.fields import ExprLike, freeze
@@ -302,9 +303,10 @@ def _named_constraints(
         raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
     else:
         named = {}
-        for constraint in [constraints] if isinstance(constraints, Constraint) else constraints:
+        for constraint in [constraints] if isinstance(constraints, Expr) else constraints:
             named[free_name(repr(constraint), named)] = constraint
     for name, constraint in named.items():
+        refuse_conditions("a system", constraint)
         if not isinstance(constraint, Constraint):
             raise ModelError(
                 f"constraint {name!r} is not a constraint but {type(constraint).__name__}.\n"

@@ -133,10 +133,10 @@ ROWS = [
         }.items()
     ),
     # operators
-    bad("a strict inequality", lambda: s < 1.0, "s < 1.0", "<="),
-    bad("a strict inequality the other way", lambda: s > 1.0, "s > 1.0", ">="),
-    bad("unequal", lambda: s != 1.0, "!=", "key()"),
-    bad("a chain of comparisons", lambda: 0.0 <= s <= 1.0, "constraint", "truth value", "[a <= x, x <= b]"),
+    bad("a strict constraint", lambda: tx.System({s: s}, constraints=s < 1.0), "s < 1", "open", "s <= 1"),
+    bad("not as a constraint", lambda: tx.System({s: s}, constraints=[~(s <= 1.0)]), "~(s <= 1.)", "list"),
+    bad("unequal", lambda: s != 1.0, "!=", "key()", "~(a == b)"),
+    bad("a chain of comparisons", lambda: 0.0 < s <= 1.0, "comparison", "truth value", "[a <= x, x <= b]"),
     bad("an if by a constraint", lambda: 1 if s <= 0.0 else 2, "s <= 0", "tx.Where"),
     bad("an if by an expression", lambda: 1 if s else 2, "State", "truth value", "tx.Where"),
     bad("membership", lambda: 1.0 in v, "'in'", "keys"),
@@ -149,7 +149,7 @@ ROWS = [
     bad("a remainder", lambda: s % 2, "%", "tx."),
     bad("a bitwise and", lambda: (s <= 1.0) & (s >= 0.0), "&", "tx.All"),
     bad("a bitwise or", lambda: (s <= 1.0) | (s >= 0.0), "|", "tx.Any"),
-    bad("a not", lambda: ~(s <= 1.0), "~", "tx.Where"),
+    bad("not of a number", lambda: ~s, "Not", "conditions", "s"),
     bad(
         "an array of JAX on the left",
         lambda: (jax.numpy.ones(3) @ tx.State("w", shape=(2,))).shape,
@@ -171,7 +171,7 @@ ROWS = [
     # NumPy
     bad("a function that no node means", lambda: np.gamma(s) if hasattr(np, "gamma") else np.floor(s), "np.", "tx"),
     bad("a sort", lambda: np.sort(v), "np.sort", "tx.lower"),
-    bad("a strict comparison of NumPy's", lambda: np.less(s, 1.0), "np.less", "<="),
+    bad("unequal by NumPy", lambda: np.not_equal(s, 1.0), "np.not_equal", "~(a == b)"),
     bad("a reduction of NumPy's", lambda: np.add.reduce(v), "np.add.reduce", "tx.linalg.Sum"),
     bad("a sum along an axis", lambda: np.sum(M, axis=0), "np.sum", "axis"),
     bad("an output array", lambda: np.sin(v, out=np.zeros(3)), "np.sin", "out"),

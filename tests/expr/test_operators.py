@@ -21,11 +21,10 @@ A, P = tx.State("A", shape=(3, 3)), tx.State("P", shape=(2, 3))
     ("attempt", "sentence"),
     [
         (lambda: bool(x), "State has no truth value"),
-        (lambda: bool(x <= 1.0), "the constraint x <= 1. has no truth value"),
+        (lambda: bool(x <= 1.0), "the comparison x <= 1. has no truth value"),
         (lambda: 0.0 <= x <= 1.0, "has no truth value"),
         (lambda: x and s, "truth value"),
-        (lambda: x < 1.0, "< builds no constraint"),
-        (lambda: x > 1.0, "> builds no constraint"),
+        (lambda: ~x, "Not expects conditions"),
         (lambda: x != 1.0, "!= has no meaning"),
         (lambda: 1.0 in x, "'in' has no meaning"),
         (lambda: len(s), "s is a scalar and has no length"),
@@ -38,9 +37,9 @@ A, P = tx.State("A", shape=(3, 3)), tx.State("P", shape=(2, 3))
         (lambda: tx.Solve(A), "Solve(A, b)".replace("(", r"\(").replace(")", r"\)")),
         (lambda: tx.Sin(x, x), "Sin"),
         (lambda: tx.Sin(operant=x), "Sin"),
-        (lambda: tx.Where(x, 1.0, 2.0), "Where expects constraints such as x <= 5"),
-        (lambda: tx.Cond(s, 1.0, 2.0), "Cond expects constraints"),
-        (lambda: tx.All([x]), "All expects constraints"),
+        (lambda: tx.Where(x, 1.0, 2.0), "Where expects conditions such as x <= 5"),
+        (lambda: tx.Cond(s, 1.0, 2.0), "Cond expects conditions"),
+        (lambda: tx.All([x]), "All expects conditions"),
     ],
 )
 def test_type_errors(attempt: Callable[[], Any], sentence: str) -> None:

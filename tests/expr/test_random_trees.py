@@ -46,7 +46,7 @@ class Forest:
     def condition(self, shape: tuple[int, ...]) -> tx.Expr:
         """A comparison of leaves only, whose outcome rounding cannot change."""
         a, b = self.leaf(shape), self.leaf(shape)
-        return self.source.choice([a <= b, a >= b, a == b])
+        return self.source.choice([a <= b, a >= b, a == b, a < b, a > b, ~(a <= b), ~(a == b)])
 
     def tree(self, shape: tuple[int, ...], depth: int) -> tx.Expr:
         if depth == 0 or (depth < 3 and self.source.random() < 0.1):
@@ -147,6 +147,8 @@ NUMPY: dict[type[tx.Expr], Callable[..., Any]] = {
     tx.All: lambda _, *a: all(np.all(p) for p in a),
     tx.Inequality: lambda _, a, b: a <= b,
     tx.Equality: lambda _, a, b: a == b,
+    tx.Less: lambda _, a, b: a < b,
+    tx.Not: lambda _, a: np.logical_not(a),
     tx.Dot: lambda _, a, b: np.dot(a, b),
     tx.Cross: lambda _, a, b: np.cross(a, b),
     tx.Outer: lambda _, a, b: np.outer(a, b),

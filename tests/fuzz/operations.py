@@ -139,6 +139,8 @@ EVERYWHERE: dict[str, Callable[..., Any]] = {
     "tx.Max({0}, {1}, {2})": lambda a, b, c: np.maximum(np.maximum(a, b), c),
     "tx.Where({0} <= {1}, {0}, {2})": lambda a, b, c: np.where(a <= b, a, c),
     "tx.Where({0} >= {1}, {1}, {2})": lambda a, b, c: np.where(a >= b, b, c),
+    "tx.Where({0} < {1}, {0}, {2})": lambda a, b, c: np.where(a < b, a, c),
+    "tx.Where(~({0} < {1}), {0}, {2})": lambda a, b, c: np.where(a < b, c, a),
     "tx.Where({0} == {1}, 1.0, {2})": lambda a, b, c: np.where(a == b, 1.0, c),
     "tx.Abs({0})": np.abs,
     "tx.Sign({0})": np.sign,
@@ -192,6 +194,9 @@ CONDITIONS: dict[str, Callable[..., Any]] = {
     "{0} == {1}": np.equal,
     "2.0 * {0} <= {1} + {0}": lambda a, b: 2.0 * a <= b + a,
     "tx.All({0} <= {1}, {1} <= 1.0)": lambda a, b: np.all(a <= b) and np.all(b <= 1.0),
+    "{0} > {1}": lambda a, b: a > b,
+    "~({0} <= {1})": lambda a, b: ~np.less_equal(a, b),
+    "~tx.All({0} < {1}, {1} < 1.0)": lambda a, b: not (np.all(a < b) and np.all(b < 1.0)),
     "tx.Any({0} >= {1}, {1} == 0.5)": lambda a, b: np.any(a >= b) or np.any(b == 0.5),
 }
 

@@ -1,10 +1,23 @@
 """The expression language: leaves, nodes, constraints, and what walks over them."""
 
 from . import lie
-from .arithmetic import Add, Constraint, Div, Equality, Inequality, MatMul, Mul, Neg, Power, Sub
+from .arithmetic import (
+    Add,
+    Constraint,
+    Div,
+    Equality,
+    Inequality,
+    Less,
+    MatMul,
+    Mul,
+    Neg,
+    Power,
+    Sub,
+    refuse_conditions,
+)
 from .array import Block, Concat, Hstack, Index, Stack, Vstack
 from .canonical import canonicalize_all
-from .choice import All, Any, Cond, LogSumExp, Max, Min, Where
+from .choice import All, Any, Cond, LogSumExp, Max, Min, Not, Where
 from .elementwise import (
     Abs,
     Acos,
@@ -42,8 +55,8 @@ from .vmap import Vmap
 __all__ = [
     "Abs", "Acos", "Add", "All", "Any", "Asin", "Atan", "Atan2", "Bilerp", "Block", "Cinterp", "Concat", "Cond",
     "Constant", "Constraint", "Control", "Cos", "Cosh", "Div", "Equality", "Example", "Exp", "Expr", "Hstack", "Huber",
-    "Index", "Inequality", "Leaf", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul", "Neg", "Parameter",
-    "PositivePart", "Power", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square", "Stack", "State", "Sub", "Tan",
-    "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
+    "Index", "Inequality", "Leaf", "Less", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul", "Neg", "Not",
+    "Parameter", "PositivePart", "Power", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square", "Stack", "State",
+    "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
 ]
 # fmt: on

@@ -1,4 +1,4 @@
-"""Choosing: greatest and least, predicates joined by and / or, entries by a condition, branches of which one is run."""
+"""Choosing: greatest and least, predicates and what joins them, entries by a condition, branches of which one runs."""
 
 from __future__ import annotations
 
@@ -102,7 +102,8 @@ def _predicate(node: str, value: Anything) -> Expr:
         if expr.boolean:
             return expr
     raise OperationError(
-        f"{node} expects constraints such as x <= 5, or All and Any of them, got {type(value).__name__}: {value!r}"
+        f"{node} expects conditions such as x <= 5 or x < 5, or All, Any and Not of them, "
+        f"got {type(value).__name__}: {value!r}"
     )
 
 
@@ -154,7 +155,7 @@ class All(Reduction, init=False):
     """True if every entry of every predicate holds; shape (). Takes constraints one by one or in a list.
 
     Attributes:
-        predicates: constraints (true where they hold: lhs <= rhs, lhs == rhs), All or Any.
+        predicates: conditions (true where they hold: lhs <= rhs, lhs < rhs, lhs == rhs), All, Any or Not.
     Raises:
         TypeError: something that is neither true nor false.
         ValueError: no predicate.
@@ -176,6 +177,39 @@ class Any(Reduction, init=False):
     neutral = False
 
 
+class Not(Entrywise):
+    """True where the condition does not hold, entry by entry; what `~` builds.
+
+    ~(x <= y) and x > y differ where a side is NaN: no comparison holds there, so the first is true. No rewrite makes
+    one of the other.
+
+    Attributes:
+        condition: a comparison, All, Any or Not.
+    Raises:
+        TypeError: something that is neither true nor false.
+    """
+
+    of_numbers = False
+    condition: Operand
+    function = jnp.logical_not
+    formula = r"\lnot \left(<0>\right)"
+    precedence = 90
+    kinks = ((lambda cls, a, s: cls(a <= s), _VALUES), (lambda cls, a: cls(cls(a < 0.5)), {"a": [1.0, 0.5, -2.0]}))
+
+    def __init__(self, condition: Anything) -> None:
+        super().__init__(_predicate("Not", condition))
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return True
+
+    def simplify(self) -> Expr:
+        """Twice not is nothing."""
+        return self.condition.condition if isinstance(self.condition, Not) else self
+
+    def to_text(self, *operands: str) -> str:
+        return f"~({operands[0]})"
+
+
 class Where(Entrywise):
     """x where the condition holds, else y, entry by entry with broadcasting.
 
@@ -183,7 +217,7 @@ class Where(Entrywise):
     the derivative of the whole: keep its argument safe, or use Cond.
 
     Attributes:
-        condition: a constraint (true where it holds), All or Any.
+        condition: a comparison (true where it holds), All, Any or Not.
         x, y: what to choose from, in one unit.
     Raises:
         TypeError: a condition that is neither true nor false.
@@ -208,8 +242,10 @@ class Where(Entrywise):
         return operands[1] and operands[2]
 
     def simplify(self) -> Expr:
-        """A constant condition decides; equal sides need no condition."""
+        """A constant condition decides; equal sides need no condition; that of Not turns them round."""
         condition = self.condition
+        if isinstance(condition, Not):
+            return Where(condition.condition, self.y, self.x)
         if self.x.key() == self.y.key() and self.x.shape == self.shape:
             return self.x
         if isinstance(condition, Constant) and condition.value.all() and self.x.shape == self.shape:
@@ -227,7 +263,7 @@ class Cond(Expr):
     operations Where is faster. The branches broadcast against each other.
 
     Attributes:
-        predicate: a scalar constraint, All, Any, or a list of constraints that must all hold.
+        predicate: a scalar comparison, All, Any, Not, or a list of conditions that must all hold.
         true_branch, false_branch: expressions of broadcastable shapes, in one unit.
     Raises:
         TypeError: a predicate that is neither true nor false.
@@ -271,7 +307,9 @@ class Cond(Expr):
         return jax.lax.cond(values[0], on_true, on_false)
 
     def simplify(self) -> Expr:
-        """A constant predicate decides; equal branches need no predicate."""
+        """A constant predicate decides; equal branches need no predicate; that of Not turns them round."""
+        if isinstance(self.predicate, Not):
+            return Cond(self.predicate.condition, self.false_branch, self.true_branch)
         if self.true_branch.key() == self.false_branch.key():
             return self.true_branch
         if isinstance(self.predicate, Constant):

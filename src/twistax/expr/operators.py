@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import OperationError
 
 if TYPE_CHECKING:
-    from .arithmetic import Equality, Inequality
+    from .arithmetic import Equality, Inequality, Less
     from .node import Expr
 
 
@@ -53,13 +53,13 @@ class Operators:
     __pow__, __rpow__ = _both_ways("Power")
     __getitem__ = _both_ways("Index")[0]
     __neg__, __abs__ = _unary("Neg"), _unary("Abs")
-    __lt__ = _refused("{a!r} < {b!r}", "< builds no constraint, an optimiser cannot hold a strict one", "use <=")
-    __gt__ = _refused("{a!r} > {b!r}", "> builds no constraint, an optimiser cannot hold a strict one", "use >=")
-    __ne__ = _refused("{a!r} != {b!r}", "!= has no meaning for expressions", "compare structure, a.key() != b.key()")
+    __ne__ = _refused(
+        "{a!r} != {b!r}", "!= has no meaning for expressions", "a.key() != b.key() of structure, ~(a == b) of values"
+    )
     __contains__ = _refused("{b!r} in {a!r}", "'in' has no meaning for expressions", "compare keys: == is a constraint")
     __and__ = __rand__ = _refused("{a!r} & {b!r}", "& has no meaning for expressions", "tx.All(a, b) of conditions")
     __or__ = __ror__ = _refused("{a!r} | {b!r}", "| has no meaning for expressions", "tx.Any(a, b) of conditions")
-    __invert__ = _refused("~({a!r})", "~ has no meaning for expressions", "turn the choice round, tx.Where(a, no, yes)")
+    __invert__ = _unary("Not")
     __mod__ = __rmod__ = _refused(
         "{a!r} % {b!r}", "% has no meaning for expressions", "tx.Atan2(sin, cos) for an angle"
     )
@@ -111,6 +111,12 @@ class Operators:
     def T(self) -> Expr:
         """Transpose."""
         return _nodes().Transpose(self)
+
+    def __lt__(self, other: Any) -> Less:
+        return _nodes().Less(self, other)
+
+    def __gt__(self, other: Any) -> Less:
+        return _nodes().Less(other, self)
 
     def __le__(self, other: Any) -> Inequality:
         return _nodes().Inequality(self, other)
@@ -206,7 +212,8 @@ _SAME = dict(
         negative Neg  square Square  sqrt Sqrt     exp Exp        log Log        logaddexp LogSumExp
         absolute Abs  fabs Abs       sign Sign     maximum Max    minimum Min
         sin Sin       cos Cos        tan Tan       arcsin Asin    arccos Acos    arctan Atan       arctan2 Atan2
-        sinh Sinh     cosh Cosh      tanh Tanh     equal Equality  less_equal Inequality           positive to_expr
+        sinh Sinh     cosh Cosh      tanh Tanh     equal Equality  less_equal Inequality less Less positive to_expr
+        invert Not    logical_not Not
         vdot Dot      inner Dot      outer Outer   trace Trace    diag Diag      sum Sum           all All  any Any
         where Where   interp Linterp               linalg.inv Inv  linalg.solve Solve
         """,
@@ -221,6 +228,7 @@ _MEANINGS: dict[str, Callable[..., Any]] = {
     "rad2deg": lambda x: x * (180.0 / np.pi),
     "degrees": lambda x: x * (180.0 / np.pi),
     "greater_equal": lambda a, b: _nodes().Inequality(b, a),
+    "greater": lambda a, b: _nodes().Less(b, a),
     "dot": _dot,
     "cross": _cross,
     "transpose": _transposed,
@@ -235,19 +243,17 @@ _MEANINGS: dict[str, Callable[..., Any]] = {
     "ndim": lambda a: _nodes().to_expr(a).ndim,
     "size": lambda a: int(np.prod(_nodes().to_expr(a).shape)),
 }
-_STRICT = {"less": "<=", "greater": ">=", "not_equal": "a.key() != b.key()"}
 #: Functions that no node means, with what is near.
 _NEAR = {
     "fmax": "tx.Max, which passes NaN on where np.fmax drops it",
     "fmin": "tx.Min, which passes NaN on where np.fmin drops it",
+    "not_equal": "a.key() != b.key() of structure, ~(a == b) of values",
     "hypot": "tx.Sqrt(x**2 + y**2), which overflows where the squares do",
 }
 
 
 def _meaning(name: str) -> Callable[..., Any]:
     """What a function of NumPy builds from expressions. Raises TypeError."""
-    if name in _STRICT:
-        raise OperationError(f"np.{name} builds no constraint from expressions.\n  fix: use {_STRICT[name]}")
     if name in _NEAR:
         raise OperationError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
     if name in _SAME:

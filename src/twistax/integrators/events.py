@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from ..checks import callable_with, real_array
 from ..errors import InputError, ModelError
 from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_all, evaluate_all, leaves_of
+from ..expr.margins import margin
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
@@ -35,13 +36,15 @@ class Event:
     one that is zero at the end, up to round-off, is. Where it is NaN it has no sign.
 
     Attributes:
-        condition: an expression of shape (), or a traceable function f(t, x, u, params) -> (). A function is part of
-            the compiled program: another one compiles again.
+        condition: an expression of shape (): a number; or a condition, which ends it where it begins to hold: where
+            a - b falls through zero, for a < b and a <= b alike. Or a traceable function f(t, x, u, params) -> ();
+            a function is part of the compiled program: another one compiles again.
         direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls. The
             number 0, which other programs read as any root, is refused.
 
     Raises:
-        ModelError: a condition that is neither, or of another shape; another direction.
+        ModelError: a condition that is neither, or of another shape; another direction, or one for what is true or
+            false, which says itself where it holds.
     """
 
     condition: Any
@@ -50,11 +53,8 @@ class Event:
     def __post_init__(self) -> None:
         if isinstance(self.condition, Expr):
             shape = self.condition.check_shape()
-            if self.condition.boolean:
-                raise ModelError(
-                    f"Event expects a number that becomes zero, got the condition {self.condition!r}.\n"
-                    "  fix: of a <= b give the difference, tx.Event(a - b)"
-                )
+            if self.condition.boolean and shape == ():
+                self._take_condition(self.condition)
             if shape != ():
                 raise ModelError(f"Event expects a condition of shape (), got {shape}: {self.condition!r}")
         else:
@@ -63,6 +63,15 @@ class Event:
             raise ModelError(
                 f"Event: direction must be None (any), True (rising) or False (falling), got {self.direction!r}"
             )
+
+    def _take_condition(self, condition: Expr) -> None:
+        if self.direction is not None:
+            raise ModelError(
+                f"Event: {condition!r} says itself on which side it holds, got direction={self.direction!r} too.\n"
+                "  fix: leave the direction out; ~(condition) is the event where it ceases to hold"
+            )
+        object.__setattr__(self, "condition", margin("Event", condition))
+        object.__setattr__(self, "direction", False)
 
     @property
     def sense(self) -> int:

@@ -14,7 +14,18 @@ from numpy import ndarray as Array
 
 from ..checks import listed, short
 from ..errors import ModelError, TrajectoryError
-from ..expr import Constraint, Equality, Expr, Inputs, Parameter, State, Time, evaluate_all, leaves_of
+from ..expr import (
+    Constraint,
+    Equality,
+    Expr,
+    Inputs,
+    Parameter,
+    State,
+    Time,
+    evaluate_all,
+    leaves_of,
+    refuse_conditions,
+)
 from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
@@ -82,6 +93,7 @@ def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]
     constraints: dict[str, Constraint] = {}
     items: Sequence[Any] = list(given) if isinstance(given, (list, tuple)) else [] if given is None else [given]
     for item in items:
+        refuse_conditions(what, item)
         if isinstance(item, Mapping):
             values |= item
         elif isinstance(item, Constraint):
