@@ -1,19 +1,18 @@
-"""Check-cases 1, 2 and 3 of NASA/TM-2015-218675, beside the published simulations.
+"""Check-cases 1 to 10 of NASA/TM-2015-218675, beside the published simulations.
 
-    python examples/nasa_check_cases.py                          where each case ends, beside the published ends
+    python examples/nasa_check_cases.py                          where cases end, beside the published ends
     python examples/nasa_check_cases.py DIR [--plot FILE]        differences from every trajectory in DIR over 30 s
 
-DIR holds the published trajectories as <case>/sim_<number>[_si].csv, in the folders named in FOLDERS.
+DIR holds the published trajectories as <case>/sim_<number>[_si].csv, in the folders of `twistax.scenes.published`.
+Cases whose folder is not there are left out.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
 import functools
 import itertools
-import re
 from pathlib import Path
 from typing import Any
 
@@ -21,43 +20,22 @@ import jax
 import numpy as np
 
 import twistax as tx
-from twistax.mechanics.environment import earth
-from twistax.scenes.check_cases import CASES, DURATION, CheckCase, system
+from twistax.mechanics import flight
+from twistax.mechanics.environment import atmosphere, earth
+from twistax.scenes.check_cases import CASES, CheckCase, system
+from twistax.scenes.published import DURATION, FOLDERS, TIMES, Array, Track, read
+from twistax.scenes.spheres import SPHERES, SphereCase
 
 jax.config.update("jax_enable_x64", True)
 
-FOLDERS = {1: "01_dragless_sphere", 2: "02_tumbling_brick", 3: "03_tumbling_brick_damped"}
-SIMULATIONS = ("01", "02", "04", "06")
-UNITS = {"m": 1.0, "ft": 0.3048, "rad": 1.0, "rad_s": 1.0, "deg": np.pi / 180.0, "deg_s": np.pi / 180.0}
-UNITS |= {"kg_m3": 1.0, "slug_ft3": 515.3788184}
-TIMES = np.linspace(0.0, DURATION, 301)
-STEP = 2.5e-3  # s
-
-Array = np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Track:
-    """A trajectory at TIMES, in SI.
-
-    Attributes:
-        position: inertial, (n, 3).
-        attitude: rotations from body axes to north, east, down, (n, 3, 3).
-        rate: body rate with respect to inertial axes, (n, 3).
-        altitude: above the ellipsoid, (n,).
-        density: of the air at that altitude, (n,).
-    """
-
-    position: Array
-    attitude: Array
-    rate: Array
-    altitude: Array
-    density: Array
+STEP = 2.5e-3  # s, of cases 1 to 3
+SPHERE_STEP = 1e-2  # s
 
 
 # ---- flying ------------------------------------------------------------------------------------------------------
 
 dynamics = tx.compile(system())
+_euler = jax.jit(jax.vmap(tx.lie.euler))
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -71,113 +49,48 @@ def solve(case: CheckCase, step: float = STEP, dynamics: tx.Dynamics = dynamics)
     params = case.parameters()
     method = tx.RKMK(tx.tableaus.RK4)
     solution = tx.integrate(dynamics, case.start(), t1=DURATION, dt=step, method=method, params=params, save_at=TIMES)
+    return track_of(dynamics, solution, params)
+
+
+def track_of(dynamics: tx.Dynamics, solution: tx.Solution, params: Any = None) -> Track:
+    """What of a solution is compared."""
     found = outputs(dynamics, solution.ts, solution.xs, params)
-    return Track(**{field.name: np.asarray(found[field.name]) for field in dataclasses.fields(Track)})
+    return Track(*(np.asarray(found[field.name]) for field in dataclasses.fields(Track)))
 
 
-@dataclasses.dataclass(frozen=True)
 class Tabulated:
-    """Air whose density is that of a trajectory, by a cubic spline over altitude."""
+    """The standard atmosphere with the density of a trajectory, by a cubic spline over altitude."""
 
-    track: Track
+    def __init__(self, track: Track) -> None:
+        self.altitudes, places = np.unique(track.altitude, return_index=True)
+        self.densities = track.density[places]
 
     def density(self, altitude: tx.Expr) -> tx.Expr:
-        upwards = np.argsort(self.track.altitude)
-        return tx.Cinterp(altitude, self.track.altitude[upwards], self.track.density[upwards])
+        return tx.Cinterp(altitude, self.altitudes, self.densities)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(atmosphere.US1976, name)
 
 
-# ---- reading -----------------------------------------------------------------------------------------------------
-
-place, t = tx.State("place", shape=(3,)), tx.Time()
-_fixed_position = tx.lower(earth.WGS84.position(place[0], place[1], place[2]))
-_to_inertial = tx.lower(earth.WGS84.to_inertial(t))
-_attitude = jax.jit(jax.vmap(lambda angles: tx.pose(euler=angles)[:3, :3]))
-_euler = jax.jit(jax.vmap(tx.lie.euler))
+@functools.cache
+def sphere_dynamics(planet: flight.Planet, wind: flight.Wind) -> tx.Dynamics:
+    """Cases in the same surroundings are one compiled system."""
+    return tx.compile(SphereCase(0, "", planet, wind).system())
 
 
-class Table:
-    """A published trajectory: columns named quantity_unit or quantity_unit_component, read in SI."""
-
-    def __init__(self, path: Path) -> None:
-        with path.open(newline="") as file:
-            self.names, *rows = list(csv.reader(file)) or [[]]
-        self.path = path
-        try:
-            self.values = np.array(rows, dtype=float)
-        except ValueError as error:
-            raise SystemExit(f"{path}: expected as many numbers in each row as there are columns: {error}") from None
-        if self.values.shape[0] != len(TIMES) or not np.allclose(self["time"], TIMES, rtol=0.0, atol=1e-6):
-            raise SystemExit(f"{path}: expected {len(TIMES)} rows from 0 to {DURATION:g} s at 10 Hz")
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self.names:
-            raise SystemExit(f"{self.path}: no column {name}")
-        return self.values[:, self.names.index(name)]
-
-    def __contains__(self, quantity: str) -> bool:
-        return any(name.startswith(quantity + "_") for name in self.names)
-
-    def column(self, quantity: str, component: str = "") -> Array:
-        ending = f"_{component}" if component else ""
-        for name in self.names:
-            unit = re.fullmatch(rf"{quantity}_(\w+?){ending}", name)
-            if unit and unit[1] in UNITS:
-                return UNITS[unit[1]] * self[name]
-        raise SystemExit(f"{self.path}: no column {quantity}_<unit>{ending} with a unit among {', '.join(UNITS)}")
-
-    def columns(self, quantity: str, components: str) -> Array:
-        return np.stack([self.column(quantity, component) for component in components.split()], axis=1)
-
-    def position(self) -> Array:
-        """Inertial position, converted from Earth-fixed or geodetic coordinates where it is not given."""
-        if "eiPosition" in self:
-            return self.columns("eiPosition", "X Y Z")
-        if "gePosition" in self:
-            fixed = self.columns("gePosition", "X Y Z")
-        else:
-            places = [self.column("latitude"), self.column("longitude"), self.column("altitudeMsl")]
-            fixed = jax.vmap(lambda p: _fixed_position(0.0, {"place": p}))(np.stack(places, axis=1))
-        turns = jax.vmap(lambda now: _to_inertial(now, {}))(TIMES)
-        return np.einsum("nij,nj->ni", turns, fixed)
-
-    def track(self) -> Track:
-        euler = self.columns("eulerAngle", "Roll Pitch Yaw")
-        rate = self.columns("bodyAngularRateWrtEi", "Roll Pitch Yaw")
-        air = self.column("altitudeMsl"), self.column("airDensity")
-        return Track(self.position(), np.asarray(_attitude(euler)), rate, *air)
-
-
-def read(directory: Path, case: CheckCase) -> dict[str, Track]:
-    """The published simulations of a case."""
-    folder = directory / FOLDERS[case.number]
-    if not folder.is_dir():
-        raise SystemExit(f"case {case.number}: no folder {folder}\n  fix: DIR must hold {', '.join(FOLDERS.values())}")
-    found = {}
-    for number in SIMULATIONS:
-        files = [folder / f"sim_{number}{ending}.csv" for ending in ("_si", "")]
-        path = next((file for file in files if file.is_file()), None)
-        if path is None:
-            raise SystemExit(f"case {case.number}: neither {files[0].name} nor {files[1].name} in {folder}")
-        found[number] = Table(path).track()
-    return found
+def fly_sphere(case: SphereCase, step: float = SPHERE_STEP) -> Track:
+    """Cases 4 to 10, by the same method."""
+    dynamics = sphere_dynamics(case.planet, case.wind)
+    solution = tx.integrate(dynamics, case.start(), t1=DURATION, dt=step, save_at=TIMES)
+    return track_of(dynamics, solution)
 
 
 # ---- comparing ---------------------------------------------------------------------------------------------------
 
 
-def apart(a: Track, b: Track) -> dict[str, Array]:
-    """Differences over time: distance in m, angle of the relative rotation in rad, size of the rate's difference."""
-    chord = np.linalg.norm(a.attitude - b.attitude, axis=(1, 2)) / np.sqrt(8.0)
-    return {
-        "position": np.linalg.norm(a.position - b.position, axis=1),
-        "attitude": 2.0 * np.arcsin(np.minimum(chord, 1.0)),
-        "rate": np.linalg.norm(a.rate - b.rate, axis=1),
-    }
-
-
 def spread(tracks: dict[str, Track]) -> dict[str, Array]:
     """The largest difference between any two simulations, at each time."""
-    pairs = [apart(a, b) for a, b in itertools.combinations(tracks.values(), 2)]
+    pairs = [a.apart(b) for a, b in itertools.combinations(tracks.values(), 2)]
     return {name: np.max([pair[name] for pair in pairs], axis=0) for name in pairs[0]}
 
 
@@ -195,7 +108,7 @@ def inside(ours: Track, tracks: dict[str, Track]) -> None:
     """Print whether we lie among the simulations, and by how much we do not."""
     rates = np.stack([track.rate - ours.rate for track in tracks.values()])
     angles = np.stack([np.asarray(_euler(track.attitude)) - _euler(ours.attitude) for track in tracks.values()])
-    farthest = np.max([apart(ours, track)["attitude"] for track in tracks.values()], axis=0)
+    farthest = np.max([ours.apart(track)["attitude"] for track in tracks.values()], axis=0)
     for text, outside, unit in [
         ("each body rate between the least and the greatest of the simulations", beyond(rates), "rad/s"),
         ("attitude no farther from any than some two are apart", farthest - spread(tracks)["attitude"], "rad"),
@@ -214,33 +127,55 @@ def explain(case: CheckCase, tracks: dict[str, Track]) -> None:
     relative = solve(dataclasses.replace(case, damping=turning))
     print("  with damping by the rates relative to the turning Earth:")
     for number, track in tracks.items():
-        row(f"twistax - sim {number}", apart(relative, track))
+        row(f"twistax - sim {number}", relative.apart(track))
     print("  with the density of the simulation, and for 01 a chord of 0.67 ft for 2/3 ft:")
     for number, damping in {"01": rounded, "04": case.damping}.items():
+        if number not in tracks:
+            continue
         theirs = tx.compile(system(Tabulated(tracks[number])))
         solved = solve(dataclasses.replace(case, damping=damping), dynamics=theirs)
-        row(f"twistax - sim {number}", apart(solved, tracks[number]))
+        row(f"twistax - sim {number}", solved.apart(tracks[number]))
 
 
 def compare(directory: Path) -> dict[str, dict[str, dict[str, Array]]]:
     """Print the differences of every case; return them by case and by what is compared."""
+    present = [number for number, folder in FOLDERS.items() if (directory / folder).is_dir()]
+    if not present:
+        raise tx.InputError(f"none of the folders {', '.join(FOLDERS.values())} is in {directory}")
     shown = {}
-    for case in CASES.values():
-        tracks, ours = read(directory, case), solve(case)
+    for case in (CASES[number] for number in present if number in CASES):
+        tracks, ours = read(directory, case.number), solve(case)
         print(f"\nCase {case.number}, {case.title}: largest over {DURATION:g} s, and at the end")
         print(f"  {'':32s} {'position, m':^19s}   {'attitude, rad':^19s}   {'body rate, rad/s':^19s}")
-        lines = {f"sim {number}": apart(ours, track) for number, track in tracks.items()}
+        lines = {f"sim {number}": ours.apart(track) for number, track in tracks.items()}
         lines["most between two simulations"] = spread(tracks)
         for name, line in lines.items():
             row(f"twistax - {name}" if name.startswith("sim") else name, line)
-        row("twistax, step halved", apart(ours, solve(case, STEP / 2.0)))
+        row("twistax, step halved", ours.apart(solve(case, STEP / 2.0)))
         inside(ours, tracks)
         off = {number: np.max(np.abs(track.density / ours.density - 1.0)) for number, track in tracks.items()}
         print("  density, relative difference: " + ", ".join(f"sim {n} {x:.0e}" for n, x in off.items()))
         if case.damping:
             explain(case, tracks)
         shown[f"case {case.number}, {case.title}"] = lines
+    for sphere in (SPHERES[number] for number in present if number in SPHERES):
+        compare_sphere(sphere, read(directory, sphere.number, sphere.planet.figure))
     return shown
+
+
+def compare_sphere(case: SphereCase, tracks: dict[str, Track]) -> None:
+    """Print the differences of one of the cases 4 to 10."""
+    ours = fly_sphere(case)
+    print(f"\nCase {case.number}, {case.title}: largest over {DURATION:g} s, and at the end")
+    for number, track in tracks.items():
+        row(f"twistax - sim {number}", ours.apart(track))
+    row("twistax, step halved", ours.apart(fly_sphere(case, SPHERE_STEP / 2.0)))
+    off = {number: np.nanmax(np.abs(track.density / ours.density - 1.0)) for number, track in tracks.items()}
+    print("  density, relative difference: " + ", ".join(f"sim {n} {x:.0e}" for n, x in off.items()))
+    nearest = min(off, key=lambda number: off[number])
+    theirs = dataclasses.replace(case.planet, air=Tabulated(tracks[nearest]))
+    flown = fly_sphere(dataclasses.replace(case, planet=theirs))
+    row(f"with the density of sim {nearest}", flown.apart(tracks[nearest]))
 
 
 def show_ends() -> None:
@@ -258,8 +193,11 @@ def show_ends() -> None:
                 f"  {name:8s} {place:>31s}   {' '.join(f'{x:12.9f}' for x in angles)}   "
                 f"{' '.join(f'{x:14.7e}' for x in rate)}"
             )
-        halved = apart(ours, solve(case, STEP / 2.0))
+        halved = ours.apart(solve(case, STEP / 2.0))
         print("  largest change when the step is halved: " + ", ".join(f"{k} {v.max():.0e}" for k, v in halved.items()))
+    for number in (6, 9, 10):
+        place = " ".join(f"{x:.6f}" for x in fly_sphere(SPHERES[number]).position[-1])
+        print(f"\nCase {number}, {SPHERES[number].title}, at {DURATION:g} s: inertial position {place} m")
 
 
 def plot(shown: dict[str, dict[str, dict[str, Array]]], file: Path) -> None:
@@ -303,7 +241,10 @@ def main() -> None:
         return
     if not arguments.directory.is_dir():
         parser.error(f"DIR must be a folder with the published trajectories; there is none at {arguments.directory}")
-    shown = compare(arguments.directory)
+    try:
+        shown = compare(arguments.directory)
+    except tx.InputError as error:
+        parser.error(str(error))
     if arguments.plot:
         plot(shown, arguments.plot)
 

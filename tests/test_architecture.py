@@ -16,6 +16,7 @@ LAYERS = [
     "jax_inside",
     "precision",
     "checks",
+    "units",
     "groups",
     "expr",
     "system",

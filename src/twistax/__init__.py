@@ -35,7 +35,7 @@ from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Pro
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
-    from . import charts, compositions, diffrax, mechanics, tableaus, trajectory
+    from . import charts, compositions, diffrax, mechanics, tableaus, trajectory, units
     from .integrators import RKMK, CommutatorFree, Event, Magnus, StepControl, integrate
     from .integrators.controls import FirstOrderHold, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
@@ -56,14 +56,14 @@ __all__ = [
     "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics", "StepControl", "Sweep",
     "System", "TrajectoryError", "TwistaxError", "ZeroOrderHold", "charts", "compile", "compositions", "diffrax",
     "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial", "sweep", "tableaus",
-    "tangent_grad", "trajectory",
+    "tangent_grad", "trajectory", "units",
 ]
 # fmt: on
 __all__ += expr.__all__
 
 #: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
 _LATER = {
-    "": ("charts", "compositions", "diffrax", "mechanics", "tableaus", "trajectory"),
+    "": ("charts", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units"),
     ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
     ".integrators.controls": ("FirstOrderHold", "ZeroOrderHold"),
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),

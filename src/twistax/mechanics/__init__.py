@@ -1,6 +1,6 @@
 """Mechanics in the language: joints, bodies, mechanisms and the environment around them, all of them expressions."""
 
-from . import chain_models, environment, joints, loops
+from . import chain_models, environment, flight, joints, loops
 from .bodies import SpatialInertia, power
 from .chain import Chain
 from .closed_loops import closed_dynamics, loop_gap, loop_wrench, loop_wrenches
@@ -36,7 +36,7 @@ from .tree import Link, Mimic
 __all__ = [
     "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "GivenForces", "Ground", "Link", "Mechanism", "Mimic",
     "SpatialInertia", "aba", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
-    "chain_models", "closed_dynamics", "coriolis_forces", "environment", "forward_dynamics",
+    "chain_models", "closed_dynamics", "coriolis_forces", "environment", "flight", "forward_dynamics",
     "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces",
     "gravity_forces", "inverse_dynamics", "inverse_dynamics_derivatives", "joint_wrench", "joints", "kinetic_energy",
     "load", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "potential_energy", "power", "rnea",

@@ -22,16 +22,14 @@ import numpy as np
 
 import twistax as tx
 from twistax.mechanics.environment import atmosphere, earth, gravity
+from twistax.units import degrees, feet
 
+from .published import DURATION
 from .scene import Scene, newton_euler, placed, said, stored_end
 
 Vector = tuple[float, float, float]
 
-FOOT = 0.3048  # m
 SLUG_FOOT2 = 1.3558179483314  # kg m2
-DEGREE = np.pi / 180.0  # rad
-#: Length of every trajectory, s.
-DURATION = 30.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +73,7 @@ class CheckCase:
 
     def start(self) -> dict[str, Any]:
         """The state at t = 0: pose g and body twist V, with the velocity of the turning Earth at that place."""
-        position = np.array([earth.WGS84.radius + 30_000.0 * FOOT, 0.0, 0.0])
+        position = np.array([earth.WGS84.radius + 30_000.0 * feet, 0.0, 0.0])
         north_east_down = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
         velocity = np.cross([0.0, 0.0, earth.WGS84.rate], position)
         return {"g": placed(north_east_down, position), "V": np.concatenate([north_east_down.T @ velocity, self.rate])}
@@ -165,14 +163,14 @@ _BRICK = CheckCase(
     title="tumbling brick without damping",
     mass=2.267961895,
     inertia=(0.001894220 * SLUG_FOOT2, 0.006211019 * SLUG_FOOT2, 0.007194665 * SLUG_FOOT2),
-    rate=(10.0 * DEGREE, 20.0 * DEGREE, 30.0 * DEGREE),
+    rate=(10.0 * degrees, 20.0 * degrees, 30.0 * degrees),
     published=_published(2),
 )
 _DAMPED = dataclasses.replace(
     _BRICK,
     number=3,
     title="tumbling brick with damping",
-    damping=RateDamping(area=2.0 / 9.0 * FOOT**2, span=1.0 / 3.0 * FOOT, chord=2.0 / 3.0 * FOOT),
+    damping=RateDamping(area=2.0 / 9.0 * feet**2, span=1.0 / 3.0 * feet, chord=2.0 / 3.0 * feet),
     published=_published(3),
 )
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from ...checks import number
@@ -26,7 +27,7 @@ from ...expr.fields import ExprLike, Operand, positive
 from ...expr.lie import AxisRotation
 from ..arguments import of_shape
 
-__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "north_east_down"]
+__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "east_north_up", "north_east_down"]
 
 
 class Geodetic(NamedTuple):
@@ -82,10 +83,19 @@ class Ellipsoid:
         """The Earth-fixed position (3,) of geodetic coordinates, (), rad and m. Raises ShapeError."""
         latitude, longitude = _angle("position", "latitude", latitude), _angle("position", "longitude", longitude)
         altitude = of_shape("position", "altitude", altitude, ())
-        sine, e2 = Sin(latitude), self.eccentricity_squared
-        normal = self.radius / Sqrt(1.0 - e2 * sine**2)
+        sine, e2, normal = Sin(latitude), self.eccentricity_squared, self.radii(latitude)[1]
         distance = (normal + altitude) * Cos(latitude)
         return Concat(distance * Cos(longitude), distance * Sin(longitude), ((1.0 - e2) * normal + altitude) * sine)
+
+    def radii(self, latitude: ExprLike) -> tuple[Expr, Expr]:
+        """Radii of curvature at a geodetic latitude (), of the meridian and of the normal section across it, m.
+
+        M = a (1 - e^2) / (1 - e^2 sin^2)^(3/2) and N = a / (1 - e^2 sin^2)^(1/2). Raises ShapeError.
+        """
+        e2 = self.eccentricity_squared
+        rest = 1.0 - e2 * Sin(_angle("radii", "latitude", latitude)) ** 2
+        normal = self.radius / Sqrt(rest)
+        return (1.0 - e2) * normal / rest, normal
 
     def to_inertial(self, t: ExprLike) -> Expr:
         """The rotation (3, 3) from Earth-fixed to inertial axes, which coincide at t = 0 s. Raises ShapeError."""
@@ -115,6 +125,14 @@ def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
     latitude, longitude = _angle(where, "latitude", latitude), _angle(where, "longitude", longitude)
     s, c, sl, cl = Sin(latitude), Cos(latitude), Sin(longitude), Cos(longitude)
     return Block([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
+
+
+def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
+    """The rotation (3, 3) from local axes east, north, up to Earth-fixed axes.
+
+    Of a latitude () and a longitude (), rad. Raises ShapeError.
+    """
+    return north_east_down(latitude, longitude) @ np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 class Meridian(Expr):

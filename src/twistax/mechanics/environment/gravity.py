@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 from ...checks import number
 from ...errors import ModelError
@@ -23,6 +24,7 @@ class PointMass:
     """
 
     gm: float
+    axisymmetric: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         positive(self, "gm", self.gm)
@@ -53,6 +55,7 @@ class J2:
     gm: float
     radius: float
     j2: float
+    axisymmetric: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         positive(self, "gm", self.gm)

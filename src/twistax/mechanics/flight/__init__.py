@@ -1,0 +1,35 @@
+"""Flight over a planet: a start in one line, air data, winds, and forces, all of them expressions.
+
+from twistax import units
+from twistax.mechanics import SpatialInertia, flight
+
+craft = flight.Vehicle(flight.EARTH, wind=flight.Steady((0.0, 6.0, 0.0)))
+ball = SpatialInertia(mass=14.6, inertia=4.9 * np.eye(3))
+system = craft.system(ball, tx.lie.wrench(force=flight.drag(craft.air, 0.0018), torque=np.zeros(3)))
+x0 = craft.start(45.0 * units.degrees, 7.0 * units.degrees, 30_000 * units.feet)
+"""
+
+from .air_data import Aerodynamics, AirAxes, AirData, body_axes, drag, stability_axes, wind_axes
+from .planets import (
+    EARTH,
+    ROUND_EARTH,
+    Air,
+    Axes,
+    Gravity,
+    Planet,
+    Reference,
+    fixed_axes,
+    inertial_axes,
+    local_axes,
+)
+from .start import numbers, start
+from .vehicle import Vehicle
+from .wind import CALM, LogarithmicShear, Profile, Steady, Wind
+
+# fmt: off
+__all__ = [
+    "CALM", "EARTH", "ROUND_EARTH", "Aerodynamics", "Air", "AirAxes", "AirData", "Axes", "Gravity", "LogarithmicShear",
+    "Planet", "Profile", "Reference", "Steady", "Vehicle", "Wind", "body_axes", "drag", "fixed_axes", "inertial_axes",
+    "local_axes", "numbers", "stability_axes", "start", "wind_axes",
+]
+# fmt: on

@@ -1,0 +1,161 @@
+"""What the air does to a body that moves through it: angles, Mach number, pressures, and forces in three kinds of axes.
+
+Body axes: x forward, y to the right, z down.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import cached_property
+from typing import TypeAlias
+
+from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Norm, Sin, Sqrt
+from ...expr.fields import ExprLike
+from ...expr.lie import wrench
+from ..arguments import of_shape
+from .planets import Air
+
+__all__ = ["Aerodynamics", "AirData", "AirAxes", "body_axes", "drag", "stability_axes", "wind_axes"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AirData:
+    """Air data of a body, as expressions; each is made when it is first read.
+
+    Attributes:
+        velocity: of the body relative to the air, (3,) in body axes, m/s.
+        altitude: geometric, (), m.
+        air: the atmosphere.
+        rate: of the body relative to the air, (3,) in body axes, rad/s.
+    """
+
+    velocity: Expr
+    altitude: Expr
+    air: Air
+    rate: Expr
+
+    @cached_property
+    def airspeed(self) -> Expr:
+        """True airspeed V, (), m/s. At rest its gradient is zero."""
+        return Norm(self.velocity)
+
+    @cached_property
+    def alpha(self) -> Expr:
+        """Angle of attack atan2(w, u), (), rad; 0 at rest."""
+        return Atan2(self.velocity[2], self.velocity[0])
+
+    @cached_property
+    def beta(self) -> Expr:
+        """Angle of sideslip asin(v / V), (), rad, as atan2(v, |(u, w)|); 0 at rest."""
+        u, v, w = self.velocity[0], self.velocity[1], self.velocity[2]
+        return Atan2(v, Norm(Concat(u, w)))
+
+    @cached_property
+    def density(self) -> Expr:
+        """rho, (), kg/m3."""
+        return self.air.density(self.altitude)
+
+    @cached_property
+    def pressure(self) -> Expr:
+        """p, of the air at rest, (), Pa."""
+        return self.air.pressure(self.altitude)
+
+    @cached_property
+    def speed_of_sound(self) -> Expr:
+        """a, (), m/s."""
+        return self.air.speed_of_sound(self.altitude)
+
+    @cached_property
+    def mach(self) -> Expr:
+        """V / a, ()."""
+        return self.airspeed / self.speed_of_sound
+
+    @cached_property
+    def dynamic_pressure(self) -> Expr:
+        """rho V^2 / 2, (), Pa."""
+        return 0.5 * self.density * Dot(self.velocity, self.velocity)
+
+    @cached_property
+    def equivalent_airspeed(self) -> Expr:
+        """V sqrt(rho / rho_0), rho_0 the density at altitude 0, (), m/s."""
+        return self.airspeed * Sqrt(self.density / self.air.density(0.0))
+
+
+#: The rotation (3, 3) to body axes from the axes in which coefficients are given.
+AirAxes: TypeAlias = Callable[[AirData], Expr]
+
+
+def body_axes(air: AirData) -> Expr:
+    """Coefficients along body axes: (C_X, C_Y, C_Z)."""
+    return Constant([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def stability_axes(air: AirData) -> Expr:
+    """x along the velocity without its sideways part, y as in body axes: (-C_D, C_Y, -C_L) without sideslip."""
+    s, c = Sin(air.alpha), Cos(air.alpha)
+    return Block([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def wind_axes(air: AirData) -> Expr:
+    """x along the velocity, z in the plane of symmetry: (-C_D, C_Y, -C_L)."""
+    s, c = Sin(air.beta), Cos(air.beta)
+    return stability_axes(air) @ Block([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def drag(air: AirData, area: ExprLike) -> Expr:
+    """-rho V C_D S u / 2 (3,) in body axes, N, of C_D S = area (), m2; smooth at rest. Raises ShapeError."""
+    return -0.5 * of_shape("drag", "area", area, ()) * air.density * air.airspeed * air.velocity
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Aerodynamics:
+    """Areas and lengths that coefficients refer to.
+
+    Attributes:
+        area: S, m2.
+        span: b, of roll and yaw, m.
+        chord: c, of pitch, m.
+        reference: where the moments are taken, (3,) from the body's origin, m.
+        axes: of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
+    Raises: ShapeError, ModelError for values that are no such numbers or expressions.
+    """
+
+    area: ExprLike
+    span: ExprLike
+    chord: ExprLike
+    reference: ExprLike = (0.0, 0.0, 0.0)
+    axes: AirAxes = body_axes
+
+    def __post_init__(self) -> None:
+        for name, shape in (("area", ()), ("span", ()), ("chord", ()), ("reference", (3,))):
+            object.__setattr__(self, name, of_shape("Aerodynamics", name, getattr(self, name), shape))
+
+    @property
+    def lengths(self) -> Expr:
+        """(b, c, b)."""
+        return Concat(self.span, self.chord, self.span)
+
+    def reduced_rates(self, air: AirData) -> Expr:
+        """(p b, q c, r b) / (2 V) (3,), of rates relative to the air; infinite at rest."""
+        return air.rate * self.lengths / (2.0 * air.airspeed)
+
+    def wrench(self, air: AirData, force: ExprLike, moment: ExprLike = (0.0, 0.0, 0.0)) -> Expr:
+        """[f; tau] (6,) at the body's origin in its axes: q S R C_f, and q S R (b C_l, c C_m, b C_n) moved there.
+
+        Args:
+            air: the air data.
+            force: coefficients (3,) in `axes`, or three of them.
+            moment: coefficients (3,) of roll, pitch and yaw, in `axes`, or three of them.
+        Raises: ShapeError.
+        """
+        R, load = self.axes(air), air.dynamic_pressure * self.area
+        f = load * (R @ _vector("force", force))
+        tau = load * (R @ (self.lengths * _vector("moment", moment)))
+        return wrench(force=f, torque=tau + Cross(self.reference, f))
+
+
+def _vector(name: str, value: ExprLike) -> Expr:
+    """A vector, or three expressions and numbers."""
+    joined = Concat(*value) if isinstance(value, (list, tuple)) else value
+    return of_shape("Aerodynamics.wrench", name, joined, (3,))

@@ -1,0 +1,150 @@
+"""Planets as data: figure and rotation, gravity, air; and their axes as poses.
+
+Frames are those of `environment.earth`: inertial, planet-fixed, local. T_ab maps coordinates of frame b to frame a.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from ...errors import ModelError
+from ...expr import Concat, Constant, Cos, Expr, Sin, Tan, to_expr
+from ...expr.fields import ExprLike
+from ...expr.lie import Pose, rotation
+from ..arguments import of_shape
+from ..environment import atmosphere, earth, gravity
+
+__all__ = [
+    "EARTH",
+    "ROUND_EARTH",
+    "Air",
+    "Axes",
+    "Gravity",
+    "Planet",
+    "Reference",
+    "fixed_axes",
+    "inertial_axes",
+    "local_axes",
+]
+
+#: Local axes: the rotation (3, 3) to planet-fixed axes, of latitude and longitude.
+Axes: TypeAlias = Callable[[ExprLike, ExprLike], Expr]
+
+
+@runtime_checkable
+class Gravity(Protocol):
+    """Gravity of a planet, as `environment.gravity` has it."""
+
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether it is the same at all longitudes."""
+
+    def acceleration(self, position: ExprLike) -> Expr:
+        """(3,) in m/s2 at a planet-fixed position (3,) in m; in any axes about the same z, if axisymmetric."""
+
+
+@runtime_checkable
+class Air(Protocol):
+    """An atmosphere, as `environment.atmosphere` has it: functions of geometric altitude in m."""
+
+    def temperature(self, altitude: ExprLike) -> Expr:
+        """K."""
+
+    def pressure(self, altitude: ExprLike) -> Expr:
+        """Pa."""
+
+    def density(self, altitude: ExprLike) -> Expr:
+        """kg/m3."""
+
+    def speed_of_sound(self, altitude: ExprLike) -> Expr:
+        """m/s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Planet:
+    """A planet that turns about its z axis.
+
+    Attributes:
+        figure: the ellipsoid that latitudes and altitudes refer to, and its rate of rotation.
+        gravity: its pull.
+        air: at rest relative to the planet.
+    Raises: ModelError for a part that is no such thing.
+    """
+
+    figure: earth.Ellipsoid
+    gravity: Gravity
+    air: Air = atmosphere.US1976
+
+    def __post_init__(self) -> None:
+        for name, kind in (("figure", earth.Ellipsoid), ("gravity", Gravity), ("air", Air)):
+            if not isinstance(getattr(self, name), kind):
+                raise ModelError(f"Planet expects {name} to be of {kind.__name__}, got {getattr(self, name)!r}")
+
+    def still(self) -> Planet:
+        """The same planet without rotation."""
+        return dataclasses.replace(self, figure=dataclasses.replace(self.figure, rate=0.0))
+
+    def fixed_pose(self, t: ExprLike) -> Expr:
+        """T_if (4, 4): planet-fixed axes in inertial ones at time t (), s. Raises ShapeError."""
+        return rotation(self.figure.to_inertial(t))
+
+    def local_pose(
+        self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike, axes: Axes = earth.north_east_down
+    ) -> Expr:
+        """T_fl (4, 4): local axes at a place in planet-fixed ones.
+
+        Args:
+            latitude, longitude, altitude: the place, (), rad and m.
+            axes: `earth.north_east_down` or `earth.east_north_up`.
+        Raises: ShapeError.
+        """
+        return Pose(axes(latitude, longitude), self.figure.position(latitude, longitude, altitude))
+
+    def gravitation(self, position: ExprLike, t: ExprLike) -> Expr:
+        """Acceleration (3,) by gravity in inertial axes, m/s2, at an inertial position (3,) and a time (), s."""
+        p = of_shape("gravitation", "position", position, (3,))
+        if self.gravity.axisymmetric:
+            return self.gravity.acceleration(p)
+        turn = self.figure.to_inertial(t)
+        return turn @ self.gravity.acceleration(turn.T @ p)
+
+
+#: WGS84 with J2, and the US Standard Atmosphere 1976.
+EARTH = Planet(earth.WGS84, gravity.EARTH_J2)
+
+#: A round Earth of the mean radius that NASA's check-cases 4 and 5 are flown with, with an inverse-square pull.
+#: Source: NASA/TM-2015-218675. The simulations' trajectories start 6371007.1809 m + 30,000 ft from the centre.
+ROUND_EARTH = Planet(earth.Ellipsoid(6371007.1809, 0.0, earth.WGS84.rate), gravity.EARTH_POINT_MASS)
+
+
+# ---- what a rate of rotation is relative to ------------------------------------------------------------------------
+
+#: The rate (3,) of axes relative to inertial ones, rad/s in north-east-down, of a planet, latitude, altitude and
+#: velocity north-east-down relative to the planet.
+Reference: TypeAlias = Callable[[Planet, ExprLike, ExprLike, ExprLike], Expr]
+
+
+def inertial_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
+    """Axes that do not turn: zeros."""
+    return Constant([0.0, 0.0, 0.0])
+
+
+def fixed_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
+    """Planet-fixed axes: W (cos(latitude), 0, -sin(latitude))."""
+    return planet.figure.rate * Concat(Cos(latitude), 0.0, -Sin(latitude))
+
+
+def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
+    """North-east-down axes, which turn with the planet and as the body moves over it.
+
+    To the rate of the planet comes (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N + h)), with M and N of
+    `Ellipsoid.radii`. At the poles the last entry is infinite.
+
+    Source: P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems (2013), eq. (5.44).
+    """
+    velocity, (meridian, normal) = to_expr(ned_velocity), planet.figure.radii(latitude)
+    north = velocity[0] / (meridian + altitude)
+    east = velocity[1] / (normal + altitude)
+    return fixed_axes(planet, latitude, altitude, ned_velocity) + Concat(east, -north, -east * Tan(latitude))

@@ -1,0 +1,184 @@
+"""A body over a planet: its pose and twist, and all that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+from ...errors import ModelError
+from ...expr import Concat, Expr, State, Time
+from ...expr.fields import ExprLike
+from ...expr.lie import angular, linear
+from ...groups import SE3
+from ...system import System
+from ..arguments import of_shape
+from ..bodies import SpatialInertia
+from ..environment.earth import Geodetic, north_east_down
+from .air_data import AirData
+from .planets import EARTH, Planet, Reference, inertial_axes
+from .start import start
+from .wind import CALM, Wind
+
+__all__ = ["Vehicle"]
+
+
+class Vehicle:
+    """A rigid body over a planet, by two states: its pose g in inertial axes and its body twist V.
+
+    What is below is made when it is first read, each once, so that whatever is not used costs nothing. Angles are in
+    rad. The longitude of `place` is the geographic one.
+
+    Args:
+        planet: figure, rotation, gravity and air.
+        wind: velocity of the air over the planet, a function of (place, t).
+        pose, twist: names of the states.
+    Raises: ModelError for a planet that is none, or a wind that is no function.
+    """
+
+    def __init__(self, planet: Planet = EARTH, wind: Wind = CALM, *, pose: str = "g", twist: str = "V") -> None:
+        if not isinstance(planet, Planet):
+            raise ModelError(f"Vehicle expects planet to be a Planet, got {planet!r}")
+        if not callable(wind):
+            raise ModelError(
+                f"Vehicle expects wind to be a function of (place, t), got {wind!r}.\n"
+                "  fix: flight.Steady((north, east, down)) is the same wind everywhere"
+            )
+        self.planet, self.wind = planet, wind
+        self.pose, self.twist, self.time = State(pose, group=SE3), State(twist, shape=(6,)), Time()
+
+    # ---- place and attitude --------------------------------------------------------------------------------------
+
+    @property
+    def position(self) -> Expr:
+        """(3,) in inertial axes, m."""
+        return self.pose[:3, 3]
+
+    @cached_property
+    def velocity(self) -> Expr:
+        """(3,) relative to and in inertial axes, m/s."""
+        return self.pose[:3, :3] @ linear(self.twist)
+
+    @cached_property
+    def fixed_position(self) -> Expr:
+        """(3,) in planet-fixed axes, m."""
+        return self._turn.T @ self.position
+
+    @cached_property
+    def place(self) -> Geodetic:
+        """Geodetic latitude, longitude and altitude."""
+        return Geodetic(
+            self._over.latitude, self.planet.figure.geodetic(self.fixed_position).longitude, self._over.altitude
+        )
+
+    @cached_property
+    def attitude(self) -> Expr:
+        """The rotation (3, 3) from body axes to north, east, down."""
+        return self._local.T @ self.pose[:3, :3]
+
+    @cached_property
+    def ned_velocity(self) -> Expr:
+        """(3,) relative to the planet, north-east-down, m/s."""
+        return self._local.T @ self._ground_velocity
+
+    def rate(self, relative_to: Reference = inertial_axes) -> Expr:
+        """The body's rate (3,) in body axes, rad/s, relative to `inertial_axes`, `fixed_axes` or `local_axes`."""
+        w = angular(self.twist)
+        if relative_to is inertial_axes:
+            return w
+        spin = relative_to(self.planet, self._over.latitude, self._over.altitude, self.ned_velocity)
+        return w - self.attitude.T @ spin
+
+    # ---- air and gravity -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def air(self) -> AirData:
+        """The air data; rates relative to the air are those relative to the planet, with which it turns."""
+        velocity = self._ground_velocity
+        if self.wind is not CALM:
+            blown = of_shape("Vehicle", "the wind's velocity", self.wind(self.place, self.time), (3,))
+            velocity = velocity - self._local @ blown
+        turning = Concat(0.0, 0.0, self.planet.figure.rate)
+        return AirData(
+            velocity=self.pose[:3, :3].T @ velocity,
+            altitude=self._over.altitude,
+            air=self.planet.air,
+            rate=angular(self.twist) - self.pose[:3, :3].T @ turning,
+        )
+
+    @cached_property
+    def gravitation(self) -> Expr:
+        """Acceleration by gravity at the body's origin, (3,) in inertial axes, m/s2."""
+        return self.planet.gravitation(self.position, self.time)
+
+    # ---- a system ------------------------------------------------------------------------------------------------
+
+    def system(
+        self,
+        body: SpatialInertia,
+        wrench: ExprLike = (0.0,) * 6,
+        *,
+        rates: Mapping[State | str, ExprLike] | None = None,
+        outputs: Mapping[str, ExprLike] | None = None,
+        **more: Any,
+    ) -> System:
+        """The body's motion under gravity and a wrench.
+
+        Args:
+            body: mass, centre of mass and inertia in body axes.
+            wrench: [f; tau] (6,) of everything but gravity, at the body's origin in its axes.
+            rates: of further states.
+            outputs: beside those of `outputs()`.
+            more: what `System` takes.
+        Raises:
+            ModelError: body is no SpatialInertia.
+            ShapeError: wrench is not of shape (6,).
+        """
+        if not isinstance(body, SpatialInertia):
+            raise ModelError(f"Vehicle.system expects body to be a SpatialInertia, got {body!r}")
+        F = of_shape("Vehicle.system", "wrench", wrench, (6,)) + body.weight(self.pose, self.gravitation)
+        motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: body.acceleration(self.twist, F)}
+        return System({**motion, **(rates or {})}, {**self.outputs(), **(outputs or {})}, **more)
+
+    def outputs(self) -> dict[str, Expr]:
+        """What flights are compared by.
+
+        position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
+        attitude (3, 3), body to north-east-down; rate (3,), inertial; airspeed, density ().
+        """
+        return {
+            "position": self.position,
+            "velocity": self.velocity,
+            "fixed_position": self.fixed_position,
+            **self.place._asdict(),
+            "ned_velocity": self.ned_velocity,
+            "attitude": self.attitude,
+            "rate": self.rate(),
+            "airspeed": self.air.airspeed,
+            "density": self.air.density,
+        }
+
+    def start(self, *place: Any, **motion: Any) -> dict[str, Any]:
+        """`flight.start` on this planet, with the names of this vehicle's states."""
+        return start(*place, **motion, planet=self.planet, pose=self.pose.name, twist=self.twist.name)
+
+    # ---- shared parts --------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _turn(self) -> Expr:
+        return self.planet.figure.to_inertial(self.time)
+
+    @cached_property
+    def _over(self) -> Geodetic:
+        """With the longitude from the inertial x axis, which needs no turn."""
+        return self.planet.figure.geodetic(self.position)
+
+    @cached_property
+    def _local(self) -> Expr:
+        """From north-east-down to inertial axes."""
+        return north_east_down(self._over.latitude, self._over.longitude)
+
+    @cached_property
+    def _ground_velocity(self) -> Expr:
+        """Relative to the planet, in inertial axes."""
+        return self.planet.figure.air_velocity(self.position, self.velocity)

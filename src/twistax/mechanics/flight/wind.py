@@ -1,0 +1,109 @@
+"""Winds: velocity of the air relative to the planet, north-east-down in m/s, as a function of place and time.
+
+Any function of (place, t) that returns three expressions is a wind; those here check their numbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ...checks import short
+from ...errors import ModelError
+from ...expr import Concat, Constant, Expr, Linterp, Log, Max
+from ...units import feet, metres, radians, seconds, taken
+from ..environment.earth import Geodetic
+
+__all__ = ["CALM", "LogarithmicShear", "Profile", "Steady", "Wind"]
+
+#: Velocity (3,) of the air relative to the planet, north-east-down, m/s, at a place and a time in s.
+Wind: TypeAlias = Callable[[Geodetic, Expr], Any]
+
+_SPEED = metres / seconds
+_TWENTY_FEET = float(20.0 * feet)
+
+
+@dataclasses.dataclass(frozen=True)
+class Steady:
+    """The same wind everywhere.
+
+    Attributes:
+        velocity: north-east-down, m/s. A wind from the west has a positive second entry.
+    Raises: InputError for what is no velocity.
+    """
+
+    velocity: Any
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocity", tuple(taken("Steady: velocity", self.velocity, _SPEED, (3,)).tolist()))
+
+    def __call__(self, place: Geodetic, t: Expr) -> Expr:
+        return Constant(self.velocity)
+
+
+#: No wind.
+CALM = Steady((0.0, 0.0, 0.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """A wind that changes linearly with altitude between given ones, and stays what it is below and above them.
+
+    Attributes:
+        altitudes: increasing, m.
+        velocities: north-east-down at these, m/s.
+    Raises: InputError for other units or shapes; ModelError where altitudes do not increase.
+    """
+
+    altitudes: Any
+    velocities: Any
+
+    def __post_init__(self) -> None:
+        n = len(self.altitudes)
+        altitudes = taken("Profile: altitudes", self.altitudes, metres, (n,))
+        rows = [taken(f"Profile: velocities[{i}]", row, _SPEED, (3,)) for i, row in enumerate(self.velocities)]
+        if n < 2 or len(rows) != n or not (np.diff(altitudes) > 0.0).all():
+            raise ModelError(
+                "Profile expects two or more altitudes that increase and a velocity at each, "
+                f"got {short(self.altitudes)} and {len(rows)} velocities"
+            )
+        object.__setattr__(self, "altitudes", tuple(altitudes.tolist()))
+        object.__setattr__(self, "velocities", tuple(tuple(row.tolist()) for row in rows))
+
+    def __call__(self, place: Geodetic, t: Expr) -> Expr:
+        return Linterp(place.altitude, np.array(self.altitudes), np.array(self.velocities))
+
+
+@dataclasses.dataclass(frozen=True)
+class LogarithmicShear:
+    """The wind near the ground, u(h) = u_20 ln(h / z_0) / ln(20 ft / z_0) from a direction; zero below h = z_0.
+
+    Attributes:
+        speed: u_20, 20 ft above the ground, m/s.
+        towards: where the wind blows to, clockwise from north, rad.
+        roughness: z_0, m: 0.15 ft in terminal flight, 2 ft elsewhere.
+        ground: altitude of the ground, m.
+    Raises: InputError for other units; ModelError where the roughness is not between 0 and 20 ft.
+    Source: MIL-F-8785C, Flying Qualities of Piloted Airplanes (1980), section 3.7.3.3, wind shear.
+    """
+
+    speed: float
+    towards: float
+    roughness: float = float(0.15 * feet)
+    ground: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("speed", _SPEED), ("towards", radians), ("roughness", metres), ("ground", metres)):
+            found = float(taken(f"LogarithmicShear: {name}", getattr(self, name), unit))
+            object.__setattr__(self, name, found)
+        if not 0.0 < self.roughness < _TWENTY_FEET:
+            raise ModelError(f"LogarithmicShear expects a roughness between 0 and 20 ft, got {self.roughness!r} m")
+
+    def __call__(self, place: Geodetic, t: Expr) -> Expr:
+        height = Max(place.altitude - self.ground, self.roughness)
+        size = self.speed * Log(height / self.roughness) / math.log(_TWENTY_FEET / self.roughness)
+        return Concat(size * math.cos(self.towards), size * math.sin(self.towards), 0.0)

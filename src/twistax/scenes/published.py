@@ -1,0 +1,160 @@
+"""The trajectories that come with NASA/TM-2015-218675, read in SI, and how far two are apart.
+
+The files are not part of this package: whoever has them names their folder. They lie there as
+<folder of the case>/sim_<number>.csv or sim_<number>_si.csv. Columns are named quantity_unit or
+quantity_unit_component.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import twistax as tx
+from twistax import units
+from twistax.mechanics.environment import earth
+
+from .scene import about
+
+Array = NDArray[Any]
+
+#: Length of the trajectories, s, and the times at which they are compared.
+DURATION = 30.0
+TIMES = np.linspace(0.0, DURATION, 301)
+
+#: By the number of the case.
+FOLDERS = {
+    1: "01_dragless_sphere",
+    2: "02_tumbling_brick",
+    3: "03_tumbling_brick_damped",
+    4: "04_sphere_round_still",
+    5: "05_sphere_round_turning",
+    6: "06_sphere_drag",
+    7: "07_sphere_steady_wind",
+    8: "08_sphere_wind_shear",
+    9: "09_cannonball_east",
+    10: "10_cannonball_north",
+}
+
+_UNITS = {
+    "m": units.metres,
+    "ft": units.feet,
+    "rad": units.radians,
+    "deg": units.degrees,
+    "rad_s": units.radians / units.seconds,
+    "deg_s": units.degrees / units.seconds,
+    "kg_m3": units.kilograms / units.metres**3,
+    "slug_ft3": units.slugs / units.feet**3,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """A trajectory at TIMES, in SI.
+
+    Attributes:
+        position: inertial, (n, 3).
+        attitude: rotations from body axes to north, east, down, (n, 3, 3).
+        rate: body rate with respect to inertial axes, (n, 3).
+        altitude: above the ellipsoid, (n,).
+        density: of the air at that altitude, (n,).
+    """
+
+    position: Array
+    attitude: Array
+    rate: Array
+    altitude: Array
+    density: Array
+
+    def apart(self, other: Track) -> dict[str, Array]:
+        """Differences over time: distance, m; angle of the relative rotation, rad; size of the rate's difference."""
+        chord = np.linalg.norm(self.attitude - other.attitude, axis=(1, 2)) / np.sqrt(8.0)
+        return {
+            "position": np.linalg.norm(self.position - other.position, axis=1),
+            "attitude": 2.0 * np.arcsin(np.minimum(chord, 1.0)),
+            "rate": np.linalg.norm(self.rate - other.rate, axis=1),
+        }
+
+
+class Table:
+    """A published trajectory at TIMES; rows between them are left out. Raises InputError for a file of another form."""
+
+    def __init__(self, path: Path, figure: earth.Ellipsoid = earth.WGS84) -> None:
+        with path.open(newline="") as file:
+            self.names, *rows = list(csv.reader(file)) or [[]]
+        self.path, self.figure = path, figure
+        try:
+            self.values = np.array(rows, dtype=float)
+        except ValueError as error:
+            raise tx.InputError(f"{path}: expected as many numbers in each row as there are columns: {error}") from None
+        skip = max(1, (len(self.values) - 1) // (len(TIMES) - 1))
+        self.values = self.values[::skip]
+        if self.values.shape[0] != len(TIMES) or not np.allclose(self["time"], TIMES, rtol=0.0, atol=1e-6):
+            raise tx.InputError(f"{path}: expected {len(TIMES)} rows from 0 to {DURATION:g} s, or a multiple")
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.names:
+            raise tx.InputError(f"{self.path}: no column {name}")
+        return self.values[:, self.names.index(name)]
+
+    def __contains__(self, quantity: str) -> bool:
+        return any(name.startswith(quantity + "_") for name in self.names)
+
+    def column(self, quantity: str, component: str = "") -> Array:
+        """A quantity in SI, and of a vector a component."""
+        ending = f"_{component}" if component else ""
+        for name in self.names:
+            unit = re.fullmatch(rf"{quantity}_(\w+?){ending}", name)
+            if unit and unit[1] in _UNITS:
+                return float(_UNITS[unit[1]]) * self[name]
+        known = ", ".join(_UNITS)
+        raise tx.InputError(f"{self.path}: no column {quantity}_<unit>{ending} with a unit among {known}")
+
+    def columns(self, quantity: str, components: str) -> Array:
+        """Components of a vector side by side."""
+        return np.stack([self.column(quantity, component) for component in components.split()], axis=1)
+
+    def position(self) -> Array:
+        """Inertial position, converted from planet-fixed or geodetic coordinates where it is not given."""
+        if "eiPosition" in self:
+            return self.columns("eiPosition", "X Y Z")
+        if "gePosition" in self:
+            x, y, z = self.columns("gePosition", "X Y Z").T
+            longitude = np.arctan2(y, x)
+            distance = np.hypot(x, y)
+        else:
+            latitude, longitude = self.column("latitude"), self.column("longitude")
+            altitude, e2 = self.column("altitudeMsl"), self.figure.eccentricity_squared
+            normal = self.figure.radius / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
+            distance = (normal + altitude) * np.cos(latitude)
+            z = ((1.0 - e2) * normal + altitude) * np.sin(latitude)
+        angle = longitude + self.figure.rate * TIMES
+        return np.stack([distance * np.cos(angle), distance * np.sin(angle), z], axis=1)
+
+    def track(self) -> Track:
+        """What of it is compared; NaN where a simulation does not give it."""
+        blank = np.full((len(TIMES), 3), np.nan)
+        angles = self.columns("eulerAngle", "Roll Pitch Yaw") if "eulerAngle" in self else blank
+        rates = "bodyAngularRateWrtEi"
+        rate = self.columns(rates, "Roll Pitch Yaw") if rates in self else blank
+        x, y, z = np.eye(3)
+        attitude = np.stack([about(z, yaw) @ about(y, pitch) @ about(x, roll) for roll, pitch, yaw in angles])
+        density = self.column("airDensity") if "airDensity" in self else blank[:, 0]
+        return Track(self.position(), attitude, rate, self.column("altitudeMsl"), density)
+
+
+def read(directory: Path, number: int, figure: earth.Ellipsoid = earth.WGS84) -> dict[str, Track]:
+    """The published simulations of a case, by number. Raises InputError where there are none."""
+    folder = directory / FOLDERS[number]
+    found = {file.stem.split("_")[1]: file for file in sorted(folder.glob("sim_*.csv"), reverse=True)}
+    if not found:
+        raise tx.InputError(
+            f"case {number}: no file sim_<number>.csv in {folder}\n  fix: name the folder that has {folder.name}"
+        )
+    return {name: Table(file, figure).track() for name, file in sorted(found.items())}

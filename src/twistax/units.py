@@ -1,0 +1,163 @@
+"""Units as numbers: `30_000 * units.feet` is the float 9144.0, which knows that it is a length.
+
+    from twistax import units
+
+    altitude, speed = 30_000 * units.feet, 400 * units.knots      # 9144.0 m, 205.78 m/s
+    inertia = 3.6 * units.slugs * units.feet**2                    # 4.8809 kg m2
+    solution.outputs["altitude"] / units.feet                      # and back
+
+Everything in twistax is in m, kg, s, rad and K. A `Quantity` is a float in these units and goes wherever a float goes.
+What asks for a unit, as `flight.start` does, refuses another one. Plain numbers are taken as m, kg, s, rad and K.
+
+A unit that is multiplied with an array or an expression is its factor: nothing is checked there.
+
+Sources of the factors, all exact: the international yard and pound (1959), ISO 80000-3 for the nautical mile, standard
+gravity of the General Conference on Weights and Measures (1901).
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from typing import Any
+
+import numpy as np
+
+from .checks import reals, short
+from .errors import InputError, OperationError
+
+# fmt: off
+__all__ = [
+    "Quantity", "degrees", "feet", "hours", "inches", "kelvins", "kilograms", "kilometres", "knots", "metres",
+    "minutes", "nautical_miles", "newtons", "pascals", "pounds", "pounds_force", "radians", "rankines", "seconds",
+    "slugs", "taken",
+]
+# fmt: on
+
+#: The base units, in the order of exponents.
+_BASE = ("m", "kg", "s", "rad", "K")
+
+
+class Quantity(float):
+    """A float in m, kg, s, rad and K with the exponents of these.
+
+    Products, quotients and whole powers are quantities; sums and differences are, if both have one unit. With a plain
+    number a sum is a plain number. A list or tuple of numbers times a unit is a list of quantities.
+
+    Raises: OperationError where a sum or difference mixes units, or a power is not whole.
+    """
+
+    exponents: tuple[int, ...]
+
+    def __new__(cls, value: float, exponents: tuple[int, ...] = (0, 0, 0, 0, 0)) -> Quantity:
+        made = super().__new__(cls, value)
+        made.exponents = exponents
+        return made
+
+    @property
+    def unit(self) -> str:
+        """The unit in text, such as 'kg m2 s-2'."""
+        parts = [name + ("" if n == 1 else str(n)) for name, n in zip(_BASE, self.exponents) if n]
+        return " ".join(parts) or "1"
+
+    def __repr__(self) -> str:
+        return f"{float(self)!r} {self.unit}"
+
+    def __reduce__(self) -> Any:
+        return Quantity, (float(self), self.exponents)
+
+    def __mul__(self, other: Any) -> Any:
+        if isinstance(other, (list, tuple)):
+            return [entry * self for entry in other]
+        return self._combined(other, float.__mul__, 1)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        return self._combined(other, float.__truediv__, -1)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self**-1 * other
+
+    def __pow__(self, power: Any, modulo: None = None) -> Any:
+        if not isinstance(power, numbers.Integral):
+            raise OperationError(f"a power of {self!r} expects a whole exponent, got {short(power)}")
+        return Quantity(float(self) ** int(power), tuple(n * int(power) for n in self.exponents))
+
+    def __add__(self, other: Any) -> Any:
+        return self._summed(other, float.__add__)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        return self._summed(other, float.__sub__)
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    def __neg__(self) -> Quantity:
+        return Quantity(-float(self), self.exponents)
+
+    def _combined(self, other: Any, operation: Any, sign: int) -> Any:
+        if not isinstance(other, (int, float)):
+            return NotImplemented
+        theirs = other.exponents if isinstance(other, Quantity) else (0,) * len(_BASE)
+        exponents = tuple(a + sign * b for a, b in zip(self.exponents, theirs))
+        return Quantity(operation(float(self), float(other)), exponents)
+
+    def _summed(self, other: Any, operation: Any) -> Any:
+        if not isinstance(other, (int, float)):
+            return NotImplemented
+        total = operation(float(self), float(other))
+        if not isinstance(other, Quantity):
+            return total
+        if other.exponents != self.exponents:
+            raise OperationError(f"a sum of {self!r} and {other!r} has no meaning: their units differ")
+        return Quantity(total, self.exponents)
+
+
+def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> np.ndarray:
+    """A value that comes in at a door, as numbers in m, kg, s, rad and K.
+
+    Args:
+        place: names the value in messages.
+        value: a number or an array of them; quantities, alone or in lists, must have the unit.
+        unit: what is expected, such as `units.metres`.
+        shape: of the value.
+    Raises:
+        InputError: another unit or shape, what is no real number, or is not finite.
+    """
+    entries = value if isinstance(value, (list, tuple)) else [value]
+    for entry in entries:
+        if isinstance(entry, Quantity) and entry.exponents != unit.exponents:
+            raise InputError(f"{place} expects {unit.unit}, got {entry!r}.\n  fix: give it in a unit of {unit.unit}")
+    array = reals(place, value, InputError)
+    if array.shape != shape or not np.isfinite(array).all():
+        what = "a finite number" if not shape else f"finite numbers of shape {shape}"
+        raise InputError(f"{place} expects {what} in {unit.unit}, got {short(value)}")
+    return array
+
+
+metres = Quantity(1.0, (1, 0, 0, 0, 0))
+kilograms = Quantity(1.0, (0, 1, 0, 0, 0))
+seconds = Quantity(1.0, (0, 0, 1, 0, 0))
+radians = Quantity(1.0, (0, 0, 0, 1, 0))
+kelvins = Quantity(1.0, (0, 0, 0, 0, 1))
+
+kilometres = 1000.0 * metres
+feet = 0.3048 * metres
+inches = 0.0254 * metres
+nautical_miles = 1852.0 * metres
+minutes = 60.0 * seconds
+hours = 3600.0 * seconds
+knots = nautical_miles / hours
+degrees = math.pi / 180.0 * radians
+newtons = kilograms * metres / seconds**2
+pascals = newtons / metres**2
+pounds = 0.45359237 * kilograms
+#: The weight of a pound in standard gravity, 9.80665 m/s2.
+pounds_force = 4.4482216152605 * newtons
+#: What a pound-force accelerates by a foot per second squared: 4.4482216152605 / 0.3048 kg, rounded once.
+slugs = 14.593902937206364 * kilograms
+#: A difference of temperatures, or a temperature from absolute zero.
+rankines = 5.0 / 9.0 * kelvins

@@ -1,0 +1,89 @@
+"""Units: exact factors, what is done with them, and what a door refuses."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax import units
+from twistax.units import Quantity, degrees, feet, knots, metres, seconds, slugs, taken
+
+#: Their definitions, in m, kg, s and K.
+EXACT = {
+    "feet": Fraction("0.3048"),
+    "inches": Fraction("0.0254"),
+    "nautical_miles": Fraction(1852),
+    "knots": Fraction(1852, 3600),
+    "hours": Fraction(3600),
+    "pounds": Fraction("0.45359237"),
+    "pounds_force": Fraction("0.45359237") * Fraction("9.80665"),
+    "slugs": Fraction("0.45359237") * Fraction("9.80665") / Fraction("0.3048"),
+    "rankines": Fraction(5, 9),
+    "newtons": Fraction(1),
+    "pascals": Fraction(1),
+    "kilometres": Fraction(1000),
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_factors_are_those_of_the_definitions(name: str) -> None:
+    assert float(getattr(units, name)) == float(EXACT[name])
+
+
+def test_quantities_are_floats_that_know_their_unit() -> None:
+    altitude = 30_000 * feet
+    assert isinstance(altitude, float)
+    assert altitude == 9144.0
+    assert repr(altitude) == "9144.0 m"
+    assert (3.6 * slugs * feet**2).unit == "m2 kg"
+    assert repr(1.0 / seconds) == "1.0 s-1"
+    assert repr(feet / feet) == "1.0 1"
+    assert repr(-altitude + 2 * altitude - 144 * metres) == "9000.0 m"
+    assert type(altitude + 1.0) is float
+    assert type(1.0 - altitude) is float
+    assert math.isclose(180 * degrees, math.pi)
+    for other in (pickle.loads(pickle.dumps(altitude)), copy.deepcopy(altitude)):
+        assert repr(other) == "9144.0 m"
+
+
+def test_units_of_lists_arrays_and_expressions() -> None:
+    assert repr([400, 0] * (feet / seconds)) == "[121.92 m s-1, 0.0 m s-1]"
+    found = np.array([1.0, 2.0]) * feet
+    assert isinstance(found, np.ndarray)
+    np.testing.assert_array_equal(found, [0.3048, 0.6096])
+    height = tx.State("h")
+    assert float(tx.lower(height / feet)(0.0, {"h": np.float64(0.6096)})) == 2.0
+    assert float(tx.lower(feet * height)(0.0, {"h": np.float64(2.0)})) == 0.6096
+
+
+def test_sums_of_different_units_are_refused() -> None:
+    with pytest.raises(tx.OperationError, match=r"0.3048 m and 1.0 s has no meaning"):
+        _ = feet + seconds
+    with pytest.raises(tx.OperationError, match=r"a whole exponent, got 0.5"):
+        _ = feet**0.5
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "shape", "words"),
+    [
+        (3 * knots, metres, (), "x expects m, got .* m s-1\\.\n  fix"),
+        ([1 * feet, 1 * degrees], metres, (2,), "x expects m, got .* rad"),
+        ([1.0, 2.0], metres, (), "a finite number in m, got"),
+        (np.inf, metres, (), "a finite number in m, got inf"),
+        ("high", metres, (), "real numbers, got 'high'"),
+    ],
+)
+def test_a_door_refuses(value: Any, unit: Quantity, shape: tuple[int, ...], words: str) -> None:
+    with pytest.raises(tx.InputError, match=words):
+        taken("x", value, unit, shape)
+
+
+def test_a_door_takes_plain_numbers() -> None:
+    np.testing.assert_array_equal(taken("x", (1 * feet, 2.0), metres, (2,)), [0.3048, 2.0])
