@@ -6,17 +6,26 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+#: All but the kept pages of reports, which programs wrote.
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(set(DOCS.rglob("*.md")) - set(DOCS.glob("report/*.md")))]
+#: Pages that are one program: each goes on where the one before ends.
+TUTORIAL = [DOCS / "tutorial" / f"{name}.md" for name in ("body", "rollout", "optimal", "c_code")]
+PROGRAMS = [[page] for page in PAGES if page not in TUTORIAL] + [TUTORIAL]
 
 
-def blocks(page: Path) -> str:
-    """The Python blocks of a page, one after another, as one program."""
-    return "\n".join(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+def blocks(pages: list[Path]) -> str:
+    """The Python blocks of pages, one after another, as one program."""
+    return "\n".join(code for page in pages for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: p.name)
-def test_code_blocks_run(page: Path) -> None:
-    exec(compile(blocks(page), str(page), "exec"), {"__name__": "docs"})
+@pytest.mark.parametrize("pages", [p for p in PROGRAMS if blocks(p)], ids=lambda p: "/".join(p[0].parts[-2:]))
+def test_code_blocks_run(pages: list[Path]) -> None:
+    exec(compile(blocks(pages), str(pages[0]), "exec"), {"__name__": "docs"})
+
+
+def test_the_tutorial_is_all_there() -> None:
+    assert {*TUTORIAL, DOCS / "tutorial" / "index.md"} == set((DOCS / "tutorial").glob("*.md"))
 
 
 def test_links_lead_somewhere() -> None:

@@ -35,6 +35,14 @@ from twistax.groups.arrays import (
 )
 from twistax.groups.series import exp_coefficients, inverse_coefficients, inverse_derivative, jacobian_coefficients
 
+# fmt: off
+__all__ = [
+    "Ad", "Ad_dual", "act", "ad", "ad_dual", "between", "bracket", "coad", "compose", "exp", "hat", "inverse",
+    "left_jacobian", "left_jacobian_inv", "log", "right_jacobian", "right_jacobian_inv",
+    "right_jacobian_inv_apply", "vee",
+]
+# fmt: on
+
 
 def _halves(xi: Array) -> tuple[Components, Components]:
     parts = unpack(xi)

@@ -30,6 +30,14 @@ from twistax.groups.arrays import (
 )
 from twistax.groups.series import angle_ratio, exp_coefficients, inverse_derivative
 
+# fmt: off
+__all__ = [
+    "Ad", "Ad_dual", "act", "ad", "ad_dual", "bracket", "coad", "compose", "exp", "hat", "inverse",
+    "left_jacobian", "left_jacobian_inv", "log", "right_jacobian", "right_jacobian_inv",
+    "right_jacobian_inv_apply", "vee",
+]
+# fmt: on
+
 
 def exp(w: Input) -> Float[Array, "3 3"]:
     """Exp(w) = I + (sin t / t) W + ((1 - cos t) / t^2) W^2, t = |w|: the rotation by t rad about w.

@@ -1,0 +1,75 @@
+"""`python docs/site`: the documentation site into out/site, warnings as errors, and every link inside it followed."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from sphinx.cmd.build import build_main
+
+SITE = Path(__file__).parent
+
+
+class _Page(HTMLParser):
+    """The links of a page, and the places in it that links may lead to."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.places: set[str] = set()
+        self.feed(path.read_text())
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        for name, value in attributes:
+            if name == "id" and value:
+                self.places.add(value)
+            elif name in ("href", "src") and value:
+                self.links.append(value)
+
+
+def dead_links(folder: Path) -> list[str]:
+    """Links between the pages of a built site that lead nowhere."""
+    folder = folder.resolve()
+    pages = {path.resolve(): _Page(path) for path in sorted(folder.rglob("*.html"))}
+    dead = []
+    for path, page in pages.items():
+        for target in page.links:
+            parts = urlsplit(target)
+            if parts.scheme or parts.netloc:
+                continue
+            there = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            lost = there in pages and parts.fragment and unquote(parts.fragment) not in pages[there].places
+            if lost or not there.exists():
+                dead.append(f"{path.relative_to(folder)}: {target}")
+    return sorted(set(dead))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python docs/site", description="Builds the documentation site.")
+    parser.add_argument("--out", type=Path, default=Path("out/site"), help="folder for the pages (./out/site)")
+    parser.add_argument("--external", action="store_true", help="follow links to other sites instead; needs a network")
+    given = parser.parse_args()
+    begun = time.perf_counter()
+    builder = "linkcheck" if given.external else "html"
+    # Warnings are errors, and each one is told.
+    options = ["-q", "-W", "-n", "-j", "auto", "-b", builder, "-c", str(SITE), "-d", str(given.out / ".trees")]
+    if (given.out / ".trees").exists():
+        shutil.rmtree(given.out)  # of an earlier build: pages and entries may be gone
+    failed = build_main([*options, str(SITE.parent), str(given.out)])
+    if failed or given.external:
+        return failed
+    dead = dead_links(given.out)
+    for link in dead:
+        print(f"leads nowhere: {link}", file=sys.stderr)
+    count = len(list(given.out.rglob("*.html")))
+    print(f"{count} pages in {time.perf_counter() - begun:.0f} s: {given.out / 'index.html'}")
+    return 1 if dead else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
