@@ -1,7 +1,11 @@
 """The code in README and docs runs as it is printed."""
 
+import importlib.util
 import re
+import sys
+from collections import Counter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -12,6 +16,16 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(set(DOCS.rglob("*
 #: Pages that are one program: each goes on where the one before ends.
 TUTORIAL = [DOCS / "tutorial" / f"{name}.md" for name in ("body", "rollout", "optimal", "c_code")]
 PROGRAMS = [[page] for page in PAGES if page not in TUTORIAL] + [TUTORIAL]
+
+
+def module_of_site(name: str) -> ModuleType:
+    """A module of docs/site that needs no Sphinx."""
+    spec = importlib.util.spec_from_file_location(f"site_{name}", DOCS / "site" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def blocks(pages: list[Path]) -> str:
@@ -43,3 +57,26 @@ def test_files_that_are_named_exist() -> None:
     ]
     assert len(named) > 20
     assert [f"{page.name}: {name}" for page, name in named if not (ROOT / name).exists()] == []
+
+
+def test_every_page_is_in_the_site() -> None:
+    """A page that no table of contents has is a warning, so an error, when the site is built."""
+    listed = {DOCS / "index.md"}
+    for page in DOCS.rglob("*.md"):
+        for inside in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(), re.DOTALL):
+            names = [line for line in inside.splitlines() if line and not line.startswith(":")]
+            listed |= {page.parent / f"{name}.md" for name in names}
+    assert set(DOCS.rglob("*.md")) == listed
+
+
+def test_every_public_name_is_in_the_reference_once() -> None:
+    """Add what is new to a page of docs/reference: a fence of docs/site/names.py, or a module or name in one."""
+    names = module_of_site("names")
+    there = Counter(
+        name.path
+        for page in (DOCS / "reference").glob("*.md")
+        for namespace, wanted in names.FENCE.findall(page.read_text())
+        for name in names.asked(namespace, wanted)
+    )
+    assert {name.path for name in names.public_names()} - set(there) == set(), "on no page"
+    assert [path for path, count in there.items() if count > 1] == [], "on two pages"

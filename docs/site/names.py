@@ -1,9 +1,20 @@
-"""The public names: what `__all__` of the package and its public modules lists, and where each stands in the code."""
+"""The public names: what `__all__` of the package and its public modules lists, and on which page each stands.
+
+A page of the reference asks for names by a fence,
+
+    ```{names} twistax
+    expr.leaves System
+    ```
+
+which stands for the names of that namespace whose defining module begins so, or that are called so; an empty fence for
+all of them.
+"""
 
 from __future__ import annotations
 
 import functools
 import inspect
+import re
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -14,6 +25,9 @@ from twistax.lowering.backends import Backend
 
 #: Bases that one subclasses to extend twistax: docs/extending.md says how.
 INSIDE = (Expr, Method, Backend)
+
+
+FENCE = re.compile(r"```\{names\} (\S+)\n(.*?)```", re.DOTALL)
 
 
 class Name(NamedTuple):
@@ -79,3 +93,16 @@ def public_names() -> tuple[Name, ...]:
     path_of = {twistax: "twistax"}
     walk(twistax)
     return tuple(found)
+
+
+def asked(namespace: str, wanted: str) -> list[Name]:
+    """The names of a fence, in alphabetical order."""
+    beginnings = tuple(wanted.split())
+
+    def matches(name: Name) -> bool:
+        module = name.module.removeprefix("twistax").removeprefix(".")
+        by_module = any(module == part or module.startswith(f"{part}.") for part in beginnings)
+        return not beginnings or by_module or name.path.rpartition(".")[2] in beginnings
+
+    own = [name for name in public_names() if name.path.rpartition(".")[0] == namespace]
+    return sorted(filter(matches, own), key=lambda name: name.path.lower())

@@ -1,13 +1,6 @@
 """The reference: every public name once, from its docstring, with links from wherever a name stands in backticks.
 
-A page asks for names by a fence,
-
-    ```{names} twistax
-    expr.leaves System
-    ```
-
-which stands for the names of that namespace whose defining module begins so, or that are called so; an empty fence for
-all of them. What no page has asked for, or two have, is a warning.
+A page asks for names by a fence: `names.py` says how. What no page has asked for, or two have, is a warning.
 """
 
 from __future__ import annotations
@@ -19,7 +12,7 @@ from typing import Any
 
 from docstrings import to_rst
 from docutils import nodes
-from names import Name, public_names
+from names import FENCE, Name, asked, public_names
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.util import logging
@@ -27,22 +20,8 @@ from sphinx.util import logging
 from twistax.expr import Expr
 
 log = logging.getLogger(__name__)
-_FENCE = re.compile(r"```\{names\} (\S+)\n(.*?)```", re.DOTALL)
 #: Namespaces elsewhere whose names become links.
 OTHERS = ("jax", "numpy", "diffrax", "scipy", "equinox")
-
-
-def asked(namespace: str, wanted: str) -> list[Name]:
-    """The names of a fence, in alphabetical order."""
-    beginnings = tuple(wanted.split())
-
-    def matches(name: Name) -> bool:
-        module = name.module.removeprefix("twistax").removeprefix(".")
-        by_module = any(module == part or module.startswith(f"{part}.") for part in beginnings)
-        return not beginnings or by_module or name.path.rpartition(".")[2] in beginnings
-
-    own = [name for name in public_names() if name.path.rpartition(".")[0] == namespace]
-    return sorted(filter(matches, own), key=lambda name: name.path.lower())
 
 
 def expand(app: Sphinx, page: str, source: list[str]) -> None:
@@ -54,7 +33,7 @@ def expand(app: Sphinx, page: str, source: list[str]) -> None:
             log.warning("no public names %s in %s", fence[2].split(), fence[1], location=page)
         return "```{eval-rst}\n" + "\n".join(line for name in found for line in entry(name)) + "\n```"
 
-    source[0] = _FENCE.sub(directives, source[0])
+    source[0] = FENCE.sub(directives, source[0])
 
 
 def entry(name: Name) -> list[str]:
