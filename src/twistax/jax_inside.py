@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
@@ -337,11 +338,15 @@ def batched_branches_transpose() -> bool:
 
 
 def quick_compile() -> dict[str, bool | str]:
-    """XLA's options for programs of small arrays: half the time to compile on JAX 0.10, and as fast."""
+    """XLA's options for programs of small arrays: half the time to compile on JAX 0.10, and as fast.
+
+    What the variable XLA_FLAGS sets stays.
+    """
     options: dict[str, bool | str] = {"xla_backend_optimization_level": "1"}
     if jax.__version_info__ < (0, 11):
         options["xla_cpu_use_fusion_emitters"] = False
-    return options
+    own = os.environ.get("XLA_FLAGS", "")
+    return {name: value for name, value in options.items() if name not in own}
 
 
 def any_of_batch(condition: jax.Array) -> jax.Array:
