@@ -11,5 +11,7 @@ density = atmosphere.US1976.density(place.altitude)
 from . import atmosphere as atmosphere
 from . import earth as earth
 from . import gravity as gravity
+from . import harmonics as harmonics
+from . import upper_atmosphere as upper_atmosphere
 
-__all__ = ["atmosphere", "earth", "gravity"]
+__all__ = ["atmosphere", "earth", "gravity", "harmonics", "upper_atmosphere"]

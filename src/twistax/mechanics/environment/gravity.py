@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
+import numpy as np
+
 from ...checks import number
 from ...errors import ModelError
-from ...expr import Constant, Dot, Expr, Sqrt
+from ...expr import Constant, Cross, Dot, Expr, Sqrt
 from ...expr.fields import ExprLike, positive
 from ..arguments import of_shape
 
-__all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass"]
+__all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass", "gradient_torque"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +74,25 @@ class J2:
         k = 1.5 * self.j2 * self.radius**2 * inverse
         s = 5.0 * p[2] ** 2 * inverse
         return (-self.gm * inverse * Sqrt(inverse)) * p * (1.0 + k * (Constant([1.0, 1.0, 3.0]) - s))
+
+
+def gradient_torque(gm: float, position: ExprLike, inertia: ExprLike) -> Expr:
+    """3 GM / r^5 p x I p (3,), N m: what the pull of a point mass exerts on a body about its centre of mass.
+
+    To first order in the size of the body over its distance.
+
+    Args:
+        gm: gravitational constant times mass, m3/s2.
+        position: p (3,) of the body's centre of mass from that of the planet, in body axes, m.
+        inertia: I (3, 3) about the centre of mass in body axes, kg m2.
+    Raises: ModelError if gm is not positive; ShapeError.
+    Source: Hughes, Spacecraft Attitude Dynamics, section 8.1.
+    """
+    number("gradient_torque: gm", gm, "a positive number of m3/s2", lambda value: 0.0 < value < np.inf, ModelError)
+    p = of_shape("gradient_torque", "position", position, (3,))
+    tensor = of_shape("gradient_torque", "inertia", inertia, (3, 3))
+    square = Dot(p, p)
+    return (3.0 * gm / (square * square * Sqrt(square))) * Cross(p, tensor @ p)
 
 
 def _position(position: ExprLike) -> Expr:

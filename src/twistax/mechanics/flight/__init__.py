@@ -22,14 +22,18 @@ from .planets import (
     inertial_axes,
     local_axes,
 )
+from .propulsion import Engine, burning, rocket
+from .sensors import Imu, ImuReading, probe
 from .start import numbers, start
+from .turbulence import Dryden, Gust, even_turbulence, low_altitude_turbulence
 from .vehicle import Vehicle
 from .wind import CALM, LogarithmicShear, Profile, Steady, Wind
 
 # fmt: off
 __all__ = [
-    "CALM", "EARTH", "ROUND_EARTH", "Aerodynamics", "Air", "AirAxes", "AirData", "Axes", "Gravity", "LogarithmicShear",
-    "Planet", "Profile", "Reference", "Steady", "Vehicle", "Wind", "body_axes", "drag", "fixed_axes", "inertial_axes",
-    "local_axes", "numbers", "stability_axes", "start", "wind_axes",
+    "CALM", "EARTH", "ROUND_EARTH", "Aerodynamics", "Air", "AirAxes", "AirData", "Axes", "Dryden", "Engine", "Gravity",
+    "Gust", "Imu", "ImuReading", "LogarithmicShear", "Planet", "Profile", "Reference", "Steady", "Vehicle", "Wind",
+    "body_axes", "burning", "drag", "even_turbulence", "fixed_axes", "inertial_axes", "local_axes",
+    "low_altitude_turbulence", "numbers", "probe", "rocket", "stability_axes", "start", "wind_axes",
 ]
 # fmt: on

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TypeAlias
 
-from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Norm, Sin, Sqrt
+from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Max, Norm, Sin, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.lie import wrench
 from ..arguments import of_shape
@@ -80,6 +80,16 @@ class AirData:
     def equivalent_airspeed(self) -> Expr:
         """V sqrt(rho / rho_0), rho_0 the density at altitude 0, (), m/s."""
         return self.airspeed * Sqrt(self.density / self.air.density(0.0))
+
+    @cached_property
+    def impact_pressure(self) -> Expr:
+        """What a pitot tube reads over p, (), Pa: p ((1 + M^2 / 5)^(7/2) - 1), behind a shock by Rayleigh's formula.
+
+        Source: NACA Report 1135, Equations, tables and charts for compressible flow (1953), eqs. (44) and (100).
+        """
+        square = self.mach * self.mach
+        behind = 166.921580 * square**3.5 / (7.0 * Max(square, 1.0) - 1.0) ** 2.5
+        return self.pressure * (Where(square < 1.0, (1.0 + 0.2 * square) ** 3.5, behind) - 1.0)
 
 
 #: The rotation (3, 3) to body axes from the axes in which coefficients are given.

@@ -41,6 +41,10 @@ class Gravity(Protocol):
     def axisymmetric(self) -> bool:
         """Whether it is the same at all longitudes."""
 
+    @property
+    def gm(self) -> float:
+        """Gravitational constant times mass, m3/s2."""
+
     def acceleration(self, position: ExprLike) -> Expr:
         """(3,) in m/s2 at a planet-fixed position (3,) in m; in any axes about the same z, if axisymmetric."""
 

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from ...errors import ModelError
-from ...expr import Concat, Expr, State, Time
+from ...expr import Concat, Expr, Norm, State, Time
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, linear
 from ...groups import SE3
@@ -15,9 +15,11 @@ from ...system import System
 from ..arguments import of_shape
 from ..bodies import SpatialInertia
 from ..environment.earth import Geodetic, north_east_down
+from ..environment.gravity import gradient_torque
 from .air_data import AirData
 from .planets import EARTH, Planet, Reference, inertial_axes
 from .start import start
+from .turbulence import Dryden, Gust
 from .wind import CALM, Wind
 
 __all__ = ["Vehicle"]
@@ -32,11 +34,20 @@ class Vehicle:
     Args:
         planet: figure, rotation, gravity and air.
         wind: velocity of the air over the planet, a function of (place, t).
+        turbulence: gusts beside the wind; their state and noise belong to `system`.
         pose, twist: names of the states.
-    Raises: ModelError for a planet that is none, or a wind that is no function.
+    Raises: ModelError for a planet or a turbulence that is none, or a wind that is no function.
     """
 
-    def __init__(self, planet: Planet = EARTH, wind: Wind = CALM, *, pose: str = "g", twist: str = "V") -> None:
+    def __init__(
+        self,
+        planet: Planet = EARTH,
+        wind: Wind = CALM,
+        turbulence: Dryden | None = None,
+        *,
+        pose: str = "g",
+        twist: str = "V",
+    ) -> None:
         if not isinstance(planet, Planet):
             raise ModelError(f"Vehicle expects planet to be a Planet, got {planet!r}")
         if not callable(wind):
@@ -44,7 +55,9 @@ class Vehicle:
                 f"Vehicle expects wind to be a function of (place, t), got {wind!r}.\n"
                 "  fix: flight.Steady((north, east, down)) is the same wind everywhere"
             )
-        self.planet, self.wind = planet, wind
+        if not (turbulence is None or isinstance(turbulence, Dryden)):
+            raise ModelError(f"Vehicle expects turbulence to be a Dryden, got {turbulence!r}")
+        self.planet, self.wind, self.turbulence = planet, wind, turbulence
         self.pose, self.twist, self.time = State(pose, group=SE3), State(twist, shape=(6,)), Time()
 
     # ---- place and attitude --------------------------------------------------------------------------------------
@@ -93,25 +106,39 @@ class Vehicle:
 
     @cached_property
     def air(self) -> AirData:
-        """The air data; rates relative to the air are those relative to the planet, with which it turns."""
-        velocity = self._ground_velocity
-        if self.wind is not CALM:
-            blown = of_shape("Vehicle", "the wind's velocity", self.wind(self.place, self.time), (3,))
-            velocity = velocity - self._local @ blown
+        """The air data. Rates relative to the air are relative to the turning planet and to gusts."""
         turning = Concat(0.0, 0.0, self.planet.figure.rate)
-        return AirData(
-            velocity=self.pose[:3, :3].T @ velocity,
-            altitude=self._over.altitude,
-            air=self.planet.air,
-            rate=angular(self.twist) - self.pose[:3, :3].T @ turning,
-        )
+        velocity, rate = self._steady_air_velocity, angular(self.twist) - self.pose[:3, :3].T @ turning
+        if self._gust is not None:
+            velocity, rate = velocity - self._gust.velocity, rate - self._gust.rate
+        return AirData(velocity, self._over.altitude, self.planet.air, rate)
 
     @cached_property
     def gravitation(self) -> Expr:
         """Acceleration by gravity at the body's origin, (3,) in inertial axes, m/s2."""
         return self.planet.gravitation(self.position, self.time)
 
+    def gradient_torque(self, body: SpatialInertia) -> Expr:
+        """The gravity gradient's moment on a body about its centre of mass, (3,) in body axes, N m."""
+        at_center = self.pose[:3, :3].T @ self.position + body.center_of_mass
+        return gradient_torque(self.planet.gravity.gm, at_center, body.inertia)
+
     # ---- a system ------------------------------------------------------------------------------------------------
+
+    def acceleration(self, body: SpatialInertia, wrench: ExprLike = (0.0,) * 6) -> Expr:
+        """V' (6,) of a body under gravity and a wrench.
+
+        Args:
+            body: mass, centre of mass and inertia in body axes, of the mass there is.
+            wrench: [f; tau] (6,) of everything but gravity, at the body's origin in its axes.
+        Raises:
+            ModelError: body is no SpatialInertia.
+            ShapeError: wrench is not of shape (6,).
+        """
+        if not isinstance(body, SpatialInertia):
+            raise ModelError(f"Vehicle expects body to be a SpatialInertia, got {body!r}")
+        F = of_shape("Vehicle", "wrench", wrench, (6,)) + body.weight(self.pose, self.gravitation)
+        return body.acceleration(self.twist, F)
 
     def system(
         self,
@@ -122,22 +149,18 @@ class Vehicle:
         outputs: Mapping[str, ExprLike] | None = None,
         **more: Any,
     ) -> System:
-        """The body's motion under gravity and a wrench.
+        """The body's motion under gravity and a wrench, and the turbulence.
 
         Args:
-            body: mass, centre of mass and inertia in body axes.
-            wrench: [f; tau] (6,) of everything but gravity, at the body's origin in its axes.
+            body, wrench: as of `acceleration`.
             rates: of further states.
             outputs: beside those of `outputs()`.
             more: what `System` takes.
-        Raises:
-            ModelError: body is no SpatialInertia.
-            ShapeError: wrench is not of shape (6,).
+        Raises: ModelError, ShapeError, as `acceleration`.
         """
-        if not isinstance(body, SpatialInertia):
-            raise ModelError(f"Vehicle.system expects body to be a SpatialInertia, got {body!r}")
-        F = of_shape("Vehicle.system", "wrench", wrench, (6,)) + body.weight(self.pose, self.gravitation)
-        motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: body.acceleration(self.twist, F)}
+        motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: self.acceleration(body, wrench)}
+        if self.turbulence is not None and self._gust is not None:
+            motion[self.turbulence.state] = self._gust.state_rate
         return System({**motion, **(rates or {})}, {**self.outputs(), **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
@@ -182,3 +205,18 @@ class Vehicle:
     def _ground_velocity(self) -> Expr:
         """Relative to the planet, in inertial axes."""
         return self.planet.figure.air_velocity(self.position, self.velocity)
+
+    @cached_property
+    def _steady_air_velocity(self) -> Expr:
+        """Relative to the wind, in body axes."""
+        velocity = self._ground_velocity
+        if self.wind is not CALM:
+            blown = of_shape("Vehicle", "the wind's velocity", self.wind(self.place, self.time), (3,))
+            velocity = velocity - self._local @ blown
+        return self.pose[:3, :3].T @ velocity
+
+    @cached_property
+    def _gust(self) -> Gust | None:
+        if self.turbulence is None:
+            return None
+        return self.turbulence.gust(self._over.altitude, Norm(self._steady_air_velocity))

@@ -1,0 +1,103 @@
+"""Engines, and what burning does to a body beside the thrust.
+
+Six-vectors are [f; tau] at the body's origin in its axes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from ...expr import Cross, Expr
+from ...expr.fields import ExprLike
+from ...expr.lie import angular, wrench
+from ..arguments import of_shape
+from ..bodies import SpatialInertia
+
+__all__ = ["Engine", "burning", "rocket"]
+
+#: Standard gravity, m/s2, by which specific impulses are in s.
+STANDARD_GRAVITY = 9.80665
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Engine:
+    """An engine in its place. Thrust and mass flow are expressions of throttle, Mach number, altitude, often by tables.
+
+    Attributes:
+        thrust: (), N.
+        mass_flow: what it takes from the body, (), kg/s, positive.
+        position: where the thrust acts and the gas leaves, (3,), m.
+        direction: of the thrust, (3,), of length 1; an expression where it is gimballed.
+    Raises: ShapeError, ModelError for values that are no such numbers or expressions.
+    """
+
+    thrust: ExprLike
+    mass_flow: ExprLike = 0.0
+    position: ExprLike = (0.0, 0.0, 0.0)
+    direction: ExprLike = (1.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name, shape in (("thrust", ()), ("mass_flow", ()), ("position", (3,)), ("direction", (3,))):
+            object.__setattr__(self, name, of_shape("Engine", name, getattr(self, name), shape))
+
+    @property
+    def wrench(self) -> Expr:
+        """[f; p x f] (6,) of the thrust f."""
+        force = self.thrust * of_shape("Engine", "direction", self.direction, (3,))
+        return wrench(force=force, torque=Cross(self.position, force))
+
+
+def rocket(
+    throttle: ExprLike,
+    pressure: ExprLike,
+    *,
+    vacuum_thrust: float,
+    specific_impulse: float,
+    exit_area: float = 0.0,
+    position: ExprLike = (0.0, 0.0, 0.0),
+    direction: ExprLike = (1.0, 0.0, 0.0),
+) -> Engine:
+    """A rocket engine: thrust = throttle T - p A, mass flow = throttle T / (g_0 I).
+
+    Args:
+        throttle: (), 0 to 1; at 0 the pressure term stays, so switch a dead engine off by `tx.Where`.
+        pressure: p of the air, (), Pa.
+        vacuum_thrust: T, N.
+        specific_impulse: I in vacuum, s.
+        exit_area: A, m2.
+        position, direction: as of `Engine`.
+    Raises: ShapeError, ModelError.
+    """
+    power = of_shape("rocket", "throttle", throttle, ()) * vacuum_thrust
+    against = of_shape("rocket", "pressure", pressure, ()) * exit_area
+    return Engine(power - against, power / (STANDARD_GRAVITY * specific_impulse), position, direction)
+
+
+def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprLike) -> Expr:
+    """The wrench (6,) that mass on its way out exerts, beside the thrust: Coriolis forces and jet damping.
+
+    With w the body's rate, f the flow, c and J the centre and the inertia about the origin of what a kilogram takes
+    from the body, and r the outlet,
+
+        force = -2 f w x (r - c),    moment = f (J w - r x (w x r) - w x (c x r)).
+
+    It makes M V' = F - ad*_V(M V), with F the sum of all wrenches and M that of the mass there is, the balance of
+    momentum of a body with a steady flow along a line from c to r. Left out is what a changing flow exerts, f' (r - c)
+    and f' (c x r). Along an axis of symmetry, about the centre of mass, the moment is -(I' + f l^2) w, the jet damping
+    of textbooks.
+
+    Args:
+        V: the body's twist (6,).
+        flow: f, kg/s, positive out.
+        kilogram: the derivative of the body's inertia by its mass. Of a tank that empties evenly: a body of 1 kg at its
+            centre with its inertia per mass. Of one whose level falls: the layer at the surface.
+        outlet: r (3,), m, such as the engine's position.
+    Raises: ShapeError.
+    Source: derived from the balance of momentum over the body's volume; Cornelisse, Schoyer and Wakker, Rocket
+    Propulsion and Spaceflight Dynamics (1979), chapter 4, has the terms.
+    """
+    w = angular(of_shape("burning", "V", V, (6,)))
+    f, r = of_shape("burning", "flow", flow, ()), of_shape("burning", "outlet", outlet, (3,))
+    c = kilogram.center_of_mass
+    turned = kilogram.matrix[3:, 3:] @ w - Cross(r, Cross(w, r)) - Cross(w, Cross(c, r))
+    return wrench(force=-2.0 * f * Cross(w, r - c), torque=f * turned)

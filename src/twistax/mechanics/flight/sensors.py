@@ -1,0 +1,71 @@
+"""What instruments in a vehicle read. Biases may be numbers, Parameters, or states that noise drives."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from ...expr import Cross, Expr
+from ...expr.fields import ExprLike
+from ...expr.lie import angular, linear
+from ..arguments import of_shape
+from .air_data import AirData
+
+__all__ = ["Imu", "ImuReading", "probe"]
+
+
+class ImuReading(NamedTuple):
+    """Specific force (3,), m/s2, and rate relative to inertial axes (3,), rad/s, in the sensor's axes."""
+
+    specific_force: Expr
+    rate: Expr
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Imu:
+    """Three accelerometers and three gyroscopes in one place.
+
+    Attributes:
+        position: (3,) in body axes, m.
+        mounting: the rotation (3, 3) from the sensor's axes to body axes.
+        accelerometer_bias: (3,), m/s2, and gyro_bias: (3,), rad/s, in the sensor's axes.
+    Raises: ShapeError, ModelError for values that are no such numbers or expressions.
+    """
+
+    position: ExprLike = (0.0, 0.0, 0.0)
+    mounting: ExprLike = dataclasses.field(default_factory=lambda: np.eye(3))
+    accelerometer_bias: ExprLike = (0.0, 0.0, 0.0)
+    gyro_bias: ExprLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        shapes = {"position": (3,), "mounting": (3, 3), "accelerometer_bias": (3,), "gyro_bias": (3,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, of_shape("Imu", name, getattr(self, name), shape))
+
+    def read(self, V: ExprLike, acceleration: ExprLike, gravitation: ExprLike) -> ImuReading:
+        """What it reads: v' + w x v + w' x r + w x (w x r) - a_g, and w, in its axes, with biases.
+
+        Args:
+            V: the body's twist (6,).
+            acceleration: its rate V' (6,), as `Vehicle.acceleration` has it.
+            gravitation: acceleration by gravity (3,) in body axes, m/s2.
+        Raises: ShapeError.
+        """
+        twist, rate = of_shape("Imu", "V", V, (6,)), of_shape("Imu", "acceleration", acceleration, (6,))
+        pull = of_shape("Imu", "gravitation", gravitation, (3,))
+        w, r = angular(twist), of_shape("Imu", "position", self.position, (3,))
+        origin = linear(rate) + Cross(w, linear(twist)) - pull
+        force = origin + Cross(angular(rate), r) + Cross(w, Cross(w, r))
+        turn = of_shape("Imu", "mounting", self.mounting, (3, 3)).T
+        return ImuReading(turn @ force + self.accelerometer_bias, turn @ w + self.gyro_bias)
+
+
+def probe(air: AirData, position: ExprLike) -> AirData:
+    """The air data at a place in the body (3,), m, such as a boom with vanes: there the body's rate adds w x r.
+
+    Raises: ShapeError.
+    """
+    moved = air.velocity + Cross(air.rate, of_shape("probe", "position", position, (3,)))
+    return AirData(moved, air.altitude, air.air, air.rate)

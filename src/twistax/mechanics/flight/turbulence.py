@@ -1,0 +1,128 @@
+"""Dryden turbulence: white noise through filters whose states are integrated with the vehicle's.
+
+Source of spectra, scales and intensities: MIL-F-8785C, Flying Qualities of Piloted Airplanes (1980), section 3.7. Its
+filters are written here for noise of unit intensity, E[n(t) n(s)] = delta(t - s). Noise that is held for dt s is
+standard normal numbers over sqrt(dt).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
+
+from ...errors import ModelError
+from ...expr import Concat, Control, Expr, Max, Min, Sqrt, State
+from ...units import feet, metres, seconds, taken
+
+__all__ = ["Dryden", "Gust", "even_turbulence", "low_altitude_turbulence"]
+
+#: Lengths (L_u, L_v, L_w) in m and intensities (sigma_u, sigma_v, sigma_w) in m/s at a height above the ground in m.
+Scales: TypeAlias = Callable[[Expr], tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]]
+
+
+class Gust(NamedTuple):
+    """Motion of the air that turbulence adds, and the rate of its state."""
+
+    velocity: Expr
+    rate: Expr
+    state_rate: Expr
+
+
+def even_turbulence(lengths: Any, intensities: Any) -> Scales:
+    """The same at all heights, as above 2000 ft: L_u, L_v, L_w = 1750 ft.
+
+    Args:
+        lengths: (L_u, L_v, L_w), m.
+        intensities: (sigma_u, sigma_v, sigma_w), m/s.
+    Raises: InputError for other units or shapes.
+    """
+    L = tuple(taken("even_turbulence: lengths", lengths, metres, (3,)).tolist())
+    sigma = tuple(taken("even_turbulence: intensities", intensities, metres / seconds, (3,)).tolist())
+    return lambda height: ((L[0], L[1], L[2]), (sigma[0], sigma[1], sigma[2]))
+
+
+def low_altitude_turbulence(wind: Any) -> Scales:
+    """Between 10 and 1000 ft over the ground, where the wind 20 ft above it is given; outside the values at the ends.
+
+    With h in ft: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, sigma_w = 0.1 u_20 and
+    sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4.
+
+    Args:
+        wind: u_20, m/s.
+    Raises: InputError for another unit.
+    """
+    sigma = 0.1 * float(taken("low_altitude_turbulence: wind", wind, metres / seconds))
+
+    def scales(height: Expr) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
+        h = Min(Max(height / float(feet), 10.0), 1000.0)
+        factor = 0.177 + 0.000823 * h
+        along, size = float(feet) * h / factor**1.2, sigma / factor**0.4
+        return (along, along, float(feet) * h), (size, size, sigma)
+
+    return scales
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dryden:
+    """Gusts along and about body axes, as frozen patterns that the vehicle flies through.
+
+    The state (8,) starts at zero; the noise is a control (4,). The air's rates follow from the gradients of its
+    velocity: q = -dw/dx and r = dv/dx, filtered by the span.
+
+    Attributes:
+        scales: `low_altitude_turbulence(...)`, `even_turbulence(...)`, or a function of the height.
+        span: b, m.
+        ground: altitude of the ground, m.
+        name: of the state; the control is named after it.
+    Raises: InputError for other units; ModelError for a span that is not positive.
+    """
+
+    scales: Scales
+    span: float
+    ground: float = 0.0
+    name: str = "turbulence"
+
+    def __post_init__(self) -> None:
+        for name in ("span", "ground"):
+            object.__setattr__(self, name, float(taken(f"Dryden: {name}", getattr(self, name), metres)))
+        if not self.span > 0.0:
+            raise ModelError(f"Dryden expects a positive span in m, got {self.span!r}")
+
+    @property
+    def state(self) -> State:
+        """Filter states (8,), m/s and rad/s."""
+        return State(self.name, shape=(8,))
+
+    @property
+    def noise(self) -> Control:
+        """White noise of unit intensity (4,), for u, v, w and p."""
+        return Control(f"{self.name}_noise", shape=(4,))
+
+    def gust(self, altitude: Expr, airspeed: Expr) -> Gust:
+        """Velocity (3,) and rate (3,) of the air in body axes, and the rate of the state.
+
+        Args:
+            altitude: (), m.
+            airspeed: V without the gust, (), m/s; above zero.
+        """
+        x, n = self.state, self.noise
+        lengths, (sigma_u, sigma_v, sigma_w) = self.scales(altitude - self.ground)
+        T_u, T_v, T_w = (L / airspeed for L in lengths)
+        T_q, T_r = 4.0 * self.span / (math.pi * airspeed), 3.0 * self.span / (math.pi * airspeed)
+        v = x[2] + math.sqrt(3.0) * (x[1] - x[2])
+        w = x[4] + math.sqrt(3.0) * (x[3] - x[4])
+        roll = (math.pi / (4.0 * self.span)) ** (1.0 / 6.0) * sigma_w / lengths[2] ** (1.0 / 3.0)
+        q, r = (w - x[6]) / T_q, (v - x[7]) / T_r
+        state_rate = Concat(
+            sigma_u * Sqrt(2.0 / T_u) * n[0] - x[0] / T_u,
+            sigma_v / Sqrt(T_v) * n[1] - x[1] / T_v,
+            (x[1] - x[2]) / T_v,
+            sigma_w / Sqrt(T_w) * n[2] - x[3] / T_w,
+            (x[3] - x[4]) / T_w,
+            (roll * Sqrt(0.8 * math.pi / airspeed) * n[3] - x[5]) / T_q,
+            q,
+            r,
+        )
+        return Gust(Concat(x[0], v, w), Concat(x[5], -q / airspeed, r / airspeed), state_rate)

@@ -1,0 +1,164 @@
+"""Harmonics, the gravity gradient and the air above 86 km, against 40 digits, point masses and the standard."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+import pytest
+from us1976_oracle import atmosphere as standard
+
+import twistax as tx
+from twistax.errors import ModelError
+from twistax.mechanics import flight
+from twistax.mechanics.environment import atmosphere, earth, gravity
+from twistax.mechanics.environment.harmonics import EGM2008, Harmonics
+from twistax.mechanics.environment.upper_atmosphere import US1976_TO_1000_KM
+from twistax.mechanics.flight import numbers
+
+PLACES = [[4.1e6, -3.3e6, 3.9e6], [1e-3, 0.0, -6.6e6]]
+
+
+def slope_of_potential(model: Harmonics, place: list[float]) -> list[float]:
+    """The gradient of the series by differences in 40 digits, with Legendre functions from Rodrigues' formula."""
+    with mp.workdps(40):
+
+        def legendre(n: int, m: int) -> list[Any]:
+            """The m-th derivative of P_n, by powers."""
+            row = mp.taylor(lambda s: mp.legendre(n, s), 0, n)
+            for _ in range(m):
+                row = [k * row[k] for k in range(1, len(row))]
+            scale = mp.sqrt((2 - (m == 0)) * (2 * n + 1) * mp.factorial(n - m) / mp.factorial(n + m))
+            return [scale * each for each in row]
+
+        rows = [(n, m, C, S, legendre(n, m)) for n, m, C, S in model.terms]
+
+        def potential(x: Any, y: Any, z: Any) -> Any:
+            r = mp.sqrt(x * x + y * y + z * z)
+            s, c, longitude = z / r, mp.sqrt(x * x + y * y) / r, mp.atan2(y, x)
+            total = mp.mpf(1)
+            for n, m, C, S, row in rows:
+                wave = C * mp.cos(m * longitude) + S * mp.sin(m * longitude)
+                total += (model.radius / r) ** n * c**m * sum(a * s**k for k, a in enumerate(row)) * wave
+            return mp.mpf(model.gm) / r * total
+
+        at = [mp.mpf(q) for q in place]
+        h = mp.mpf("1e-8")
+        found = []
+        for i in range(3):
+            ahead, behind = ([q + sign * h * (i == j) for j, q in enumerate(at)] for sign in (1, -1))
+            found.append(float((potential(*ahead) - potential(*behind)) / (2 * h)))
+        return found
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_harmonics_are_the_gradient_of_their_potential(place: list[float]) -> None:
+    found = numbers(EGM2008.acceleration(place))
+    np.testing.assert_allclose(found, slope_of_potential(EGM2008, place), rtol=1e-14, atol=1e-13)
+
+
+def test_j2_is_the_second_zonal_harmonic() -> None:
+    j2 = gravity.EARTH_J2
+    same = Harmonics(j2.gm, j2.radius, ((2, 0, -j2.j2 / np.sqrt(5.0), 0.0),))
+    assert same.axisymmetric
+    np.testing.assert_allclose(numbers(same.acceleration(PLACES[0])), numbers(j2.acceleration(PLACES[0])), rtol=4e-16)
+    # The dynamic J2 of EGM2008 and that of the ellipsoid's normal field differ by 3e-6 of it.
+    assert -np.sqrt(5.0) * EGM2008.terms[0][2] == pytest.approx(j2.j2, rel=4e-6)
+
+
+def test_a_planet_turns_its_bulges() -> None:
+    """With tesseral terms the pull in inertial axes changes as the planet turns; a turn of a place turns it."""
+    planet = flight.Planet(earth.WGS84, EGM2008.up_to(3))
+    turn = numbers(earth.WGS84.to_inertial(7000.0))
+    p = np.array(PLACES[0])
+    pull = numbers(planet.gravitation(p, 0.0))
+    np.testing.assert_allclose(numbers(planet.gravitation(turn @ p, 7000.0)), turn @ pull, rtol=1e-13)
+    assert np.abs(numbers(planet.gravitation(p, 7000.0)) - pull).max() > 1e-6
+    assert not EGM2008.axisymmetric
+    assert EGM2008.up_to(8, 0).axisymmetric
+    assert len(EGM2008.up_to(2).terms) == 3
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: Harmonics(1.0, 1.0, ((2, 3, 0.0, 0.0),)), r"orders up to the degree .*, got \(2, 3\)"),
+        (lambda: Harmonics(1.0, 1.0, ((2, 0, 0.0, 0.0),) * 2), "each degree and order once"),
+        (lambda: Harmonics(1.0, 1.0, ((2, 0, np.inf, 0.0),)), r"a coefficient of \(2, 0\) must be a finite number"),
+        (lambda: Harmonics(0.0, 1.0, ()), "gm to be a positive number"),
+        (lambda: EGM2008.up_to(9), "up_to expects a degree up to 8, which these terms have, got 9"),
+        (lambda: gravity.gradient_torque(-1.0, np.ones(3), np.eye(3)), "gm must be a positive number"),
+    ],
+)
+def test_what_has_no_meaning(call: Any, words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        call()
+
+
+def test_gravity_gradient_of_a_cloud_of_points() -> None:
+    """The moment about the centre of the pulls on its points, which are 1e-6 of the distance away."""
+    masses = np.array([2.0, 1.0, 3.0, 1.5])
+    points = np.random.default_rng(0).normal(size=(4, 3))
+    points -= masses @ points / masses.sum()
+    place = np.array([0.6e6, -0.5e6, 0.7e6])
+    tensor = sum(m * (q @ q * np.eye(3) - np.outer(q, q)) for m, q in zip(masses, points))
+    gm = 3.986e14
+    with mp.workdps(40):
+        moment = mp.zeros(3, 1)
+        for m, q in zip(masses, points):
+            away = [mp.mpf(a) + mp.mpf(b) for a, b in zip(place, q)]
+            pull = [-gm * m * a / mp.sqrt(sum(b * b for b in away)) ** 3 for a in away]
+            for i in range(3):
+                moment[i] += q[i - 2] * pull[i - 1] - q[i - 1] * pull[i - 2]
+        expected = [float(each) for each in moment]
+    np.testing.assert_allclose(numbers(gravity.gradient_torque(gm, place, tensor)), expected, rtol=2e-5)
+
+
+# ---- air above 86 km -------------------------------------------------------------------------------------------------
+
+#: U.S. Standard Atmosphere, 1976, table I: km, K, Pa, kg/m3.
+PRINTED = [
+    (90.0, 186.87, 1.8359e-1, 3.416e-6),
+    (100.0, 195.08, 3.2011e-2, 5.604e-7),
+    (120.0, 360.00, 2.5382e-3, 2.222e-8),
+    (150.0, 634.39, 4.5422e-4, 2.076e-9),
+    (200.0, 854.56, 8.4736e-5, 2.541e-10),
+    (300.0, 976.01, 8.7704e-6, 1.916e-11),
+    (500.0, 999.24, 3.0236e-7, 5.215e-13),
+    (1000.0, 1000.00, 7.5138e-9, 3.561e-15),
+]
+AIR = US1976_TO_1000_KM
+
+
+def test_the_printed_table() -> None:
+    z = 1e3 * np.array([row[0] for row in PRINTED])
+    for i, function in enumerate((AIR.temperature, AIR.pressure, AIR.density), start=1):
+        np.testing.assert_allclose(numbers(function(z)), [row[i] for row in PRINTED], rtol=1.1e-3)
+
+
+def test_the_standards_own_equations() -> None:
+    z = np.linspace(86.0, 1000.0, 91401)
+    T, p, rho = standard(z)
+    some = slice(7, None, 911)
+    np.testing.assert_allclose(numbers(AIR.temperature(1e3 * z[some])), T[some], rtol=0.0, atol=0.1)
+    np.testing.assert_allclose(numbers(AIR.pressure(1e3 * z[some])), p[some], rtol=5e-4)
+    np.testing.assert_allclose(numbers(AIR.density(1e3 * z[some])), rho[some], rtol=5e-4)
+
+
+def test_it_joins_the_layers_and_ends() -> None:
+    below, above, low = 86e3 - 1e-6, 86e3 + 1e-6, np.array([0.0, 3e4, 8e4])
+    for name, jump in (("temperature", 5e-4), ("speed_of_sound", 3e-4)):
+        function = getattr(AIR, name)
+        np.testing.assert_allclose(numbers(function(above)), numbers(function(below)), rtol=jump)
+        np.testing.assert_allclose(numbers(function(low)), numbers(getattr(atmosphere.US1976, name)(low)), rtol=1e-15)
+    assert numbers(AIR.density(2e6)) == numbers(AIR.density(1e6))
+
+
+def test_a_planet_has_it() -> None:
+    high = dataclasses.replace(flight.EARTH, air=AIR)
+    craft = flight.Vehicle(high)
+    state = craft.start(0.1, 0.2, 400e3, (7600.0, 0.0, 0.0))
+    found = numbers(craft.air.density, {craft.pose: state["g"], craft.twist: state["V"], tx.Time(): 0.0})
+    assert found == pytest.approx(2.803e-12, rel=1e-3)
