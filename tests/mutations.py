@@ -404,6 +404,38 @@ MUTATIONS: list[Mutation] = [
             "lowering/test_scalar_elementwise.py lowering/test_scalar_movement.py lowering/test_scalar_control.py",
         ),
     ),
+    # ---- flight ------------------------------------------------------------------------------------------------------
+    *_at(
+        "mechanics/flight/propulsion.py",
+        ("half of the Coriolis force", "force=-2.0 * f * Cross", "force=-f * Cross", "mechanics/test_flight_parts.py"),
+    ),
+    *_at(
+        "mechanics/flight/planets.py",
+        (
+            "north-east-down turned the other way",
+            "Concat(east, -north, -east * Tan(latitude))",
+            "Concat(east, -north, east * Tan(latitude))",
+            "mechanics/test_flight.py",
+        ),
+    ),
+    *_at(
+        "mechanics/flight/turbulence.py",
+        (
+            "gusts pitch the wrong way",
+            "Concat(x[5], -q / airspeed, r / airspeed)",
+            "Concat(x[5], q / airspeed, r / airspeed)",
+            "mechanics/test_flight_parts.py",
+        ),
+    ),
+    *_at(
+        "mechanics/environment/harmonics.py",
+        (
+            "sines of tesseral terms",
+            "factor * (S * low_v - C * low_w)",
+            "factor * (S * low_v + C * low_w)",
+            "mechanics/test_gravity_and_upper_air.py",
+        ),
+    ),
     # ---- lowering, native kernels ------------------------------------------------------------------------------------
     *_at(
         "lowering/native/tile.py",
