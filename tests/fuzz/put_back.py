@@ -2,7 +2,7 @@
 
     python tests/fuzz/put_back.py [--seconds N] [--seed S] [--only NAME ...] [--list]
 
-The table says after how many seconds, and by which case. What is about calls that are refused is not here: bad calls
+The table says after how many seconds of processor time, and by which case. What is about calls that are refused is not here: bad calls
 have tests of their own. The exit status is 0 if each error was found.
 """
 
@@ -178,7 +178,7 @@ def found(mutation: Mutation, seconds: float, seed: int) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=600.0, help="how long to look for each")
+    parser.add_argument("--seconds", type=float, default=600.0, help="how long to look for each, in processor time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", help="names of errors")
     parser.add_argument("--list", action="store_true", help="check that each error can be made, and run nothing")
