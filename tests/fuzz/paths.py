@@ -73,6 +73,15 @@ def oracle(case: Case, term: Term) -> tuple[np.ndarray, np.ndarray] | None:
     return value, SPREADS * spread + 8 * eps * (1.0 + met_at_most) + 2000 * eps * np.where(finite, np.abs(value), 0.0)
 
 
+def uncertainty(case: Case, term: Term) -> float:
+    """How far rounding may move a value, as a share of it."""
+    found = oracle(case, term)
+    if found is None:
+        return np.inf
+    value, tolerance = (np.where(np.isfinite(found[0]), each, 0.0) for each in found)
+    return float(np.max(tolerance, initial=0.0) / (1.0 + np.max(np.abs(value), initial=0.0)))
+
+
 def given(case: Case, *trees: tx.Expr) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """States, controls and parameters of these trees."""
     nodes = list(tx.expr.postorder(*trees))
@@ -218,16 +227,23 @@ def wrong_derivatives(case: Case) -> str:
         return next(filter(None, (wrong_derivatives(replace(case, terms=part)) for part in parts)), "")
     by_backend = [np.stack([flattened(row[k][0]) for row in here]) for k in range(len(backends))]
     expected = by_backend[0]
-    nearby = [jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal()), arguments) for _ in range(SAMPLES)]
+    # Each entry by itself: what cancels for multiples of a matrix does not in rounding.
+    nearby = [
+        jax.tree.map(lambda leaf: leaf * (1.0 + 1e-13 * generator.normal(size=leaf.shape)), arguments)
+        for _ in range(SAMPLES)
+    ]
     samples = [np.stack([flattened(row[0][0]) for row in gradients(point)]) for point in nearby]
     spread = np.max([np.abs(sample - expected) for sample in samples], axis=0)
     sizes = 1.0 + np.max(np.abs(expected), axis=1, initial=0.0, keepdims=True)
     good = np.all(np.isfinite(expected) & (spread <= 1e-4 * sizes), axis=1) & (sizes[:, 0] < 1e8)
-    spread = 10.0 * spread + 1e-9 * sizes
+    # Constants do not move; what they make uncertain in values they do in derivatives.
+    doubts = np.array([[uncertainty(case, term)] for term in case.terms])
+    rough = (1e-9 + doubts) * sizes
+    spread = 10.0 * spread + rough
     flat, named = flattened(tangent), tangent[0] | tangent[1] | tangent[2]
     each = zip(case.terms, weights, good, strict=True)
     slopes = [slope(case, term, w, named) if ok else None for term, w, ok in each]
-    allowed = spread @ np.abs(flat) + 1e-9 * sizes[:, 0]
+    allowed = spread @ np.abs(flat) + rough[:, 0]
     for k, (name, found) in enumerate(zip((name for name, _, _ in backends), by_backend, strict=True)):
         off = np.abs(found - expected)[good] > spread[good]
         if np.any(off | np.isnan(found[good])):

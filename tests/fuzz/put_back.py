@@ -160,20 +160,29 @@ TABLE = [
 ]
 
 
+def fuzzed(tree: Path, *options: str) -> str:
+    """What the fuzzer says of a tree: its first wrong case; empty if it finds none."""
+    command = [sys.executable, "tests/fuzz", "--most", "1", "--unshrunk", *options]
+    own = {"PYTHONPATH": str(tree / "src"), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": QUICK}
+    run = subprocess.run(command, cwd=tree, env=os.environ | own, capture_output=True, text=True)
+    said = re.search(r"^# (case .*)$", run.stdout, re.MULTILINE)
+    if run.returncode not in (0, 1) or (run.returncode == 1 and said is None):
+        raise RuntimeError(f"{tree}: {run.stdout[-1000:]}{run.stderr[-2000:]}")
+    return said[1] if said else ""
+
+
 def found(mutation: Mutation, seconds: float, seed: int) -> str:
-    """What the fuzzer says of a tree with the error: its first wrong case; empty if it finds none."""
+    """What the fuzzer says of a tree with the error. The case must be right without it."""
     with tempfile.TemporaryDirectory(prefix="put_back_") as folder:
         tree = copy_to(folder, ("src", "tests"))
         path = tree / "src" / "twistax" / mutation.file
-        path.write_text(mutation.applied(path.read_text()))
-        command = [sys.executable, "tests/fuzz", "--seconds", str(seconds), "--seed", str(seed)]
-        command += ["--most", "1", "--unshrunk"]
-        own = {"PYTHONPATH": str(tree / "src"), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": QUICK}
-        run = subprocess.run(command, cwd=tree, env=os.environ | own, capture_output=True, text=True)
-    said = re.search(r"^# (case .*)$", run.stdout, re.MULTILINE)
-    if run.returncode not in (0, 1) or (run.returncode == 1 and said is None):
-        raise RuntimeError(f"{mutation.name}: {run.stdout[-1000:]}{run.stderr[-2000:]}")
-    return said[1] if said else ""
+        text = path.read_text()
+        path.write_text(mutation.applied(text))
+        said = fuzzed(tree, "--seconds", str(seconds), "--seed", str(seed))
+        path.write_text(text)
+        if said and (own := fuzzed(tree, "--seed", str(seed), "--case", said.split()[1])):
+            raise RuntimeError(f"wrong without any error put back: {own}")
+    return said
 
 
 def main() -> int:
