@@ -2,8 +2,9 @@
 
     python tests/fuzz/put_back.py [--seconds N] [--seed S] [--only NAME ...] [--list]
 
-The table says after how many seconds of processor time, and by which case. What is about calls that are refused is not here: bad calls
-have tests of their own. The exit status is 0 if each error was found.
+The table says after how many seconds of processor time, and by which case, which is right without the error. What is
+about calls that are refused is not here: bad calls have tests of their own. The exit status is 0 if each error was
+found.
 """
 
 from __future__ import annotations
