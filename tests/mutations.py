@@ -404,6 +404,22 @@ MUTATIONS: list[Mutation] = [
             "lowering/test_scalar_elementwise.py lowering/test_scalar_movement.py lowering/test_scalar_control.py",
         ),
     ),
+    # ---- steady motion -----------------------------------------------------------------------------------------------
+    *_at(
+        "steady.py",
+        (
+            "steps that leave their bounds",
+            "lsq_linear(rows, np.concatenate([-left, np.zeros(z.size)]), room, tol=1e-14).x",
+            "np.linalg.lstsq(rows, np.concatenate([-left, np.zeros(z.size)]))[0]; self.low, self.high = z - 9, z + 9",
+            "test_trim.py",
+        ),
+        (
+            "outputs by the wrong rates",
+            "self.group.retract(x, s * motion)",
+            "self.group.retract(x, 0.0 * s * motion)",
+            "test_trim.py",
+        ),
+    ),
     # ---- flight ------------------------------------------------------------------------------------------------------
     *_at(
         "mechanics/flight/propulsion.py",

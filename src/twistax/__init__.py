@@ -41,9 +41,11 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.implicit_rkmk import ImplicitRKMK
     from .integrators.solution import Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
+    from .linear_system import LinearSystem, Mode
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
     from .monte_carlo import Statistics, Sweep, sweep
+    from .steady import Trim, trim
     from .trajectory import Maximize, Minimize
 
 __version__ = "0.2.0.dev0"
@@ -52,11 +54,11 @@ __version__ = "0.2.0.dev0"
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "CommutatorFree", "Dynamics", "Euclidean",
     "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
-    "IntegrationError", "Magnus", "Maximize", "Minimize", "ModelError", "Native", "OperationError", "Order",
-    "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics", "StepControl", "Sweep",
-    "System", "TrajectoryError", "TwistaxError", "ZeroOrderHold", "charts", "compile", "compositions", "diffrax",
-    "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial", "sweep", "tableaus",
-    "tangent_grad", "trajectory", "units",
+    "IntegrationError", "LinearSystem", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
+    "OperationError", "Order", "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting",
+    "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold",
+    "charts", "compile", "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower",
+    "mechanics", "pose", "spatial", "sweep", "tableaus", "tangent_grad", "trajectory", "trim", "units",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -69,9 +71,11 @@ _LATER = {
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.solution": ("Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
+    ".linear_system": ("LinearSystem", "Mode"),
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
+    ".steady": ("Trim", "trim"),
     ".trajectory": ("Maximize", "Minimize"),
 }
 
