@@ -24,7 +24,17 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 
 #: What a run of the tests reads.
-PARTS = ("src", "tests", "docs", "examples", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml")
+PARTS = (
+    "src",
+    "tests",
+    "docs",
+    "examples",
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "LICENSE",
+    "pyproject.toml",
+)
 
 #: Seconds after which a run of the named tests is stopped: an endless loop is an error that is seen.
 LIMIT = 900
@@ -83,6 +93,29 @@ MUTATIONS: list[Mutation] = [
             "return Where(condition.condition, self.x, self.y)",
             "expr/test_comparisons.py",
         ),
+    ),
+    # ---- pages -------------------------------------------------------------------------------------------------------
+    *_at(
+        "errors.py",
+        (
+            "a page that has no such place",
+            'page = "docs/integrating.md#results"',
+            'page = "docs/integrating.md#ends"',
+            "test_docs.py",
+        ),
+    ),
+    *_at(
+        "expr/lie/elements.py",
+        (
+            "errors that no docstring names",
+            "do nothing else. Raises ShapeError.",
+            "do nothing else.",
+            "test_reference.py",
+        ),
+    ),
+    *_at(
+        "__init__.py",
+        ("a public name on no page", '"fast", "integrate"', '"expr", "fast", "integrate"', "test_docs.py"),
     ),
     # ---- groups ------------------------------------------------------------------------------------------------------
     *_at(

@@ -1,13 +1,17 @@
 """The code in README and docs runs as it is printed."""
 
 import importlib.util
+import pickle
 import re
 import sys
+import traceback
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+import twistax as tx
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -57,6 +61,21 @@ def test_files_that_are_named_exist() -> None:
     ]
     assert len(named) > 20
     assert [f"{page.name}: {name}" for page, name in named if not (ROOT / name).exists()] == []
+
+
+def test_errors_name_pages_that_are_there() -> None:
+    """The page stands in a traceback, and no part of the message."""
+    waiting = [tx.TwistaxError]
+    for error in waiting:
+        waiting += error.__subclasses__()
+        name, _, place = error.page.partition("#")
+        headings = re.findall(r"^#+ (.*)$", (ROOT / name).read_text(), re.MULTILINE)
+        assert not place or place in [heading.lower().replace(" ", "-") for heading in headings], error
+    assert len(waiting) > 8
+    told = tx.ShapeError("no", hint="yes")
+    assert str(told) == "no\n  fix: yes"
+    assert traceback.format_exception(told)[-1] == "  see: docs/writing_a_system.md#expressions\n"
+    assert pickle.loads(pickle.dumps(tx.ModelError("no"))).__notes__ == ["  see: docs/writing_a_system.md"]
 
 
 def test_every_page_is_in_the_site() -> None:

@@ -1,20 +1,37 @@
-"""The command line: `python -m twistax demo` and `python -m twistax report`."""
+"""The command line: `python -m twistax demo`, `python -m twistax report`, and what is installed, `--version`."""
 
 from __future__ import annotations
 
 import argparse
+import platform
 import sys
 from collections.abc import Sequence
+from importlib import metadata
 
 from .demo import arguments as demo_arguments
 from .demo.arguments import OneLineParser
 from .report import arguments as report_arguments
 
+#: What of the extras a report of a bug should name.
+EXTRAS = {
+    "native": ("llvmlite",),
+    "plot": ("matplotlib",),
+    "models": ("mujoco",),
+    "casadi": ("casadi",),
+    "report": ("matplotlib", "jinja2"),
+    "docs": ("sphinx", "myst-parser", "furo"),
+}
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a sub-command; returns the exit status. Switches x64 on for this process once the arguments are read."""
-    parser = OneLineParser(prog="twistax", description="Rigid-body dynamics as expressions, compiled to JAX.")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parser = OneLineParser(
+        prog="twistax",
+        description="Dynamics of rigid bodies and mechanisms, written as expressions, compiled to JAX.",
+        epilog="In Python: import twistax as tx. Pages to read: docs/index.md, or as a site: python docs/site.",
+    )
+    parser.add_argument("--version", action="store_true", help="versions of all that takes part, for a report of a bug")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     demo = commands.add_parser(
         "demo",
         help="land a rocket: compile, check, solve, simulate, draw",
@@ -31,6 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     report_arguments.add_options(report)
     report.set_defaults(run=_report, rerun="; the same command goes on where it stopped")
     given = parser.parse_args(arguments)
+    if given.version:
+        print(versions())
+        return 0
+    if given.command is None:
+        parser.print_help()
+        return 0
 
     import jax
 
@@ -40,6 +63,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"\ntwistax {given.command}: interrupted{given.rerun}", file=sys.stderr)
         return 130
+
+
+def versions() -> str:
+    """Python, the packages that twistax stands on, JAX's devices, and the extras that are there."""
+    import jax
+
+    from . import __version__
+
+    def of(names: Sequence[str]) -> str:
+        return ", ".join(f"{name} {_installed(name) or 'missing'}" for name in names)
+
+    devices = jax.devices()
+    lines = [
+        f"twistax {__version__}",
+        f"Python {platform.python_version()} on {platform.system()}, {platform.machine()}",
+        of(("jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox", "jaxtyping")),
+        f"backend {jax.default_backend()}, {len(devices)} x {devices[0].device_kind}, x64 "
+        f"{'on' if jax.numpy.ones(()).dtype.itemsize == 8 else 'off'}",
+    ]
+    there = [f"extra {name}: {of(packages)}" for name, packages in EXTRAS.items() if all(map(_installed, packages))]
+    lacking = [name for name in EXTRAS if not all(map(_installed, EXTRAS[name]))]
+    return "\n".join([*lines, *there, *([f"extras not installed: {', '.join(lacking)}"] if lacking else [])])
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 # Loaded when they are run: both import diffrax.

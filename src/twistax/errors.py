@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 
 class TwistaxError(Exception):
-    """Base of every error raised by this package on purpose."""
+    """Base of every error raised by this package on purpose. A traceback ends with the page that explains its kind."""
+
+    #: That page. It is a note and no part of the message.
+    page: ClassVar[str] = "docs/reference/errors.md"
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)
+        self.add_note(f"  see: {self.page}")
 
 
 class ShapeError(TwistaxError, ValueError):
@@ -12,6 +21,8 @@ class ShapeError(TwistaxError, ValueError):
 
     The first line is the plain sentence. `at` adds where in the tree the node stands, `hint` how to mend it.
     """
+
+    page = "docs/writing_a_system.md#expressions"
 
     def __init__(self, sentence: str, *, at: str | None = None, hint: str | None = None) -> None:
         self.sentence = sentence
@@ -32,26 +43,40 @@ class ShapeError(TwistaxError, ValueError):
 class ModelError(TwistaxError, ValueError):
     """A system, problem or leaf is declared in a way that has no meaning."""
 
+    page = "docs/writing_a_system.md"
+
 
 class OrderError(ModelError):
     """A [v; w] quantity meets a [w; v] quantity without a Reorder between them."""
+
+    page = "docs/conventions.md#the-operators-in-both-orders"
 
 
 class InputError(TwistaxError, ValueError):
     """Values given at call time do not fit what was declared."""
 
+    page = "docs/writing_a_system.md#simulating-it"
+
 
 class ImmutableError(TwistaxError, AttributeError):
     """Somebody assigned to a node. Nodes are values; `replace` makes a changed copy."""
+
+    page = "docs/writing_a_system.md"
 
 
 class OperationError(TwistaxError, TypeError):
     """An operator, an index, a function or an argument that has no meaning for expressions."""
 
+    page = "docs/writing_a_system.md#expressions"
+
 
 class IntegrationError(TwistaxError, RuntimeError):
     """An integration ended before its end time. The message names what happened."""
 
+    page = "docs/integrating.md#results"
+
 
 class TrajectoryError(TwistaxError, RuntimeError):
     """A trajectory problem could not be set up or solved."""
+
+    page = "docs/trajectory.md#stating-a-problem"

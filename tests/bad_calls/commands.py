@@ -66,7 +66,6 @@ ROWS = [
     bad("a CasADi function with two underscores", lambda: cart().to_casadi(name="a__b"), "name", "'a__b'"),
     bad("a CasADi function of a number", lambda: cart().to_casadi(3), "to_casadi", "3"),
     # commands
-    bad("no command", lambda: command(""), "COMMAND", "--help"),
     bad("an unknown command", lambda: command("fly"), "'fly'", "demo"),
     bad("an unknown option", lambda: command("demo --fast"), "--fast"),
     bad("a start without a value", lambda: command("demo --initial height"), "'height'", "--help"),

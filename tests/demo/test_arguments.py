@@ -1,11 +1,17 @@
 """What the demo's command line takes, and the one line it answers nonsense with."""
 
 import math
+import platform
+import re
+import tomllib
+from importlib import metadata
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 
-from twistax.__main__ import main
+from twistax.__main__ import EXTRAS, main
 from twistax.demo.arguments import parse_start
 from twistax.scenes.powered_descent import Start
 
@@ -57,12 +63,51 @@ def test_nonsense_ends_in_one_clear_line(words: str, capsys: pytest.CaptureFixtu
     assert NONSENSE[words] in said
 
 
-def test_an_unknown_or_missing_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in (["fly"], []):
-        with pytest.raises(SystemExit) as ended:
-            main(words)
-        assert ended.value.code == 2
-        assert capsys.readouterr().err.count("\n") == 1
+def test_an_unknown_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["fly"])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_without_a_command_it_says_what_one_can_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("demo", "report", "--version", "docs/index.md"))
+
+
+def test_versions(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that takes part, and an extra only where all of its packages are there."""
+    known = {"llvmlite": "0.45.0", "jinja2": "3.1.6"}
+    missing = {"matplotlib", "casadi"}
+    real = metadata.version
+
+    def version(package: str) -> str:
+        if package in missing:
+            raise metadata.PackageNotFoundError(package)
+        return known.get(package) or real(package)
+
+    monkeypatch.setattr(metadata, "version", version)
+    assert main(["--version"]) == 0
+    said = capsys.readouterr().out
+    for word in (
+        "twistax 0.",
+        platform.python_version(),
+        f"jax {jax.__version__}",
+        f"numpy {np.__version__}",
+        "backend cpu",
+    ):
+        assert word in said
+    assert "extra native: llvmlite 0.45.0" in said
+    lacking = said.partition("extras not installed: ")[2].split("\n")[0].split(", ")
+    assert {"plot", "casadi", "report"} <= set(lacking)
+
+
+def test_versions_name_the_packages_of_the_extras() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    for extra, packages in EXTRAS.items():
+        named = {re.match(r"[\w-]+", line)[0] for line in project["optional-dependencies"][extra]}
+        assert set(packages) <= named
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

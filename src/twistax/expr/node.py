@@ -398,7 +398,10 @@ class Expr(Operators):
 
 
 def to_expr(value: Any) -> Expr:
-    """The expression itself, or a Constant made of a number or an array."""
+    """The value itself if it is an expression, else a Constant made of a number or an array.
+
+    Raises: ModelError for anything else.
+    """
     if isinstance(value, Expr):
         return value
     from .leaves import Constant

@@ -130,6 +130,13 @@ class ZeroOrderHold(Table):
 
     A step that starts or ends at a jump sees the value within the step at all its stages, so that steps which end at
     the jumps keep the method's order. A jump inside a step costs accuracy: choose dt so that jumps fall on steps.
+
+    Args:
+        ts: (n,) times in s, increasing.
+        values: (n, *shape) rows of the control's shape, in its unit.
+    Raises:
+        ShapeError: another number of rows.
+        InputError: times that do not increase, or a value that is not finite.
     """
 
     rows = 1
@@ -144,7 +151,10 @@ class ZeroOrderHold(Table):
 
 
 class FirstOrderHold(Table):
-    """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration."""
+    """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration.
+
+    Args, Raises: ts and values as for `ZeroOrderHold`, two rows or more.
+    """
 
     rows = 2
     holds_on = False

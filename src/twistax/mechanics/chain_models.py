@@ -21,7 +21,9 @@ __all__ = ["equal_links", "modified_dh", "panda"]
 def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
     """The mount (4, 4) of a link with modified Denavit-Hartenberg parameters: Rot_x(alpha) Trans_x(a) Trans_z(d).
 
-    The joint then turns about z. alpha is a whole number of quarter turns, so that the zeros are zeros.
+    The joint then turns about z. alpha is quarter_turns quarter turns, so that the zeros are zeros; a and d are in m.
+
+    Raises: ModelError if quarter_turns is no whole number.
 
     Source: J. Craig, Introduction to Robotics, chapter 3.
     """

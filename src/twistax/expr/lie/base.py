@@ -259,20 +259,32 @@ class Reorder(TwistNode):
 
 
 def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The linear part (3,) of a twist, wrench or momentum (6,); of k columns (6, k), (3, k)."""
+    """The linear part (3,) of a vector (6,), a twist, wrench or momentum in that order; of k columns (6, k), (3, k).
+
+    Raises ShapeError.
+    """
     return LinearPart(vector, order=order)
 
 
 def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The angular part (3,) of a twist, wrench or momentum (6,); of k columns (6, k), (3, k)."""
+    """The angular part (3,) of a vector (6,), a twist, wrench or momentum in that order; of k columns (6, k), (3, k).
+
+    Raises ShapeError.
+    """
     return AngularPart(vector, order=order)
 
 
 def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The twist (6,) of a velocity (3,) in m/s and a rate (3,) in rad/s, both in the body frame."""
+    """The twist (6,) of a linear velocity (3,) in m/s and an angular rate (3,) in rad/s, both in the body frame.
+
+    The order says which comes first. Raises ShapeError.
+    """
     return JoinedParts(linear, angular, order=order)
 
 
 def wrench(*, force: ExprLike, torque: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame."""
+    """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame.
+
+    The order says which comes first. Raises ShapeError.
+    """
     return JoinedParts(force, torque, order=order)

@@ -331,17 +331,17 @@ class Pose(Expr):
 
 
 def translation(position: ExprLike) -> Expr:
-    """The pose [I p; 0 1] of a frame at p (3,), in m, with the axes of the other; an expression, numbers or an array.
+    """The pose [I p; 0 1] of a frame at position p (3,), in m, with the axes of the other; an expression or numbers.
 
-    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product.
+    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product. Raises ShapeError.
     """
     return Pose(np.eye(3), position)
 
 
 def rotation(rotation: ExprLike) -> Expr:
-    """The pose [R 0; 0 1] of a frame turned by R (3, 3) about the origin of the other; an expression or an array.
+    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the other's origin; an expression or numbers.
 
-    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else.
+    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else. Raises ShapeError.
     """
     return Pose(rotation, np.zeros(3))
 

@@ -1,0 +1,119 @@
+"""Every public name says in its docstring what it takes and what it raises, or a reason stands here why it does not.
+
+That maths, shapes, units and sources are right no test can tell from text; `tests/expr/test_conformance.py` runs every
+node, and compares shapes and errors with its docstring.
+"""
+
+import enum
+import inspect
+import re
+from typing import Any
+
+import pytest
+
+from test_docs import module_of_site
+from twistax.expr import Expr
+from twistax.expr.elementwise import Entrywise
+
+NAMES = [name for name in module_of_site("names").public_names() if getattr(name.value, "__module__", "") != "typing"]
+
+
+def is_value(value: Any) -> bool:
+    """A number, a tableau, an alias of types: it has no docstring of its own, and prints what it is."""
+    return not inspect.isclass(value) and not inspect.isroutine(value) and not hasattr(value, "__wrapped__")
+
+
+DOCUMENTED = [
+    name
+    for name in NAMES
+    if not is_value(name.value) and not (inspect.isclass(name.value) and issubclass(name.value, BaseException))
+]
+by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path.removeprefix("twistax."))
+
+#: Why some say nothing of errors.
+NO_ERRORS = {
+    "users get these and do not make them": """
+        Dynamics Order Result Solution Statistics Sweep charts.Coordinates diffrax.AmbientTerm diffrax.LieController
+        diffrax.LieTerm mechanics.GivenForces mechanics.joints.Screws mechanics.environment.earth.Geodetic
+        mechanics.flight.AirData trajectory.Discretization trajectory.Linearization trajectory.Meshed
+        trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution trajectory.Status
+        trajectory.TrajectoryResult trajectory.TrajectoryResults trajectory.WarmStart""",
+    "it takes no arguments": "JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient",
+    "a base, whose subclasses say it": "Expr Leaf Variable Constraint Example charts.Chart",
+    "it takes every shape": """
+        Neg linalg.Sum linalg.Transpose mechanics.environment.atmosphere.Pressure
+        mechanics.environment.atmosphere.Temperature""",
+    "what it is part of checks it": """
+        Maximize Minimize Control trajectory.Phase trajectory.IPOPT trajectory.Fatrop
+        charts.SplitExponential""",
+    "it is called by a vehicle, which has checked": """
+        mechanics.flight.body_axes mechanics.flight.fixed_axes mechanics.flight.inertial_axes
+        mechanics.flight.local_axes mechanics.flight.stability_axes mechanics.flight.wind_axes""",
+    "a protocol: what others have to offer": "mechanics.flight.Air mechanics.flight.Gravity",
+}
+
+#: Arguments that need no word where they stand: what the functions of a package share, and what the first line says.
+KNOWN = {
+    "mechanics": "mechanism q qd qdd tau wrenches axes frame planet air latitude altitude ned_velocity",
+    "lie": "R T X W xi omega momentum points",
+    "trajectory": "dynamics t params problem",
+    "diffrax": "dynamics ambient",
+}
+
+#: Why some do not name what they are made with.
+NO_ARGUMENTS = {
+    "users get these and do not make them": """
+        Order Sweep diffrax.LieTerm trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
+        trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
+    "the base class says it": "Maximize Minimize charts.SplitExponential",
+    "one argument, which the first line is about": "Product units.Quantity",
+}
+
+
+def excused(table: dict[str, str], name: Any) -> bool:
+    words = {word for line in table.values() for word in line.split()}
+    return name.path.removeprefix("twistax.") in words
+
+
+@by_name
+def test_it_has_a_first_sentence(name: Any) -> None:
+    text = inspect.getdoc(name.value) or ""
+    assert re.search(r"[.:]$", text.split("\n\n")[0].strip())
+
+
+@by_name
+def test_it_says_what_it_raises(name: Any) -> None:
+    entrywise = name.is_node and issubclass(name.value, Entrywise)  # these take every shape
+    says = bool(re.search(r"[Rr]aise|Error", inspect.getdoc(name.value) or ""))
+    assert says or entrywise or excused(NO_ERRORS, name)
+    assert not (says and excused(NO_ERRORS, name)), "the excuse is not needed any more"
+
+
+@by_name
+def test_it_names_what_it_takes(name: Any) -> None:
+    """Fields of nodes are the matter of the conformance suite."""
+    enumeration = inspect.isclass(name.value) and issubclass(name.value, enum.Enum)
+    if name.is_node or enumeration or excused(NO_ARGUMENTS, name):
+        return
+    text = inspect.getdoc(name.value) or ""
+    known = KNOWN.get(name.path.split(".")[1], "").split()
+    taken = [
+        p.name
+        for p in inspect.signature(name.value).parameters.values()
+        if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD) and not p.name.startswith("_")
+    ]
+    assert [word for word in taken if word not in known and not re.search(rf"\b{word}\b", text)] == []
+
+
+@pytest.mark.parametrize("table", [NO_ERRORS, NO_ARGUMENTS], ids=["errors", "arguments"])
+def test_excuses_are_of_names_that_are_there(table: dict[str, str]) -> None:
+    there = {name.path.removeprefix("twistax.") for name in DOCUMENTED}
+    words = [word for line in table.values() for word in line.split()]
+    assert len(set(words)) == len(words)
+    assert set(words) - there == set()
+
+
+def test_all_kinds_are_found() -> None:
+    paths = {name.path for name in DOCUMENTED}
+    assert {"twistax.compile", "twistax.lie.se3.exp", "twistax.trajectory.Problem", "twistax.Abs"} <= paths
+    assert sum(issubclass(name.value, Expr) for name in DOCUMENTED if inspect.isclass(name.value)) > 60
