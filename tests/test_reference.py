@@ -35,7 +35,7 @@ NO_ERRORS = {
     "users get these and do not make them": """
         Dynamics Order Result Solution Statistics Sweep charts.Coordinates diffrax.AmbientTerm diffrax.LieController
         diffrax.LieTerm mechanics.GivenForces mechanics.joints.Screws mechanics.environment.earth.Geodetic
-        mechanics.flight.AirData trajectory.Discretization trajectory.Linearization trajectory.Meshed
+        mechanics.flight.AirData mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization trajectory.Meshed
         trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution trajectory.Status
         trajectory.TrajectoryResult trajectory.TrajectoryResults trajectory.WarmStart""",
     "it takes no arguments": "JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient",
@@ -44,6 +44,7 @@ NO_ERRORS = {
         Neg linalg.Sum linalg.Transpose mechanics.environment.atmosphere.Pressure
         mechanics.environment.atmosphere.Temperature""",
     "what it is part of checks it": """
+        mechanics.environment.upper_atmosphere.UpperAtmosphere
         Maximize Minimize Control trajectory.Phase trajectory.IPOPT trajectory.Fatrop
         charts.SplitExponential""",
     "it is called by a vehicle, which has checked": """

@@ -17,7 +17,7 @@ __all__ = ["Imu", "ImuReading", "probe"]
 
 
 class ImuReading(NamedTuple):
-    """Specific force (3,), m/s2, and rate relative to inertial axes (3,), rad/s, in the sensor's axes."""
+    """The specific_force (3,), m/s2, and the rate relative to inertial axes (3,), rad/s, in the sensor's axes."""
 
     specific_force: Expr
     rate: Expr
@@ -63,7 +63,7 @@ class Imu:
 
 
 def probe(air: AirData, position: ExprLike) -> AirData:
-    """The air data at a place in the body (3,), m, such as a boom with vanes: there the body's rate adds w x r.
+    """The air data at a position in the body (3,), m, such as a boom with vanes: there the body's rate adds w x r.
 
     Raises: ShapeError.
     """

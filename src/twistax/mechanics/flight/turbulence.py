@@ -23,7 +23,7 @@ Scales: TypeAlias = Callable[[Expr], tuple[tuple[Any, Any, Any], tuple[Any, Any,
 
 
 class Gust(NamedTuple):
-    """Motion of the air that turbulence adds, and the rate of its state."""
+    """Motion of the air that turbulence adds, its velocity, m/s, and rate, rad/s, and the state_rate of its state."""
 
     velocity: Expr
     rate: Expr
