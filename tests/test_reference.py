@@ -33,11 +33,12 @@ by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path
 #: Why some say nothing of errors.
 NO_ERRORS = {
     "users get these and do not make them": """
-        Dynamics Order Result Solution Statistics Sweep charts.Coordinates diffrax.AmbientTerm diffrax.LieController
-        diffrax.LieTerm mechanics.GivenForces mechanics.joints.Screws mechanics.environment.earth.Geodetic
-        mechanics.flight.AirData mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization trajectory.Meshed
-        trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution trajectory.Status
-        trajectory.TrajectoryResult trajectory.TrajectoryResults trajectory.WarmStart""",
+        Dynamics LinearSystem Mode Order Result Solution Statistics Sweep Trim charts.Coordinates
+        diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.GivenForces mechanics.joints.Screws
+        mechanics.environment.earth.Geodetic mechanics.flight.AirData mechanics.flight.Gust
+        mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization trajectory.Meshed
+        trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
+        trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults trajectory.WarmStart""",
     "it takes no arguments": "JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient",
     "a base, whose subclasses say it": "Expr Leaf Variable Constraint Example charts.Chart",
     "it takes every shape": """
@@ -64,7 +65,7 @@ KNOWN = {
 #: Why some do not name what they are made with.
 NO_ARGUMENTS = {
     "users get these and do not make them": """
-        Order Sweep diffrax.LieTerm trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
+        LinearSystem Order Sweep diffrax.LieTerm trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
         trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
     "the base class says it": "Maximize Minimize charts.SplitExponential",
     "one argument, which the first line is about": "Product units.Quantity",
