@@ -119,6 +119,21 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- groups ------------------------------------------------------------------------------------------------------
     *_at(
+        "groups/euler_angles.py",
+        (
+            "handedness of axes",
+            "1.0 if (self.axes[1] - self.axes[0]) % 3 == 1 else -1.0",
+            "1.0 if (self.axes[1] - self.axes[0]) % 3 == 2 else -1.0",
+            "expr/test_attitude_nodes.py",
+        ),
+        (
+            "gimbal lock never met",
+            "locked = square < (4.0",
+            "locked = square < (0.0",
+            "expr/test_attitude_nodes.py",
+        ),
+    ),
+    *_at(
         "groups/se3.py",
         ("sign in ad*", "add(cross(v, p), cross(w, L))", "add(cross(p, v), cross(w, L))", "groups/test_se3_forms.py"),
         ("sign in Log", "unpack(T[:3, 3]), -0.5,", "unpack(T[:3, 3]), 0.5,", "groups/test_group_laws.py"),

@@ -31,7 +31,8 @@ from .errors import (
     TwistaxError,
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
-from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, pose, tangent_grad
+from .expr.lie import pose
+from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, tangent_grad
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers

@@ -2,6 +2,6 @@
 
 from .expr.lie import *  # noqa: F403
 from .expr.lie import __all__ as _nodes
-from .groups import euler, quaternion, se3, so3
+from .groups import se3, so3
 
-__all__ = [*_nodes, "euler", "quaternion", "se3", "so3"]
+__all__ = [*_nodes, "se3", "so3"]

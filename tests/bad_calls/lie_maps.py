@@ -68,7 +68,21 @@ ROWS = [
     bad("an infinite position", lambda: tx.pose(position=[0.0, -np.inf, 0.0]), "position", "inf"),
     bad("a position of two", lambda: tx.pose(position=[1.0, 2.0]), "position", "(3,)", "(2,)"),
     bad("a position of text", lambda: tx.pose(position="origin"), "position", "'origin'"),
-    bad("a position of an expression", lambda: tx.pose(position=tx.State("p", 3)), "position", "State"),
+    bad(
+        "a position of two, an expression", lambda: tx.pose(position=tx.State("p", 2)).shape, "position", "(3,)", "(2,)"
+    ),
+    bad(
+        "two attitudes, one an expression",
+        lambda: tx.pose(euler=tx.State("p", 3), quaternion=EYE[0]),
+        "quaternion",
+        "euler",
+    ),
+    bad("a sequence that stays", lambda: tx.pose(euler=[0.0, 0.0, 0.0], sequence="zzx"), "sequence", "twice", "'zzx'"),
+    bad("a sequence of both cases", lambda: tx.lie.euler(EYE, "zYx"), "sequence", "capital", "'zYx'"),
+    bad("a sequence of an expression", lambda: tx.lie.euler(tx.State("R", (3, 3)), "zy"), "sequence", "'zy'"),
+    bad(
+        "angles of an expression that is no rotation", lambda: tx.lie.euler(tx.State("q", 4)).shape, "rotation", "(4,)"
+    ),
     bad("a quaternion of a reflection", lambda: tx.lie.quaternion(MIRROR), "quaternion", "R", "-1"),
     bad("a quaternion of zeros", lambda: tx.lie.quaternion(np.zeros((3, 3))), "quaternion", "R"),
     bad("a quaternion of a pose of NaN", lambda: tx.lie.quaternion(EYE * np.nan), "quaternion", "nan"),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.interpolate
 import scipy.linalg
+from scipy.spatial.transform import Rotation
 from term import Shape
 
 import twistax as tx
@@ -585,6 +586,16 @@ def lie(source: Random, shape: Shape) -> Plan | None:
             Plan("tx.lie.angular({0})", lambda a: a[3:], ((6,),)),
         ],
         (3, 3): [
+            Plan(
+                "tx.pose(euler={0}, sequence='ZXZ')[:3, :3]",
+                lambda a: Rotation.from_euler("ZXZ", a).as_matrix(),
+                ((3,),),
+            ),
+            Plan(
+                "tx.lie.EulerRotation(tx.lie.euler(tx.lie.SO3Exp({0})))",
+                lambda a: Rotation.from_rotvec(a).as_matrix(),
+                ((3,),),
+            ),
             Plan(
                 f"tx.lie.SO3Exp({small})",
                 lambda a: scipy.linalg.expm(np.asarray(np.cross(np.eye(3), tanh(a)), float)),

@@ -47,7 +47,7 @@ from .node import Example, Expr, all_nodes, to_expr
 from .orders import check_orders
 from .solve import Inv, Solve
 from .solve_positive import InversePositive, SolvePositive
-from .spatial import QDCM, SSM, SSMP, QuaternionProduct
+from .spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
 from .vmap import Vmap
 
 #: What `twistax` itself offers; the rest is in its faces, or for the layers above.

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 
 from ..groups import quaternion_product, rotation_from_quaternion, so3
 from ..groups.arrays import matrix, unpack
+from ..groups.quaternions import from_rotation
 from .fields import Operand
+from .lie.base import check_element
 from .node import Expr
 
 _HINT = "a quaternion is w, x, y, z"
@@ -30,6 +32,11 @@ class QDCM(Expr):
 
     def makes_group_element(self, *operands: bool) -> bool:
         return True
+
+    def simplify(self) -> Expr:
+        """The rotation of the quaternion of a rotation is that rotation."""
+        inner = self.q
+        return inner.rotation if isinstance(inner, Quaternion) and inner.rotation.is_group_element else self
 
 
 class SSM(Expr):
@@ -81,3 +88,26 @@ class QuaternionProduct(Expr):
     formula = r"<0> \otimes <1>"
     precedence = 20
     cases = ({"p": [0.9, -0.2, 0.4, 0.3], "q": [0.1, 1.0, -0.5, 2.0]},)
+
+
+class Quaternion(Expr):
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation. Shapes: (3, 3) -> (4,).
+
+    At exactly a half turn its first non-zero component is positive. `QDCM` is the way back.
+
+    Attributes:
+        rotation: R (3, 3).
+    Raises:
+        ShapeError: rotation is not of shape (3, 3).
+        InputError: a constant that is no rotation.
+    Sources: S. Shepperd, Quaternion from rotation matrix (1978); B. Horn, Closed-form solution of absolute orientation
+    using unit quaternions (1987).
+    """
+
+    rotation: Operand
+    takes, gives = ((3, 3),), (4,)
+    function = from_rotation
+    cases = ((lambda cls, w: cls(QDCM(w)), {"w": [0.9, -0.2, 0.4, 0.3]}),)
+
+    def validate(self) -> None:
+        check_element(type(self).__name__, "rotation", self.rotation)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Collection
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ShapeError
-from twistax.groups import quaternions, se3
+from twistax.groups import euler_angles, quaternions, se3, so3
 from twistax.groups.arrays import Input, element, floats, known, of_shape
+from twistax.groups.euler_angles import ROLL_PITCH_YAW
 
 
 def _rotation_of(function: str, R: Input) -> Array:
@@ -30,50 +34,39 @@ def _from_quaternion(q: Array) -> Array:
     return quaternions.to_rotation(q / jnp.max(jnp.abs(q)))
 
 
-def _from_euler(angles: Array) -> Array:
-    roll, pitch, yaw = 0.5 * angles
-    o = jnp.zeros_like(roll)
-    about_z = jnp.stack([jnp.cos(yaw), o, o, jnp.sin(yaw)])
-    about_y = jnp.stack([jnp.cos(pitch), o, jnp.sin(pitch), o])
-    about_x = jnp.stack([jnp.cos(roll), jnp.sin(roll), o, o])
-    return quaternions.to_rotation(quaternions.hamilton(quaternions.hamilton(about_z, about_y), about_x))
-
-
-_ATTITUDES = {
-    "rotation": ((3, 3), _from_rotation),
-    "quaternion": ((4,), _from_quaternion),
-    "euler": ((3,), _from_euler),
-}
-
-
 def pose(
     position: Input | None = None,
     rotation: Input | None = None,
     quaternion: Input | None = None,
     euler: Input | None = None,
+    rotation_vector: Input | None = None,
+    sequence: str = ROLL_PITCH_YAW,
 ) -> Float[Array, "4 4"]:
-    """The pose [R p; 0 1] from a position and at most one attitude; what is left out is zero or the identity.
-
-    rotation: (3, 3), orthonormal, determinant +1. quaternion: (w, x, y, z), normalised here. euler: (roll, pitch, yaw)
-    in rad, R = Rz(yaw) Ry(pitch) Rx(roll). The precision follows the inputs.
-    Raises ShapeError for a wrong shape, InputError for two attitudes, numbers that are not finite, a zero quaternion or
-    a matrix that is not a rotation. Where these are traced the pose is NaN.
-    """
-    attitudes = {"rotation": rotation, "quaternion": quaternion, "euler": euler}
-    given = {name: value for name, value in attitudes.items() if value is not None}
-    if len(given) > 1:
-        raise InputError(f"pose expects at most one attitude, got {' and '.join(given)}\n  fix: keep one of them")
+    """The pose [R p; 0 1] of numbers: `twistax.pose`, which takes expressions too, says what the arguments are."""
+    attitudes = {
+        "rotation": (rotation, (3, 3), _from_rotation),
+        "quaternion": (quaternion, (4,), _from_quaternion),
+        "euler": (euler, (3,), functools.partial(euler_angles.rotation, sequence=sequence)),
+        "rotation_vector": (rotation_vector, (3,), so3.exp),
+    }
+    given = {name: own for name, own in attitudes.items() if own[0] is not None}
+    one_attitude(given)
     place = (0.0, 0.0, 0.0) if position is None else position
     if not given:
         (p,) = of_shape("pose", {"position": (3,)}, place)
         _check_finite("position", p)
         return se3.transform(jnp.eye(3, dtype=p.dtype), p)
-    ((name, value),) = given.items()
-    shape, build = _ATTITUDES[name]
+    ((name, (value, shape, build)),) = given.items()
     p, attitude = of_shape("pose", {"position": (3,), name: shape}, place, value)
     for what, array in (("position", p), (name, attitude)):
         _check_finite(what, array)
     return se3.transform(build(attitude), p)
+
+
+def one_attitude(given: Collection[str]) -> None:
+    """Raise InputError where several attitudes are given."""
+    if len(given) > 1:
+        raise InputError(f"pose expects at most one attitude, got {' and '.join(given)}\n  fix: keep one of them")
 
 
 def _check_finite(what: str, array: Array) -> None:
@@ -83,27 +76,13 @@ def _check_finite(what: str, array: Array) -> None:
 
 
 def quaternion(R: Input) -> Float[Array, "4"]:
-    """The unit quaternion (w, x, y, z), w >= 0, of a rotation (3, 3) or a pose (4, 4).
-
-    At exactly a half turn its first non-zero component is positive. Raises ShapeError; InputError for no rotation.
-    """
+    """As `twistax.lie.quaternion`, of numbers."""
     return quaternions.from_rotation(_rotation_of("quaternion", R))
 
 
-def euler(R: Input) -> Float[Array, "3"]:
-    """(roll, pitch, yaw) in rad with R = Rz(yaw) Ry(pitch) Rx(roll), of a rotation (3, 3) or a pose (4, 4).
-
-    |pitch| <= pi/2. At gimbal lock, where only yaw -+ roll is defined, roll = 0. Yaw is read after roll has been taken
-    out, so that the three angles give R back to round-off close to the lock too. Raises ShapeError.
-    """
-    R = _rotation_of("euler", R)
-    level = jnp.hypot(R[2, 1], R[2, 2])
-    locked = level < 4.0 * float(jnp.finfo(R.dtype).eps)
-    roll = jnp.where(locked, 0.0, jnp.arctan2(jnp.where(locked, 0.0, R[2, 1]), jnp.where(locked, 1.0, R[2, 2])))
-    s, c = jnp.sin(roll), jnp.cos(roll)
-    pitch = jnp.arctan2(-R[2, 0], jnp.where(locked, 0.0, level))
-    yaw = jnp.arctan2(s * R[0, 2] - c * R[0, 1], c * R[1, 1] - s * R[1, 2])
-    return jnp.stack([roll, pitch, yaw])
+def euler(R: Input, sequence: str = ROLL_PITCH_YAW) -> Float[Array, "3"]:
+    """As `twistax.lie.euler`, of numbers."""
+    return euler_angles.angles(_rotation_of("euler", R), sequence)
 
 
 def rotation_from_quaternion(q: Input) -> Float[Array, "3 3"]:

@@ -1,6 +1,7 @@
 """Nodes of Lie groups and their algebras."""
 
 from .adjoint import Adjoint, AdjointAction, AdjointDual, CoadjointAction, SE3Adjoint, SE3AdjointDual, SO3Adjoint
+from .attitude import EulerAngles, EulerRotation, euler, pose, quaternion
 from .base import AngularPart, JoinedParts, LinearPart, Reorder, angular, linear, twist, wrench
 from .elements import (
     Act,
@@ -25,9 +26,9 @@ from .elements import (
 #: The parts of a six-vector are nodes that `angular`, `linear`, `twist` and `wrench` make.
 # fmt: off
 __all__ = [
-    "Act", "Adjoint", "AdjointAction", "AdjointDual", "AxisRotation", "CoadjointAction", "Compose", "Hat", "Inverse",
-    "LeftJacobian", "LeftJacobianInverse", "Pose", "Reorder", "RightJacobian", "RightJacobianInverse", "SE3Adjoint",
-    "SE3AdjointDual", "SE3Exp", "SE3Log", "SO3Adjoint", "SO3Exp", "SO3Log", "Vee", "angular", "linear", "rotation",
-    "translation", "twist", "wrench",
+    "Act", "Adjoint", "AdjointAction", "AdjointDual", "AxisRotation", "CoadjointAction", "Compose", "EulerAngles",
+    "EulerRotation", "Hat", "Inverse", "LeftJacobian", "LeftJacobianInverse", "Pose", "Reorder",
+    "RightJacobian", "RightJacobianInverse", "SE3Adjoint", "SE3AdjointDual", "SE3Exp", "SE3Log", "SO3Adjoint", "SO3Exp",
+    "SO3Log", "Vee", "angular", "euler", "linear", "quaternion", "rotation", "translation", "twist", "wrench",
 ]
 # fmt: on

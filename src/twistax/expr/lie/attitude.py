@@ -1,0 +1,172 @@
+"""Attitudes as people write them: Euler angles, quaternions and rotation vectors, to rotations and poses and back.
+
+`pose`, `euler` and `quaternion` take numbers, and give arrays, or expressions, and give expressions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from ... import groups
+from ...groups import euler_angles
+from ...groups.euler_angles import ROLL_PITCH_YAW
+from ...groups.pose import one_attitude
+from ..array import Stack
+from ..fields import ExprLike, Operand
+from ..node import Expr, to_expr
+from ..spatial import QDCM, Quaternion
+from .base import check_element
+from .elements import Pose, SO3Exp, parts_of_pose
+
+
+class EulerRotation(Expr):
+    """The rotation of three Euler angles in rad, in the order of the sequence. Shapes: (3,) -> (3, 3).
+
+    "xyz" turns by angles[0] about the fixed x axis, then about the fixed y axis, then z: R = Rz Ry Rx, and the angles
+    are roll, pitch, yaw. Capital letters turn about the body's own axes: "ZYX" takes yaw, pitch, roll for the same R.
+
+    Attributes:
+        angles: (3,), rad.
+        sequence: three axes, one case, none twice in a row: twelve about fixed axes, twelve about the body's own.
+    Raises:
+        ShapeError: angles is not of shape (3,).
+        InputError: another sequence.
+    """
+
+    angles: Operand
+    sequence: str = ROLL_PITCH_YAW
+    takes, gives = ((3,),), (3, 3)
+    cases = ({"angles": [0.4, -1.1, 2.0]}, {"angles": [0.4, 1.1, -2.0], "sequence": "ZXZ"})
+
+    def validate(self) -> None:
+        euler_angles.turns(self.sequence)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return euler_angles.rotation(values[0], self.sequence)
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return True
+
+    def simplify(self) -> Expr:
+        """The rotation of the angles of a rotation is that rotation."""
+        inner = self.angles
+        undone = isinstance(inner, EulerAngles) and inner.sequence == self.sequence
+        return inner.rotation if undone and inner.rotation.is_group_element else self
+
+
+class EulerAngles(Expr):
+    """The Euler angles in rad, in the order of the sequence, of a rotation. Shapes: (3, 3) -> (3,).
+
+    The middle angle is in [-pi/2, pi/2], or in [0, pi] where the first axis is the last; the others are in [-pi, pi].
+    At an end of the middle one only the sum or difference of the others is known: the first about fixed axes, or the
+    last about the body's own, is 0 there, and so is its derivative and that of the middle one.
+
+    Attributes:
+        rotation: R (3, 3).
+        sequence: as of `EulerRotation`.
+    Raises:
+        ShapeError: rotation is not of shape (3, 3).
+        InputError: another sequence, or a constant that is no rotation.
+    """
+
+    rotation: Operand
+    sequence: str = ROLL_PITCH_YAW
+    takes, gives = ((3, 3),), (3,)
+    # Off the group the map is an extension nobody differentiates: the cases go through Exp.
+    cases = (
+        (lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),
+        (lambda cls, w: cls(SO3Exp(w), "XYX"), {"w": [0.4, -1.1, 0.6]}),
+    )
+    kinks = ((lambda cls, a: cls(EulerRotation(a, "zxz"), "zxz"), {"a": [0.4, 0.0, 0.6]}),)
+
+    def validate(self) -> None:
+        euler_angles.turns(self.sequence)
+        check_element(type(self).__name__, "rotation", self.rotation)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return euler_angles.angles(values[0], self.sequence)
+
+
+def pose(
+    position: ExprLike | None = None,
+    rotation: ExprLike | None = None,
+    quaternion: ExprLike | None = None,
+    euler: ExprLike | None = None,
+    rotation_vector: ExprLike | None = None,
+    sequence: str = ROLL_PITCH_YAW,
+) -> Any:
+    """The pose [R p; 0 1] from a position and at most one attitude; what is left out is zero or the identity.
+
+    Of numbers an array, whose precision follows them; where one is an expression, or a list of them, an expression.
+
+    Args:
+        position: (3,), m.
+        rotation: (3, 3), orthonormal, determinant +1.
+        quaternion: (w, x, y, z), not zero, normalised here.
+        euler: three angles in rad, in the order of the sequence: roll, pitch, yaw if none is given.
+        rotation_vector: (3,) in rad, R = Exp(it).
+        sequence: of the axes of `euler`: small letters for fixed axes, "xyz", R = Rz Ry Rx, capital ones for the body's
+            own, "ZYX" with yaw, pitch, roll.
+    Raises:
+        ShapeError: a wrong shape.
+        InputError: two attitudes; numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
+            Where these are traced or computed the pose is NaN.
+    """
+    given = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
+    if not any(map(_symbolic, [position, *given.values()])):
+        numbers: Any = groups.pose
+        return numbers(position, **given, sequence=sequence)
+    found = {name: _joined(value) for name, value in given.items() if value is not None}
+    one_attitude(found)
+    R: Expr = to_expr(np.eye(3))
+    if rotation is not None:
+        R = found["rotation"]
+    elif quaternion is not None:
+        R = QDCM(found["quaternion"])
+    elif euler is not None:
+        R = EulerRotation(found["euler"], sequence)
+    elif rotation_vector is not None:
+        R = SO3Exp(found["rotation_vector"])
+    return Pose(R, np.zeros(3) if position is None else _joined(position))
+
+
+def euler(R: ExprLike, sequence: str = ROLL_PITCH_YAW) -> Any:
+    """The Euler angles (3,) in rad of a rotation (3, 3) or a pose (4, 4), numbers or an expression, as `EulerAngles`.
+
+    (roll, pitch, yaw) if no sequence is given: R = Rz(yaw) Ry(pitch) Rx(roll), and at gimbal lock roll = 0.
+
+    Raises:
+        ShapeError: another shape.
+        InputError: another sequence, or numbers that are no rotation.
+    """
+    return EulerAngles(_rotation_of(R), sequence) if isinstance(R, Expr) else groups.euler(R, sequence)
+
+
+def quaternion(R: ExprLike) -> Any:
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation (3, 3) or a pose (4, 4), numbers or an expression.
+
+    At exactly a half turn its first non-zero component is positive.
+
+    Raises:
+        ShapeError: another shape.
+        InputError: numbers that are no rotation.
+    """
+    return Quaternion(_rotation_of(R)) if isinstance(R, Expr) else groups.quaternion(R)
+
+
+def _rotation_of(R: Expr) -> Expr:
+    return parts_of_pose(R)[0] if R.check_shape() == (4, 4) else R
+
+
+def _symbolic(value: Any) -> bool:
+    return isinstance(value, Expr) or (isinstance(value, (list, tuple)) and any(map(_symbolic, value)))
+
+
+def _joined(value: Any) -> Expr:
+    """An expression of one, of numbers, or of a list in which some are."""
+    if not isinstance(value, Expr) and _symbolic(value):
+        return Stack(*map(_joined, value))
+    return to_expr(value)

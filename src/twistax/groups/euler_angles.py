@@ -1,0 +1,87 @@
+"""Euler angles of all twelve sequences of axes: rotations from them, and them from rotations."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from ..errors import InputError
+
+#: What is roll, pitch, yaw: about the fixed axes x, y, z, one after the other.
+ROLL_PITCH_YAW = "xyz"
+
+
+class Turns(NamedTuple):
+    """R = E_i(a) E_j(b) E_l(c) with E_n(t) the turn by t about axis n, and the places of a, b, c among three angles."""
+
+    axes: tuple[int, int, int]
+    places: tuple[int, int, int]
+
+    @property
+    def other(self) -> int:
+        """The axis that is neither i nor j."""
+        return 3 - self.axes[0] - self.axes[1]
+
+    @property
+    def sign(self) -> float:
+        """1.0 where i, j and the other axis are right-handed, else -1.0."""
+        return 1.0 if (self.axes[1] - self.axes[0]) % 3 == 1 else -1.0
+
+
+@functools.cache
+def turns(sequence: str) -> Turns:
+    """The turns that a sequence stands for: "xyz" about fixed axes, first x; "ZYX" about the body's own, first z.
+
+    Raises:
+        InputError: no three letters of one case, or an axis follows itself.
+    """
+    axes = tuple("xyz".find(letter) for letter in str(sequence).lower())
+    one_case = sequence in (str(sequence).lower(), str(sequence).upper())
+    if len(axes) != 3 or -1 in axes or not one_case or axes[1] in (axes[0], axes[2]):
+        raise InputError(
+            f"a sequence of Euler angles names three axes, none twice in a row, in one case, got {sequence!r}.\n"
+            '  fix: small letters for fixed axes, "xyz", capital ones for the body\'s own, "ZYX" or "ZXZ"'
+        )
+    return Turns(axes, (0, 1, 2)) if sequence.isupper() else Turns(axes[::-1], (2, 1, 0))
+
+
+def rotation(angles: Array, sequence: str) -> Array:
+    """The rotation matrix of three angles in rad, in the order of the sequence."""
+    axes, places = turns(sequence)
+    columns = list(jnp.eye(3, dtype=angles.dtype))
+    for axis, place in zip(axes, places, strict=True):
+        k, m = (axis + 1) % 3, (axis + 2) % 3
+        c, s = jnp.cos(angles[place]), jnp.sin(angles[place])
+        columns[k], columns[m] = c * columns[k] + s * columns[m], c * columns[m] - s * columns[k]
+    return jnp.stack(columns, axis=1)
+
+
+def angles(R: Array, sequence: str) -> Array:
+    """Three angles in rad, in the order of the sequence, of a rotation matrix.
+
+    The middle one is in [-pi/2, pi/2], of a sequence such as "ZXZ" in [0, pi]; the others are in [-pi, pi]. Where it is
+    at an end of its range the axes of the others are one, and only their sum or difference is known: c, the first one
+    about fixed axes and the last one about the body's own, is 0 there, and so is its derivative and that of the middle
+    one. Elsewhere a is read after c has been taken out, so that the angles give R back to round-off close by too.
+
+    Source: the entries of E_i(a) E_j(b) E_l(c), multiplied out.
+    """
+    (i, j, last), places = turns(sequence)
+    k, sign = turns(sequence).other, turns(sequence).sign
+    # sin c and cos c times `level`, which is cos b, or sin b where the last axis is the first; and the column that
+    # E_l(-c) turns towards e_j.
+    if last == i:
+        sine, cosine, beside = R[i, j], sign * R[i, k], -sign * R[:, k]
+    else:
+        sine, cosine, beside = -sign * R[i, j], R[i, i], sign * R[:, i]
+    square = sine * sine + cosine * cosine
+    locked = square < (4.0 * float(jnp.finfo(R.dtype).eps)) ** 2
+    level = jnp.where(locked, 0.0, jnp.sqrt(jnp.where(locked, 1.0, square)))
+    c = jnp.where(locked, 0.0, jnp.arctan2(jnp.where(locked, 0.0, sine), jnp.where(locked, 1.0, cosine)))
+    b = jnp.arctan2(level, R[i, i]) if last == i else jnp.arctan2(sign * R[i, k], level)
+    column = jnp.cos(c) * R[:, j] + jnp.sin(c) * beside
+    a = jnp.arctan2(sign * column[k], column[j])
+    return jnp.stack([angle for _, angle in sorted(zip(places, (a, b, c), strict=True), key=lambda pair: pair[0])])
