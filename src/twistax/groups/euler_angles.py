@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from ..errors import InputError
+from twistax.errors import InputError
 
 #: What is roll, pitch, yaw: about the fixed axes x, y, z, one after the other.
 ROLL_PITCH_YAW = "xyz"

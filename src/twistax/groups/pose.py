@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -43,7 +44,7 @@ def pose(
     sequence: str = ROLL_PITCH_YAW,
 ) -> Float[Array, "4 4"]:
     """The pose [R p; 0 1] of numbers: `twistax.pose`, which takes expressions too, says what the arguments are."""
-    attitudes = {
+    attitudes: dict[str, tuple[Any, tuple[int, ...], Callable[[Array], Array]]] = {
         "rotation": (rotation, (3, 3), _from_rotation),
         "quaternion": (quaternion, (4,), _from_quaternion),
         "euler": (euler, (3,), functools.partial(euler_angles.rotation, sequence=sequence)),

@@ -10,8 +10,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from ... import groups
+from ...groups import euler as euler_of_numbers
 from ...groups import euler_angles
+from ...groups import pose as pose_of_numbers
+from ...groups import quaternion as quaternion_of_numbers
 from ...groups.euler_angles import ROLL_PITCH_YAW
 from ...groups.pose import one_attitude
 from ..array import Stack
@@ -53,8 +55,9 @@ class EulerRotation(Expr):
     def simplify(self) -> Expr:
         """The rotation of the angles of a rotation is that rotation."""
         inner = self.angles
-        undone = isinstance(inner, EulerAngles) and inner.sequence == self.sequence
-        return inner.rotation if undone and inner.rotation.is_group_element else self
+        if isinstance(inner, EulerAngles) and inner.sequence == self.sequence and inner.rotation.is_group_element:
+            return inner.rotation
+        return self
 
 
 class EulerAngles(Expr):
@@ -117,7 +120,7 @@ def pose(
     """
     given = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
     if not any(map(_symbolic, [position, *given.values()])):
-        numbers: Any = groups.pose
+        numbers: Any = pose_of_numbers
         return numbers(position, **given, sequence=sequence)
     found = {name: _joined(value) for name, value in given.items() if value is not None}
     one_attitude(found)
@@ -142,7 +145,7 @@ def euler(R: ExprLike, sequence: str = ROLL_PITCH_YAW) -> Any:
         ShapeError: another shape.
         InputError: another sequence, or numbers that are no rotation.
     """
-    return EulerAngles(_rotation_of(R), sequence) if isinstance(R, Expr) else groups.euler(R, sequence)
+    return EulerAngles(_rotation_of(R), sequence) if isinstance(R, Expr) else euler_of_numbers(R, sequence)
 
 
 def quaternion(R: ExprLike) -> Any:
@@ -154,7 +157,7 @@ def quaternion(R: ExprLike) -> Any:
         ShapeError: another shape.
         InputError: numbers that are no rotation.
     """
-    return Quaternion(_rotation_of(R)) if isinstance(R, Expr) else groups.quaternion(R)
+    return Quaternion(_rotation_of(R)) if isinstance(R, Expr) else quaternion_of_numbers(R)
 
 
 def _rotation_of(R: Expr) -> Expr:
