@@ -79,14 +79,15 @@ class Interval:
 
     def roll(self, slot: Slot, base: Arrays, eta: jax.Array, u: jax.Array, border: jax.Array, params: Arrays) -> Rolled:
         """Integrate."""
-        shares, length = self._stage_shares(slot), slot.width / self.substeps
-        ends, stages = [eta], []
-        for s in range(self.substeps):
-            points, slopes = self._stages(shares[s], length, base, eta, u, border, params)
-            eta = eta + length * (jnp.asarray(self._b, u.dtype) @ slopes)
-            ends.append(eta)
-            stages.append(points)
-        return Rolled(jnp.stack(ends), jnp.stack(stages))
+        length = slot.width / self.substeps
+
+        def ahead(eta: jax.Array, shares: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+            points, slopes = self._stages(shares, length, base, eta, u, border, params)
+            after = eta + length * (jnp.asarray(self._b, u.dtype) @ slopes)
+            return after, (after, points)
+
+        _, (ends, stages) = jax.lax.scan(ahead, eta, self._stage_shares(slot))
+        return Rolled(jnp.concatenate([eta[None], ends]), stages)
 
     def _stages(
         self,
@@ -99,13 +100,16 @@ class Interval:
         params: Arrays,
     ) -> tuple[jax.Array, jax.Array]:
         """The stages (s, n) of a substep and their slopes (s, n)."""
-        points: list[jax.Array] = []
-        slopes: list[jax.Array] = []
-        for i in range(len(self._b)):
-            at = eta + sum(length * self._a[i, j] * slopes[j] for j in range(i) if self._a[i, j])
-            points.append(at)
-            slopes.append(self._rate(_joined(at, u, border), shares[i], base, params))
-        return jnp.stack(points), jnp.stack(slopes)
+
+        def stage(slopes: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
+            i, weights, share = own
+            at = eta + length * (weights @ slopes)
+            return slopes.at[i].set(self._rate(_joined(at, u, border), share, base, params)), at
+
+        count = len(self._b)
+        rows = jnp.arange(count), jnp.asarray(self._a, u.dtype), shares
+        slopes, points = jax.lax.scan(stage, jnp.zeros((count, self._n), u.dtype), rows)
+        return points, slopes
 
     def at_points(
         self, slot: Slot, base: Arrays, rolled: Rolled, u: jax.Array, border: jax.Array, params: Arrays
@@ -158,13 +162,14 @@ class Interval:
         every = lambda f: jax.vmap(f, in_axes=(0, 0, None, None))  # noqa: E731
         slopes = every(every(self._rate.slopes))(qs, shares, base, params)  # (S, s, n, size)
         sensitivity = jnp.eye(n, size, dtype=u.dtype)
-        ends, inner = [sensitivity], []
-        for s in range(substeps):
-            at, moved = self._sensitivities(slopes[s], sensitivity, length)
-            inner.append(at)
-            sensitivity = sensitivity + length * jnp.einsum("i,ijk->jk", jnp.asarray(self._b, u.dtype), moved)
-            ends.append(sensitivity)
-        maps, end_maps = jnp.concatenate(inner), jnp.stack(ends)
+
+        def ahead(sensitivity: jax.Array, own: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+            at, moved = self._sensitivities(own, sensitivity, length)
+            after = sensitivity + length * jnp.einsum("i,ijk->jk", jnp.asarray(self._b, u.dtype), moved)
+            return after, (after, at)
+
+        last, (ends, inner) = jax.lax.scan(ahead, sensitivity, slopes)
+        maps, end_maps = inner.reshape(-1, n, size), jnp.concatenate([sensitivity[None], ends])
 
         def bent(bends: jax.Array, maps: jax.Array) -> jax.Array:
             """The sum of second derivatives (k, n + m + g, n + m + g) by q along sensitivities (k, n, n + m + g)."""
@@ -192,29 +197,31 @@ class Interval:
         # Adjoints, last substep first.
         pulls = jnp.einsum("pr,pri->pi", pushes, point_slopes)[:, :n]
         of_stages = None if len(etas) == len(end_maps) else pulls[substeps + 1 :].reshape(substeps, -1, n)
-        adjoint = y @ gap_slope + pulls[substeps]
-        adjoints: list[Any] = [None] * substeps
-        for s in reversed(range(substeps)):
-            own = None if of_stages is None else of_stages[s]
-            adjoints[s], through = self._adjoints(slopes[s, :, :, :n], adjoint, own, length)
-            adjoint = adjoint + through + pulls[s]
+
+        def back(adjoint: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
+            slopes, pull, of_stages = own
+            adjoints, through = self._adjoints(slopes[..., :n], adjoint, of_stages, length)
+            return adjoint + through + pull, adjoints
+
+        begin = y @ gap_slope + pulls[substeps]
+        _, adjoints = jax.lax.scan(back, begin, (slopes, pulls[:substeps], of_stages), reverse=True)
         bends = jax.vmap(self._rate.bends, in_axes=(0, 0, 0, None, None))(
-            jnp.concatenate(adjoints), qs.reshape(-1, size), shares.reshape(-1), base, params
+            adjoints.reshape(-1, n), qs.reshape(-1, size), shares.reshape(-1), base, params
         )
-        hessian = bent(bends, maps) + bent(point_bends, point_maps) + ends[-1].T @ gap_bend @ ends[-1]
-        return gap_slope @ ends[-1], rows, gradient, 0.5 * (hessian + hessian.T)
+        hessian = bent(bends, maps) + bent(point_bends, point_maps) + last.T @ gap_bend @ last
+        return gap_slope @ last, rows, gradient, 0.5 * (hessian + hessian.T)
 
     def _sensitivities(self, slopes: jax.Array, start: jax.Array, length: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Of the stages of a substep and of their slopes, (s, n, size) both, from that of its start."""
-        points: list[jax.Array] = []
-        moved: list[jax.Array] = []
-        for i in range(len(self._b)):
-            at = start + sum(
-                (length * self._a[i, j] * moved[j] for j in range(i) if self._a[i, j]), jnp.zeros_like(start)
-            )
-            points.append(at)
-            moved.append(_along(slopes[i], at))
-        return jnp.stack(points), jnp.stack(moved)
+
+        def stage(moved: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
+            i, weights, slope = own
+            at = start + length * jnp.tensordot(weights, moved, 1)
+            return moved.at[i].set(_along(slope, at)), at
+
+        rows = jnp.arange(len(self._b)), jnp.asarray(self._a, slopes.dtype), slopes
+        moved, points = jax.lax.scan(stage, jnp.zeros_like(slopes), rows)
+        return points, moved
 
     def _adjoints(
         self, slopes: jax.Array, adjoint: jax.Array, pulls: jax.Array | None, length: jax.Array
@@ -226,16 +233,16 @@ class Interval:
             adjoint: of the end of the substep.
             pulls: (s, n) what pulls at the stages themselves, or None.
         """
-        stages = len(self._b)
-        found: list[Any] = [None] * stages
-        through: list[Any] = [None] * stages
-        for i in reversed(range(stages)):
-            own = length * self._b[i] * adjoint
-            for j in range(i + 1, stages):
-                if self._a[j, i]:
-                    own = own + length * self._a[j, i] * through[j]
-            found[i], through[i] = own, own @ slopes[i]
-        return jnp.stack(found), sum(through)
+
+        def stage(through: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
+            i, weight, weights, slope = own
+            pulled = length * (weight * adjoint + weights @ through)
+            return through.at[i].set(pulled @ slope), pulled
+
+        a, b = jnp.asarray(self._a, slopes.dtype), jnp.asarray(self._b, slopes.dtype)
+        none = jnp.zeros_like(slopes[..., 0])
+        through, found = jax.lax.scan(stage, none, (jnp.arange(len(b)), b, a.T, slopes), reverse=True)
+        return found, through.sum(axis=0)
 
 
 class Collocated(Interval):

@@ -28,6 +28,7 @@ from ..system import name_of
 from .interior_point import InteriorPoint, in_units
 from .iterate import Scales, State
 from .riccati import Factors, Rows, Stages, factorize, refined
+from .solver import jitted
 from .transcribed import Given, Point, Step
 
 if TYPE_CHECKING:
@@ -122,8 +123,8 @@ class _Differentiable:
         self._problem, self._options, self._tolerance = problem, options, tolerance
         with in_double():
             self._own = problem.given(problem.ends, problem.params, problem.border.limits)
-        self._jitted_tangent = jax.jit(self._tangent)
-        self._jitted_factors = jax.jit(self._factors)
+        self._jitted_tangent = jitted(self._tangent)
+        self._jitted_factors = jitted(self._factors)
         optimum = jax.custom_jvp(self._optimum)
         optimum.defjvp(self._jvp)
         self._found: Callable[[_Theta], _Optimum] = optimum
@@ -255,8 +256,11 @@ class _Differentiable:
             found: tuple[_Residuals, Any, Any] = jax.jvp(residuals, (theta, still), (along, moved))[1]
             return found
 
-        def refine(_: Any, moved: _Moved) -> _Moved:
-            left = change(along, moved)[0]
+        def refine(_: Any, carry: tuple[_Moved, Any, Any]) -> tuple[_Moved, Any, Any]:
+            """The next move, the one that it was made of, and what that one leaves and changes."""
+            moved = carry[0]
+            changed = change(along, moved)
+            left = changed[0]
             gradient, rows = left.gradient, method.split(jnp.where(jnp.asarray(shooting.exists), left.rows, 0.0))
             nothing = jnp.zeros((shooting.intervals, len(gradient.border)))
             pushed = stages.slopes._replace(
@@ -266,7 +270,7 @@ class _Differentiable:
             # A slack takes up what its multiplier changes; an equality holds.
             taken = jax.tree.map(lambda r, grown, own: r - grown * own, rows, moved.rows, softness)
             own = refined(stages._replace(slopes=pushed), factors, left.defects, taken)
-            return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows))
+            return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows)), moved, changed
 
         weights = stages.weights
         unequal = method.split(jnp.asarray(method.inequality))
@@ -276,8 +280,10 @@ class _Differentiable:
             jnp.zeros_like(found.dynamics),
             jax.tree.map(jnp.zeros_like, weights),
         )
-        moved = jax.lax.fori_loop(0, _REFINEMENTS, refine, still)
-        left, cost, point = change(along, moved)
+        # One loop body in place of two programs: what the last round moves on to is not used.
+        none = _Residuals(still.step, still.dynamics, jnp.zeros_like(found.rows)), jnp.zeros_like(found.cost)
+        begin = still, still, (*none, jax.tree.map(jnp.zeros_like, found.point))
+        _, moved, (left, cost, point) = jax.lax.fori_loop(0, _REFINEMENTS + 1, refine, begin)
         # Multipliers and slacks move too, for derivatives of derivatives; scales are a matter of numbers alone.
         return _Optimum(
             point,

@@ -87,7 +87,7 @@ class Solver:
         self.made: dict[Any, Any] = {}
 
     def prepare(self, point: Point, given: Given) -> None:
-        """Compile what every run needs, side by side."""
+        """Compile what every run needs, side by side. Compiled functions do not care who calls them, as jit does."""
         unit = scaling.unit_scales(self.shooting)
         with ThreadPoolExecutor() as pool:
 
@@ -102,8 +102,7 @@ class Solver:
             slopes = result(self._derivatives, state, given)
             state = result(self._measured, state, slopes)
             result(self._step, state, slopes, given)
-            for job in jobs:
-                job.result()
+            self._start, self._derivatives, self._measured, self._step = (job.result() for job in jobs)
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step."""
