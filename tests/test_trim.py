@@ -32,6 +32,13 @@ def pendulum() -> tx.Dynamics:
     )
 
 
+@functools.cache
+def hanging() -> tx.LinearSystem:
+    """About the rest."""
+    rest = tx.trim(pendulum(), HANGING, {"motor": 0.0}, free=["R", "w"], zero=["R", "w"])
+    return rest.linear(["down", "power"])
+
+
 HANGING = {"R": np.asarray(tx.pose(euler=np.array([0.02, 0.1, 0.3]))[:3, :3]), "w": np.array([0.1, 0.0, -0.1])}
 
 
@@ -77,8 +84,7 @@ def test_bounds_that_hold_it_back_are_said() -> None:
 
 def test_modes_of_a_hanging_pendulum() -> None:
     """Two swings and a turn about the vertical that nothing holds; frequencies sqrt(weight / J)."""
-    held = tx.trim(pendulum(), HANGING, {"motor": 0.0}, free=["R", "w"], zero=["R", "w"])
-    linear = held.linear(["down", "power"])
+    linear = hanging()
     assert linear.states == ("R[0]", "R[1]", "R[2]", "w[0]", "w[1]", "w[2]")
     assert linear.outputs == ("down[0]", "down[1]", "down[2]", "power")
     swings = [mode for mode in linear.modes() if mode.eigenvalue.imag > 0.0]
@@ -106,8 +112,7 @@ def test_rows_are_derivatives_of_outputs() -> None:
 
 
 def test_python_control_gets_the_names() -> None:
-    held = tx.trim(pendulum(), HANGING, {"motor": 0.0}, free=["R", "w"], zero=["R", "w"])
-    linear = held.linear(["up"])
+    linear = hanging()
     try:
         import control  # noqa: F401
     except ImportError:

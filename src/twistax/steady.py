@@ -136,6 +136,7 @@ def trim(
     need_compiled("trim", dynamics)
     number("trim: tolerance", tolerance, "a positive number", lambda value: 0.0 < value < np.inf)
     whole("trim: most_steps", most_steps)
+    number("trim: t", t, "a finite number of s")
     with in_double():
         found = _Search(dynamics, float(t), (x, u or {}, params or {}), free, zero, fixed).run(tolerance, most_steps)
     if throw and not found.found:
@@ -159,11 +160,19 @@ class _Search:
         fixed: Iterable[str] | Mapping[str, Any],
     ) -> None:
         self.dynamics, self.t, self.group = dynamics, t, dynamics.group
+        for name, each in zip(("x", "u", "params"), start):
+            if not isinstance(each, Mapping):
+                raise InputError(f"trim: {name} must be a dict from names to arrays, got {short(each)}")
         double = [{name: reals(f"trim: {name}", value, InputError) for name, value in each.items()} for each in start]
         inputs = dynamics._functions.prepare(t, *double)
         given = (inputs.x, inputs.u, inputs.params)
         self.start = tuple({name: np.asarray(value, float) for name, value in each.items()} for each in given)
+        for place, given_names in (("free", free), ("zero", zero), ("fixed", fixed)):
+            if isinstance(given_names, str) or not isinstance(given_names, Iterable):
+                raise InputError(f"trim: {place} expects a list of names, got {short(given_names)}")
         self.zero, self.fixed = list(zero), list(fixed)
+        if not self.zero and not self.fixed:
+            raise InputError("trim: zero and fixed have no names: it needs something to be met")
         states, outputs = self.group.factors, dynamics.system.outputs
         known("trim: free", limits := dict(free if isinstance(free, Mapping) else dict.fromkeys(free)), self._sizes())
         known("trim: zero", self.zero, {**states, **outputs})

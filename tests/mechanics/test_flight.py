@@ -36,11 +36,13 @@ def test_a_start_comes_back() -> None:
     """Place, velocity over the ground, attitude and rates are those it was made of, at another time too."""
     craft = flight.Vehicle()
     state = craft.start(*PLACE, VELOCITY, EULER, RATE, relative_to=flight.local_axes, t=5000.0)
-    found = [at(craft, each, state, 5000.0) for each in craft.place]
-    np.testing.assert_allclose(found, PLACE, rtol=1e-14, atol=2e-9)
-    np.testing.assert_allclose(at(craft, craft.ned_velocity, state, 5000.0), VELOCITY, atol=1e-12)
-    np.testing.assert_allclose(at(craft, craft.attitude, state, 5000.0), attitude(EULER), atol=1e-14)
-    np.testing.assert_allclose(at(craft, craft.rate(flight.local_axes), state, 5000.0), RATE, atol=1e-15)
+    attitudes = [craft.attitude[:, i] for i in range(3)]
+    rows = tx.Stack(tx.Concat(*craft.place), craft.ned_velocity, craft.rate(flight.local_axes), *attitudes)
+    place, velocity, rate, *columns = at(craft, rows, state, 5000.0)
+    np.testing.assert_allclose(place, PLACE, rtol=1e-14, atol=2e-9)
+    np.testing.assert_allclose(velocity, VELOCITY, atol=1e-12)
+    np.testing.assert_allclose(rate, RATE, atol=1e-15)
+    np.testing.assert_allclose(np.stack(columns, axis=1), attitude(EULER), atol=1e-14)
 
 
 @pytest.mark.parametrize("axes", [flight.inertial_axes, flight.fixed_axes, flight.local_axes])
@@ -138,20 +140,19 @@ def test_air_data() -> None:
     craft = flight.Vehicle(wind=flight.Steady(wind.tolist()))
     state = craft.start(*PLACE, VELOCITY, EULER, RATE)
     air, v = craft.air, attitude(EULER).T @ (VELOCITY - wind)
-    np.testing.assert_allclose(at(craft, air.velocity, state), v, atol=1e-12)
     density = float(numbers(flight.EARTH.air.density(PLACE[2])))
     sound = float(numbers(flight.EARTH.air.speed_of_sound(PLACE[2])))
     speed = np.linalg.norm(v)
-    for found, expected in (
+    pairs = (
         (air.airspeed, speed),
         (air.alpha, np.arctan2(v[2], v[0])),
         (air.beta, np.arcsin(v[1] / speed)),
         (air.mach, speed / sound),
         (air.dynamic_pressure, 0.5 * density * speed**2),
         (air.equivalent_airspeed, speed * np.sqrt(density * 8314.32 * 288.15 / (101325.0 * 28.9644))),
-        (air.rate, RATE),
-    ):
-        np.testing.assert_allclose(at(craft, found, state), expected, rtol=1e-9, atol=1e-16)
+    )
+    found = at(craft, tx.Concat(air.velocity, air.rate, *(each for each, _ in pairs)), state)
+    np.testing.assert_allclose(found, [*v, *RATE, *(expected for _, expected in pairs)], rtol=1e-9)
 
 
 def test_at_rest_nothing_is_infinite() -> None:
@@ -227,10 +228,10 @@ def test_a_wind_may_be_any_function_of_place_and_time() -> None:
 def test_what_is_refused(unchecked: None) -> None:
     craft = flight.Vehicle()
     for call, error, words in (
-        (lambda: flight.Vehicle(earth.WGS84), ModelError, "planet to be a Planet, got Ellipsoid"),
+        (lambda: flight.Vehicle(earth.WGS84), ModelError, "planet to be of Planet, got Ellipsoid"),
         (lambda: flight.Vehicle(wind=(1.0, 0.0, 0.0)), ModelError, "wind to be a function of .*\n  fix: flight.Steady"),
         (lambda: flight.Planet(earth.WGS84, 9.81), ModelError, "gravity to be of Gravity, got 9.81"),
-        (lambda: craft.system(2.0), ModelError, "body to be a SpatialInertia, got 2.0"),
+        (lambda: craft.system(2.0), ModelError, "body to be of SpatialInertia, got 2.0"),
         (lambda: craft.system(BALL, np.zeros(3)), ShapeError, r"wrench with shape \(6,\), got \(3,\)"),
         (lambda: flight.Steady((1.0, 2.0)), InputError, r"Steady: velocity expects finite numbers of shape \(3,\)"),
         (lambda: flight.Profile((0.0, 0.0), ((0.0,) * 3,) * 2), ModelError, "altitudes that increase"),

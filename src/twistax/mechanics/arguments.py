@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..checks import short
 from ..errors import ModelError, ShapeError
 from ..expr import Expr, to_expr
 from ..expr.fields import ExprLike
@@ -22,6 +23,12 @@ def of_shape(owner: str, name: str, value: ExprLike, shape: tuple[int, ...], hin
     if expr.shape != shape:
         raise ShapeError(f"{owner} expects {name} with shape {shape}, got {expr.shape}", hint=hint)
     return expr
+
+
+def of_kind(owner: str, name: str, value: object, kind: type) -> None:
+    """Raise ModelError unless the argument `name` of `owner` is of a class."""
+    if not isinstance(value, kind):
+        raise ModelError(f"{owner} expects {name} to be of {kind.__name__}, got {short(value)}")
 
 
 def pose(owner: str, name: str, value: ExprLike) -> Expr:

@@ -42,7 +42,10 @@ class Harmonics:
     def __post_init__(self) -> None:
         positive(self, "gm", self.gm)
         positive(self, "radius", self.radius)
-        for n, m, *coefficients in self.terms:
+        for term in self.terms:
+            if not isinstance(term, (list, tuple)) or len(term) != 4:
+                raise ModelError(f"Harmonics expects terms (degree, order, cosine, sine), got {short(term)}")
+            n, m, *coefficients = term
             whole("Harmonics: a degree", n, 2, ModelError)
             whole("Harmonics: an order", m, 0, ModelError)
             if m > n or n > 40:

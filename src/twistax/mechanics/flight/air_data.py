@@ -10,10 +10,12 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TypeAlias
 
+from ...checks import callable_with
+from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Max, Norm, Sin, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.lie import wrench
-from ..arguments import of_shape
+from ..arguments import of_kind, of_shape
 from .planets import Air
 
 __all__ = ["Aerodynamics", "AirData", "AirAxes", "body_axes", "drag", "stability_axes", "wind_axes"]
@@ -115,6 +117,7 @@ def wind_axes(air: AirData) -> Expr:
 
 def drag(air: AirData, area: ExprLike) -> Expr:
     """-rho V C_D S u / 2 (3,) in body axes, N, of C_D S = area (), m2; smooth at rest. Raises ShapeError."""
+    of_kind("drag", "air", air, AirData)
     return -0.5 * of_shape("drag", "area", area, ()) * air.density * air.airspeed * air.velocity
 
 
@@ -140,6 +143,7 @@ class Aerodynamics:
     def __post_init__(self) -> None:
         for name, shape in (("area", ()), ("span", ()), ("chord", ()), ("reference", (3,))):
             object.__setattr__(self, name, of_shape("Aerodynamics", name, getattr(self, name), shape))
+        callable_with("Aerodynamics: axes", self.axes, ("air",), ModelError)
 
     @property
     def lengths(self) -> Expr:
@@ -159,6 +163,7 @@ class Aerodynamics:
             moment: coefficients (3,) of roll, pitch and yaw, in `axes`, or three of them.
         Raises: ShapeError.
         """
+        of_kind("Aerodynamics.wrench", "air", air, AirData)
         R, load = self.axes(air), air.dynamic_pressure * self.area
         f = load * (R @ _vector("force", force))
         tau = load * (R @ (self.lengths * _vector("moment", moment)))

@@ -130,6 +130,10 @@ ROUND_EARTH = Planet(earth.Ellipsoid(6371007.1809, 0.0, earth.WGS84.rate), gravi
 Reference: TypeAlias = Callable[[Planet, ExprLike, ExprLike, ExprLike], Expr]
 
 
+#: What a `Reference` is a function of.
+REFERENCE_TAKES = ("planet", "latitude", "altitude", "ned_velocity")
+
+
 def inertial_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
     """Axes that do not turn: zeros."""
     return Constant([0.0, 0.0, 0.0])

@@ -7,10 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
+from ...checks import number
+from ...errors import ModelError
 from ...expr import Cross, Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, wrench
-from ..arguments import of_shape
+from ..arguments import of_kind, of_shape
 from ..bodies import SpatialInertia
 
 __all__ = ["Engine", "burning", "rocket"]
@@ -68,6 +72,9 @@ def rocket(
         position, direction: as of `Engine`.
     Raises: ShapeError, ModelError.
     """
+    for name, value in (("vacuum_thrust", vacuum_thrust), ("specific_impulse", specific_impulse)):
+        number(f"rocket: {name}", value, "a positive number", lambda x: 0.0 < x < np.inf, ModelError)
+    number("rocket: exit_area", exit_area, "0 m2 or more", lambda x: 0.0 <= x < np.inf, ModelError)
     power = of_shape("rocket", "throttle", throttle, ()) * vacuum_thrust
     against = of_shape("rocket", "pressure", pressure, ()) * exit_area
     return Engine(power - against, power / (STANDARD_GRAVITY * specific_impulse), position, direction)
@@ -98,6 +105,7 @@ def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprL
     """
     w = angular(of_shape("burning", "V", V, (6,)))
     f, r = of_shape("burning", "flow", flow, ()), of_shape("burning", "outlet", outlet, (3,))
+    of_kind("burning", "kilogram", kilogram, SpatialInertia)
     c = kilogram.center_of_mass
     turned = kilogram.matrix[3:, 3:] @ w - Cross(r, Cross(w, r)) - Cross(w, Cross(c, r))
     return wrench(force=-2.0 * f * Cross(w, r - c), torque=f * turned)

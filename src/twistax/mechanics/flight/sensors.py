@@ -10,7 +10,7 @@ import numpy as np
 from ...expr import Cross, Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, linear
-from ..arguments import of_shape
+from ..arguments import of_kind, of_shape
 from .air_data import AirData
 
 __all__ = ["Imu", "ImuReading", "probe"]
@@ -67,5 +67,6 @@ def probe(air: AirData, position: ExprLike) -> AirData:
 
     Raises: ShapeError.
     """
+    of_kind("probe", "air", air, AirData)
     moved = air.velocity + Cross(air.rate, of_shape("probe", "position", position, (3,)))
     return AirData(moved, air.altitude, air.air, air.rate)

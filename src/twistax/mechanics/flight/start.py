@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import short
+from ...checks import callable_with, short
 from ...errors import InputError, ModelError
 from ...expr import Constant, Leaf, canonicalize_all, substitute, to_expr
 from ...expr.fields import ExprLike
 from ...expr.lie import AxisRotation
 from ...units import Quantity, metres, radians, seconds, taken
+from ..arguments import of_kind
 from ..environment.earth import north_east_down
-from .planets import EARTH, Planet, Reference, fixed_axes
+from .planets import EARTH, REFERENCE_TAKES, Planet, Reference, fixed_axes
 
 __all__ = ["numbers", "start"]
 
@@ -28,6 +29,9 @@ def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> n
         values: of the leaves it depends on: states, controls, parameters, the time.
     Raises: ModelError where a leaf is left, or the result is not finite.
     """
+    for leaf in values or {}:
+        if not isinstance(leaf, Leaf):
+            raise ModelError(f"numbers expects values by leaf, such as {{vehicle.pose: ...}}, got {short(leaf)}")
     known = {leaf.key(): Constant(value) for leaf, value in (values or {}).items()}
     (found,) = canonicalize_all([substitute(to_expr(expression), known)])
     if not isinstance(found, Constant):
@@ -70,6 +74,8 @@ def start(
     Raises:
         InputError: another unit, shape or kind; a latitude beyond a pole; an angle of more than a turn.
     """
+    of_kind("start", "planet", planet, Planet)
+    callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)
     place = [
         _angle("latitude", latitude, 0.25),
         _angle("longitude", longitude, 1.0),

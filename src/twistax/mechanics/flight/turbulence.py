@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
+from ...checks import callable_with
 from ...errors import ModelError
 from ...expr import Concat, Control, Expr, Max, Min, Sqrt, State
 from ...units import feet, metres, seconds, taken
@@ -85,6 +86,7 @@ class Dryden:
     name: str = "turbulence"
 
     def __post_init__(self) -> None:
+        callable_with("Dryden: scales", self.scales, ("height",), ModelError)
         for name in ("span", "ground"):
             object.__setattr__(self, name, float(taken(f"Dryden: {name}", getattr(self, name), metres)))
         if not self.span > 0.0:

@@ -6,18 +6,19 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
+from ...checks import callable_with
 from ...errors import ModelError
 from ...expr import Concat, Expr, Norm, State, Time
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, linear
 from ...groups import SE3
 from ...system import System
-from ..arguments import of_shape
+from ..arguments import of_kind, of_shape
 from ..bodies import SpatialInertia
 from ..environment.earth import Geodetic, north_east_down
 from ..environment.gravity import gradient_torque
 from .air_data import AirData
-from .planets import EARTH, Planet, Reference, inertial_axes
+from .planets import EARTH, REFERENCE_TAKES, Planet, Reference, inertial_axes
 from .start import start
 from .turbulence import Dryden, Gust
 from .wind import CALM, Wind
@@ -48,15 +49,14 @@ class Vehicle:
         pose: str = "g",
         twist: str = "V",
     ) -> None:
-        if not isinstance(planet, Planet):
-            raise ModelError(f"Vehicle expects planet to be a Planet, got {planet!r}")
+        of_kind("Vehicle", "planet", planet, Planet)
         if not callable(wind):
             raise ModelError(
                 f"Vehicle expects wind to be a function of (place, t), got {wind!r}.\n"
                 "  fix: flight.Steady((north, east, down)) is the same wind everywhere"
             )
-        if not (turbulence is None or isinstance(turbulence, Dryden)):
-            raise ModelError(f"Vehicle expects turbulence to be a Dryden, got {turbulence!r}")
+        if turbulence is not None:
+            of_kind("Vehicle", "turbulence", turbulence, Dryden)
         self.planet, self.wind, self.turbulence = planet, wind, turbulence
         self.pose, self.twist, self.time = State(pose, group=SE3), State(twist, shape=(6,)), Time()
 
@@ -99,6 +99,7 @@ class Vehicle:
         w = angular(self.twist)
         if relative_to is inertial_axes:
             return w
+        callable_with("Vehicle.rate: relative_to", relative_to, REFERENCE_TAKES, ModelError)
         spin = relative_to(self.planet, self._over.latitude, self._over.altitude, self.ned_velocity)
         return w - self.attitude.T @ spin
 
@@ -120,6 +121,7 @@ class Vehicle:
 
     def gradient_torque(self, body: SpatialInertia) -> Expr:
         """The gravity gradient's moment on a body about its centre of mass, (3,) in body axes, N m."""
+        of_kind("Vehicle", "body", body, SpatialInertia)
         at_center = self.pose[:3, :3].T @ self.position + body.center_of_mass
         return gradient_torque(self.planet.gravity.gm, at_center, body.inertia)
 
@@ -135,8 +137,7 @@ class Vehicle:
             ModelError: body is no SpatialInertia.
             ShapeError: wrench is not of shape (6,).
         """
-        if not isinstance(body, SpatialInertia):
-            raise ModelError(f"Vehicle expects body to be a SpatialInertia, got {body!r}")
+        of_kind("Vehicle", "body", body, SpatialInertia)
         F = of_shape("Vehicle", "wrench", wrench, (6,)) + body.weight(self.pose, self.gravitation)
         return body.acceleration(self.twist, F)
 

@@ -63,6 +63,9 @@ class Profile:
     velocities: Any
 
     def __post_init__(self) -> None:
+        for name in ("altitudes", "velocities"):
+            if not isinstance(getattr(self, name), (list, tuple, np.ndarray)):
+                raise ModelError(f"Profile expects {name} to be a list of them, got {short(getattr(self, name))}")
         n = len(self.altitudes)
         altitudes = taken("Profile: altitudes", self.altitudes, metres, (n,))
         rows = [taken(f"Profile: velocities[{i}]", row, _SPEED, (3,)) for i, row in enumerate(self.velocities)]

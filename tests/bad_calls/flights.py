@@ -1,0 +1,73 @@
+"""Bad uses of units, of the flight layer, and of trim."""
+
+import numpy as np
+from table import bad
+
+import twistax as tx
+from twistax.mechanics import SpatialInertia, flight
+from twistax.mechanics.environment import gravity
+from twistax.mechanics.environment.harmonics import EGM2008, Harmonics
+
+craft, wing = flight.Vehicle(), flight.Aerodynamics(1.0, 1.0, 1.0)
+ball = SpatialInertia(mass=1.0, inertia=np.eye(3))
+w = tx.State("w")
+dynamics = tx.compile(tx.System({w: -w + tx.Control("c")}, {"y": 2 * w}))
+
+
+def trim(x=None, u=None, free=("w",), zero=("w",), **other):
+    return tx.trim(
+        dynamics, {"w": 1.0} if x is None else x, {"c": 0.0} if u is None else u, free=free, zero=zero, **other
+    )
+
+
+ROWS = [
+    bad("a profile of numbers", lambda: flight.Profile(5.0, 3.0), "Profile"),
+    bad("a profile with one velocity", lambda: flight.Profile((0.0, 1.0), 3.0), "Profile"),
+    bad("a strong wind", lambda: flight.LogarithmicShear("strong", 0.0), "speed", "'strong'"),
+    bad("a start nowhere", lambda: flight.start(None, 0.0, 0.0), "latitude"),
+    bad("a start in the north", lambda: flight.start("north", 0.0, 0.0), "latitude", "'north'"),
+    bad("a start on 3", lambda: flight.start(0.0, 0.0, 0.0, planet=3), "planet", "3"),
+    bad("a rate relative to 3", lambda: flight.start(0.0, 0.0, 0.0, relative_to=3), "relative_to", "3"),
+    bad("a vehicle's pose without a name", lambda: flight.Vehicle(pose=3), "3"),
+    bad("a big wing", lambda: flight.Aerodynamics("big", 1.0, 1.0), "area"),
+    bad("two coefficients", lambda: wing.wrench(craft.air, (1.0, 2.0)), "force", "(2,)"),
+    bad("coefficients in no air", lambda: wing.wrench(3, (1.0, 2.0, 3.0)), "air", "3"),
+    bad("drag in no air", lambda: flight.drag(None, 1.0), "air", "None"),
+    bad("axes by name", lambda: flight.Aerodynamics(1.0, 1.0, 1.0, axes="wind"), "axes", "'wind'"),
+    bad("turbulence of 3", lambda: flight.Dryden(3, 10.0), "scales", "3"),
+    bad("burning nothing", lambda: flight.burning(np.ones(6), 1.0, None, np.ones(3)), "kilogram", "None"),
+    bad("numbers of text", lambda: flight.numbers("x"), "'x'"),
+    bad("values by name", lambda: flight.numbers(w, {"w": 3.0}), "'w'"),
+    bad("a term without coefficients", lambda: Harmonics(1.0, 1.0, ((2, 0),)), "(2, 0)"),
+    bad("a coefficient of text", lambda: Harmonics(1.0, 1.0, ((2, 0, "a", 0.0),)), "'a'"),
+    bad("a degree of text", lambda: EGM2008.up_to("8"), "'8'"),
+    bad("a boom in no air", lambda: flight.probe(3, np.ones(3)), "air", "3"),
+    bad("a rate relative to the earth by name", lambda: craft.rate("earth"), "relative_to", "'earth'"),
+    bad("turbulence of text", lambda: flight.even_turbulence("a", (1.0, 1.0, 1.0)), "lengths", "'a'"),
+    bad(
+        "a big thrust",
+        lambda: flight.rocket(1.0, 0.0, vacuum_thrust="big", specific_impulse=300.0),
+        "vacuum_thrust",
+        "'big'",
+    ),
+    bad(
+        "no specific impulse",
+        lambda: flight.rocket(1.0, 0.0, vacuum_thrust=1.0, specific_impulse=0.0),
+        "specific_impulse",
+        "0",
+    ),
+    bad("free as a number", lambda: trim(free=3), "free", "3"),
+    bad("zero as a number", lambda: trim(zero=3), "zero", "3"),
+    bad("zero as text", lambda: trim(zero="wind"), "zero", "'wind'"),
+    bad("fixed as a number", lambda: trim(fixed=3), "fixed", "3"),
+    bad("a trim of a number", lambda: trim(x=3), "x", "3"),
+    bad("a trim now", lambda: trim(t="now"), "t", "'now'"),
+    bad("a trim for nothing", lambda: trim(zero=[]), "zero"),
+    bad("a trim from NaN", lambda: trim({"w": np.nan}), "w", "nan"),
+    bad("a trim without controls", lambda: trim(u={}), "'c'"),
+    bad("feet to the a", lambda: tx.units.feet ** "a", "'a'"),
+    bad("a planet of 3", lambda: flight.Planet(3, gravity.EARTH_J2), "figure", "3"),
+    bad("a push", lambda: craft.system(ball, "push"), "wrench", "'push'"),
+    bad("a reading of 3", lambda: flight.Imu().read(3, np.ones(6), np.ones(3)), "V"),
+    bad("a gradient on 3", lambda: craft.gradient_torque(3), "body", "3"),
+]
