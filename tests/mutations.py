@@ -117,6 +117,31 @@ MUTATIONS: list[Mutation] = [
         "__init__.py",
         ("a public name on no page", '"fast", "integrate"', '"expr", "fast", "integrate"', "test_docs.py"),
     ),
+    *_at(
+        "expr/table_kinds.py",
+        (
+            "an even axis guessed too high",
+            "* float(self._density) - 0.5",
+            "* float(self._density)",
+            "expr/test_interp.py",
+        ),
+        ("a halving one point off", "x.dtype, half - 1)", "x.dtype, half)", "expr/test_interp.py"),
+        (
+            "strides of the next axis",
+            "shape[axis + 1 :]) for axis in range",
+            "shape[axis:]) for axis in range",
+            "expr/test_interp.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/code.py",
+        (
+            "the offset of a load in bytes",
+            "getelementptr {target}, ptr {there}, i64 {offset}",
+            "getelementptr i8, ptr {there}, i64 {offset}",
+            "expr/test_interp.py",
+        ),
+    ),
     # ---- groups ------------------------------------------------------------------------------------------------------
     *_at(
         "groups/euler_angles.py",

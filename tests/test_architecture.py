@@ -14,6 +14,7 @@ LAYERS = [
     "walk",
     "errors",
     "jax_inside",
+    "table_load",
     "precision",
     "checks",
     "units",
@@ -88,7 +89,17 @@ def loaded_by(statement: str) -> set[str]:
 
 #: What `import twistax` leaves to those who use it: it would double the time of `import jax`.
 HEAVY = ("diffrax", "equinox", "scipy", "matplotlib", "llvmlite", "jax.extend", "jax.experimental", "jax.scipy")
-LAYERS_ABOVE = ("lowering", "integrators", "mechanics", "trajectory", "scenes", "report", "demo", "jax_inside")
+LAYERS_ABOVE = (
+    "lowering",
+    "integrators",
+    "mechanics",
+    "trajectory",
+    "scenes",
+    "report",
+    "demo",
+    "jax_inside",
+    "table_load",
+)
 
 
 def test_import_loads_the_language_alone() -> None:

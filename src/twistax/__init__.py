@@ -18,7 +18,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from . import expr, lie, linalg, spatial
+from . import expr, lie, linalg, spatial, tables
 from .errors import (
     ImmutableError,
     InputError,
@@ -56,10 +56,10 @@ __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "CommutatorFree", "Dynamics", "Euclidean",
     "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
     "IntegrationError", "LinearSystem", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
-    "OperationError", "Order", "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting",
-    "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold",
-    "charts", "compile", "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower",
-    "mechanics", "pose", "spatial", "sweep", "tableaus", "tangent_grad", "trajectory", "trim", "units",
+    "OperationError", "Order", "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics",
+    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "compile",
+    "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial",
+    "sweep", "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units",
 ]
 # fmt: on
 __all__ += expr.__all__

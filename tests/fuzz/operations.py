@@ -266,6 +266,11 @@ def reduction(source: Random, shape: Shape) -> Plan | None:
         ("tx.linalg.Trace({0})", np.trace, source.choice([(2, 2), (3, 3)])),
         ("np.sum({0})", np.sum, whole),
         ("tx.linalg.Norm({0})", np.linalg.norm, whole if len(whole) < 3 else (6,)),
+        (
+            "tx.Interp({0}, axes=[-1.0, -0.2, 0.5, 1.0, 3.0], values=[2.0, -1, 0.5, 1.0, 4.0])",
+            lambda a: np.interp(a, [-1.0, -0.2, 0.5, 1.0, 3.0], [2.0, -1, 0.5, 1.0, 4.0]),
+            (),
+        ),
         ("tx.Linterp({0}, [-1, 0.5, 3], [2.0, -1, 0.5])", lambda a: np.interp(a, [-1, 0.5, 3], [2, -1, 0.5]), ()),
     ]  # fmt: skip
     code, numpy, arg = source.choice(found)

@@ -13,6 +13,7 @@ from twistax.lowering.native.backend import Native
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS
+from twistax.table_load import Table, load
 
 REAL, TRUTH, PLACES = np.array([0.5, -1.5]), np.array([True, False]), np.array([2, 0])
 MATRIX, SQUARE, TRUTHS = (
@@ -58,6 +59,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "convert_element_type": (lambda a: a.astype(np.float32), REAL),
     "reduce_precision": (lambda a: lax.reduce_precision(a, 11, 52), REAL),
     "copy": (jnp.copy, REAL),
+    "table_load": (lambda i: load(Table([4.0, 5.0, 6.0, 7.0]), i, np.float64, 1), PLACES),
     "optimization_barrier": (lax.optimization_barrier, REAL),
     "round": (lax.round, REAL),
     # ---- movement

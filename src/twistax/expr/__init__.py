@@ -40,7 +40,7 @@ from .elementwise import (
     Tanh,
 )
 from .graph import evaluate_all, find_path, leaves_of, postorder, substitute, traverse
-from .interpolation import Bilerp, Cinterp, Linterp
+from .interpolation import Bilerp, Cinterp, Interp, Linterp
 from .leaves import Constant, Control, Inputs, Leaf, Parameter, State, Time, Variable
 from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
 from .node import Example, Expr, all_nodes, to_expr
@@ -55,8 +55,8 @@ from .vmap import Vmap
 __all__ = [
     "Abs", "Acos", "Add", "All", "Any", "Asin", "Atan", "Atan2", "Bilerp", "Block", "Cinterp", "Concat", "Cond",
     "Constant", "Constraint", "Control", "Cos", "Cosh", "Div", "Equality", "Example", "Exp", "Expr", "Hstack", "Huber",
-    "Index", "Inequality", "Leaf", "Less", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul", "Neg", "Not",
-    "Parameter", "PositivePart", "Power", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square", "Stack", "State",
-    "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
+    "Index", "Inequality", "Interp", "Leaf", "Less", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul",
+    "Neg", "Not", "Parameter", "PositivePart", "Power", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square", "Stack",
+    "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
 ]
 # fmt: on

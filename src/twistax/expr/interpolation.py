@@ -1,7 +1,8 @@
-"""Tables: piecewise linear, cubic and bilinear interpolation."""
+"""Tables: interpolation of numbers over any axes, and of tables that change between runs over one and two."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,10 +11,125 @@ import numpy as np
 
 from ..checks import short
 from ..errors import ModelError, ShapeError
-from .bases import broadcast
-from .fields import ExprLike, Operand
+from .bases import Variadic, broadcast
+from .fields import ExprLike, Operand, Operands
 from .leaves import Constant
 from .node import Expr, Shape
+from .table_kinds import BSpline, Clamped, Extrapolated, Linear, Lookup, MonotoneCubic, Refused, linear, pieces
+
+_KNOTS, _TABLE = np.array([0.0, 1.0, 3.0, 4.0, 6.0]), np.array([1.0, -1.0, 2.0, 2.5, 0.0])
+_EVEN = np.linspace(-1.0, 1.0, 5)
+
+
+class Interp(Variadic, init=False):
+    """Interpolation of a table of numbers over a grid of any number of axes, entry by entry.
+
+    Shapes: d coordinates that broadcast to s, axes of n_1, ..., n_d points, values (n_1, ..., n_d, *k) -> (*s, *k).
+    It loads from constants, in kernels, in C and in CasADi too: the cost grows with the axes, 2^d loads where it is
+    linear and 4^d where it is cubic, and hardly with the points. An axis of about equal steps is searched by a product,
+    another one by halving.
+
+    Attributes:
+        at: the coordinates, one or more, in the units of their axes.
+        axes: the points of each axis, strictly increasing numbers; of a single one it may stand alone.
+        values: values[i, j, ...] is the value at (axes[0][i], axes[1][j], ...); numbers, their unit is the result's.
+        kind: `tx.tables.Linear()`, `MonotoneCubic()` of one axis, or `BSpline()`.
+        outside: `tx.tables.Clamped()`, `Extrapolated()` or `Refused()`, NaN; or a list of one for each axis.
+    Raises:
+        ShapeError: the coordinates do not broadcast.
+        ModelError: an axis that does not increase or has too few points, values of another shape, a table that is an
+            expression or not finite, another kind, or one of which there is none for so many axes.
+    """
+
+    at: Operands
+    axes: Any
+    values: Any
+    kind: Any = Linear()
+    outside: Any = Clamped()
+    listed = True
+    cases = (
+        {"at": [[0.5, 5.0, -0.5]], "axes": _KNOTS, "values": _TABLE},
+        {
+            "at": [[0.5, -0.3], 2.0],
+            "axes": (_EVEN, _KNOTS),
+            "values": np.outer(_EVEN**2, _TABLE),
+            "kind": BSpline(),
+            "outside": Extrapolated(),
+        },
+        {"at": [0.3], "axes": _EVEN, "values": np.stack([_TABLE, _TABLE**2], 1), "kind": MonotoneCubic()},
+    )
+    kinks = ({"at": [[0.0, 1.0, 6.0]], "axes": _KNOTS, "values": _TABLE, "outside": (Refused(),)},)
+
+    def validate(self) -> None:
+        alone = not isinstance(self.axes, (list, tuple)) or not any(map(np.ndim, self.axes))
+        axes = [self.axes] if alone and not isinstance(self.axes, Expr) else self.axes
+        self.axes = tuple(_numbers("Interp", f"axes[{k}]", points) for k, points in enumerate(axes))
+        self.values = _numbers("Interp", "values", self.values)
+        if len(self.axes) != len(self.at):
+            raise ModelError(f"Interp expects an axis for each coordinate, got {len(self.at)} and {len(self.axes)}")
+        if not isinstance(self.kind, (Linear, MonotoneCubic, BSpline)):
+            raise ModelError(
+                f"Interp expects kind to be tx.tables.Linear(), MonotoneCubic() or BSpline(), got {self.kind!r}"
+            )
+        for k, points in enumerate(self.axes):
+            _increasing("Interp", f"axes[{k}]", points)
+            if len(points) < self.kind.fewest:
+                raise ModelError(
+                    f"Interp by {self.kind!r} expects {self.kind.fewest} or more points, axes[{k}] has {len(points)}"
+                )
+        lengths = tuple(map(len, self.axes))
+        if self.values.shape[: len(lengths)] != lengths or not np.isfinite(self.values).all():
+            raise ModelError(
+                f"Interp expects values, finite numbers, with first axes of length {lengths}, "
+                f"got shape {self.values.shape}: {short(self.values)}"
+            )
+        if isinstance(self.outside, list):
+            self.outside = tuple(self.outside)
+        if not all(isinstance(each, (Clamped, Extrapolated, Refused)) for each in self._outsides):
+            raise ModelError(
+                "Interp expects outside to be tx.tables.Clamped(), Extrapolated() or Refused(), or a list of one for "
+                f"each axis, got {self.outside!r}"
+            )
+        self._lookup()
+
+    @property
+    def _outsides(self) -> tuple[Any, ...]:
+        """What is done outside, by axis."""
+        if not isinstance(self.outside, tuple):
+            return (self.outside,) * len(self.axes)
+        return self.outside if len(self.outside) == len(self.axes) else (None,)
+
+    def _lookup(self) -> Lookup:
+        return _once(self, lambda: self.kind.lookup(self.axes, self.values))
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return broadcast(self, *shapes) + self.values.shape[len(self.axes) :]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        shape = jnp.broadcast_shapes(*(x.shape for x in values))
+        taken = (each.taken(x, own) for each, x, own in zip(self._outsides, values, self.axes, strict=True))
+        return self._lookup()([jnp.broadcast_to(x, shape) for x in taken])
+
+    def details(self) -> list[str]:
+        found = [f"{' x '.join(str(len(points)) for points in self.axes)} points"]
+        return found + [f"{name}={own!r}" for name, own in self._choices() if own is not None]
+
+    def _choices(self) -> list[tuple[str, Any]]:
+        kind, outside = (None if type(a) in (Linear, Clamped) else a for a in (self.kind, self.outside))
+        return [("kind", kind), ("outside", outside)]
+
+
+def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
+    """The lookup of a table of numbers, made once."""
+    if "_made" not in node.__dict__:
+        node.__dict__["_made"] = make()
+    return node.__dict__["_made"]
+
+
+def _known(*operands: Expr) -> list[np.ndarray] | None:
+    """The numbers of operands that are constants, if all are."""
+    values = [operand.value for operand in operands if isinstance(operand, Constant)]
+    return values if len(values) == len(operands) else None
 
 
 def segment(x: jax.Array, xp: jax.Array) -> jax.Array:
@@ -65,12 +181,12 @@ class Linterp(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         x, xp, fp = values
+        known = _known(self.xp, self.fp)
+        if known is not None:
+            return _once(self, lambda: linear(known[:1], known[1]))([jnp.clip(x, xp[0], xp[-1])])
         i = segment(x, xp)
         weight = fraction(x, xp, i).reshape(x.shape + (1,) * (fp.ndim - 1))
         return (1.0 - weight) * fp[i] + weight * fp[i + 1]
-
-
-_KNOTS, _TABLE = np.array([0.0, 1.0, 3.0, 4.0, 6.0]), np.array([1.0, -1.0, 2.0, 2.5, 0.0])
 
 
 class Cinterp(Expr):
@@ -101,7 +217,7 @@ class Cinterp(Expr):
     kinks = ({"x": [1.0, 3.0, 6.0], "xp": _KNOTS, "fp": _TABLE, "method": "pchip"},)
 
     def __init__(self, x: ExprLike, xp: Any, fp: Any, method: str = "cubic") -> None:
-        super().__init__(x, _numbers("xp", xp), _numbers("fp", fp), method)
+        super().__init__(x, _numbers("Cinterp", "xp", xp), _numbers("Cinterp", "fp", fp), method)
 
     def validate(self) -> None:
         _increasing("Cinterp", "xp", self.xp)
@@ -124,12 +240,7 @@ class Cinterp(Expr):
         return shapes[0] + self.fp.shape[1:]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        (x,) = values
-        xp, coeffs = jnp.asarray(self.xp, x.dtype), jnp.asarray(self.coeffs, x.dtype)
-        i = segment(x, xp)
-        t = (x - xp[i]).reshape(x.shape + (1,) * (self.fp.ndim - 1))
-        constant, linear, quadratic, cubic = coeffs[:, i]
-        return constant + t * (linear + t * (quadratic + t * cubic))
+        return _once(self, lambda: pieces(self.xp, self.coeffs))(values)
 
     def details(self) -> list[str]:
         return [f"{len(self.xp)} points", *([] if self.method == "cubic" else [f"method={self.method!r}"])]
@@ -196,6 +307,10 @@ class Bilerp(Expr):
         x, y, xp, yp, fp = values
         shape = jnp.broadcast_shapes(x.shape, y.shape)
         x, y = jnp.broadcast_to(x, shape), jnp.broadcast_to(y, shape)
+        known = _known(self.xp, self.yp, self.fp)
+        if known is not None:
+            inside = [jnp.clip(x, xp[0], xp[-1]), jnp.clip(y, yp[0], yp[-1])]
+            return _once(self, lambda: linear(known[:2], known[2]))(inside)
         i, j = segment(x, xp), segment(y, yp)
         s, t = fraction(x, xp, i), fraction(y, yp, j)
         low = (1.0 - t) * fp[i, j] + t * fp[i, j + 1]
@@ -220,10 +335,10 @@ def _increasing(node: str, name: str, points: np.ndarray) -> None:
         raise ModelError(f"{node} expects {name} to be two or more strictly increasing numbers, got {points}")
 
 
-def _numbers(name: str, value: Any) -> np.ndarray:
+def _numbers(node: str, name: str, value: Any) -> np.ndarray:
     if isinstance(value, Expr) and not isinstance(value, Constant):
         raise ModelError(
-            f"Cinterp expects {name} to be numbers, got the expression {value!r}.\n"
-            "  fix: its coefficients are computed when it is built; tx.Linterp takes a table that changes between runs"
+            f"{node} expects {name} to be numbers, got the expression {value!r}.\n"
+            "  fix: its table is made when it is built; tx.Linterp and tx.Bilerp take one that changes between runs"
         )
     return (value if isinstance(value, Constant) else Constant(value)).value

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline, RegularGridInterpolator
+from scipy.interpolate import CubicSpline, RegularGridInterpolator, make_interp_spline
 
 import twistax as tx
 
@@ -58,6 +58,8 @@ def tables() -> dict[str, tuple[tx.Expr, Any]]:
     knots, lines, plane = np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0]), np.arange(6.0).reshape(3, 2) ** 1.5
     several = np.sqrt(np.arange(18.0)).reshape(3, 3, 2)
     fp = tx.Parameter("fp", value=plane)
+    even, uneven, beyond = np.linspace(-1.0, 5.0, 6), np.array([-0.5, 0.2, 1.0, 3.0, 4.5]), tx.tables.Extrapolated()
+    hill = np.sin(even)[:, None] * np.cos(uneven)
 
     def bilinear(a: Any, b: Any, fp: np.ndarray = plane) -> np.ndarray:
         inside = np.stack(np.broadcast_arrays(np.clip(a, 0.0, 3.0), np.clip(b, 0.0, 2.0)), axis=-1)
@@ -82,11 +84,25 @@ def tables() -> dict[str, tuple[tx.Expr, Any]]:
             tx.Vmap(lambda e: tx.Linterp(e, knots, plane), x),
             lambda x, M: np.stack([column(x, 0), column(x, 1)], axis=-1),
         ),
+        "grid": (
+            tx.Interp(x, 0.7 * x[::-1], axes=[knots, lines], values=plane),
+            lambda x, M: bilinear(x, 0.7 * x[::-1]),
+        ),
+        "spline of two axes": (
+            tx.Interp(x, x[::-1], axes=[even, uneven], values=hill, kind=tx.tables.BSpline(), outside=beyond),
+            lambda x, M: np.array([_tensor((even, uneven), hill, at) for at in zip(x, x[::-1], strict=True)]),
+        ),
         "cubic": (
             tx.Vmap(lambda e: tx.Cinterp(e, knots, knots**2), x),
             lambda x, M: CubicSpline(knots, knots**2)(x),
         ),
     }
+
+
+def _tensor(axes: Any, values: np.ndarray, point: Any) -> np.ndarray:
+    for points, coordinate in zip(axes, point, strict=True):
+        values = make_interp_spline(points, values)(coordinate)
+    return values
 
 
 #: Between, on and beyond lines of the grids.

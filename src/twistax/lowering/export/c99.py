@@ -18,7 +18,7 @@ from ...groups import Euclidean
 from ..functions import Functions
 from ..scalar.in_c import CType, c_type
 from . import CFiles
-from .c_code import MARK, Code, filled, identifiers, mark
+from .c_code import MARK, Code, filled, identifiers, mark, numbers
 from .functions import ExportedFunction, Exporter
 
 #: One array for each argument.
@@ -159,7 +159,7 @@ def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
     given = []
     for k, point in enumerate(points):
         arrays = {f"point_{k}_{names[port]}": v for port, v in zip(code.exporter.arguments[1:], point[1:], strict=True)}
-        data += [_array(name, values, real) for name, values in arrays.items()]
+        data += [numbers(name, values, real) for name, values in arrays.items()]
         given.append([real.literal(point[0][()]), *arrays])
     for function in code.functions:
         # Brought to the code's numbers first: what is beyond their range is infinite there, and no measure.
@@ -171,7 +171,7 @@ def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
             steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *found])});")
             for own, port, result in zip(found, function.results, references[k], strict=True):
                 array = f"expected_{k}_{function.name}_{names[port]}"
-                data.append(_array(array, result, real))
+                data.append(numbers(array, result, real))
                 label = f"{function.name} {names[port]}, point {k + 1}"
                 steps.append(f'failed += compare("{label}", {own}, {array}, {port.size}, {allowed});')
     widest = max(len(function.results) for function in code.functions)
@@ -204,9 +204,3 @@ def _references(function: ExportedFunction, points: Sequence[Point]) -> list[lis
 def _cast(values: Any, real: CType) -> NDArray[Any]:
     with np.errstate(over="ignore"):
         return np.asarray(values).astype(real.dtype)
-
-
-def _array(name: str, values: NDArray[Any], real: CType) -> str:
-    entries = [real.literal(v) for v in values.reshape(-1)]
-    lines = [", ".join(entries[k : k + 6]) for k in range(0, len(entries), 6)]
-    return f"static const {real.name} {name}[{len(entries)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"

@@ -9,10 +9,14 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from numpy.typing import NDArray
+
 from ...errors import ModelError
 from ...groups import Euclidean
+from ...table_load import Table
 from ..scalar.entry import Operation
 from ..scalar.in_c import CType, c_type, expression
+from ..scalar.table_loads import loaded_tables
 from . import version
 from .functions import ExportedFunction, Exporter, Port
 
@@ -103,9 +107,14 @@ class Code:
             f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
             "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
+            *(numbers(table.name, table.values, self.real) for table in self._tables()),
             *bodies,
         ]
         return "\n".join(part for part in parts if part)
+
+    def _tables(self) -> list[Table]:
+        """What the functions load from."""
+        return list(dict.fromkeys(table for function in self.functions for table in loaded_tables(function.program)))
 
     def _head(self, function: ExportedFunction) -> str:
         """The head of a function, without what follows it."""
@@ -179,6 +188,13 @@ def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[P
             cast = "" if g.dtypes[i] == g.dtype else f"({c_type(g.dtype).name})"
             results.append(f"{names[port]}[{k}] = {cast}{values[i]};")
     return "".join(f"    {line}\n" for line in (*unused, *lines, *results))
+
+
+def numbers(name: str, values: NDArray[Any], real: CType) -> str:
+    """An array of constants."""
+    entries = [real.literal(v) for v in values.astype(real.dtype).reshape(-1)]
+    lines = [", ".join(entries[k : k + 6]) for k in range(0, len(entries), 6)]
+    return f"static const {real.name} {name}[{len(entries)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"
 
 
 def _comment(text: str) -> str:

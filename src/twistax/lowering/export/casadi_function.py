@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import InputError, ModelError
 from ..functions import Functions
 from ..scalar.entry import Operation
+from ..scalar.table_loads import loaded_tables
 from .functions import ExportedFunction, Exporter, Port
 
 
@@ -28,10 +29,14 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
         if family not in dynamics.families:
             raise ModelError(f"to_casadi expects families among {', '.join(dynamics.families)}, got {family!r}")
     names = [_name(port) for port in exporter.arguments]
-    symbols = [casadi.SX.sym(name, *_matrix(port.shape)) for name, port in zip(names, exporter.arguments, strict=True)]
+    functions = [exporter.family(family) for family in named]
+    # Scalar expressions are the faster ones, but know no tables.
+    kind: Any = casadi.MX if any(loaded_tables(function.program) for function in functions) else casadi.SX
+    ports = zip(names, exporter.arguments, strict=True)
+    symbols: list[Any] = [kind.sym(name, *_matrix(port.shape)) for name, port in ports]
     results, result_names = [], []
-    for function in map(exporter.family, named):
-        results += _results(casadi, function, exporter.arguments, symbols)
+    for function in functions:
+        results += _results(casadi, kind, function, exporter.arguments, symbols)
         result_names += [_name(port) for port in function.results]
     everything = [*names, *result_names]
     twice = sorted({name for name in everything if everything.count(name) > 1})
@@ -65,17 +70,19 @@ def _place(shape: tuple[int, ...], place: int) -> tuple[int, int]:
     return divmod(place, shape[1]) if len(shape) == 2 else (place, 0)
 
 
-def _results(casadi: Any, function: ExportedFunction, arguments: Sequence[Port], symbols: Sequence[Any]) -> list[Any]:
+def _results(
+    casadi: Any, kind: Any, function: ExportedFunction, arguments: Sequence[Port], symbols: Sequence[Any]
+) -> list[Any]:
     """The results as matrices of expressions in the symbols."""
     g = function.program.graph
     values = function.program.computed(
         lambda argument, place: symbols[argument][_place(arguments[argument].shape, place)],
-        lambda value, dtype: casadi.SX(float(value)),
+        lambda value, dtype: kind(float(value)),
         lambda operation, i, *a: expression(casadi, operation, g.dtypes[g.arguments(i)[-1]], *a),
     )
     found = []
     for port, nodes in zip(function.results, function.program.outputs, strict=True):
-        result = casadi.SX(*_matrix(port.shape))  # what is structurally zero stays so
+        result = kind(*_matrix(port.shape))  # what is structurally zero stays so
         for entry, i in enumerate(nodes.reshape(-1).tolist()):
             if i != g.zero:
                 result[_place(port.shape, entry)] = values[i]

@@ -16,6 +16,7 @@ from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
 from .entry import Entry, Nodes, each, flat, moving, nodes
 from .movement import INDEXING, MOVEMENT
 from .operations import OPERATIONS, on
+from .table_loads import TABLE_LOAD
 
 if TYPE_CHECKING:
     from .program import Reader
@@ -134,6 +135,7 @@ _CONTROL = [
     moving("cond", _cond, "branches | branches branches_platforms", when=lambda p: "branches_platforms" not in p),
     moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
     # This package's own.
+    TABLE_LOAD,
     moving("scalar_program", _program, "program bodies inside", moves=False, work=_operations),
     Entry("native_program", _program, "program bodies inside", any_type=True, work=_operations),
 ]
