@@ -94,6 +94,22 @@ MUTATIONS: list[Mutation] = [
             "expr/test_comparisons.py",
         ),
     ),
+    # ---- pictures ----------------------------------------------------------------------------------------------------
+    *_at(
+        "plots.py",
+        (
+            "angles that jump at a half turn",
+            "np.rad2deg(np.unwrap(angles, axis=0))",
+            "np.rad2deg(angles)",
+            "test_plots.py",
+        ),
+        (
+            "roll and yaw exchanged",
+            '["roll", "pitch", "yaw"], turned',
+            '["yaw", "pitch", "roll"], turned',
+            "test_plots.py",
+        ),
+    ),
     # ---- pages -------------------------------------------------------------------------------------------------------
     *_at(
         "errors.py",

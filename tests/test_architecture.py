@@ -19,6 +19,7 @@ LAYERS = [
     "checks",
     "units",
     "groups",
+    "plots",
     "expr",
     "system",
     "lowering",

@@ -36,6 +36,7 @@ from .expr import (
 )
 from .expr.fields import ExprLike, freeze
 from .expr.packing import pack, unpack
+from .expr.printing import name_latex
 from .expr.vmap import no_elements
 from .groups import Euclidean, Product
 
@@ -127,6 +128,20 @@ class System:
     def __repr__(self) -> str:
         kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
         return f"System({', '.join(f'{kind}={[leaf.name for leaf in leaves]}' for kind, leaves in kinds)})"
+
+    def latex(self) -> str:
+        """The equations in LaTeX, without dollar signs: the rate of a pose or rotation is its body velocity."""
+        lines = []
+        for state in self.states:
+            left, rate = rf"\dot{{{state.latex()}}} &= ", self.rates[state.name].latex()
+            flat = isinstance(state.group, Euclidean)
+            lines.append(left + (rate if flat else rf"{state.latex()} \left({rate}\right)^{{\wedge}}"))
+        lines += [rf"{name_latex(name)} &= {expr.latex()}" for name, expr in self.outputs.items()]
+        lines += [rf"& {constraint.latex()}" for constraint in self.constraints.values()]
+        return r"\begin{aligned} " + r" \\ ".join(lines) + r" \end{aligned}"
+
+    def _repr_latex_(self) -> str:
+        return f"${self.latex()}$"
 
     def __getstate__(self) -> Any:
         return pack(self.__dict__)

@@ -1,7 +1,6 @@
 """The demo's parts alone: derivative check, figure, table, words for failures, progress line."""
 
 import csv
-import io
 from pathlib import Path
 
 import matplotlib.image
@@ -10,7 +9,7 @@ import pytest
 
 import twistax as tx
 from twistax.demo import derivatives
-from twistax.demo.command import Progress, describe_failure, describe_limits
+from twistax.demo.command import describe_failure, describe_limits
 from twistax.demo.figure import save_figure, save_table
 from twistax.scenes import powered_descent as scene
 from twistax.scenes.touchdown import Descent, Miss, reaches
@@ -98,22 +97,3 @@ def test_a_failure_is_named_in_units_people_use(descent: Descent) -> None:
 def test_a_miss_that_is_not_a_number_never_counts() -> None:
     assert Miss(0.1, 0.1, 0.1).within(Miss(0.5, 0.1, 0.5))
     assert not Miss(np.nan, 0.0, 0.0).within(Miss(0.5, 0.1, 0.5))
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_progress_overwrites_one_line_on_a_terminal_and_is_sparse_elsewhere() -> None:
-    terminal, log = Terminal(), io.StringIO()
-    for out in (terminal, log):
-        progress = Progress(out, "solve")
-        progress.note("compiling ...")
-        progress.update(3, 27_000.0, 1e-3)
-        progress.close()
-    assert "iteration    3" in terminal.getvalue()
-    assert "1.0e-03" in terminal.getvalue()
-    assert "27,000 kg" in terminal.getvalue()
-    assert "\n" not in terminal.getvalue()
-    assert log.getvalue() == ""

@@ -36,39 +36,6 @@ class _Report:
             print(f"{'' if number else word:<9} {line}".rstrip(), flush=True)
 
 
-class Progress:
-    """Shows iteration, violation and mass: on a terminal in one line that is overwritten, else every few seconds.
-
-    `update` is a callback of `tx.trajectory.Problem.solve`; the mass is its cost.
-    """
-
-    def __init__(self, out: Any, what: str) -> None:
-        self._out, self._what, self._live = out, what, out.isatty()
-        self._begin = time.perf_counter()
-        self._shown = 0.0 if self._live else self._begin
-
-    def note(self, text: str) -> None:
-        """Show a text until the first iteration, on a terminal only."""
-        if self._live:
-            self._write(text)
-
-    def update(self, iteration: int, cost: float, violation: float) -> None:
-        now = time.perf_counter()
-        if now - self._shown >= (0.1 if self._live else 5.0):
-            self._shown = now
-            seen = f"iteration {iteration:4d}   violation {violation:8.1e}   mass {cost:9,.0f} kg"
-            self._write(f"{seen}   {now - self._begin:5.1f} s")
-
-    def _write(self, text: str) -> None:
-        line = f"{self._what:<9} {text}"
-        print(f"\r\033[K{line}" if self._live else line, end="" if self._live else "\n", file=self._out, flush=True)
-
-    def close(self) -> None:
-        """Clear the line."""
-        if self._live:
-            print("\r\033[K", end="", file=self._out, flush=True)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Compile, check, solve, simulate, draw and table.
 
@@ -103,9 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
         f"compiled and checked in {report.lap():.1f} s",
     )
 
-    progress = Progress(sys.stdout, "solve")
+    progress = tx.trajectory.Progress("solve", cost="mass {:9,.0f} kg", stream=sys.stdout)
     progress.note("compiling ...")
-    result = problem.solve(seed=arguments.guess_seed, callback=progress.update, max_iterations=arguments.max_iterations)
+    result = problem.solve(seed=arguments.guess_seed, callback=progress, max_iterations=arguments.max_iterations)
     progress.close()
     report.lap()
     seconds = f"compiled in {result.compile_seconds:.1f} s, solved in {result.solve_seconds:.1f} s"

@@ -15,7 +15,7 @@ from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
 from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
-from .printing import matrix_latex, number_latex
+from .printing import matrix_latex, name_latex, number_latex
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,10 +59,7 @@ class Leaf(Expr):
         return self.name
 
     def to_latex(self, *operands: str) -> str:
-        head, _, tail = self.name.partition("_")
-        symbol = head if len(head) == 1 else rf"\mathrm{{{head}}}"
-        tail = tail.replace("_", r"\_")
-        return f"{symbol}_{{\\mathrm{{{tail}}}}}" if tail else symbol
+        return name_latex(self.name)
 
 
 class Constant(Leaf):

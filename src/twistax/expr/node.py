@@ -24,6 +24,7 @@ from .operators import Operators
 
 if TYPE_CHECKING:
     from ..groups import Order
+    from .picture import Picture
 
 Shape = tuple[int, ...]
 #: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
@@ -395,6 +396,15 @@ class Expr(Operators):
     def tree(self) -> str:
         """The tree, a line a node, shared parts shown once."""
         return printing.tree(self)
+
+    def svg(self) -> Picture:
+        """The graph as a picture, the text of an SVG file, which notebooks show; shared parts are drawn once.
+
+        Raises: ModelError for more than 300 nodes.
+        """
+        from .picture import svg
+
+        return svg(self)
 
 
 def to_expr(value: Any) -> Expr:

@@ -42,6 +42,14 @@ def number_latex(value: Any, digits: int = 6) -> str:
     return power if mantissa == "1" else rf"{mantissa} \times {power}"
 
 
+def name_latex(name: str) -> str:
+    """A name; what follows its first underscore is an index."""
+    head, _, tail = name.partition("_")
+    symbol = head if len(head) == 1 else rf"\mathrm{{{head}}}"
+    tail = tail.replace("_", r"\_")
+    return f"{symbol}_{{\\mathrm{{{tail}}}}}" if tail else symbol
+
+
 def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
     """Entries between brackets."""
     body = r" \\ ".join(" & ".join(row) for row in rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +16,7 @@ from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
+from ..plots import chosen, draw, group_of, panels
 from .charts import Blocks, Exponential, StateCoordinates
 from .method import Stepper, jitted
 from .steps import Outcome, Result, Steps, Trail
@@ -122,6 +123,28 @@ class Solution:
                 raise InputError(f"evaluate expects times in [{start:g}, {end:g}], the integrated span, got {wrong:g}")
         found: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
+
+        Args:
+            names: of the states to draw; all unless given.
+            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+        Raises:
+            InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
+            ModelError: matplotlib is not installed.
+        """
+        if is_traced(self.ts) or np.ndim(self.ts) != 1:
+            raise InputError(
+                "plot: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
+            )
+        if len(self.ts) < 2:
+            raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
+        ts, found = np.asarray(self.ts), []
+        for name in chosen(names, list(self.xs), units):
+            x = np.asarray(self.xs[name])
+            found += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
+        return draw(found)
 
     @property
     def result(self) -> Any:

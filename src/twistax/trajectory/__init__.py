@@ -10,6 +10,7 @@ from .mesh import Mesh
 from .phase import Phase
 from .phased_result import PhasedResult
 from .problem import Problem
+from .progress import Progress
 from .refine import Meshed
 from .result import TrajectoryResult
 from .sensitivity import Solution, solution
@@ -42,6 +43,7 @@ __all__ = [
     "PhasedResult",
     "PhasedResults",
     "Problem",
+    "Progress",
     "Solution",
     "Status",
     "TrajectoryResult",

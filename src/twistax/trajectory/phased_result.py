@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 
 from ..precision import in_double
 from .found import Found, Tried, found_params
+from .pictures import drawn
 from .replay import Replay
 from .result import Trajectory, multipliers_of, trajectory_at, violations_of
 from .solver import Outcome
@@ -49,6 +50,10 @@ class PhasedResult(Found):
     def replay(self, method: Any = None, steps: int = 20, **options: Any) -> tuple[Replay, ...]:
         """The replay of each phase from its own first node; see `TrajectoryResult.replay`."""
         return tuple(phase.replay(method, steps, **options) for phase in self.phases)
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """All phases in one figure; see `TrajectoryResult.plot`."""
+        return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
 
     def _by_phase(self, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
         pairs = zip(self.problem.names, found, strict=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..integrators import RKMK, FirstOrderHold, ZeroOrderHold
 from ..integrators.tableaus import RK4
 from ..precision import in_double
 from .found import Found, Tried, found_params
+from .pictures import drawn
 from .replay import Replay, replayed
 from .solver import Outcome
 from .statement import largest_by_name, violations
@@ -63,28 +65,43 @@ class Trajectory:
         reduced, found = self.problem.reduced, dict[str, Array]()
         for name in reduced.integrals:
             # What bounds of norms stand for is told by a rollout with the norms themselves.
-            along = self._dense.integrals[name] if name in reduced.loose else self.added[name]
+            along = self.dense.integrals[name] if name in reduced.loose else self.added[name]
             found[name] = along[:: (len(along) - 1) // (len(self.ts) - 1)]
         return found
 
     @functools.cached_property
-    def _dense(self) -> Replay:
+    def dense(self) -> Replay:
+        """`replay()`, rolled out once."""
         return self.replay()
 
     @property
     def extremes(self) -> dict[str, float]:
         """`Maximum(...)`, `Minimum(...)` -> that value along a dense rollout."""
-        return self._dense.extremes
+        return self.dense.extremes
 
     @property
     def between_nodes(self) -> dict[str, float]:
         """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
-        return self._dense.violations
+        return self.dense.violations
 
     @functools.cached_property
     def mesh_error(self) -> dict[str, dict[str, float]]:
         """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
         return self.replay(steps=10 * self.problem.transcription.substeps).misses
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """States and controls over time, a matplotlib figure: dots at nodes, lines of a dense rollout, limits dashed.
+
+        Poses are drawn as positions and Euler angles in deg. Of a result the largest multipliers are shown, too.
+
+        Args:
+            names: of the states and controls to draw; all unless given.
+            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+        Raises:
+            InputError: a name that is not there.
+            ModelError: matplotlib is not installed.
+        """
+        return drawn([self], names, units)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
         """Roll out the found controls from the first node, and measure what comes out.
@@ -113,6 +130,10 @@ class TrajectoryResult(Found, Trajectory):
     """
 
     meshes: tuple[Meshed, ...] = ()
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """As `Trajectory.plot`, with the multipliers of what is active."""
+        return drawn([self], names, units, self.message, {name: self.multipliers[name] for name in self.active})
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.

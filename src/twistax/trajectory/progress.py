@@ -1,0 +1,61 @@
+"""How far a search is, on one line: `problem.solve(callback=tx.trajectory.Progress())`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from ..errors import TrajectoryError
+
+#: Seconds between lines, on a terminal and elsewhere.
+_LIVE, _LOGGED = 0.1, 5.0
+
+
+class Progress:
+    """A callback of `Problem.solve`: iteration, cost and violation, and the seconds since it was made.
+
+    On a terminal it is one line that is overwritten, elsewhere a line every five seconds.
+
+    Args:
+        what: the word the line begins with.
+        cost: how the cost is written, a format such as "mass {:.0f} kg".
+        stream: where it is written; standard error if left out.
+    Raises:
+        TrajectoryError: cost is no format of one number.
+    """
+
+    def __init__(self, what: str = "solve", cost: str = "cost {:.6g}", stream: Any = None) -> None:
+        try:
+            cost.format(0.0)
+        except (ValueError, IndexError, KeyError, AttributeError):
+            raise TrajectoryError(f"Progress expects cost such as 'mass {{:.0f}} kg', got {cost!r}") from None
+        self._what, self._cost = what, cost
+        self._stream = sys.stderr if stream is None else stream
+        self._live = self._stream.isatty()
+        self._begin = time.perf_counter()
+        self._shown = 0.0 if self._live else self._begin
+
+    def __call__(self, iteration: int, cost: float, violation: float) -> None:
+        now = time.perf_counter()
+        if now - self._shown >= (_LIVE if self._live else _LOGGED):
+            self._shown = now
+            seen = f"iteration {iteration:4d}   violation {violation:8.1e}   {self._cost.format(cost)}"
+            self._write(f"{seen}   {now - self._begin:5.1f} s")
+
+    def note(self, text: str) -> None:
+        """Show a text until the first iteration, on a terminal only."""
+        if self._live:
+            self._write(text)
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._live:
+            print("\r\033[K", end="", file=self._stream, flush=True)
+
+    def _write(self, text: str) -> None:
+        line = f"{self._what:<9} {text}"
+        # Back to the beginning of the line: what is printed next goes over it.
+        print(
+            f"\r\033[K{line}\r" if self._live else line, end="" if self._live else "\n", file=self._stream, flush=True
+        )

@@ -1,0 +1,126 @@
+"""Pictures: the numbers that are drawn, their units, and the boxes and lines of a tree."""
+
+import functools
+import itertools
+import sys
+from xml.etree import ElementTree
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.integrators.solution import Stats
+from twistax.trajectory.result import Trajectory
+
+TIMES = np.linspace(0.0, 4.0, 9)
+
+
+@functools.cache
+def turning() -> dict[str, np.ndarray]:
+    """A turn by 2 rad/s about z, which passes half a turn, and a motion along x."""
+    poses = np.stack([np.asarray(tx.pose(position=[t, 0.0, 2.0], euler=[0.1, 0.2, 2.0 * t])) for t in TIMES])
+    return {"g": poses, "v": np.stack([TIMES, -TIMES], axis=1), "A": np.zeros((9, 3, 3)), "m": 3.0 + TIMES}
+
+
+def solution(**fields) -> tx.Solution:
+    fields = {"ts": TIMES, "xs": dict(turning()), "stats": Stats(1, 1, 0, 4), "code": 0} | fields
+    return tx.Solution(
+        **fields | {"ts": jnp.asarray(fields["ts"]), "xs": {k: jnp.asarray(v) for k, v in fields["xs"].items()}}
+    )
+
+
+def panels(figure) -> dict:
+    return {axes.get_title(): axes for axes in figure.axes}
+
+
+def test_a_solution_in_one_line() -> None:
+    found = panels(solution().plot(units={"v": "m/s"}))
+    assert list(found) == ["position of g", "attitude of g", "v", "A", "m"]
+    assert [axes.get_ylabel() for axes in found.values()] == ["m", "deg", "m/s", "SI", "SI"]
+    assert {axes.get_xlabel() for axes in found.values()} == {"time, s"}
+    lines = found["attitude of g"].get_lines()
+    np.testing.assert_allclose(
+        lines[2].get_ydata(), np.rad2deg(2.0 * TIMES), rtol=1e-6, atol=1e-9
+    )  # it goes on beyond 180
+    np.testing.assert_allclose(lines[1].get_ydata(), np.rad2deg(0.2), rtol=1e-6)
+    np.testing.assert_array_equal(found["position of g"].get_lines()[0].get_ydata(), TIMES)
+    assert [line.get_label() for line in found["v"].get_lines()] == ["v[0]", "v[1]"]
+    assert len(found["A"].get_lines()) == 9
+
+
+def test_a_solution_chooses_and_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(panels(solution().plot(["m"]))) == ["m"]
+    for wrong in ({"names": ["n"]}, {"units": {"n": "m"}}):
+        with pytest.raises(tx.InputError, match=r"'n'.*g, v, A, m"):
+            solution().plot(**wrong)
+    with pytest.raises(tx.InputError, match="save_at"):
+        solution(ts=TIMES[:1]).plot()
+    with pytest.raises(tx.InputError, match="batch"):
+        solution(ts=np.stack([TIMES, TIMES])).plot()
+    with pytest.raises(tx.InputError, match="traced"):
+        jax.jit(lambda ts: solution(ts=ts).plot())(TIMES)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(tx.ModelError, match=r"twistax\[plot\]"):
+        solution().plot()
+
+
+def trajectory(t0: float = 0.0) -> Trajectory:
+    """A plan by hand on a problem that nobody has solved."""
+    p, v = tx.State("p", max=5.0), tx.State("v")
+    u = tx.Control("u", shape=(2,), min=[-1.0, -2.0], max=[1.0, np.inf])
+    dynamics = tx.compile(tx.System(rates={p: v, v: u[0] + u[1]}))
+    problem = tx.trajectory.Problem(dynamics, tx.Minimize(tx.Time()), nodes=3, final_time=2.0, initial={p: 0.0, v: 0.0})
+    xs, us = {"p": np.array([0.0, 0.5, 2.0]), "v": np.array([0.0, 1.0, 2.0])}, {"u": np.array([[1.0, 0.0], [0.5, 0.5]])}
+    return Trajectory(problem, xs, us, t0 + np.array([0.0, 1.0, 2.0]), t0 + 2.0, {}, {})
+
+
+def test_a_plan_has_nodes_a_rollout_steps_and_limits() -> None:
+    found = panels(trajectory().plot(units={"u": "N"}))
+    assert list(found) == ["p", "v", "u"]
+    rollout, nodes, limit = found["p"].get_lines()
+    np.testing.assert_array_equal(nodes.get_xdata(), [0.0, 1.0, 2.0])
+    np.testing.assert_allclose(rollout.get_ydata(), 0.5 * np.asarray(rollout.get_xdata()) ** 2, atol=1e-9)
+    assert limit.get_ydata()[0] == 5.0
+    steps = found["u"].get_lines()
+    assert [steps[0].get_drawstyle(), found["u"].get_ylabel()] == ["steps-post", "N"]
+    np.testing.assert_array_equal(steps[0].get_ydata(), [1.0, 0.5, 0.5])
+    assert [line.get_ydata()[0] for line in steps[4:]] == [-2.0, -1.0, 1.0]
+
+
+def test_phases_are_drawn_with_a_gap_between_them_and_multipliers_as_bars() -> None:
+    from twistax.trajectory.pictures import drawn
+
+    figure = drawn([trajectory(), trajectory(2.0)], ["u"], None, "two", {"u <= 1": np.array([0.1, -3.0])})
+    found = panels(figure)
+    np.testing.assert_array_equal(found["u"].get_lines()[0].get_ydata(), [1.0, 0.5, 0.5, np.nan, 1.0, 0.5, 0.5])
+    assert [bar.get_width() for bar in found["largest multipliers"].patches] == [3.0]
+
+
+def test_a_tree_as_svg() -> None:
+    """A box for each node, also where it is read twice, a line for each place that reads it; boxes do not overlap."""
+    g, V, M = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Parameter("M", shape=(6, 6))
+    picture = tx.linalg.Solve(M, -tx.lie.AdjointDual(V, M @ V) + tx.lie.SE3Adjoint(g) @ V).svg()
+    root = ElementTree.fromstring(picture)
+    space = "{http://www.w3.org/2000/svg}"
+    boxes = [{k: float(box.get(k)) for k in ("x", "y", "width", "height")} for box in root.iter(f"{space}rect")]
+    assert (len(boxes), len(list(root.iter(f"{space}line")))) == (10, 12)
+    for one, other in itertools.combinations(boxes, 2):
+        if one["y"] == other["y"]:
+            assert one["x"] + one["width"] < other["x"] or other["x"] + other["width"] < one["x"]
+    assert float(root.get("width")) > max(box["x"] + box["width"] for box in boxes)
+    assert "AdjointDual" in picture._repr_svg_()
+    with pytest.raises(tx.ModelError, match="301"):
+        tx.Concat(*[tx.Constant(float(i)) for i in range(300)]).svg()
+
+
+def test_the_equations_of_a_system() -> None:
+    g, V = tx.State("g", group=tx.SE3), tx.State("V_body", shape=(6,))
+    u = tx.Control("u", shape=(6,))
+    text = tx.System(rates={g: V, V: u - V}, outputs={"size": tx.linalg.Norm(V)}, constraints=[u <= 1.0])._repr_latex_()
+    assert r"\dot{g} &= g \left(V_{\mathrm{body}}\right)^{\wedge}" in text
+    assert r"\dot{V_{\mathrm{body}}} &= u - V_{\mathrm{body}}" in text
+    assert r"\mathrm{size} &=" in text
+    assert text.count("{") == text.count("}")
+    assert text.startswith(r"$\begin{aligned}")
