@@ -37,8 +37,9 @@ def test_a_start_comes_back() -> None:
     craft = flight.Vehicle()
     state = craft.start(*PLACE, VELOCITY, EULER, RATE, relative_to=flight.local_axes, t=5000.0)
     attitudes = [craft.attitude[:, i] for i in range(3)]
-    rows = tx.Stack(tx.Concat(*craft.place), craft.ned_velocity, craft.rate(flight.local_axes), *attitudes)
-    place, velocity, rate, *columns = at(craft, rows, state, 5000.0)
+    rows = tx.Stack(tx.Concat(*craft.place), craft.ned_velocity, craft.rate(flight.local_axes), craft.euler, *attitudes)
+    place, velocity, rate, euler, *columns = at(craft, rows, state, 5000.0)
+    np.testing.assert_allclose(euler, EULER, atol=1e-14)
     np.testing.assert_allclose(place, PLACE, rtol=1e-14, atol=2e-9)
     np.testing.assert_allclose(velocity, VELOCITY, atol=1e-12)
     np.testing.assert_allclose(rate, RATE, atol=1e-15)

@@ -11,7 +11,7 @@ from ...checks import callable_with, short
 from ...errors import InputError, ModelError
 from ...expr import Constant, Leaf, canonicalize_all, substitute, to_expr
 from ...expr.fields import ExprLike
-from ...expr.lie import AxisRotation
+from ...expr.lie import EulerRotation
 from ...units import Quantity, metres, radians, seconds, taken
 from ..arguments import of_kind
 from ..environment.earth import north_east_down
@@ -81,12 +81,12 @@ def start(
         _angle("longitude", longitude, 1.0),
         float(taken("start: altitude", altitude, metres)),
     ]
-    roll, pitch, yaw = (_angle(f"euler[{i}]", angle, 1.0) for i, angle in enumerate(_three("euler", euler, radians)))
+    angles = [_angle(f"euler[{i}]", angle, 1.0) for i, angle in enumerate(_three("euler", euler, radians))]
     over_ground = _three("ned_velocity", ned_velocity, metres / seconds)
     turning = _three("rate", rate, radians / seconds)
     turn = numbers(planet.figure.to_inertial(float(taken("start: t", t, seconds))))
     local = turn @ numbers(north_east_down(*place[:2]))
-    attitude = numbers(AxisRotation(yaw, [0, 0, 1]) @ AxisRotation(pitch, [0, 1, 0]) @ AxisRotation(roll, [1, 0, 0]))
+    attitude = numbers(EulerRotation(angles))
     position = turn @ numbers(planet.figure.position(*place))
     spin = numbers(relative_to(planet, place[0], place[2], over_ground))
     velocity = attitude.T @ (over_ground + local.T @ np.cross([0.0, 0.0, planet.figure.rate], position))

@@ -10,7 +10,7 @@ from ...checks import callable_with
 from ...errors import ModelError
 from ...expr import Concat, Expr, Norm, State, Time
 from ...expr.fields import ExprLike
-from ...expr.lie import angular, linear
+from ...expr.lie import EulerAngles, angular, linear
 from ...groups import SE3
 from ...system import System
 from ..arguments import of_kind, of_shape
@@ -88,6 +88,11 @@ class Vehicle:
     def attitude(self) -> Expr:
         """The rotation (3, 3) from body axes to north, east, down."""
         return self._local.T @ self.pose[:3, :3]
+
+    @cached_property
+    def euler(self) -> Expr:
+        """Roll, pitch and yaw (3,) of the attitude, rad. Pitched straight up or down, roll is 0."""
+        return EulerAngles(self.attitude)
 
     @cached_property
     def ned_velocity(self) -> Expr:
@@ -168,7 +173,8 @@ class Vehicle:
         """What flights are compared by.
 
         position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
-        attitude (3, 3), body to north-east-down; rate (3,), inertial; airspeed, density ().
+        attitude (3, 3), body to north-east-down; euler (3,), roll, pitch and yaw of it; rate (3,), inertial; airspeed,
+        density ().
         """
         return {
             "position": self.position,
@@ -177,6 +183,7 @@ class Vehicle:
             **self.place._asdict(),
             "ned_velocity": self.ned_velocity,
             "attitude": self.attitude,
+            "euler": self.euler,
             "rate": self.rate(),
             "airspeed": self.air.airspeed,
             "density": self.air.density,
