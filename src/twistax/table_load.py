@@ -30,6 +30,11 @@ class Table:
         self.values.flags.writeable = False
         self.name = f"table_{hashlib.blake2b(self.values.tobytes(), digest_size=12).hexdigest()}"
 
+    def numbers(self, dtype: Any) -> np.ndarray:
+        """The values in another type: infinite beyond its range."""
+        with np.errstate(over="ignore"):
+            return self.values.astype(dtype)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Table) and self.name == other.name
 
@@ -54,7 +59,7 @@ _load_p = Primitive("table_load")
 
 def _taken(place: jax.Array, *, table: Table, offset: int, dtype: np.dtype[Any]) -> jax.Array:
     """By a gather."""
-    return jnp.asarray(table.values.astype(dtype)).at[place + offset].get(mode="promise_in_bounds")
+    return jnp.asarray(table.numbers(dtype)).at[place + offset].get(mode="promise_in_bounds")
 
 
 def _zero_jvp(primals: Any, tangents: Any, **own: Any) -> Any:

@@ -107,7 +107,7 @@ class Code:
             f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
             "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
-            *(numbers(table.name, table.values, self.real) for table in self._tables()),
+            *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in self._tables()),
             *bodies,
         ]
         return "\n".join(part for part in parts if part)

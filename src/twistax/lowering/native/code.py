@@ -205,9 +205,10 @@ class Code:
         target = NAMES[dtype]
         name = f"@{table.name}.{target}"
         if name not in self.module.tables:
-            values = ", ".join(f"{target} {_number(target, value)}" for value in table.values)
-            numbers = f"[{len(table.values)} x {target}] [{values}]"
-            self.module.tables[name] = f"{name} = private unnamed_addr constant {numbers}"
+            raw = table.numbers(dtype).tobytes()  # LLVM reads bytes many times faster than numbers
+            digits = "\\" + raw.hex("\\")
+            text = f'[{len(raw)} x i8] c"{digits}", align {dtype.itemsize}'
+            self.module.tables[name] = f"{name} = private unnamed_addr constant {text}"
         found, own = "poison", self.vector(target)
         for lane in range(self.lanes):
             one = self.emit(f"extractelement {self.vector(kind)} {place}, i32 {lane}")

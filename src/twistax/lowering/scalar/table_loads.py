@@ -36,7 +36,7 @@ def load_of(table: Table, offset: int, dtype: np.dtype[Any]) -> Load:
     key = (table, offset, dtype)
     found = _KNOWN.get(key)
     if found is None:
-        numbers = table.values.astype(dtype)
+        numbers = table.numbers(dtype)
         found = _KNOWN[key] = Load(
             name="table_load",
             number=lambda place: numbers[np.asarray(place) + offset],
