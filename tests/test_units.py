@@ -42,7 +42,7 @@ def test_quantities_are_floats_that_know_their_unit() -> None:
     assert isinstance(altitude, float)
     assert altitude == 9144.0
     assert repr(altitude) == "9144.0 m"
-    assert (3.6 * slugs * feet**2).unit == "m2 kg"
+    assert (3.6 * slugs * feet**2).unit == "kg m2"
     assert repr(1.0 / seconds) == "1.0 s-1"
     assert repr(feet / feet) == "1.0 1"
     assert repr(-altitude + 2 * altitude - 144 * metres) == "9000.0 m"

@@ -29,17 +29,17 @@ from .errors import InputError, OperationError
 # fmt: off
 __all__ = [
     "Quantity", "degrees", "feet", "hours", "inches", "kelvins", "kilograms", "kilometres", "knots", "metres",
-    "minutes", "nautical_miles", "newtons", "pascals", "pounds", "pounds_force", "radians", "rankines", "seconds",
-    "slugs", "taken",
+    "minutes", "nautical_miles", "newtons", "pascals", "pounds", "pounds_force", "radians", "rankines",
+    "same_unit", "seconds", "slugs", "taken",
 ]
 # fmt: on
 
 #: The base units, in the order of exponents.
-_BASE = ("m", "kg", "s", "rad", "K")
+_BASE = ("kg", "m", "s", "rad", "K")
 
 
 class Quantity(float):
-    """A float in m, kg, s, rad and K with the exponents of these.
+    """A float in kg, m, s, rad and K with the exponents of these.
 
     Products, quotients and whole powers are quantities; sums and differences are, if both have one unit. With a plain
     number a sum is a plain number. A list or tuple of numbers times a unit is a list of quantities.
@@ -116,6 +116,13 @@ class Quantity(float):
         return Quantity(total, self.exponents)
 
 
+def same_unit(place: str, value: Any, unit: Quantity) -> None:
+    """Raise InputError where a quantity, alone or in a list, has another unit; what has none passes."""
+    for entry in value if isinstance(value, (list, tuple)) else [value]:
+        if isinstance(entry, Quantity) and entry.exponents != unit.exponents:
+            raise InputError(f"{place} expects {unit.unit}, got {entry!r}.\n  fix: give it in a unit of {unit.unit}")
+
+
 def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> np.ndarray:
     """A value that comes in at a door, as numbers in m, kg, s, rad and K.
 
@@ -127,10 +134,7 @@ def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -
     Raises:
         InputError: another unit or shape, what is no real number, or is not finite.
     """
-    entries = value if isinstance(value, (list, tuple)) else [value]
-    for entry in entries:
-        if isinstance(entry, Quantity) and entry.exponents != unit.exponents:
-            raise InputError(f"{place} expects {unit.unit}, got {entry!r}.\n  fix: give it in a unit of {unit.unit}")
+    same_unit(place, value, unit)
     array = reals(place, value, InputError)
     if array.shape != shape or not np.isfinite(array).all():
         what = "a finite number" if not shape else f"finite numbers of shape {shape}"
@@ -138,8 +142,8 @@ def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -
     return array
 
 
-metres = Quantity(1.0, (1, 0, 0, 0, 0))
-kilograms = Quantity(1.0, (0, 1, 0, 0, 0))
+kilograms = Quantity(1.0, (1, 0, 0, 0, 0))
+metres = Quantity(1.0, (0, 1, 0, 0, 0))
 seconds = Quantity(1.0, (0, 0, 1, 0, 0))
 radians = Quantity(1.0, (0, 0, 0, 1, 0))
 kelvins = Quantity(1.0, (0, 0, 0, 0, 1))

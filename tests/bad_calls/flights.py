@@ -4,6 +4,7 @@ import numpy as np
 from table import bad
 
 import twistax as tx
+from twistax import units
 from twistax.mechanics import SpatialInertia, flight
 from twistax.mechanics.environment import gravity
 from twistax.mechanics.environment.harmonics import EGM2008, Harmonics
@@ -14,6 +15,10 @@ w = tx.State("w")
 dynamics = tx.compile(tx.System({w: -w + tx.Control("c")}, {"y": 2 * w}))
 
 
+def rocket(impulse):
+    return flight.rocket(1.0, 0.0, vacuum_thrust=1.0, specific_impulse=impulse)
+
+
 def trim(x=None, u=None, free=("w",), zero=("w",), **other):
     return tx.trim(
         dynamics, {"w": 1.0} if x is None else x, {"c": 0.0} if u is None else u, free=free, zero=zero, **other
@@ -21,6 +26,12 @@ def trim(x=None, u=None, free=("w",), zero=("w",), **other):
 
 
 ROWS = [
+    bad("a mass in feet", lambda: SpatialInertia(mass=1 * units.feet, inertia=np.eye(3)), "mass", "0.3048 m"),
+    bad("a span in knots", lambda: flight.Aerodynamics(1.0, 1 * units.knots, 1.0), "span", "m s-1"),
+    bad("an area in feet", lambda: flight.drag(craft.air, 2 * units.feet), "area", "0.6096 m"),
+    bad("a thrust in pounds", lambda: flight.Engine(100 * units.pounds), "thrust", "kg m s-2", "kg"),
+    bad("an impulse in metres", lambda: rocket(300 * units.metres), "specific_impulse", "300.0 m"),
+    bad("a sensor in seconds", lambda: flight.Imu((1 * units.seconds, 0.0, 0.0)), "position", "1.0 s"),
     bad("a profile of numbers", lambda: flight.Profile(5.0, 3.0), "Profile"),
     bad("a profile with one velocity", lambda: flight.Profile((0.0, 1.0), 3.0), "Profile"),
     bad("a strong wind", lambda: flight.LogarithmicShear("strong", 0.0), "speed", "'strong'"),

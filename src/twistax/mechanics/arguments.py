@@ -7,15 +7,26 @@ from ..errors import ModelError, ShapeError
 from ..expr import Expr, to_expr
 from ..expr.fields import ExprLike
 from ..expr.lie.base import check_element
+from ..units import Quantity, same_unit
 
 
-def of_shape(owner: str, name: str, value: ExprLike, shape: tuple[int, ...], hint: str | None = None) -> Expr:
+def of_shape(
+    owner: str,
+    name: str,
+    value: ExprLike,
+    shape: tuple[int, ...],
+    hint: str | None = None,
+    unit: Quantity | None = None,
+) -> Expr:
     """The argument `name` of `owner` as an expression of the shape expected.
 
     Raises:
+        InputError: it is a quantity of another unit.
         ModelError: it is neither an expression nor numbers.
         ShapeError: it has another shape; `hint` says how to mend that.
     """
+    if unit is not None:
+        same_unit(f"{owner}: {name}", value, unit)
     try:
         expr = to_expr(value)
     except ModelError as error:

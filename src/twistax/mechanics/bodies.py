@@ -16,6 +16,7 @@ from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, c
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, Hat, angular, linear, wrench
 from ..expr.lie import twist as join
+from ..units import kilograms, metres
 from .arguments import of_shape, pose
 
 #: How far, relative to the largest entry, an inertia tensor may be from symmetric, positive and triangular.
@@ -202,8 +203,8 @@ def _steiner(m: Expr, c: Expr) -> Expr:
 def _parts_of(mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> tuple[Expr, Expr, Expr]:
     body = "SpatialInertia"
     return (
-        of_shape(body, "mass", mass, ()),
-        of_shape(body, "center_of_mass", center_of_mass, (3,)),
+        of_shape(body, "mass", mass, (), unit=kilograms),
+        of_shape(body, "center_of_mass", center_of_mass, (3,), unit=metres),
         of_shape(body, "inertia", inertia, (3, 3), "principal moments go in as np.diag([Ixx, Iyy, Izz])"),
     )
 

@@ -15,6 +15,7 @@ from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Max, Norm, Sin, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.lie import wrench
+from ...units import metres
 from ..arguments import of_kind, of_shape
 from .planets import Air
 
@@ -118,7 +119,7 @@ def wind_axes(air: AirData) -> Expr:
 def drag(air: AirData, area: ExprLike) -> Expr:
     """-rho V C_D S u / 2 (3,) in body axes, N, of C_D S = area (), m2; smooth at rest. Raises ShapeError."""
     of_kind("drag", "air", air, AirData)
-    return -0.5 * of_shape("drag", "area", area, ()) * air.density * air.airspeed * air.velocity
+    return -0.5 * of_shape("drag", "area", area, (), unit=metres**2) * air.density * air.airspeed * air.velocity
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,8 +142,9 @@ class Aerodynamics:
     axes: AirAxes = body_axes
 
     def __post_init__(self) -> None:
-        for name, shape in (("area", ()), ("span", ()), ("chord", ()), ("reference", (3,))):
-            object.__setattr__(self, name, of_shape("Aerodynamics", name, getattr(self, name), shape))
+        parts = {"area": ((), metres**2), "span": ((), metres), "chord": ((), metres), "reference": ((3,), metres)}
+        for name, (shape, unit) in parts.items():
+            object.__setattr__(self, name, of_shape("Aerodynamics", name, getattr(self, name), shape, unit=unit))
         callable_with("Aerodynamics: axes", self.axes, ("air",), ModelError)
 
     @property

@@ -14,6 +14,7 @@ from ...errors import ModelError
 from ...expr import Cross, Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, wrench
+from ...units import kilograms, metres, newtons, same_unit, seconds
 from ..arguments import of_kind, of_shape
 from ..bodies import SpatialInertia
 
@@ -41,8 +42,15 @@ class Engine:
     direction: ExprLike = (1.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, shape in (("thrust", ()), ("mass_flow", ()), ("position", (3,)), ("direction", (3,))):
-            object.__setattr__(self, name, of_shape("Engine", name, getattr(self, name), shape))
+        flow = kilograms / seconds
+        parts = {
+            "thrust": ((), newtons),
+            "mass_flow": ((), flow),
+            "position": ((3,), metres),
+            "direction": ((3,), None),
+        }
+        for name, (shape, unit) in parts.items():
+            object.__setattr__(self, name, of_shape("Engine", name, getattr(self, name), shape, unit=unit))
 
     @property
     def wrench(self) -> Expr:
@@ -72,7 +80,12 @@ def rocket(
         position, direction: as of `Engine`.
     Raises: ShapeError, ModelError.
     """
-    for name, value in (("vacuum_thrust", vacuum_thrust), ("specific_impulse", specific_impulse)):
+    same_unit("rocket: exit_area", exit_area, metres**2)
+    for name, value, unit in (
+        ("vacuum_thrust", vacuum_thrust, newtons),
+        ("specific_impulse", specific_impulse, seconds),
+    ):
+        same_unit(f"rocket: {name}", value, unit)
         number(f"rocket: {name}", value, "a positive number", lambda x: 0.0 < x < np.inf, ModelError)
     number("rocket: exit_area", exit_area, "0 m2 or more", lambda x: 0.0 <= x < np.inf, ModelError)
     power = of_shape("rocket", "throttle", throttle, ()) * vacuum_thrust

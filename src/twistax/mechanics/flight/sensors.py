@@ -10,6 +10,7 @@ import numpy as np
 from ...expr import Cross, Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, linear
+from ...units import metres, radians, seconds
 from ..arguments import of_kind, of_shape
 from .air_data import AirData
 
@@ -40,9 +41,14 @@ class Imu:
     gyro_bias: ExprLike = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        shapes = {"position": (3,), "mounting": (3, 3), "accelerometer_bias": (3,), "gyro_bias": (3,)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, of_shape("Imu", name, getattr(self, name), shape))
+        parts = {
+            "position": ((3,), metres),
+            "mounting": ((3, 3), None),
+            "accelerometer_bias": ((3,), metres / seconds**2),
+            "gyro_bias": ((3,), radians / seconds),
+        }
+        for name, (shape, unit) in parts.items():
+            object.__setattr__(self, name, of_shape("Imu", name, getattr(self, name), shape, unit=unit))
 
     def read(self, V: ExprLike, acceleration: ExprLike, gravitation: ExprLike) -> ImuReading:
         """What it reads: v' + w x v + w' x r + w x (w x r) - a_g, and w, in its axes, with biases.
@@ -68,5 +74,5 @@ def probe(air: AirData, position: ExprLike) -> AirData:
     Raises: ShapeError.
     """
     of_kind("probe", "air", air, AirData)
-    moved = air.velocity + Cross(air.rate, of_shape("probe", "position", position, (3,)))
+    moved = air.velocity + Cross(air.rate, of_shape("probe", "position", position, (3,), unit=metres))
     return AirData(moved, air.altitude, air.air, air.rate)
