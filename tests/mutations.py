@@ -725,6 +725,33 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "integrators/along.py",
+        (
+            "controls before a jump",
+            "for h in (small, -small))",
+            "for h in (-small, small))",
+            "integrators/test_along.py::test_outputs_and_controls_are_those_at_the_saved_times",
+        ),
+    ),
+    *_at(
+        "integrators/interpolant.py",
+        (
+            "a lower order of polynomials",
+            "for order in range(tableau.order, 3, -1):",
+            "for order in range(4, 3, -1):",
+            "integrators/test_along.py::test_a_polynomial_has_its_order_and_costs_no_evaluations",
+        ),
+    ),
+    *_at(
+        "integrators/steps.py",
+        (
+            "as many rows as times",
+            "    room = 64\n",
+            "    room = count\n",
+            "integrators/test_along.py::test_other_rows_and_another_table_compile_nothing",
+        ),
+    ),
+    *_at(
         "integrators/controls.py",
         (
             "row after the one that holds",

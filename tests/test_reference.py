@@ -33,18 +33,19 @@ by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path
 #: Why some say nothing of errors.
 NO_ERRORS = {
     "users get these and do not make them": """
-        Dynamics LinearSystem Mode Order Result Solution Statistics Sweep Trim charts.Coordinates
+        Between Dynamics LinearSystem Mode Order Result columns.Column Solution Statistics Sweep Trim charts.Coordinates
         diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.GivenForces mechanics.joints.Screws
         mechanics.environment.earth.Geodetic mechanics.flight.AirData mechanics.flight.Gust
         mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization trajectory.Meshed
         trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
         trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults trajectory.WarmStart""",
     "it takes no arguments": "JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient",
-    "a base, whose subclasses say it": "Expr Leaf Variable Constraint Example charts.Chart",
+    "a base, whose subclasses say it": "Expr Leaf Variable Constraint Example charts.Chart columns.Layout",
     "it takes every shape": """
         Neg linalg.Sum linalg.Transpose mechanics.environment.atmosphere.Pressure
         mechanics.environment.atmosphere.Temperature""",
     "what it is part of checks it": """
+        columns.Rotations
         mechanics.environment.upper_atmosphere.UpperAtmosphere
         Maximize Minimize Control trajectory.Phase trajectory.IPOPT trajectory.Fatrop
         charts.SplitExponential""",

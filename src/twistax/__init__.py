@@ -36,10 +36,11 @@ from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Pro
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
-    from . import charts, compositions, diffrax, mechanics, tableaus, trajectory, units
+    from . import charts, columns, compositions, diffrax, mechanics, tableaus, trajectory, units
     from .integrators import RKMK, CommutatorFree, Event, Magnus, StepControl, integrate
     from .integrators.controls import FirstOrderHold, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
+    from .integrators.interpolant import Between
     from .integrators.solution import Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .linear_system import LinearSystem, Mode
@@ -53,22 +54,23 @@ __version__ = "0.2.0.dev0"
 
 # fmt: off
 __all__ = [
-    "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "CommutatorFree", "Dynamics", "Euclidean",
-    "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
+    "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "Between", "CommutatorFree", "Dynamics",
+    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
     "IntegrationError", "LinearSystem", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
     "OperationError", "Order", "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics",
-    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "compile",
-    "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial",
-    "sweep", "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units",
+    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
+    "compile", "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose",
+    "spatial", "sweep", "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units",
 ]
 # fmt: on
 __all__ += expr.__all__
 
 #: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
 _LATER = {
-    "": ("charts", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units"),
+    "": ("charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units"),
     ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
     ".integrators.controls": ("FirstOrderHold", "ZeroOrderHold"),
+    ".integrators.interpolant": ("Between",),
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.solution": ("Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),

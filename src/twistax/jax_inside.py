@@ -35,6 +35,11 @@ try:
 except ImportError:
     _need_devices = set()
 
+try:
+    from jax._src.core import trace_state_clean as _nothing_traced
+except ImportError:
+    _nothing_traced = None  # type: ignore[assignment]
+
 T = TypeVar("T")
 
 #: Messages that were given, each once for a process.
@@ -197,6 +202,11 @@ def scan_parts(eqn: Any) -> tuple[int, int]:
 def is_traced(tree: Any) -> bool:
     """Whether JAX is tracing any leaf: its numbers are not known."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def is_tracing() -> bool:
+    """Whether JAX is tracing anything here; True where that cannot be known."""
+    return _nothing_traced is None or not _nothing_traced()
 
 
 def weakly_kept(cls: type[T]) -> type[T]:

@@ -20,12 +20,12 @@ from .printing import matrix_latex, name_latex, number_latex
 
 @dataclasses.dataclass(frozen=True)
 class Inputs:
-    """The arguments of a lowered function, as arrays of one precision."""
+    """The arguments of a lowered function, as arrays of one precision, JAX's, or NumPy's where they will be jitted."""
 
-    t: jax.Array
-    x: Mapping[str, jax.Array]
-    u: Mapping[str, jax.Array]
-    params: Mapping[str, jax.Array]
+    t: Any
+    x: Mapping[str, Any]
+    u: Mapping[str, Any]
+    params: Mapping[str, Any]
     dtype: Any
 
 

@@ -19,10 +19,11 @@ from ..lowering.inputs import is_finite
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .controls import Signals
+from .interpolant import Between
 from .kernels import kernel_tries
-from .method import Carry, Stepper
+from .method import Attempt, Carry, Stepper
 from .step_control import Errors, StepControl, first_step
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite, check_saves, put, rows
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite, first_rows, put, rows
 from .tolerances import Tolerances
 
 #: A step that leaves less than this share of itself to the next stop goes there at once.
@@ -36,39 +37,42 @@ class Stops(NamedTuple):
     ts: Any  # (k,) limits and saved times in order
     leg: Any  # (k,) the limit that bounds the steps on the way to each
     place: Any  # (n,) where the saved times stand in ts; None where there are none
+    count: Any  # how many of these were asked for; those that fill up the rest are at the end
 
     @classmethod
-    def given(cls, t0: jax.Array, t1: Any, span: Any, save_at: Any, jumps: Any, signals: Signals) -> Stops:
+    def given(cls, t0: Any, t1: Any, save_at: Any, count: Any, jumps: Any, signals: Signals) -> Stops:
         """The stops of what a user gave: saved times; the end, jumps and those of tables as limits."""
-        if save_at is not None:
-            check_saves(save_at, span)
         if jumps is not None:
             given = real_array("jumps", jumps)
             falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
             if given.ndim != 1 or not is_finite(given) or falls:
                 raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
-        t1 = jnp.asarray(t1, t0.dtype)
+        known = [*signals.jumps, *([] if jumps is None else [jumps])]
+        # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
+        array: Any = jnp if is_traced((t0, t1, known, save_at)) else np
+        t1 = array.asarray(t1, t0.dtype)
 
-        def inside(ts: Any) -> jax.Array:
+        def inside(ts: Any) -> Any:
             # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
-            ts = jnp.asarray(ts, t0.dtype)
-            return jnp.where(ts <= t0, t0, jnp.where(ts >= t1, t1, ts))
+            ts = array.asarray(ts, t0.dtype)
+            return array.where(ts <= t0, t0, array.where(ts >= t1, t1, ts))
 
-        known = [inside(ts) for ts in (*signals.jumps, *([] if jumps is None else [jumps]))]
-        limits = jnp.append(jnp.sort(jnp.concatenate(known)), t1) if known else t1[None]
-        # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of the
-        # two ends of each must be the same. Half of what both do goes to the first, half to the last.
-        first, last = (jnp.searchsorted(limits, limits, side=side) for side in ("left", "right"))
-        limits = 0.5 * (limits[first] + limits[last - 1])
+        limits = t1[None]
+        if known:
+            limits = array.append(array.sort(array.concatenate([inside(ts) for ts in known])), t1)
+            # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of
+            # the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+            first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+            limits = 0.5 * (limits[first] + limits[last - 1])
         if save_at is None:
-            return cls(limits, limits, jnp.arange(limits.size), None)
-        saves = jnp.asarray(save_at, t0.dtype)
-        saves = jnp.where(saves < t0, t0, jnp.where(saves > t1, t1, saves))
-        joined = jnp.concatenate([saves, limits])
-        order = jnp.argsort(jax.lax.stop_gradient(joined), stable=True)
+            return cls(limits, limits, array.arange(limits.size), None, 0)
+        saves = array.asarray(save_at, t0.dtype)
+        saves = array.where(saves < t0, t0, array.where(saves > t1, t1, saves))
+        joined = array.concatenate([saves, limits])
+        order = array.argsort(joined if array is np else jax.lax.stop_gradient(joined), stable=True)
         ts = joined[order]
-        leg = jnp.minimum(jnp.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
-        return cls(limits, ts, leg, jnp.argsort(order)[: saves.size])
+        leg = array.minimum(array.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
+        return cls(limits, ts, leg, array.argsort(order)[: saves.size], count)
 
 
 class _Path(NamedTuple):
@@ -82,6 +86,18 @@ class _Path(NamedTuple):
 class _Packing(NamedTuple):
     state: Callable[[jax.Array], Blocks]  # reads what is packed
     carry: Callable[[jax.Array], Carry]
+
+
+class _Step(NamedTuple):
+    """The last step taken, for polynomials."""
+
+    begin: jax.Array
+    y: jax.Array
+    h: jax.Array
+    slopes: jax.Array
+    end: jax.Array
+    y_end: jax.Array
+    visited: jax.Array  # whether there is one
 
 
 class _Now(NamedTuple):
@@ -100,7 +116,7 @@ class _Now(NamedTuple):
     accepted: jax.Array
     evaluations: jax.Array
     code: jax.Array
-    last: tuple[jax.Array, jax.Array] | None  # the start of the last step taken
+    last: tuple[jax.Array, jax.Array] | _Step | None  # the last step taken, or its start
     path: _Path | None
     every: jax.Array | None
     watched: Watched | None
@@ -117,6 +133,7 @@ class AdaptiveSteps(Steps):
     tolerances: Tolerances  # the error allowed in a step
     control: StepControl = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
+    between: Between = dataclasses.field(metadata={"static": True})
     watch: Any = None
 
     too_long = (
@@ -141,9 +158,30 @@ class AdaptiveSteps(Steps):
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
         saved = None
         if stops.place is not None:
-            (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
-            saved = Saved(index, times, jax.vmap(read)(starts), reached)
+            asked = jnp.arange(stops.place.size) < stops.count
+            if isinstance(found, _Step):
+                saved = self._on_polynomials(stepper, y, found, asked)
+            else:
+                (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
+                saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
         return Run(read(now.y), outcome, saved, now.path, trail, now.watched)
+
+    def _on_polynomials(self, stepper: Stepper, y: Blocks, found: _Step, asked: jax.Array) -> Saved:
+        """The states at saved times, each on the polynomial of the last step that was found up to it."""
+        ts, method, read = self.saved_times, stepper.method, ravel_pytree(y)[1]
+        numbers = jnp.where(found.visited, jnp.arange(found.visited.size), 0)
+        own = jax.tree.map(lambda a: a[jax.lax.cummax(numbers)[self.stops.place]], found)
+        read_slopes = ravel_pytree(method.no_slopes(stepper.dynamics, y))[1]
+
+        def state(step: _Step, t: jax.Array) -> Blocks:
+            share, start = (t - step.begin) / step.h, read(step.y)
+            moved = method.between(stepper.dynamics, start, step.h, read_slopes(step.slopes), share)
+            at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
+            inside = (share > 0.0) & (t < step.end)
+            return read(jnp.where(inside, ravel_pytree(moved)[0], at_ends))
+
+        # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
+        return Saved((ts > self.t0).astype(int), ts, jax.vmap(state)(own, ts), (own.end >= ts) & asked, asked)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
@@ -163,7 +201,7 @@ class AdaptiveSteps(Steps):
             accepted=zero,
             evaluations=zero + 2,
             code=zero,
-            last=None if stops.place is None else (self.t0, packed),
+            last=self._no_step(stepper, y, packed, record),
             path=rows(_Path(zero, number, number), self.bound) if record or self.dense else None,
             every=put(rows(packed, self.bound + 1), 0, packed) if self.dense else None,
             watched=None if self.watch is None else self.watch.begin(stepper, self.t0, first, y),
@@ -181,12 +219,38 @@ class AdaptiveSteps(Steps):
             now = self._to(t, leg, stepper, packing, now)
             if now.last is None:
                 return now, None
+            if isinstance(now.last, _Step):
+                return now, now.last._replace(end=now.t, y_end=now.y, visited=jnp.asarray(True))
             # A saved time that is the end of a step needs no other one.
             there = now.t <= t
             start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (now.t, now.y), now.last)
             return now, (start, now.accepted - (~there).astype(int), now.t >= t)
 
-        return jax.lax.scan(to_stop, now, (stops.ts, stops.leg))
+        def beyond(k: jax.Array, now: _Now) -> jax.Array:
+            return jnp.maximum(k + 1, jnp.searchsorted(stops.ts, now.t, side="right").astype(k.dtype))
+
+        # Stops beyond these are ends, one of which they include.
+        loop = to_stop, now, (stops.ts, stops.leg), stops.limits.size + stops.count
+        if isinstance(now.last, _Step):
+            return first_rows(*loop, now.last, beyond)
+        return first_rows(*loop, None if now.last is None else (now.last, zero, jnp.asarray(False)))
+
+    def _no_step(self, stepper: Stepper, y: Blocks, packed: jax.Array, record: bool) -> Any:
+        """What stands for the last step before the first; None where no times are saved."""
+        if self.stops.place is None:
+            return None
+        # Steps that are taken again for derivatives are so for saved times too.
+        if self.between is Between.STEP or record:
+            return self.t0, packed
+        slopes = ravel_pytree(stepper.method.no_slopes(stepper.dynamics, y))[0]
+        t = self.t0
+        return _Step(t, packed, jnp.ones_like(t), slopes, t, packed, jnp.asarray(False))
+
+    @staticmethod
+    def _taken(now: _Now, step: jax.Array, found: Attempt) -> Any:
+        if isinstance(now.last, _Step):
+            return now.last._replace(begin=now.t, y=now.y, h=step, slopes=ravel_pytree(found.slopes)[0])
+        return now.t, now.y
 
     def _begin(self, stepper: Stepper, y: Blocks) -> tuple[Carry, jax.Array]:
         """What the method carries at the start, and the first step to try."""
@@ -212,7 +276,9 @@ class AdaptiveSteps(Steps):
         most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
         countable = most < 2 ** jnp.finfo(self.t0.dtype).nmant
         if now.path is None and now.every is None and now.watched is None and countable:
-            kernel = kernel_tries(one_try, (self, t, leg), stepper, now)
+            # Without the saved times: another number of them needs no other kernel.
+            own = self.stops._replace(ts=None, leg=None, place=None, count=None)
+            kernel = kernel_tries(one_try, (dataclasses.replace(self, stops=own), t, leg), stepper, now)
             if kernel is not None:
                 return kernel(now, now.tried, jnp.where(going(now, t), self.bound, now.tried))
         return jax.lax.while_loop(
@@ -282,7 +348,7 @@ class AdaptiveSteps(Steps):
             accepted=now.accepted + good.astype(int),
             evaluations=now.evaluations + found.evaluations,
             code=code,
-            last=None if now.last is None else pick((now.t, now.y), now.last),
+            last=None if now.last is None else pick(self._taken(now, step, found), now.last),
             # A step that is taken back leaves rows that a later one writes again.
             path=path,
             every=None if now.every is None else put(now.every, now.accepted + 1, y),

@@ -76,12 +76,24 @@ class Table(ABC):
 
     def astype(self, dtype: Any) -> Table:
         """The same table in another precision."""
+        if self.ts.dtype == dtype and self.values.dtype == dtype:
+            return self
         return self._of(None, (self.ts.astype(dtype), self.values.astype(dtype)))
 
     @property
+    def first(self) -> Any:
+        """The first row, of NumPy where it is known."""
+        return self.values[0] if is_traced(self.values) else np.asarray(self.values)[0]
+
+    @property
+    def times(self) -> Any:
+        """ts, as an array of NumPy where it is known."""
+        return self.ts if is_traced(self.ts) else np.asarray(self.ts)
+
+    @property
     @abstractmethod
-    def jumps(self) -> jax.Array:
-        """The times at which the value, or how it changes, jumps."""
+    def jumps(self) -> Any:
+        """The times at which the value, or how it changes, jumps; of NumPy where they are known."""
 
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
         """The value as a function of the times within the step from t to t + h.
@@ -143,8 +155,8 @@ class ZeroOrderHold(Table):
     holds_on = True
 
     @property
-    def jumps(self) -> jax.Array:
-        return self.ts[1:]
+    def jumps(self) -> Any:
+        return self.times[1:]
 
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         return self.values[self._row(inner)]
@@ -160,8 +172,8 @@ class FirstOrderHold(Table):
     holds_on = False
 
     @property
-    def jumps(self) -> jax.Array:
-        return self.ts
+    def jumps(self) -> Any:
+        return self.times
 
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         row = self._row(inner)
@@ -178,7 +190,7 @@ class ByName:
 
     def sample(self, t: Any) -> Mapping[str, Any]:
         """A value of every control, to check names and shapes with."""
-        return {name: v.values[0] if isinstance(v, Table) else v for name, v in self.values.items()}
+        return {name: v.first if isinstance(v, Table) else v for name, v in self.values.items()}
 
     def check_span(self, t0: float, t1: float) -> None:
         """Raise InputError where a known table does not cover a span."""
@@ -187,11 +199,11 @@ class ByName:
                 value.check_span(f"u[{name!r}]", t0, t1)
 
     @property
-    def jumps(self) -> list[jax.Array]:
+    def jumps(self) -> list[Any]:
         """The times at which tables jump."""
         return [value.jumps for value in self.values.values() if isinstance(value, Table)]
 
-    def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> ByName:
+    def prepared(self, held: Mapping[str, Any], dtype: Any) -> ByName:
         """The same controls in the precision of the state; `held` has the arrays already cast."""
         return ByName({n: v.astype(dtype) if isinstance(v, Table) else held[n] for n, v in self.values.items()})
 
@@ -206,7 +218,7 @@ class OfTime:
     """Controls as a function of time and of inputs. A pytree of the inputs, and of a function that is one itself."""
 
     #: No times that are known: whoever writes the function says where it jumps.
-    jumps: Sequence[jax.Array] = ()
+    jumps: Sequence[Any] = ()
 
     def __init__(self, function: Callable[..., Mapping[str, Any]], inputs: Sequence[Any] = ()) -> None:
         self.function, self.inputs = function, inputs
@@ -229,7 +241,7 @@ class OfTime:
         function, inputs = jax.closure_convert(self.function, t)
         return OfTime(function, inputs) if inputs else self
 
-    def prepared(self, held: Mapping[str, jax.Array], dtype: Any) -> OfTime:
+    def prepared(self, held: Mapping[str, Any], dtype: Any) -> OfTime:
         """Nothing to cast before the function is called."""
         return self
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..checks import callable_with, real_array
 from ..errors import InputError, ModelError
 from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_all, evaluate_all, leaves_of
 from ..expr.margins import margin
-from ..jax_inside import is_traced
+from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Blocks
@@ -116,7 +118,7 @@ class Watch:
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
         now, soon = self.values(stepper, t, h, t, y), self.values(stepper, t, h, t + s, stepper.advance(t, y, s))
         values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
-        return Watched(values, jnp.zeros(values.shape, bool))
+        return Watched(values, jnp.zeros(values.shape, bool), values)
 
     def after(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: Any, last: Any
@@ -130,47 +132,65 @@ class Watch:
         wanted = jnp.asarray(self.senses)
         falls, rises = (old > 0.0) & (now <= 0.0), (old < 0.0) & (now >= 0.0)
         hits = (falls & (wanted <= 0)) | (rises & (wanted >= 0))
-        return Watched(jnp.where(jnp.isnan(now), before.values, now), hits)
+        now = jnp.where(jnp.isnan(now), before.values, now)
+        return Watched(now, hits, now)
 
 
-def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch, list[jax.Array]]:
-    """The conditions that `integrate` was given, and their values at the start. Raises InputError and ModelError."""
+def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch, list[Any]]:
+    """The conditions that `integrate` was given, and values of functions at the start that are traced.
+
+    What was checked once is not checked again. Raises InputError and ModelError.
+    """
     events: Sequence[Any] = [event] if isinstance(event, Event) else event
     if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
         raise InputError(f"event expects tx.Event(condition), or a list of them, got {event!r}")
-    now = signals.during(dynamics, start.t, jnp.zeros_like(start.t))(start.t)
-    arguments = (start.t, dict(start.x), now, dict(start.params))
-    known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
-    functions, inputs, values = [], [], []
-    for number, own in enumerate(events):
-        condition = own.condition
-        if isinstance(condition, Expr):
-            for leaf in leaves_of(condition):
-                if isinstance(leaf, Leaf) and not isinstance(leaf, (Constant, Time)) and leaf.key() not in known:
-                    baked = " (a baked parameter is no input any more)" if isinstance(leaf, Parameter) else ""
-                    raise ModelError(
-                        f"the event {condition!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system "
-                        f"does not have{baked}"
-                    )
-            (expr,) = canonicalize_all([condition])
-            condition = _OfExpression(expr.key(), expr)
-        found = condition(*arguments)
+    loops, functions, inputs, values = dynamics._functions.loops, [], [], []
+
+    def value_of(number: int, function: Any) -> tuple[jax.Array, Any]:
+        t, x, params = jax.tree.map(jnp.asarray, (start.t, dict(start.x), dict(start.params)))
+        arguments = (t, x, signals.during(dynamics, t, jnp.zeros_like(t))(t), params)
+        found = function(*arguments)
         value = jnp.asarray(real_array(f"the result of event {number}", found))
         if value.shape != () or not jnp.issubdtype(jnp.result_type(found), jnp.floating):
             raise InputError(
                 f"the condition of event {number} must return one real number, got shape {value.shape} of "
                 f"{jnp.result_type(found)}"
             )
+        return value, arguments
+
+    for number, own in enumerate(events):
+        condition = own.condition
         closed: tuple[Any, ...] = ()
-        if not isinstance(condition, _OfExpression) and is_traced(value):
-            # Of the function itself only where it closes over traced values; else it would compile again.
-            converted, held = jax.closure_convert(condition, *arguments)
-            if held:
-                condition, closed = converted, tuple(held)
+        if isinstance(condition, Expr):
+            condition = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
+        elif is_tracing():
+            value, arguments = value_of(number, condition)
+            if is_traced(value):
+                # Of the function itself only where it closes over traced values; else it would compile again.
+                converted, held = jax.closure_convert(condition, *arguments)
+                if held:
+                    condition, closed = converted, tuple(held)
+            values.append(value)
+        else:
+            key = (watch_of, condition, np.dtype(start.dtype))
+            loops.get(key, functools.partial(value_of, number, condition))
         functions.append(condition)
         inputs.append(closed)
-        values.append(value)
     return Watch(tuple(functions), tuple(e.sense for e in events), tuple(inputs)), values
+
+
+def _of_expression(dynamics: Dynamics, condition: Expr) -> _OfExpression:
+    """An expression that the system can evaluate. Raises ModelError."""
+    known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
+    for leaf in leaves_of(condition):
+        if isinstance(leaf, Leaf) and not isinstance(leaf, (Constant, Time)) and leaf.key() not in known:
+            baked = " (a baked parameter is no input any more)" if isinstance(leaf, Parameter) else ""
+            raise ModelError(
+                f"the event {condition!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system "
+                f"does not have{baked}"
+            )
+    (expr,) = canonicalize_all([condition])
+    return _OfExpression(expr.key(), expr)
 
 
 # ---- where in its last step an integration meets an event, and what becomes of it then -----------------------------
@@ -188,24 +208,24 @@ class Meeting(NamedTuple):
 
 def locate(stepper: Stepper, watch: Watch, seen: Watched, run: Run) -> Meeting:
     """The first root in the step that a loop halted before. Traceable, not differentiable."""
-    (values, hits), outcome = seen, run.outcome
+    outcome = run.outcome
     t, h = outcome.t, outcome.h
     met = outcome.code == Result.EVENT.value
     finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
 
-    def root(_: None, entry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[None, tuple[jax.Array, jax.Array]]:
-        number, before, hit = entry
+    def root(_: None, entry: tuple[jax.Array, Watched]) -> tuple[None, tuple[jax.Array, jax.Array]]:
+        number, (before, hit, after) = entry
 
         def value(s: jax.Array) -> jax.Array:
             return watch.values(stepper, t, h, t + s, stepper.advance(t, run.end, s))[number]
 
         return None, jax.lax.cond(
             met & hit,
-            lambda: bracketed_root(value, jnp.zeros_like(h), h, before, finest),
+            lambda: bracketed_root(value, jnp.zeros_like(h), h, before, after, finest),
             lambda: (jnp.full_like(h, jnp.inf), jnp.zeros((), int)),
         )
 
-    _, (roots, tries) = jax.lax.scan(root, None, (jnp.arange(values.size), values, hits))
+    _, (roots, tries) = jax.lax.scan(root, None, (jnp.arange(seen.values.size), seen))
     which = jnp.argmin(roots)
     cost = (tries.sum() + met.astype(int)) * stepper.method.evaluations_of(stepper.dynamics)
     return Meeting(met, jnp.where(met, which, -1), jnp.where(met, roots[which], 0.0), t, cost)
@@ -246,7 +266,7 @@ def cut_at(stepper: Stepper, run: Run, meeting: Meeting) -> Run:
 def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, Part]:
     """Saved times in the last step taken from its start, those after the event not reached; the run is as it halted."""
     within = meeting.met & (ts > meeting.t) & (ts <= meeting.t + meeting.s)
-    reached = jnp.where(meeting.met, ts <= meeting.t + meeting.s, saved.reached)
+    reached = jnp.where(meeting.met, saved.asked & (ts <= meeting.t + meeting.s), saved.reached)
 
     def pick(new: jax.Array, old: jax.Array) -> jax.Array:
         return jnp.where(within.reshape(within.shape + (1,) * new.ndim), new[None], old)
@@ -254,7 +274,8 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
     ys = jax.tree.map(pick, run.end, saved.y)
     steps = pick(run.outcome.accepted, saved.steps)
     h = jnp.where(within, ts - meeting.t, jnp.where(reached, parts.h, 0.0))
-    return Saved(steps, pick(meeting.t, saved.t), ys, reached), Part(pick(meeting.t, parts.t), h)
+    saved = Saved(steps, pick(meeting.t, saved.t), ys, reached, saved.asked)
+    return saved, Part(pick(meeting.t, parts.t), h)
 
 
 #: More evaluations than halving a bracket down to the smallest number that matters would take.
@@ -270,9 +291,14 @@ class _Bracket(NamedTuple):
 
 
 def bracketed_root(
-    function: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax.Array, at_low: jax.Array, finest: jax.Array
+    function: Callable[[jax.Array], jax.Array],
+    low: jax.Array,
+    high: jax.Array,
+    at_low: jax.Array,
+    at_high: jax.Array,
+    finest: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """The root between low and high, to `finest`, and the number of evaluations. Traceable.
+    """The root between low and high, where the values are known, to `finest`; and the number of evaluations. Traceable.
 
     Halves the bracket, or interpolates where that is known to be safe. A zero counts as past the root, NaN
     as before it, so of many zeros in a row the first is found. Where the signs at the two ends are the same,
@@ -283,8 +309,7 @@ def bracketed_root(
     """
     past = -jnp.sign(at_low) * float(jnp.finfo(at_low.dtype).tiny)
 
-    def signed(x: jax.Array) -> jax.Array:
-        value = function(x)
+    def signed(value: jax.Array) -> jax.Array:
         return jnp.where(jnp.isnan(value), at_low, jnp.where(value == 0.0, past, value))
 
     def unsolved(now: _Bracket) -> jax.Array:
@@ -294,7 +319,7 @@ def bracketed_root(
     def narrow(now: _Bracket) -> _Bracket:
         (a, fa), (b, fb) = now.a, now.b
         x = a + now.share * (b - a)
-        fx = signed(x)
+        fx = signed(function(x))
         same = jnp.sign(fx) == jnp.sign(fa)
         # What the new place replaces becomes the third one.
         c, fc = jnp.where(same, a, b), jnp.where(same, fa, fb)
@@ -311,9 +336,9 @@ def bracketed_root(
         return _Bracket((a, fa), (b, fb), (c, fc), share, now.tries + 1)
 
     half, none = jnp.full_like(low, 0.5), jnp.zeros((), int)
-    start = _Bracket((high, signed(high)), (low, at_low), (low, at_low), half, none)
+    start = _Bracket((high, signed(at_high)), (low, at_low), (low, at_low), half, none)
     end = jax.lax.while_loop(unsolved, narrow, start)
-    return jnp.where(jnp.abs(end.a[1]) < jnp.abs(end.b[1]), end.a[0], end.b[0]), end.tries + 1
+    return jnp.where(jnp.abs(end.a[1]) < jnp.abs(end.b[1]), end.a[0], end.b[0]), end.tries
 
 
 def _nonzero(a: jax.Array) -> jax.Array:

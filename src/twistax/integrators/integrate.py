@@ -17,22 +17,24 @@ import numpy as np
 from ..checks import short
 from ..errors import InputError
 from ..expr import Inputs
-from ..groups import Euclidean, Group
-from ..jax_inside import is_traced
+from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
+from ..groups.arrays import element_defect
+from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import is_finite, precision
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
-from .controls import ByName, OfTime, controls_of
+from .controls import ByName, OfTime, Signals, controls_of
 from .events import watch_of
+from .interpolant import Between
 from .method import Method, Stepper
 from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import Result, Steps, fixed_steps, span_of
+from .steps import Result, Steps, check_saves, filled, fixed_steps, span_of
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 
@@ -53,6 +55,7 @@ def integrate(
     u: Any = None,
     params: Mapping[str, Any] | None = None,
     save_at: Any = None,
+    between: Between = Between.STEP,
     dense: bool = False,
     event: Any = None,
     throw: bool = True,
@@ -89,6 +92,9 @@ def integrate(
         params: parameter values; missing ones take the Parameter's own.
         save_at: sorted times inside [t0, t1]. Between steps the state is one shorter step of the same method from the
             step's start, as accurate as the method. Left out: the end alone.
+        between: with tolerances, `tx.Between.POLYNOMIAL` has saved times cost no steps: the state is on a polynomial
+            through the slopes of its step, of order 6 with DOP853, 5 with DORMAND_PRINCE8, 4 with DORMAND_PRINCE5 and
+            TSIT5, 3 with BOGACKI_SHAMPINE3, in its group. Derivatives are those of the shorter steps.
         dense: keep the start of every step, so that `Solution.evaluate` gives the state at any time. With fixed steps
             their number is then part of the compiled program.
         event: an `Event`, or a list of them: the integration ends at the first root of any condition, with
@@ -119,13 +125,15 @@ def integrate(
     for name, flag in (("dense", dense), ("throw", throw)):
         if not isinstance(flag, (bool, np.bool_)):
             raise InputError(f"{name} must be True or False, got {flag!r}")
+    if not isinstance(between, Between):
+        raise InputError(f"between must be tx.Between.STEP or tx.Between.POLYNOMIAL, got {short(between)}")
     if not isinstance(control, StepControl | None):
         raise InputError(f"control must be tx.StepControl(...), got {short(control)}")
     span = span_of(t0, t1, dt)
     controls = controls_of(u)
     places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
-    now = controls.sample(jnp.asarray(t0, precision(x0, params)))
-    inputs = dynamics._functions.prepare(t0, x0, now, params, names=places)
+    now = _controls_now(dynamics, controls, t0, precision(x0, params))
+    inputs = dynamics._functions.prepare(t0, x0, now, params, names=places, on_host=True)
     _check_start(dynamics, inputs, places)
     if dynamics.system.corrections:
         need_start_on_manifold(dynamics, inputs)
@@ -135,29 +143,48 @@ def integrate(
     watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
     if traced and isinstance(signals, OfTime):
-        signals = signals.opened(inputs.t)
+        signals = signals.opened(jnp.asarray(inputs.t))
     stepper = Stepper(dynamics, method, signals, dict(inputs.params), inward=jumps is not None)
     taken: Steps
+    saves, count = save_at, np.asarray(0)
+    if save_at is not None:
+        known = check_saves(save_at, span)
+        count = np.asarray(len(save_at))
+        if known and not traced and not is_tracing():
+            saves = filled(save_at, t1, sum(value.size for value in x.values()))
     if adaptive:
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
         _ = method.error_order  # a method without an error estimate says so here
-        stops = Stops.given(inputs.t, t1, span, save_at, jumps, signals)
-        first = jnp.asarray(0.0 if dt is None else dt, dtype)
+        stops = Stops.given(inputs.t, t1, saves, count, jumps, signals)
+        first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
         tolerances = tolerances_of(dynamics, rtol, atol, dtype)
-        taken = AdaptiveSteps(inputs.t, first, stops, tolerances, control or StepControl(), dense, watch)
+        taken = AdaptiveSteps(inputs.t, first, stops, tolerances, control or StepControl(), dense, between, watch)
     else:
-        for name, value in (("jumps", jumps), ("control", control)):
+        polynomial = between if between is Between.POLYNOMIAL else None
+        for name, value in (("jumps", jumps), ("control", control), ("between", polynomial)):
             if value is not None:
                 raise InputError(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
-        taken = fixed_steps(t0, t1, span, dt, steps, save_at, dtype, bounded=traced, dense=dense, watch=watch)
+        taken = fixed_steps(t0, t1, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch)
     found = rollout(taken, stepper, x)
-    ts = jnp.asarray([t1] if save_at is None else save_at, dtype)
+    times = [t1] if save_at is None else save_at
+    ts = (jnp if is_traced(times) else np).asarray(times, dtype)
     if is_traced((t0, t1, save_at)):
-        found = _inside(found, inputs.t, jnp.asarray(t1, dtype), ts)
+        found = _inside(found, jnp.asarray(inputs.t), jnp.asarray(t1, dtype), jnp.asarray(ts))
     return _solution(stepper, taken, found, ts, save_at is None, throw)
+
+
+def _controls_now(dynamics: Dynamics, controls: Signals, t0: Any, dtype: Any) -> Mapping[str, Any]:
+    """The controls at t0, to check names and shapes with. A function that was checked is not called again."""
+    if isinstance(controls, ByName):
+        return controls.sample(t0)
+    plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
+    if is_tracing() or not plain:
+        return controls.sample(jnp.asarray(t0, dtype))
+    loops, key = dynamics._functions.loops, (_controls_now, controls.function, np.dtype(dtype))
+    return loops.get(key, lambda: controls.sample(jnp.asarray(t0, dtype)))
 
 
 def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> None:
@@ -171,8 +198,11 @@ def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> N
         value = inputs.x[name]
         if isinstance(group, Euclidean) or is_traced(value):
             continue
-        with jax.ensure_compile_time_eval():  # inside jit other states may be traced while this one is known
-            defect = float(_defect(group, value))
+        if isinstance(group, SpecialOrthogonal | SpecialEuclidean):
+            defect = element_defect(np.asarray(value))
+        else:
+            with jax.ensure_compile_time_eval():  # inside jit other states may be traced while this one is known
+                defect = float(_defect(group, value))
         if defect > tolerance:
             raise InputError(
                 f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed "
@@ -206,30 +236,39 @@ def _or_nan(good: jax.Array, value: jax.Array) -> jax.Array:
     return jnp.where(good, value, jnp.nan)
 
 
-def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: jax.Array, end_only: bool, throw: bool) -> Solution:
+def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
     outcome, watching, known = found.outcome, steps.watch is not None, not is_traced(found.outcome)
-    counts = (outcome.tried, outcome.accepted, outcome.tried - outcome.accepted, outcome.evaluations)
-    stats = Stats(*(int(count) for count in counts)) if known else Stats(*counts)
+    counts = [outcome.tried, outcome.accepted, outcome.evaluations]
+    tried, accepted, evaluations = map(int, counts) if known else counts
+    stats = Stats(tried, accepted, tried - accepted, evaluations)
     result = Result(int(outcome.code)) if known else outcome.code
     if known and throw and result not in (Result.SUCCESS, Result.EVENT):
         raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, found.end)))
-    end = {name: value[None] for name, value in found.end.items()}
-    if not known:
-        end = {name: _or_nan(_ended_well(outcome.code), value) for name, value in end.items()}
+    xs = found.xs
     if end_only:
-        xs = end
+        if not known:
+            xs = {name: _or_nan(_ended_well(outcome.code), value) for name, value in xs.items()}
         if known:
-            ts = ts if result is Result.SUCCESS else outcome.t[None]
+            ts = ts if result is Result.SUCCESS else np.asarray(outcome.t)[None]
         elif watching:
             ts = jnp.where(outcome.code == Result.EVENT.value, outcome.t, ts[-1])[None]
     else:
-        xs = found.xs
+        # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
+        unknown = is_traced((found, ts))
+        array: Any = jnp if unknown else np
+        kept = len(ts)
         if known and result is not Result.SUCCESS:
-            kept = int(np.cumprod(found.reached).sum())
-            ts, xs = ts[:kept], {name: value[:kept] for name, value in xs.items()}
+            kept = int(np.cumprod(np.asarray(found.reached)[:kept]).sum())
+        ts, xs = ts[:kept], {name: array.asarray(value)[:kept] for name, value in xs.items()}
         if watching:
-            ts = jnp.append(ts, outcome.t)
-            xs = {name: jnp.concatenate([value, end[name]]) for name, value in xs.items()}
+            end = {name: array.asarray(value)[None] for name, value in found.end.items()}
+            if not known:
+                end = {name: _or_nan(_ended_well(outcome.code), value) for name, value in end.items()}
+            ts = array.append(ts, outcome.t)
+            xs = {name: array.concatenate([value, end[name]]) for name, value in xs.items()}
+        xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)
-    return Solution(ts, xs, stats, result, dense, found.event)
+    return Solution(
+        ts if isinstance(ts, jax.Array) else jax.device_put(ts), xs, stats, result, dense, found.event, stepper
+    )

@@ -51,6 +51,7 @@ class Attempt(NamedTuple):
     errors: tuple[Blocks, ...]
     evaluations: Any  # of the right-hand side, a number or an array
     solved: jax.Array | None = None  # whether the equations of the step were solved; None where it has none
+    slopes: Any = None  # what `between` reads, where the method has it
 
 
 class Method(ABC):
@@ -151,6 +152,23 @@ class Method(ABC):
         Args:
             tolerances: what is allowed, for methods that solve equations no better than that.
         """
+        raise NotImplementedError
+
+    # ---- polynomials between the ends of a step ------------------------------------------------------------------
+
+    def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
+        """Zeros like the slopes of an `Attempt` from y.
+
+        Raises:
+            ModelError: the method has no polynomial.
+        """
+        raise ModelError(
+            f"{self.name} has no polynomial between the ends of its steps.\n"
+            "  fix: leave between out, or take tx.RKMK(tableau)"
+        )
+
+    def between(self, dynamics: Dynamics, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
+        """The stored state at a share of a step of length h from y. Pure and traceable."""
         raise NotImplementedError
 
     # ---- derivatives and values ----------------------------------------------------------------------------------
@@ -263,6 +281,7 @@ def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any)
 
     def flat() -> Callable[..., Any]:
         function = make()
-        return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)))
+        # Where jit is disabled arrays of NumPy would come in as they are.
+        return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, map(jnp.asarray, leaves))))
 
     return functions.loops.get((make, structure), flat)(*leaves)

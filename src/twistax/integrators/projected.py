@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..errors import InputError
+from ..errors import InputError, ModelError
 from ..expr import Inputs
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
@@ -100,6 +100,11 @@ class Projected(Method):
         # What the next step begins with belongs to where it begins.
         carry = self.inner.resume(field, t + h, end, found.carry)
         return found._replace(y=end, carry=carry, evaluations=found.evaluations + self.inner.resume_evaluations)
+
+    def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
+        raise ModelError(
+            "polynomials leave the manifold that the system's corrections bring it back to.\n  fix: leave between out"
+        )
 
     def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
         local, functions = self.coordinates(field.dynamics), field.dynamics._functions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
@@ -13,9 +14,12 @@ from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from ..groups import Euclidean
+from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import held, inside_small_call
 from .charts import Blocks, Chart, Exponential, chart_of
+from .interpolant import interpolant
 from .method import Attempt, Carry, ChartMethod, VectorField
 from .tableaus import ButcherTableau, Rows
 from .tolerances import Tolerances
@@ -89,7 +93,20 @@ class RKMK(ChartMethod):
         slopes, (moved, rate) = stage_slopes(stages, slope, local.first_slope(y, carry), (start, packed), t, h)
         embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
         errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
-        return Attempt(local.settle(read_state(moved)), read_rate(rate), errors, len(stages.c) - 1)
+        end, count = local.settle(read_state(moved)), len(stages.c) - 1
+        return Attempt(end, read_rate(rate), errors, count, slopes=jax.vmap(slopes.read)(slopes.rows))
+
+    def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
+        local, dtype, count = self.coordinates(dynamics), jax.tree.leaves(y)[0].dtype, len(self.tableau.to_the_end.c)
+        shapes = {n: g.shape if isinstance(g, Euclidean) else (g.dimension,) for n, g in dynamics.group.factors.items()}
+        first = local.first_slope(y, local.rate({name: jnp.zeros(shape, dtype) for name, shape in shapes.items()}))
+        return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), first)
+
+    def between(self, dynamics: Dynamics, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
+        local, table = self.coordinates(dynamics), jnp.asarray(interpolant(self.tableau).weights, h.dtype)
+        weights = functools.reduce(lambda sums, column: sums * share + column, reversed(table.T))
+        z = jax.tree.map(lambda k: jnp.tensordot(h * share * weights, k, 1), slopes)
+        return local.settle(local.move(y, z))
 
     def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
         """The tangent eta of one step, so that the step ends at x (+) eta = x Exp(eta).

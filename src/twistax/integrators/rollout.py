@@ -17,13 +17,13 @@ from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before
 from .kernels import advance_again
 from .method import Stepper, jitted
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite, first_rows
 
 
 class Rollout(NamedTuple):
     """Where the steps led."""
 
-    #: The states at the saved times, leading axis n, NaN where the steps did not come so far; {} without saved times.
+    #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
     xs: Arrays
     end: Arrays  # the state they reached
     reached: jax.Array  # (n,) whether they came so far
@@ -32,7 +32,7 @@ class Rollout(NamedTuple):
     event: jax.Array | None  # the number of the event that ended it, -1 for none; None where none is watched for
 
 
-def rollout(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
     """Take all steps from the state x, compiled as one small function where that is known to work.
 
     Its derivatives, of any order and both ways, are those of the same steps taken again with bounded memory: lengths
@@ -69,18 +69,23 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     seen = run.watched
     meeting = None if seen is None else small_call(locate, stepper, steps.watch, seen, run)
     return _to_saved_times(
-        steps, stepper, x, run, meeting, lambda saved, parts: small_call(_one_by_one, stepper, saved.y, parts)
+        steps,
+        stepper,
+        x,
+        run,
+        meeting,
+        lambda saved, parts: small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum()),
     )
 
 
-def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part) -> Blocks:
-    """The states at the ends of parts of steps, one after the other."""
+def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
+    """The states at the ends of the first `count` parts of steps, one after the other."""
 
     def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
         y, part = entry
         return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
 
-    return jax.lax.scan(save, None, (ys, parts))[1]
+    return first_rows(save, None, (ys, parts), count, jax.tree.map(lambda a: a[0], ys))[1]
 
 
 def _to_saved_times(
@@ -102,7 +107,9 @@ def _to_saved_times(
     end = _or_start(stored.value(run.end), outcome.accepted == 0, x)
     event = None if meeting is None else meeting.which
     if saved is None or parts is None:
-        return Rollout({}, end, jnp.zeros(0, bool), outcome, run.trail, event)
+        return Rollout(
+            {name: value[None] for name, value in end.items()}, end, jnp.zeros(0, bool), outcome, run.trail, event
+        )
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
     parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
     ys = advance_all(saved, parts)
@@ -111,7 +118,7 @@ def _to_saved_times(
     xs = _or_start(jax.vmap(stored.value)(ys), at_start, x)
     xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
     counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
-    lost = (outcome.code == Result.SUCCESS.value) & ~reached.all()
+    lost = (outcome.code == Result.SUCCESS.value) & (saved.asked & ~reached).any()
     code = jnp.where(lost, Result.NON_FINITE.value, outcome.code)
     outcome = outcome._replace(evaluations=outcome.evaluations + counts, code=code)
     return Rollout(xs, end, reached, outcome, run.trail, event)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -82,6 +83,7 @@ class Solution:
         code: the number of the Result.
         dense: what `evaluate` reads, with dense=True; else None.
         which: the number of the event that stopped it, -1 for none; None where none was watched for.
+        stepper: the method, the system and the inputs that led here.
     """
 
     ts: jax.Array
@@ -90,6 +92,51 @@ class Solution:
     code: Any
     dense: Dense | None = None
     which: Any = None
+    stepper: Any = None
+
+    @functools.cached_property
+    def us(self) -> Arrays:
+        """The controls by name at the saved times, leading axis n: those that hold from then on.
+
+        At the end of a table that has no value after it, those up to there. Also of a batch, and inside of jit.
+        """
+        from .along import controls_along
+
+        return controls_along(self.stepper, self.ts)
+
+    @functools.cached_property
+    def outputs(self) -> Arrays:
+        """The outputs of the system by name at the saved times, leading axis n; all in one call, when asked for.
+
+        Also of a batch, and inside of jit. Rows that were not reached are NaN, as their states.
+
+        Raises:
+            InputError: an output reads a control or a parameter that the integration was not given.
+        """
+        from .along import outputs_along
+
+        return outputs_along(self.stepper, self.ts, self.xs)
+
+    def to_csv(self, path: Any, layout: Any = None) -> None:
+        """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
+
+        Args:
+            path: the file; one that is there is written over.
+            layout: which columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
+                `tx.columns.Layout` of your own. Left out: time, states, controls and outputs, rotations as quaternions.
+        Raises:
+            InputError: a batch; a unit of an unknown name; a path that cannot be written.
+            ModelError: no layout.
+        """
+        from .columns import columns_of, write_csv
+
+        write_csv(columns_of(self, layout), path)
+
+    def to_dataframe(self, layout: Any = None) -> Any:
+        """The table of `to_csv` as a DataFrame of pandas. Raises ModelError where pandas is not installed."""
+        from .columns import columns_of, frame_of
+
+        return frame_of(columns_of(self, layout))
 
     @property
     def event(self) -> Any:
@@ -161,6 +208,7 @@ _FAR = 2.0
 
 def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
     """The error for an integration that ended early at the state x."""
+    stepper, steps = jax.tree.map(jnp.asarray, (stepper, steps))
     result, t, h = Result(int(outcome.code)), float(outcome.t), float(outcome.h)
     last = "last state"
     if result is Result.NON_FINITE:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,8 @@ from .method import Carry, Stepper
 
 #: A saved time this close to a step, in steps, counts as on it: far more than round-off, far less than anyone means.
 _SNAP = 1e-9
+#: So many numbers are written in no time.
+_LIGHT = 2**15
 
 
 class Result(enum.IntEnum):
@@ -73,6 +76,7 @@ class Saved(NamedTuple):
     t: jax.Array  # time and stored state after that many steps
     y: Blocks
     reached: jax.Array  # whether the loop came so far
+    asked: jax.Array  # whether it is a time that was asked for; those beyond only fill up the rows
 
 
 class Watched(NamedTuple):
@@ -80,6 +84,7 @@ class Watched(NamedTuple):
 
     values: jax.Array  # (m,) where the step begins; the last ones that were not NaN
     hits: jax.Array  # (m,) whether each became zero in the last step tried
+    ends: jax.Array  # (m,) the values where that step ends
 
 
 class Run(NamedTuple):
@@ -149,6 +154,7 @@ class _Saves(NamedTuple):
     ts: Any  # (n,) the times
     index: Any  # (n,) whole steps before each
     share: Any  # (n,) in [0, 1]
+    count: Any  # how many were asked for; those that fill up the rest are at the end
 
 
 class _Now(NamedTuple):
@@ -205,7 +211,8 @@ class FixedSteps(Steps):
         saved = None
         if self.at is not None:
             starts, reached = jax.tree.map(lambda a: a[:-1], found)
-            saved = Saved(self.at.index, self._time(self.at.index), starts, reached)
+            asked = jnp.arange(len(reached)) < self.at.count
+            saved = Saved(self.at.index, self._time(self.at.index), starts, reached & asked, asked)
         return Run(now.y, outcome, saved, None, trail, now.watched)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
@@ -236,7 +243,10 @@ class FixedSteps(Steps):
                 now = _Now(steps, y, carry, evaluations, code, None, None)
             return now, None if self.at is None else (now.y, now.code == Result.SUCCESS.value)
 
-        return jax.lax.scan(to_stop, start, stops)
+        if self.at is None:
+            return to_stop(start, stops[0])
+        # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
+        return first_rows(to_stop, start, stops, self.at.count + 1, (y, jnp.zeros((), bool)))
 
     def _one_step(self, stepper: Stepper, now: _Now) -> _Now:
         """The next step; the state stays where it fails or meets an event."""
@@ -290,6 +300,49 @@ def put(table: Any, row: Any, value: Any) -> Any:
     return jax.tree.map(lambda a, b: a.at[row].set(jnp.asarray(b, a.dtype)), table, value)
 
 
+def first_rows(
+    step: Callable[[Any, Any], Any],
+    start: Any,
+    given: Any,
+    count: Any,
+    like: Any,
+    following: Callable[[jax.Array, Any], jax.Array] = lambda k, carried: k + 1,
+) -> tuple[Any, Any]:
+    """`jax.lax.scan`, which ends after `count` of the rows that are given.
+
+    Args:
+        like: the result of a row. Results of rows that are not visited are zero.
+        following: the number of the next row, from that of this one and what is carried.
+    """
+
+    def one(now: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
+        k, carried, results = now
+        carried, found = step(carried, jax.tree.map(lambda a: a[k], given))
+        return following(k, carried), carried, put(results, k, found)
+
+    results = rows(like, jax.tree.leaves(given)[0].shape[0])
+    found = jax.lax.while_loop(lambda now: now[0] < count, one, (jnp.zeros((), int), start, results))
+    return found[1], found[2]
+
+
+def room_for(count: int, width: int) -> int:
+    """How many rows of so many numbers to make room for, so that another count mostly compiles nothing anew.
+
+    Up to eight times as many where they are light, else up to twice as many.
+    """
+    room = 64
+    while room < count:
+        room *= 8 if room * width < _LIGHT else 2
+    return room
+
+
+def filled(save_at: Any, t1: Any, width: int) -> Any:
+    """Known saved times with the end behind them, as many as there is room for."""
+    times = np.asarray(save_at)
+    room, kind = room_for(len(times), width), times.dtype if times.dtype.kind == "f" else float
+    return np.append(times.astype(kind), np.full(room - len(times), float(t1), kind))
+
+
 # ---- what a user asked for ----------------------------------------------------------------------------------------
 
 
@@ -335,6 +388,7 @@ def fixed_steps(
     dt: Any,
     steps: Any,
     save_at: Any,
+    count: Any,
     dtype: Any,
     *,
     bounded: bool,
@@ -343,7 +397,11 @@ def fixed_steps(
 ) -> FixedSteps:
     """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
 
-    `bounded`: their number is to be structure too. Raises InputError.
+    Args:
+        count: how many of the saved times are asked for.
+        bounded: their number is to be structure too.
+    Raises:
+        InputError: neither dt nor steps, or both, or times that are not known.
     """
     if (dt is None) == (steps is None):
         raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
@@ -357,13 +415,15 @@ def fixed_steps(
         steps = max(1, round(length / float(dt))) if length else 0
     else:
         steps = whole("steps", steps)
-    start, end = jnp.asarray(t0, dtype), jnp.asarray(t1, dtype)
-    h = jnp.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
+    array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
+    start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
+    h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
     at = None
     if save_at is not None:
-        known = check_saves(save_at, span)
+        known = span is not None and not is_traced(save_at)
         at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
-    return FixedSteps(start, h, jnp.asarray(steps), at, steps if bounded or dense else None, dense, watch)
+        at = at._replace(count=count)
+    return FixedSteps(start, h, np.asarray(steps), at, steps if bounded or dense else None, dense, watch)
 
 
 def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> _Saves:
@@ -379,12 +439,12 @@ def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> _Saves:
     snapped = np.abs(position - nearest) <= slack
     index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
     share = np.where(snapped, 0.0, position - index)
-    return _Saves(jnp.asarray(times, dtype), jnp.asarray(index, int), jnp.asarray(share, dtype))
+    return _Saves(times.astype(dtype), index.astype(int), share.astype(dtype), None)
 
 
-def _traced_places(save_at: Any, start: jax.Array, h: jax.Array, steps: int) -> _Saves:
+def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> _Saves:
     """The same where times are traced."""
     ts = jnp.asarray(save_at, start.dtype)
     place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
     before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
-    return _Saves(ts, before.astype(int), place - before)
+    return _Saves(ts, before.astype(int), place - before, None)

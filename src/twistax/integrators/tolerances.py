@@ -97,16 +97,17 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
     return Tolerances(
         relative,
         {state.name: _absolute(state, given[state.name], dtype) for state in dynamics.states},
-        {s.name: _held(s, jnp.asarray(s.scale, dtype)) for s in dynamics.states if s.scale is not None},
+        {s.name: _held(s, s.scale.astype(dtype)) for s in dynamics.states if s.scale is not None},
     )
 
 
-def _absolute(state: State, value: Any, dtype: Any) -> jax.Array:
+def _absolute(state: State, value: Any, dtype: Any) -> Any:
     """The allowed error of one state; a pair for a pose is (rotation, position)."""
     place, is_pose = f"atol of state {state.name!r}", isinstance(state.group, SpecialEuclidean)
     if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
         rotation, position = (_numbers(place, part, dtype) for part in value)
-        array = jnp.stack([position] * 3 + [rotation] * 3)
+        stack: Any = jnp.stack if is_traced(value) else np.stack
+        array = stack([position] * 3 + [rotation] * 3)
     else:
         array = _numbers(place, value, dtype)
         shape = state.group.shape if isinstance(state.group, Euclidean) else (state.group.dimension,)
@@ -120,13 +121,13 @@ def _absolute(state: State, value: Any, dtype: Any) -> jax.Array:
     return array
 
 
-def _held(state: State, array: jax.Array) -> jax.Array:
+def _held(state: State, array: Any) -> Any:
     """Values by tangent entry, in the order in which the state's deviations are held."""
     return state.group.order.to_linear_first(array) if isinstance(state.group, SpecialEuclidean) else array.reshape(-1)
 
 
-def _numbers(place: str, value: Any, dtype: Any) -> jax.Array:
+def _numbers(place: str, value: Any, dtype: Any) -> Any:
     array = real_array(place, value)
     if array.dtype == bool:
         raise InputError(f"{place} expects real numbers, got {value!r}")
-    return jnp.asarray(array.astype(dtype))
+    return array.astype(dtype)

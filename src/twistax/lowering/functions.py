@@ -141,17 +141,19 @@ class Functions:
         *,
         reads: Iterable[str] = ("rates",),
         names: Sequence[str] = ("t", "x", "u", "params"),
+        on_host: bool = False,
     ) -> Inputs:
         """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
 
         Args:
             reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
             names: what messages call the arguments.
+            on_host: leave arrays of NumPy what they are, for a jitted function.
         Raises:
             InputError: as a call of the dynamics.
         """
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
-        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names)
+        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names, on_host)
 
     def zeros(self) -> Inputs:
         """Zeros for all leaves that anything reads, in JAX's default precision."""
@@ -194,7 +196,7 @@ class Functions:
 
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from arguments as users give them, jitted."""
-        inputs = self.prepare(t, x, u, params, reads=(family,))
+        inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
         return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:

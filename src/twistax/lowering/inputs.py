@@ -31,11 +31,14 @@ def precision(*groups: Values | None) -> Any:
     return jax.dtypes.canonicalize_dtype(float)
 
 
-def read_values(kind: str, leaves: Iterable[Any], values: Values | None, dtype: Any) -> dict[str, jax.Array]:
+def read_values(
+    kind: str, leaves: Iterable[Any], values: Values | None, dtype: Any, on_host: bool = False
+) -> dict[str, Any]:
     """Check names and shapes and cast. Missing names are left to the caller.
 
     Args:
         leaves: what there are values for, each with a name and a shape.
+        on_host: leave arrays of NumPy what they are: a jitted function takes them faster than JAX makes arrays of them.
     Raises:
         InputError: an unknown key, a wrong shape, or not numbers.
     """
@@ -58,7 +61,7 @@ def read_values(kind: str, leaves: Iterable[Any], values: Values | None, dtype: 
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
                 "  fix: one point at a time; map over batches with jax.vmap"
             )
-        found[name] = _cast(place, array, dtype)
+        found[name] = _cast(place, array, dtype, on_host)
     return found
 
 
@@ -67,7 +70,7 @@ def is_finite(value: Any) -> bool:
     return is_traced(value) or bool(np.isfinite(np.asarray(value)).all())
 
 
-def _cast(place: str, array: jax.Array | np.ndarray, dtype: Any) -> jax.Array:
+def _cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool) -> jax.Array | np.ndarray:
     """The array in the precision of the call."""
     if isinstance(array, np.ndarray):
         with np.errstate(over="ignore"):
@@ -77,6 +80,8 @@ def _cast(place: str, array: jax.Array | np.ndarray, dtype: Any) -> jax.Array:
                 f"{place} has {np.abs(array).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
                 '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
             )
+        if on_host:
+            return cast
         array = cast
     return jnp.asarray(array, dtype)
 
@@ -89,6 +94,7 @@ def prepare(
     u: Values | None,
     params: Values | None,
     names: Sequence[str] = ("t", "x", "u", "params"),
+    on_host: bool = False,
 ) -> Inputs:
     """The checked arguments. `leaves` are all that may be given, `required` the names that are read.
 
@@ -96,6 +102,7 @@ def prepare(
 
     Args:
         names: what messages call the arguments.
+        on_host: leave arrays of NumPy what they are.
     Raises:
         InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
     """
@@ -105,7 +112,7 @@ def prepare(
     if time.shape != ():
         raise InputError(f"{names[0]} expects a scalar, got shape {time.shape}")
     given = {
-        kind: read_values(name, own, values, dtype)
+        kind: read_values(name, own, values, dtype, on_host)
         for (kind, own), name, values in zip(kinds.items(), names[1:], (x, u, params), strict=True)
     }
     for kind, name in ((State, names[1]), (Control, names[2])):
@@ -116,9 +123,10 @@ def prepare(
                     f"  fix: pass {name}={{{leaf.name!r}: ...}} of shape {leaf.shape}"
                 )
     values = given[Parameter]
-    inputs = Inputs(_cast(names[0], time, dtype), given[State], given[Control], values, dtype)
+    inputs = Inputs(_cast(names[0], time, dtype, on_host), given[State], given[Control], values, dtype)
     # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
     for leaf in kinds[Parameter]:
-        if leaf.name in required:
-            values[leaf.name] = leaf.read(inputs)
+        if leaf.name in required and leaf.name not in values:
+            own = leaf.value if on_host and isinstance(leaf, Parameter) else None
+            values[leaf.name] = leaf.read(inputs) if own is None else own.astype(dtype)
     return inputs

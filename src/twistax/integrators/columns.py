@@ -1,0 +1,193 @@
+"""A solution as a table: columns with names and units, written to a file or handed to pandas."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ..checks import listed, path_of, short
+from ..errors import InputError, ModelError, ShapeError
+from ..groups import SpecialEuclidean, SpecialOrthogonal, euler, quaternion
+from .steps import room_for
+
+if TYPE_CHECKING:
+    from .solution import Solution
+
+
+class Column(NamedTuple):
+    """One column of a table.
+
+    Attributes:
+        name: what it is called.
+        unit: its unit, "" where none is known.
+        values: (n,), a number for each saved time.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+    @property
+    def header(self) -> str:
+        """The name, and the unit in brackets."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclasses.dataclass(frozen=True)
+class Rotations:
+    """How a rotation becomes columns.
+
+    Attributes:
+        names: of the columns.
+        unit: of them all.
+        read: the numbers of a rotation (3, 3), as many as there are names; traceable.
+    """
+
+    names: tuple[str, ...]
+    unit: str
+    read: Callable[[Any], Any]
+
+
+def _entries(R: Any) -> Any:
+    return R.reshape(-1)
+
+
+#: (w, x, y, z) with w >= 0.
+QUATERNION = Rotations(("qw", "qx", "qy", "qz"), "", quaternion)
+#: R = Rz(yaw) Ry(pitch) Rx(roll).
+EULER = Rotations(("roll", "pitch", "yaw"), "rad", euler)
+#: All nine entries, row by row.
+MATRIX = Rotations(tuple(f"R{i}{j}" for i in "123" for j in "123"), "", _entries)
+
+
+class Layout(ABC):
+    """Which columns a table of a solution has, in which order."""
+
+    @abstractmethod
+    def columns(self, solution: Solution) -> list[Column]:
+        """The columns, of one length."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Columns(Layout):
+    """Time, then all states, controls and outputs, as `name`, `name[i]` or `name[i][j]`.
+
+    A rotation is `name.qw` and so on; a pose has its position before it, `name.x`, `name.y`, `name.z`.
+
+    Attributes:
+        units: by name of a state, control or output: a text for all entries (of a pose for its position), or a list
+            with one for each entry.
+        rotations: `tx.columns.QUATERNION`, `EULER` or `MATRIX`.
+
+    Raises:
+        ModelError: units that are no texts; rotations of another kind.
+    """
+
+    units: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    rotations: Rotations = QUATERNION
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rotations, Rotations):
+            raise ModelError(f"Columns: rotations must be one as tx.columns.QUATERNION, got {short(self.rotations)}")
+        if not isinstance(self.units, Mapping):
+            raise ModelError(f"Columns: units must be a dict from names to texts, got {short(self.units)}")
+        for name, unit in self.units.items():
+            texts = [unit] if isinstance(unit, str) else unit
+            if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) for text in texts):
+                raise ModelError(f"Columns: the unit of {name!r} must be a text or a list of texts, got {short(unit)}")
+
+    def columns(self, solution: Solution) -> list[Column]:
+        """Raises InputError for a unit of an unknown name, ShapeError for a list of units of another length."""
+        values = {**solution.xs, **solution.us, **solution.outputs}
+        unknown = [name for name in self.units if name not in values]
+        if unknown:
+            raise InputError(f"units names {unknown[0]!r}; the columns are of: {listed(values, unknown[0])}")
+        dynamics = solution.stepper.dynamics
+        order = [
+            *(leaf.name for leaf in (*dynamics.states, *dynamics.controls)),
+            *dynamics._functions.families["outputs"],
+        ]
+        found = [Column("t", "s", np.asarray(solution.ts))]
+        for name in order:
+            if name in values:
+                found += self._of(name, dynamics.group.factors.get(name), np.asarray(values[name]))
+        return found
+
+    def _of(self, name: str, group: Any, array: np.ndarray) -> list[Column]:
+        if isinstance(group, SpecialOrthogonal | SpecialEuclidean):
+            numbers = _read(self.rotations, array[:, :3, :3])
+            turned = [
+                Column(f"{name}.{own}", self.rotations.unit, v)
+                for own, v in zip(self.rotations.names, numbers.T, strict=True)
+            ]
+            if isinstance(group, SpecialOrthogonal):
+                return turned
+            units = self._units(name, 3)
+            return [Column(f"{name}.{axis}", units[k], array[:, k, 3]) for k, axis in enumerate("xyz")] + turned
+        shape = array.shape[1:]
+        units = self._units(name, int(np.prod(shape)))
+        labels = [name + "".join(f"[{i}]" for i in index) for index in np.ndindex(*shape)]
+        entries = array.reshape(len(array), -1).T
+        return [Column(*each) for each in zip(labels, units, entries, strict=True)]
+
+    def _units(self, name: str, count: int) -> list[str]:
+        unit = self.units.get(name, "")
+        if isinstance(unit, str):
+            return [unit] * count
+        if len(unit) != count:
+            raise ShapeError(f"units of {name!r} expects one text or a list of {count}, got {len(unit)}")
+        return list(unit)
+
+
+@functools.lru_cache
+def _mapped(rotations: Rotations) -> Callable[[Any], Any]:
+    return jax.jit(jax.vmap(rotations.read))
+
+
+def _read(rotations: Rotations, R: np.ndarray) -> np.ndarray:
+    """The numbers of rotations (n, 3, 3), (n, m)."""
+    if not len(R):
+        return np.zeros((0, len(rotations.names)), R.dtype)
+    last = np.minimum(np.arange(room_for(len(R), 9)), len(R) - 1)
+    return np.asarray(_mapped(rotations)(R[last]))[: len(R)]
+
+
+def columns_of(solution: Solution, layout: Any) -> list[Column]:
+    """The columns of one solution. Raises InputError for batches, ModelError for another kind of layout."""
+    layout = Columns() if layout is None else layout
+    if not isinstance(layout, Layout):
+        raise ModelError(f"layout must be one like tx.columns.Columns(units=...), got {short(layout)}")
+    if np.ndim(solution.ts) != 1:
+        raise InputError(
+            f"a table is of one solution, got a batch with times of shape {np.shape(solution.ts)}.\n"
+            "  fix: jax.tree.map(lambda a: a[i], solution) is one of them"
+        )
+    return layout.columns(solution)
+
+
+def write_csv(columns: list[Column], path: Any) -> None:
+    """A row of headers, then the numbers with all their digits. Raises InputError where it cannot be written."""
+    target = path_of("to_csv: path", path)
+    try:
+        with target.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow([column.header for column in columns])
+            writer.writerows(zip(*(column.values.tolist() for column in columns), strict=True))
+    except OSError as error:
+        raise InputError(f"to_csv cannot write {target}: {error.strerror}") from None
+
+
+def frame_of(columns: list[Column]) -> Any:
+    """The columns as a DataFrame, called by their headers. Raises ModelError where pandas is not installed."""
+    try:
+        import pandas
+    except ImportError:
+        raise ModelError("to_dataframe needs pandas.\n  fix: pip install 'twistax[tables]', or to_csv(path)") from None
+    return pandas.DataFrame({column.header: column.values for column in columns})
