@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import pickle
 from typing import Any
 
 import jax
@@ -129,6 +130,17 @@ def test_the_cost_grows_with_the_axes_and_not_with_the_points(kind: Any) -> None
     assert abs(many - few) <= 2
     uneven = [operations(kind, np.linspace(0.0, 1.0, n) ** 2, 1) for n in (6, 2002)]
     assert uneven[1] - uneven[0] <= 4 * 9  # a load, a comparison, a sum and a choice for each halving
+
+
+def test_tables_travel_by_pickle_also_after_they_were_read() -> None:
+    for expr, at in ((e, {"x": jnp.asarray(POINTS[0])}) for e, _ in list(tables().values())[:3]):
+        value = tx.lower(expr)(0.0, at)
+        again = pickle.loads(pickle.dumps(expr))
+        assert again.key() == expr.key()
+        np.testing.assert_array_equal(tx.lower(again)(0.0, at), value)
+    line = tx.Linterp(x[0], EVEN, values(7))
+    tx.lower(line)(0.0, {"x": jnp.asarray(POINTS[0])})
+    assert pickle.loads(pickle.dumps(line)).key() == line.key()
 
 
 def test_equal_tables_are_one() -> None:

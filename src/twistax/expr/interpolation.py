@@ -90,7 +90,7 @@ class Interp(Variadic, init=False):
                 "Interp expects outside to be tx.tables.Clamped(), Extrapolated() or Refused(), or a list of one for "
                 f"each axis, got {self.outside!r}"
             )
-        self._lookup()
+        self._read()
 
     @property
     def _outsides(self) -> tuple[Any, ...]:
@@ -99,7 +99,7 @@ class Interp(Variadic, init=False):
             return (self.outside,) * len(self.axes)
         return self.outside if len(self.outside) == len(self.axes) else (None,)
 
-    def _lookup(self) -> Lookup:
+    def _read(self) -> Lookup:
         return _once(self, lambda: self.kind.lookup(self.axes, self.values))
 
     def infer_shape(self, *shapes: Shape) -> Shape:
@@ -108,7 +108,7 @@ class Interp(Variadic, init=False):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         shape = jnp.broadcast_shapes(*(x.shape for x in values))
         taken = (each.taken(x, own) for each, x, own in zip(self._outsides, values, self.axes, strict=True))
-        return self._lookup()([jnp.broadcast_to(x, shape) for x in taken])
+        return self._read()([jnp.broadcast_to(x, shape) for x in taken])
 
     def details(self) -> list[str]:
         found = [f"{' x '.join(str(len(points)) for points in self.axes)} points"]
@@ -121,9 +121,9 @@ class Interp(Variadic, init=False):
 
 def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
     """The lookup of a table of numbers, made once."""
-    if "_made" not in node.__dict__:
-        node.__dict__["_made"] = make()
-    return node.__dict__["_made"]
+    if "_lookup" not in node.__dict__:
+        node.__dict__["_lookup"] = make()
+    return node.__dict__["_lookup"]
 
 
 def _known(*operands: Expr) -> list[np.ndarray] | None:

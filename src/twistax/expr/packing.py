@@ -10,6 +10,9 @@ from typing import Any
 from ..walk import walk
 from .node import Expr
 
+#: A key may count objects of this process; what looks up a table is made of its numbers.
+_MADE_AGAIN = ("_key", "_lookup")
+
 
 class _Place(int):
     """Stands for a node in a table."""
@@ -25,8 +28,7 @@ def pack(value: Any) -> tuple[list[tuple[type[Expr], dict[str, Any]]], Any]:
     places = {id(node): _Place(k) for k, node in enumerate(nodes)}
     table = []
     for node in nodes:
-        # A key may count objects of this process.
-        own = {name: value for name, value in node.__dict__.items() if name != "_key"}
+        own = {name: value for name, value in node.__dict__.items() if name not in _MADE_AGAIN}
         _check_pickles(node, own)
         table.append((type(node), _exchanged(own, lambda node: places[id(node)])))
     return table, _exchanged(value, lambda node: places[id(node)])
