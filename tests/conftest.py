@@ -1,16 +1,19 @@
 """Strict settings for the whole suite: x64, strict dtype and rank promotion, checked shapes, one CPU device."""
 
 import ctypes
+import functools
 import gc
 import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import jaxtyping
 import pytest
+from beartype import beartype
 from jax._src.interpreters import mlir
 from jaxtyping import install_import_hook
 
@@ -55,6 +58,9 @@ gc.set_threshold(50_000, 20, 20)
 #: most of the time.
 UNCHECKED = ("twistax.lowering.scalar.", "twistax.lowering.native.", "twistax.jax_inside")
 
+#: Annotations of arrays, with shapes, stand here alone.
+SHAPED = "twistax.groups."
+
 
 def checked_modules() -> list[str]:
     """All modules but those. A package stands for all that is in it, so packages around them are left out too."""
@@ -64,7 +70,46 @@ def checked_modules() -> list[str]:
     return [n for n in names if not any(own.startswith(f"{n}.") or n.startswith(own) for own in UNCHECKED)]
 
 
+_jaxtyped = jaxtyping.jaxtyped
+
+
+def checked(item: Any = None, **how: Any) -> Any:
+    """A function that checks its arguments and its result by beartype, made when it is first called.
+
+    jaxtyping checks shapes too and takes ten times as long, so that is left to functions which name shapes. Functions
+    within functions, which are made again and again, are not checked.
+    """
+    if item is None:
+        return functools.partial(checked, **how)
+    if isinstance(item, type) or item.__module__.startswith(SHAPED):
+        return _jaxtyped(item, **how)
+    if "<locals>" in item.__qualname__ or not item.__annotations__:
+        return item
+    strict = None
+
+    @functools.wraps(item)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal strict
+        if jaxtyping.config.jaxtyping_disable:
+            return item(*args, **kwargs)
+        if strict is None:
+            item.__annotations__ = {name: known(hint, item.__globals__) for name, hint in item.__annotations__.items()}
+            strict = beartype(item)
+        return strict(*args, **kwargs)
+
+    return call
+
+
+def known(hint: Any, names: dict[str, Any]) -> Any:
+    """What an annotation stands for; anything where its module imports the name for the type checker alone."""
+    try:
+        return eval(hint, names) if isinstance(hint, str) else hint
+    except NameError:
+        return Any
+
+
 # Must come before the first import of the package: it decorates every annotated function.
+jaxtyping.jaxtyped = checked
 install_import_hook(checked_modules(), "beartype.beartype")
 
 
