@@ -15,6 +15,7 @@ from expr_cases import function_of
 
 from twistax import expr as tx
 from twistax.errors import ModelError, ShapeError
+from twistax.expr import graph
 from twistax.jax_inside import all_equations
 
 x = tx.State("x", shape=(3,))
@@ -167,8 +168,9 @@ def test_nested_branches_are_traced_once(link: Callable[[tx.Expr, int], tx.Expr]
     np.testing.assert_allclose(function_of(chain(7))(values)[0], expected, rtol=1e-12)
 
 
-def test_branches_that_share_again_and_again_are_refused() -> None:
+def test_branches_that_share_again_and_again_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each reads the last in one branch of either condition: forty would else take a million million."""
+    monkeypatch.setattr(graph, "_ANEW", 1_000)
     e: tx.Expr = a
     for k in range(40):
         e = tx.Cond(b <= float(k), tx.Sin(e), b) + tx.Cond(a <= float(k), tx.Cos(e), b)

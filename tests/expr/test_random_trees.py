@@ -206,7 +206,7 @@ def check(expr: tx.Expr, values: dict[str, np.ndarray]) -> bool:
 relaxed = settings(derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 
 
-@settings(relaxed, max_examples=60)
+@settings(relaxed, max_examples=35)
 @given(st.randoms(use_true_random=False))
 def test_random_trees(source: Random) -> None:
     forest = Forest(source)

@@ -90,8 +90,25 @@ def as_written(name: str) -> dict[str, Any]:
     return results(tx.compile(system, backend=tx.JAX()), x, u)
 
 
-@pytest.mark.parametrize("name", ["free body", "arm", "tables and conditions"])
-@pytest.mark.parametrize("backend", ["auto", "auto without llvmlite", tx.Native(least=0)], ids=str)
+NATIVE = tx.Native(least=0)
+
+
+@pytest.mark.parametrize(
+    ("backend", "name"),
+    [
+        ("auto", "arm"),
+        ("auto", "tables and conditions"),
+        ("auto without llvmlite", "free body"),
+        (NATIVE, "arm"),
+        (NATIVE, "free body"),
+        (NATIVE, "tables and conditions"),
+        # Each of the three systems and each of the three backends stands above.
+        pytest.param("auto", "free body", marks=pytest.mark.slow),
+        pytest.param("auto without llvmlite", "arm", marks=pytest.mark.slow),
+        pytest.param("auto without llvmlite", "tables and conditions", marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
 def test_the_same_numbers_to_rounding(backend: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     if backend == "auto without llvmlite":  # then all is as with tx.XLA()

@@ -291,7 +291,12 @@ DRIVES = {
 }
 
 
-@pytest.mark.parametrize("mimic", [None, Mimic("slide", ratio=-1.7, offset=0.4)])
+@pytest.mark.parametrize(
+    "mimic",
+    # Without a mimic its ratio is one and its offset zero.
+    [pytest.param(None, marks=pytest.mark.slow), Mimic("slide", ratio=-1.7, offset=0.4)],
+    ids=["none", "mimic"],
+)
 def test_drives_enter_the_dynamics(mimic: Mimic | None) -> None:
     tree = Tree(mimic, **DRIVES)
     robot, bare = tree.mechanism, Tree(mimic).mechanism
