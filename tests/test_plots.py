@@ -41,6 +41,7 @@ def test_a_solution_in_one_line() -> None:
     assert [axes.get_ylabel() for axes in found.values()] == ["m", "deg", "m/s", "SI", "SI"]
     assert {axes.get_xlabel() for axes in found.values()} == {"time, s"}
     lines = found["attitude of g"].get_lines()
+    assert [line.get_label() for line in lines] == ["roll", "pitch", "yaw"]
     np.testing.assert_allclose(
         lines[2].get_ydata(), np.rad2deg(2.0 * TIMES), rtol=1e-6, atol=1e-9
     )  # it goes on beyond 180
