@@ -117,7 +117,7 @@ class Quantity(float):
 
 
 def same_unit(place: str, value: Any, unit: Quantity) -> None:
-    """Raise InputError where a quantity, alone or in a list, has another unit; what has none passes."""
+    """Raise InputError, which names the place, where a value, alone or in a list, has another unit; none passes."""
     for entry in value if isinstance(value, (list, tuple)) else [value]:
         if isinstance(entry, Quantity) and entry.exponents != unit.exponents:
             raise InputError(f"{place} expects {unit.unit}, got {entry!r}.\n  fix: give it in a unit of {unit.unit}")
