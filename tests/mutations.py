@@ -500,18 +500,50 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- steady motion -----------------------------------------------------------------------------------------------
     *_at(
-        "steady.py",
-        (
-            "steps that leave their bounds",
-            "lsq_linear(rows, np.concatenate([-left, np.zeros(z.size)]), room, tol=1e-14).x",
-            "np.linalg.lstsq(rows, np.concatenate([-left, np.zeros(z.size)]))[0]; self.low, self.high = z - 9, z + 9",
-            "test_trim.py",
-        ),
+        "trajectory/linearize.py",
         (
             "outputs by the wrong rates",
-            "self.group.retract(x, s * motion)",
-            "self.group.retract(x, 0.0 * s * motion)",
+            "group.retract(x, s * velocity)",
+            "group.retract(x, 0.0 * s * velocity)",
             "test_trim.py",
+        ),
+    ),
+    *_at(
+        "trajectory/trim_unknowns.py",
+        (
+            "a chart without its right Jacobian",
+            "[slopes[:, :n] @ right, slopes[:, n:]]",
+            "[slopes[:, :n] @ right.T, slopes[:, n:]]",
+            "test_trim.py",
+        ),
+    ),
+    *_at(
+        "trajectory/modes.py",
+        (
+            "a mode that grows",
+            "return -1.0 / self.eigenvalue.real",
+            "return 1.0 / self.eigenvalue.real",
+            "test_trim.py",
+        ),
+    ),
+    # ---- DAVE-ML -----------------------------------------------------------------------------------------------------
+    *_at(
+        "mechanics/models/daveml/tables.py",
+        (
+            "the wrong end goes on",
+            "None if axis.below else numbers[0], None if axis.above else numbers[-1]",
+            "None if axis.above else numbers[0], None if axis.below else numbers[-1]",
+            "mechanics/test_daveml.py",
+        ),
+        ("a step at its breakpoint", "return [x > point for", "return [x >= point for", "mechanics/test_daveml.py"),
+    ),
+    *_at(
+        "mechanics/models/daveml/mathml.py",
+        (
+            "a root where it is not chosen",
+            "(Where if self._partial == before else Cond)",
+            "Where",
+            "mechanics/test_daveml.py",
         ),
     ),
     # ---- flight ------------------------------------------------------------------------------------------------------

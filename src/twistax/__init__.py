@@ -43,12 +43,10 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.interpolant import Between
     from .integrators.solution import Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
-    from .linear_system import LinearSystem, Mode
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
     from .monte_carlo import Statistics, Sweep, sweep
-    from .steady import Trim, trim
-    from .trajectory import Maximize, Minimize
+    from .trajectory import Maximize, Minimize, Mode, Trim, trim
 
 __version__ = "0.2.0.dev0"
 
@@ -56,7 +54,7 @@ __version__ = "0.2.0.dev0"
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "Between", "CommutatorFree", "Dynamics",
     "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
-    "IntegrationError", "LinearSystem", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
+    "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
     "OperationError", "Order", "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics",
     "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
     "compile", "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose",
@@ -74,12 +72,10 @@ _LATER = {
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.solution": ("Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
-    ".linear_system": ("LinearSystem", "Mode"),
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
-    ".steady": ("Trim", "trim"),
-    ".trajectory": ("Maximize", "Minimize"),
+    ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
 }
 
 if not TYPE_CHECKING:  # a type checker shall see the names above and no others

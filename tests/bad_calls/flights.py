@@ -5,7 +5,7 @@ from table import bad
 
 import twistax as tx
 from twistax import units
-from twistax.mechanics import SpatialInertia, flight
+from twistax.mechanics import SpatialInertia, flight, load_daveml
 from twistax.mechanics.environment import gravity
 from twistax.mechanics.environment.harmonics import EGM2008, Harmonics
 
@@ -71,11 +71,16 @@ ROWS = [
     bad("zero as a number", lambda: trim(zero=3), "zero", "3"),
     bad("zero as text", lambda: trim(zero="wind"), "zero", "'wind'"),
     bad("fixed as a number", lambda: trim(fixed=3), "fixed", "3"),
-    bad("a trim of a number", lambda: trim(x=3), "x", "3"),
+    bad("a trim of a number", lambda: trim(x=3), "x", "int"),
     bad("a trim now", lambda: trim(t="now"), "t", "'now'"),
     bad("a trim for nothing", lambda: trim(zero=[]), "zero"),
     bad("a trim from NaN", lambda: trim({"w": np.nan}), "w", "nan"),
     bad("a trim without controls", lambda: trim(u={}), "'c'"),
+    bad("a trim of an entry that is not there", lambda: trim(free=["w[3]"]), "free", "'w[3]'"),
+    bad("a limit of one number", lambda: trim(free={"w": 3.0}), "free['w']", "3.0"),
+    bad("a value of text", lambda: trim(fixed={"y": "high"}), "fixed['y']", "'high'"),
+    bad("a file of a model by number", lambda: load_daveml(3), "load_daveml", "3"),
+    bad("no file of a model", lambda: load_daveml("nowhere.dml"), "nowhere.dml"),
     bad("feet to the a", lambda: tx.units.feet ** "a", "'a'"),
     bad("a planet of 3", lambda: flight.Planet(3, gravity.EARTH_J2), "figure", "3"),
     bad("a push", lambda: craft.system(ball, "push"), "wrench", "'push'"),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +47,12 @@ class Interp(Variadic, init=False):
     kind: Any = Linear()
     outside: Any = Clamped()
     listed = True
+    if TYPE_CHECKING:
+
+        def __init__(
+            self, *at: ExprLike | Sequence[ExprLike], axes: Any, values: Any, kind: Any = ..., outside: Any = ...
+        ) -> None: ...
+
     cases = (
         {"at": [[0.5, 5.0, -0.5]], "axes": _KNOTS, "values": _TABLE},
         {

@@ -20,7 +20,7 @@ from .dynamics import (
 from .jacobians import ALIGNED, BODY, WORLD, frame_jacobian, frame_jacobian_rate, frame_twist
 from .joint_wrenches import joint_wrench
 from .mechanism import Mechanism
-from .models import load
+from .models import DaveModel, load, load_daveml
 from .momentum import (
     center_of_mass,
     centroidal_matrix,
@@ -35,11 +35,11 @@ from .tree import Link, Mimic
 # fmt: off
 __all__ = [
     "ALIGNED", "BODY", "WORLD", "Chain", "Drive", "GivenForces", "Ground", "Link", "Mechanism", "Mimic",
-    "SpatialInertia", "aba", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
+    "DaveModel", "SpatialInertia", "aba", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
     "chain_models", "closed_dynamics", "coriolis_forces", "environment", "flight", "forward_dynamics",
     "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces",
     "gravity_forces", "inverse_dynamics", "inverse_dynamics_derivatives", "joint_wrench", "joints", "kinetic_energy",
-    "load", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "potential_energy", "power", "rnea",
-    "spatial_momentum", "total_mass",
+    "load", "load_daveml", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "potential_energy",
+    "power", "rnea", "spatial_momentum", "total_mass",
 ]
 # fmt: on

@@ -2,11 +2,13 @@
 
 from .cases import PhasedResults, TrajectoryResults
 from .controls import Held, Linear, Rate
-from .discretize import Discretization, Linearization, discretize, linearize
+from .discretize import Discretization, discretize
 from .external import IPOPT, Fatrop
 from .found import Optimality
 from .functionals import Initial, Integral, Maximum, Minimum
+from .linearize import Linearization, linearize
 from .mesh import Mesh
+from .modes import Mode as Mode  # tx.Mode, tx.Trim and tx.trim are their home
 from .phase import Phase
 from .phased_result import PhasedResult
 from .problem import Problem
@@ -18,6 +20,8 @@ from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are t
 from .statement import Minimize as Minimize
 from .statement import Objective
 from .transcription import Collocation, MultipleShooting
+from .trimming import Trim as Trim
+from .trimming import trim as trim
 from .warm import WarmStart
 from .watch import Status
 

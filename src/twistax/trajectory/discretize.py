@@ -1,4 +1,4 @@
-"""Linearisation in the tangent space: continuous error dynamics, and one interval with held controls."""
+"""One interval with held controls, and its derivatives in the tangent space."""
 
 from __future__ import annotations
 
@@ -47,56 +47,6 @@ class Controls:
         """The flat vector; a control that nothing reads may be missing and counts as zero."""
         parts = [jnp.asarray(u.get(name, jnp.zeros(s, dtype)), dtype).reshape(-1) for name, s in self._shapes.items()]
         return jnp.concatenate(parts) if parts else jnp.zeros(0, dtype)
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Linearization:
-    """d' = A d + B du to first order, with x(t) (+) d the neighbour of the trajectory.
-
-    Attributes:
-        rate: the rates as one tangent vector, (n,).
-        A: (n, n), rows and columns in the order of declaration of the states.
-        B: (n, m), columns in the order of declaration of the controls, each read row by row.
-    """
-
-    rate: jax.Array
-    A: jax.Array
-    B: jax.Array
-
-
-def linearize(
-    dynamics: Dynamics, t: Any, x: Values, u: Values | None = None, params: Values | None = None
-) -> Linearization:
-    """The error dynamics of a system around a point, with right perturbations x (+) d.
-
-    With the body velocity xi(t, x, u) of all states stacked, the neighbour x Exp(d) obeys to first order
-
-        d' = (D xi - ad_xi) d + D_u xi du,
-
-    where D xi = d xi(x Exp(d)) / dd at 0 and ad of a Euclidean part is zero. Units are those of the states a second.
-    Source: Sola, Deray, Atchuthan, A micro Lie theory for state estimation in robotics (2018), sections on
-    perturbations and on Jacobians of group actions; the ad term is the transport of d along the flow.
-
-    Traceable: jit, vmap and further derivatives apply.
-
-    Raises:
-        InputError: as a call of the dynamics does.
-        ModelError: the system is not compiled.
-    """
-    need_compiled("linearize", dynamics)
-    inputs = dynamics._functions.prepare(t, x, u, params)
-    controls = Controls(dynamics.controls)
-    flat = controls.join(inputs.u, inputs.dtype)
-    n = dynamics.dimension
-
-    def velocity(z: jax.Array) -> jax.Array:
-        moved = dynamics.group.retract(inputs.x, z[:n])
-        rates = dynamics._functions.vector_field(inputs.t, moved, controls.split(z[n:]), dict(inputs.params))
-        return jnp.concatenate([rates[name].reshape(-1) for name in dynamics.group.factors])
-
-    rate, jacobian = value_and_jacobian(velocity, jnp.concatenate([jnp.zeros(n, inputs.dtype), flat]))
-    return Linearization(rate, jacobian[:, :n] - dynamics.group.ad(rate), jacobian[:, n:])
 
 
 @jax.tree_util.register_dataclass

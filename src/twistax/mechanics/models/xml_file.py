@@ -17,9 +17,10 @@ class Element:
     """One element.
 
     Attributes:
-        tag, attributes, children: as in the file.
+        tag, attributes, children: as in the file; `read_xml` may leave out the prefixes of tags.
         line: where it begins.
         path: of the file.
+        content: its own characters, with a space where a child stands.
     """
 
     tag: str
@@ -27,6 +28,7 @@ class Element:
     line: int
     path: Path
     children: list[Element] = dataclasses.field(default_factory=list)
+    content: str = ""
 
     @property
     def place(self) -> str:
@@ -69,21 +71,38 @@ class Element:
         return float(self.numbers(name, 1, None if default is None else [default])[0])
 
 
-def read_xml(path: Path) -> Element:
+def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> Element:
     """The root element of a file.
 
+    Args:
+        caller: names who reads in messages.
+        document_type: the file may name a document type, which is not opened, and may give tags prefixes of name
+            spaces, which are left out.
     Raises: ModelError for a file that cannot be read, is no XML, or declares a document type or entities.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ModelError(f"load cannot read {str(path)!r}: {error.strerror}") from None
+        raise ModelError(f"{caller} expects a file, cannot read {str(path)!r}: {error.strerror}") from None
     parser, open_elements, roots = expat.ParserCreate(), list[Element](), list[Element]()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, attributes, parser.CurrentLineNumber, path)
+        name = tag.rpartition(":")[2] if document_type else tag
+        element = Element(name, attributes, parser.CurrentLineNumber, path)
         (open_elements[-1].children if open_elements else roots).append(element)
+        if open_elements:
+            open_elements[-1].content += " "
         open_elements.append(element)
+
+    def characters(text: str) -> None:
+        open_elements[-1].content += text
+
+    def doctype(_name: str, _system: Any, _public: Any, inside: int) -> None:
+        if inside or not document_type:
+            declared()
+
+    def unknown(name: str, _parameter: Any) -> None:
+        raise ModelError(f"{path.name}, line {parser.CurrentLineNumber}: unknown entity &{name};")
 
     def declared(*_: Any) -> None:
         raise ModelError(
@@ -93,7 +112,10 @@ def read_xml(path: Path) -> Element:
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: open_elements.pop()
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = declared
+    parser.CharacterDataHandler = characters
+    parser.EntityDeclHandler, parser.StartDoctypeDeclHandler = declared, doctype
+    # After a document type that is not opened, expat would drop an entity that it does not know.
+    parser.SkippedEntityHandler = unknown
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:

@@ -1,0 +1,150 @@
+"""The functions of a file: which variable is which table of which inputs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ....checks import listed
+from ....expr import Expr
+from ..xml_file import Element
+from .numbers import numbers_of
+from .tables import Axis, Table
+
+_GRIDDED, _UNGRIDDED = ("griddedTableDef", "griddedTable"), ("ungriddedTableDef", "ungriddedTable")
+
+
+@dataclasses.dataclass(frozen=True)
+class Function:
+    """A variable that a table gives.
+
+    Attributes:
+        element: where the file says it.
+        output: varID of the value.
+        axes: how each input enters.
+        table: the values.
+    """
+
+    element: Element
+    output: str
+    axes: tuple[Axis, ...]
+    table: Table
+
+    def __call__(self, variables: Mapping[str, Expr]) -> Expr:
+        return self.table.at([variables[axis.variable] for axis in self.axes], self.axes)
+
+
+def by_id(elements: Iterable[Element], attribute: str) -> dict[str, Element]:
+    """Elements by a name that only one may have. Raises ModelError."""
+    found: dict[str, Element] = {}
+    for element in elements:
+        name = element.text(attribute).strip()
+        if name in found:
+            raise element.wrong(f"{attribute} {name!r} was defined before, in line {found[name].line}")
+        found[name] = element
+    return found
+
+
+def within(element: Element) -> Iterator[Element]:
+    """An element and all in it."""
+    ahead = [element]
+    while ahead:
+        yield (here := ahead.pop())
+        ahead += reversed(here.children)
+
+
+def needed(element: Element, *tags: str) -> Element:
+    """The first child of one of these tags. Raises ModelError where there is none."""
+    found = next((child for child in element.children if child.tag in tags), None)
+    if found is None:
+        raise element.wrong(f"expected <{'> or <'.join(tags)}> inside")
+    return found
+
+
+class Functions:
+    """Reads the functions of a file. A table that several use is read once."""
+
+    def __init__(self, root: Element) -> None:
+        self._breakpoints = {
+            name: increasing(needed(e, "bpVals")) for name, e in by_id(root.all("breakpointDef"), "bpID").items()
+        }
+        defined = list(within(root))
+        self._gridded = by_id((e for e in defined if e.tag in _GRIDDED and "gtID" in e.attributes), "gtID")
+        self._ungridded = by_id((e for e in defined if e.tag in _UNGRIDDED and "utID" in e.attributes), "utID")
+        self._read: dict[int, Table] = {}
+        self.all = [self._function(element) for element in root.all("function")]
+
+    def _function(self, element: Element) -> Function:
+        points = element.all("independentVarPts")
+        inputs = points or element.all("independentVarRef")
+        output = needed(element, "dependentVarPts" if points else "dependentVarRef")
+        axes = tuple(Axis.read(one) for one in inputs)
+        if points:
+            table = on_grid([increasing(one) for one in points], numbers_of(output), output)
+        else:
+            table = self._table(needed(element, "functionDefn"))
+        if len(axes) != len(table.breakpoints):
+            raise element.wrong(f"{len(axes)} independent variables for a table of {len(table.breakpoints)} axes")
+        return Function(element, output.text("varID").strip(), axes, table)
+
+    def _table(self, definition: Element) -> Table:
+        element = needed(definition, *_GRIDDED, "griddedTableRef", *_UNGRIDDED, "ungriddedTableRef")
+        if element.tag == "griddedTableRef":
+            element = referred(element, "gtID", self._gridded)
+        elif element.tag == "ungriddedTableRef":
+            element = referred(element, "utID", self._ungridded)
+        if id(element) not in self._read:
+            read = self._from_grid if element.tag in _GRIDDED else from_points
+            self._read[id(element)] = read(element)
+        return self._read[id(element)]
+
+    def _from_grid(self, element: Element) -> Table:
+        refs = needed(element, "breakpointRefs").all("bpRef")
+        breakpoints = [referred(ref, "bpID", self._breakpoints) for ref in refs]
+        data = needed(element, "dataTable")
+        return on_grid(breakpoints, numbers_of(data), data)
+
+
+def referred(element: Element, attribute: str, known: Mapping[str, Any]) -> Any:
+    """What a reference means. Raises ModelError where nothing has that name."""
+    name = element.text(attribute).strip()
+    if name not in known:
+        raise element.wrong(f"{attribute} {name!r} is not defined; there are {listed(known, name)}")
+    return known[name]
+
+
+def increasing(element: Element) -> np.ndarray:
+    """Breakpoints. Raises ModelError."""
+    values = numbers_of(element)
+    if len(values) < 2 or not (np.diff(values) > 0).all():
+        raise element.wrong(f"expected two or more increasing breakpoints, got {values.tolist()}")
+    return values
+
+
+def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element) -> Table:
+    """Values in the order of the file as a table. Raises ModelError where their number is another."""
+    shape = tuple(map(len, breakpoints))
+    if not shape or values.size != np.prod(shape):
+        raise element.wrong(f"expected {' x '.join(map(str, shape)) or 'breakpoints and'} values, got {values.size}")
+    return Table(tuple(breakpoints), values.reshape(shape))
+
+
+def from_points(element: Element) -> Table:
+    """An ungridded table, in any order: of one input, or of points that fill a grid. Raises ModelError."""
+    rows = [numbers_of(point) for point in element.all("dataPoint")]
+    widths = {len(row) for row in rows}
+    if len(widths) != 1 or widths.pop() < 2:
+        raise element.wrong("expected <dataPoint> elements with the same number of inputs and a value each")
+    points = np.array(rows)
+    breakpoints = [np.unique(column) for column in points[:, :-1].T]
+    order = np.lexsort(points[:, -2::-1].T)
+    filled = len(points) == np.prod([len(axis) for axis in breakpoints])
+    if not filled or len(np.unique(points[:, :-1], axis=0)) != len(points) or min(map(len, breakpoints)) < 2:
+        raise element.wrong(
+            f"its {len(points)} points do not fill a grid of {' x '.join(str(len(a)) for a in breakpoints)}.\n"
+            "  fix: interpolate the scattered points to a grid and write a griddedTableDef"
+        )
+    return Table(tuple(breakpoints), points[order, -1].reshape([len(axis) for axis in breakpoints]))

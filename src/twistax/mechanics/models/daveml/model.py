@@ -1,0 +1,327 @@
+"""A DAVE-ML file as expressions by name of variable."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ....checks import listed, path_of
+from ....errors import ModelError, TwistaxError
+from ....expr import Constant, Expr, State, to_expr
+from ....expr.fields import ExprLike
+from ....lowering import lower
+from ....precision import in_double
+from ..xml_file import Element, read_xml
+from .functions import Functions, by_id, needed
+from .mathml import Calculation, names_in
+from .numbers import optional_number
+from .static_checks import StaticCheck, read_shots
+from .tables import limited
+
+#: Marks of a variable whose value comes from outside.
+_GIVEN = ("isInput", "isControl", "isDisturbance", "isState")
+#: What may stand under the root. Anything else would change what the file means.
+_KNOWN = {
+    "fileHeader", "variableDef", "breakpointDef", "griddedTableDef", "ungriddedTableDef", "function", "checkData",
+    "provenance", "description", "reference",
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """A variable of a file.
+
+    Attributes:
+        name, units, sign, description: as in the file; empty where it says nothing.
+        initial: its `initialValue`, None if there is none.
+        minimum, maximum: it is kept between these; None where there is no limit.
+        place: file, line and element.
+    """
+
+    name: str
+    units: str
+    sign: str
+    description: str
+    initial: float | None
+    minimum: float | None
+    maximum: float | None
+    place: str
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rule:
+    """How a variable follows from others."""
+
+    needs: tuple[str, ...]
+    build: Callable[[Mapping[str, Expr]], Expr]
+
+
+class DaveModel:
+    """What a DAVE-ML file (ANSI/AIAA S-119) calculates, as expressions.
+
+        aero = load_daveml("F16_aero.dml")
+        aero.inputs                       # {'vt': Signal(name='trueAirspeed', units='ft_s', ...), ...}
+        c = aero(vt=speed / feet, alpha=alpha / degrees, ...)
+        c["cx"]                           # an expression
+        aero.check()                      # the file's own check-cases
+
+    Attributes:
+        name: of the file's header.
+        variables: every variable by varID, as `Signal`.
+        inputs: those that have to be given: marked so, or with neither calculation, table nor initial value.
+        outputs: those marked so; if none is, those that nothing else in the file needs.
+    """
+
+    def __init__(self, root: Element) -> None:
+        header = root.first("fileHeader")
+        self.name: str = "" if header is None else header.attributes.get("name", "")
+        for child in root.children:
+            if child.tag not in _KNOWN:
+                raise child.wrong(f"is not read; DAVE-ML has {', '.join(sorted(_KNOWN))} under <{root.tag}>")
+        self._root = root
+        elements = by_id(root.all("variableDef"), "varID")
+        if not elements:
+            raise root.wrong("expected <variableDef> elements")
+        self.variables: dict[str, Signal] = {name: _signal(element) for name, element in elements.items()}
+        self._rules = self._read_rules(elements)
+        self._order = _sorted(self._rules, elements)
+        self.inputs: dict[str, Signal] = {
+            name: self.variables[name]
+            for name, element in elements.items()
+            if name not in self._rules and (_marked(element, _GIVEN) or self.variables[name].initial is None)
+        }
+        used = {need for rule in self._rules.values() for need in rule.needs}
+        chosen = [name for name, element in elements.items() if _marked(element, ("isOutput",))]
+        chosen = chosen or [name for name in elements if name not in used and name not in self.inputs]
+        self.outputs: dict[str, Signal] = {name: self.variables[name] for name in chosen}
+        self._leaves = {name: State(f"input{i}") for i, name in enumerate(self.inputs)}
+        self._built = self._build(self._leaves, self.variables)  # now, so that a broken file is refused now
+        self._shots = read_shots(root, self._names())
+
+    def __repr__(self) -> str:
+        return (
+            f"<DaveModel {self.name!r}: {len(self.inputs)} inputs, {len(self.outputs)} outputs, "
+            f"{len(self.variables)} variables>"
+        )
+
+    def __call__(
+        self,
+        inputs: Mapping[str, ExprLike] | None = None,
+        /,
+        *,
+        outputs: Iterable[str] | None = None,
+        **named: ExprLike,
+    ) -> dict[str, Expr]:
+        """Outputs as expressions of the inputs, by varID.
+
+        Args:
+            inputs, named: scalars by varID, in the file's units: expressions, leaves or numbers. A variable that is no
+                input may be given too, a `Parameter` in place of a constant: its own calculation is then not used. What
+                is given is kept within the limits of the file.
+            outputs: varIDs of what is wanted, which may be any variables; those of `self.outputs` if left out.
+        Raises:
+            ModelError: an input is missing, unknown or given twice, or is no scalar; an unknown output.
+        """
+        twice = sorted(set(inputs or {}) & set(named))
+        if twice:
+            raise ModelError(f"{self.name}: {listed(twice)} given twice")
+        given = {**(inputs or {}), **named}
+        wanted = list(self.outputs if outputs is None else outputs)
+        for name in [*given, *wanted]:
+            if name not in self.variables:
+                raise ModelError(
+                    f"{self.name}: there is no variable {name!r}; there are {listed(self.variables, name)}"
+                )
+        values = {name: to_expr(value) for name, value in given.items()}
+        for name, value in values.items():
+            if value.shape != ():
+                raise ModelError(f"{self.name}: {name} expects a scalar, got shape {value.shape}")
+        built = self._build(values, wanted)
+        return {name: built[name] for name in wanted}
+
+    def values(
+        self, inputs: Mapping[str, float] | None = None, /, *, outputs: Iterable[str] | None = None, **named: float
+    ) -> dict[str, float]:
+        """Outputs as numbers, in double precision, by varID. Arguments, errors: as of a call, with numbers."""
+        with in_double():
+            found = lower(self({**(inputs or {}), **named}, outputs=outputs))(0.0)
+        return {name: float(value) for name, value in found.items()}
+
+    def check(self) -> list[StaticCheck]:
+        """Runs the static check-cases of the file, in double precision. Inputs that a case leaves out are initial.
+
+        Returns: every output of every case; an empty list if the file has none.
+        Raises:
+            ModelError: outputs are off by more than their tolerances; it says which, and which internal value of the
+                case is off first. A case leaves out an input that has no initial value.
+        """
+        if not self._shots:
+            return []
+        found = self._at_shots()
+        checks = [
+            StaticCheck(shot.name, name, value.value, value.tolerance, found[name][i], value.element.place)
+            for i, shot in enumerate(self._shots)
+            for name, value in shot.outputs.items()
+        ]
+        wrong = [check for check in checks if not check.holds]
+        if wrong:
+            off = "\n  ".join(
+                f"{check.place}: {check.output} of {check.shot!r} is {check.found!r}, expected {check.expected!r} "
+                f"within {check.tolerance}{self._first_off(check.shot, found)}"
+                for check in wrong[:10]
+            )
+            raise ModelError(f"{self.name}: {len(wrong)} of {len(checks)} static checks do not hold:\n  {off}")
+        return checks
+
+    # ---- reading ---------------------------------------------------------------------------------------------------
+
+    def _read_rules(self, elements: Mapping[str, Element]) -> dict[str, _Rule]:
+        rules: dict[str, _Rule] = {}
+        for name, element in elements.items():
+            calculation = element.first("calculation")
+            if calculation is not None:
+                rules[name] = _calculated(needed(calculation, "math"), elements)
+        for function in Functions(self._root).all:
+            for axis in function.axes:
+                if axis.variable not in elements:
+                    raise axis.element.wrong(_unknown(axis.variable, elements))
+            if function.output not in elements:
+                raise function.element.wrong(_unknown(function.output, elements))
+            if function.output in rules:
+                raise function.element.wrong(f"varID {function.output!r} has another table or calculation already")
+            rules[function.output] = _Rule(tuple(axis.variable for axis in function.axes), function)
+        return rules
+
+    def _names(self) -> dict[str, list[str]]:
+        """The varIDs by name; a varID means itself."""
+        names: dict[str, list[str]] = {}
+        for variable, signal in self.variables.items():
+            names.setdefault(signal.name, []).append(variable)
+        return names | {variable: [variable] for variable in self.variables}
+
+    # ---- building --------------------------------------------------------------------------------------------------
+
+    def _build(self, given: Mapping[str, Expr], wanted: Iterable[str]) -> dict[str, Expr]:
+        """Variables as expressions: those wanted and what they need."""
+        needed_ones, ahead = set[str](), list(wanted)
+        while ahead:
+            name = ahead.pop()
+            if name not in needed_ones:
+                needed_ones.add(name)
+                ahead += self._rules[name].needs if name in self._rules and name not in given else ()
+        missing = [name for name in self.inputs if name in needed_ones and name not in given]
+        if missing:
+            asked = "; ".join(self._asked(name) for name in missing)
+            raise ModelError(f"{self.name}: {len(missing)} inputs are missing: {asked}")
+        built: dict[str, Expr] = {}
+        for name in (name for name in self._order if name in needed_ones):
+            signal = self.variables[name]
+            if name in given:
+                value = given[name]
+            elif name in self._rules:
+                try:
+                    value = self._rules[name].build(built)
+                except TwistaxError as error:
+                    raise error if ", line " in str(error) else ModelError(f"{signal.place}: {error}") from None
+            else:
+                value = Constant(signal.initial)
+            built[name] = limited(value, signal.minimum, signal.maximum)
+        return built
+
+    def _asked(self, name: str) -> str:
+        signal = self.variables[name]
+        initial = "" if signal.initial is None else f", initially {signal.initial:g}"
+        return f"{name} ({signal.name}, {signal.units or 'no units'}{initial})"
+
+    # ---- checking --------------------------------------------------------------------------------------------------
+
+    def _at_shots(self) -> dict[str, list[float]]:
+        """Every variable at every shot."""
+        columns: dict[str, list[float]] = {name: [] for name in self.inputs}
+        for shot in self._shots:
+            for name, signal in self.inputs.items():
+                value = shot.inputs[name].value if name in shot.inputs else signal.initial
+                if value is None:
+                    raise self._root.wrong(f"the static shot {shot.name!r} does not give the input {name!r}")
+                columns[name].append(value)
+        with in_double():
+            states = {self._leaves[name].name: np.array(column) for name, column in columns.items()}
+            found = jax.vmap(lambda x: lower(self._built)(0.0, x))(states) if states else lower(self._built)(0.0)
+            return {name: np.broadcast_to(v, len(self._shots)).tolist() for name, v in found.items()}
+
+    def _first_off(self, shot_name: str, found: Mapping[str, list[float]]) -> str:
+        """In words, the internal value of a shot that is off first, in the order of the calculation."""
+        i, shot = next((i, shot) for i, shot in enumerate(self._shots) if shot.name == shot_name)
+        for name in self._order:
+            if name in shot.internal:
+                expected = shot.internal[name].value
+                if abs(found[name][i] - expected) > 1e-6 * max(1.0, abs(expected)):
+                    return f"; its internal value {name} is {found[name][i]!r}, expected {expected!r}"
+        return ""
+
+
+def load_daveml(path: str | Path) -> DaveModel:
+    """The model that a DAVE-ML file (ANSI/AIAA S-119-2011, DAVE-ML 1.9 to 2.0) describes.
+
+    Read are variables with limits and initial values, calculations in MathML, gridded tables, ungridded tables whose
+    points fill a grid, lookups that are linear or by steps, and static checks. A document type may be named and is not
+    opened; nothing is fetched and nothing in the file is run.
+
+    Raises: ModelError with file, line and element.
+    """
+    root = read_xml(path_of("load_daveml: path", path), "load_daveml", document_type=True)
+    if root.tag != "DAVEfunc":
+        raise root.wrong("load_daveml expects DAVE-ML, whose root is <DAVEfunc>")
+    return DaveModel(root)
+
+
+def _signal(element: Element) -> Signal:
+    text = {name: element.attributes.get(name, "").strip() for name in ("name", "units", "sign")}
+    description = element.first("description")
+    words = "" if description is None else " ".join(description.content.split())
+    initial, lower, upper = (optional_number(element, name) for name in ("initialValue", "minValue", "maxValue"))
+    if lower is not None and upper is not None and lower > upper:
+        raise element.wrong(f"minValue {lower:g} is above maxValue {upper:g}")
+    return Signal(text["name"], text["units"], text["sign"], words, initial, lower, upper, element.place)
+
+
+def _marked(element: Element, marks: Iterable[str]) -> bool:
+    return any(element.first(mark) is not None for mark in marks)
+
+
+def _calculated(math: Element, elements: Mapping[str, Element]) -> _Rule:
+    names = names_in(math)
+    for name in names:
+        if name.content.strip() not in elements:
+            raise name.wrong(_unknown(name.content.strip(), elements))
+    return _Rule(
+        tuple(name.content.strip() for name in names),
+        lambda variables: Calculation(lambda ci: variables[ci.content.strip()])(math),
+    )
+
+
+def _unknown(name: str, known: Iterable[str]) -> str:
+    return f"varID {name!r} is not defined; there are {listed(known, name)}"
+
+
+def _sorted(rules: Mapping[str, _Rule], elements: Mapping[str, Element]) -> list[str]:
+    """The variables, each after what it needs. Raises ModelError where one needs itself."""
+    order: dict[str, None] = {}
+    for first in elements:
+        ahead, open_ones = [(first, False)], dict[str, None]()
+        while ahead:
+            name, finished = ahead.pop()
+            if finished:
+                order[name] = None
+                del open_ones[name]
+            elif name in open_ones:
+                raise elements[name].wrong(f"needs itself: {' <- '.join([*open_ones, name])}")
+            elif name not in order:
+                open_ones[name] = None
+                ahead.append((name, True))
+                ahead += [(need, False) for need in (rules[name].needs if name in rules else ())]
+    return list(order)

@@ -1,0 +1,138 @@
+"""Function tables: gridded ones, and ungridded ones whose points fill a grid."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ....checks import listed
+from ....expr import Constant, Expr, Interp, Max, Min, Where
+from ....tables import Clamped, Extrapolated
+from ..xml_file import Element
+from .numbers import optional_number
+
+#: Entries of `extrapolate`: whether the table goes on below its first and above its last breakpoint.
+_ENDS = {"neither": (False, False), "min": (True, False), "max": (False, True), "both": (True, True)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Axis:
+    """How one input enters a table, by `independentVarRef` or `independentVarPts`.
+
+    Attributes:
+        element: where the file says it.
+        variable: the input's varID.
+        lower, upper: the input is kept between these, if they are not None.
+        below, above: the table is continued beyond its ends; else the values at the ends hold.
+        lookup: how values between breakpoints follow.
+    """
+
+    element: Element
+    variable: str
+    lower: float | None
+    upper: float | None
+    below: bool
+    above: bool
+    lookup: Lookup
+
+    @classmethod
+    def read(cls, element: Element) -> Axis:
+        """Raises ModelError for an unknown `extrapolate` or `interpolate`."""
+        ends = element.attributes.get("extrapolate", "neither")
+        if ends not in _ENDS:
+            raise element.wrong(f"extrapolate expects one of {listed(_ENDS, ends)}, got {ends!r}")
+        kind = element.attributes.get("interpolate", "linear")
+        if kind not in LOOKUPS:
+            raise element.wrong(
+                f"interpolate={kind!r} is not read; tables are looked up by {listed(LOOKUPS)}.\n"
+                "  fix: put the spline's values on finer breakpoints"
+            )
+        lower, upper = (optional_number(element, name) for name in ("min", "max"))
+        below, above = _ENDS[ends]
+        return cls(element, element.text("varID").strip(), lower, upper, below, above, LOOKUPS[kind])
+
+    def kept(self, x: Expr) -> Expr:
+        """The input within its limits."""
+        return limited(x, self.lower, self.upper)
+
+
+def limited(x: Expr, lower: float | None, upper: float | None) -> Expr:
+    """x between limits that may be missing."""
+    x = x if lower is None else Max(x, lower)
+    return x if upper is None else Min(x, upper)
+
+
+class Lookup:
+    """Linear between breakpoints."""
+
+    def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
+        """Where to look in a piecewise linear table, and its breakpoints."""
+        return x, breakpoints
+
+
+class Steps(Lookup):
+    """The value at one breakpoint: the table is looked up at its number, which is whole.
+
+    The reference manual of DAVE-ML 2.0.2 is followed. Earlier drafts of it have floor and ceiling the other way round.
+    """
+
+    def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
+        count = sum((Where(passed, 1.0, 0.0) for passed in self.passed(x, breakpoints)), Constant(0.0))
+        return count, np.arange(float(len(breakpoints)))
+
+    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
+        """One condition for each step."""
+        raise NotImplementedError
+
+
+class Nearest(Steps):
+    """At the nearest breakpoint, halfway the higher one."""
+
+    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
+        return [x >= middle for middle in (breakpoints[1:] + breakpoints[:-1]) / 2.0]
+
+
+class Floor(Steps):
+    """At the last breakpoint that is not above."""
+
+    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
+        return [x >= point for point in breakpoints[1:]]
+
+
+class Ceiling(Steps):
+    """At the first breakpoint that is not below."""
+
+    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
+        return [x > point for point in breakpoints[:-1]]
+
+
+LOOKUPS: dict[str, Lookup] = {"linear": Lookup(), "discrete": Nearest(), "floor": Floor(), "ceiling": Ceiling()}
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Values over a grid.
+
+    Attributes:
+        breakpoints: of each axis, increasing.
+        values: one axis for each of them; the last one changes fastest in the file.
+    """
+
+    breakpoints: tuple[np.ndarray, ...]
+    values: np.ndarray
+
+    def at(self, inputs: Sequence[Expr], axes: Sequence[Axis]) -> Expr:
+        """The value of the function."""
+        places, points, outside = [], [], list[Any]()
+        for x, axis, breakpoints in zip(inputs, axes, self.breakpoints):
+            place, numbers = axis.lookup.place(axis.kept(x), breakpoints)
+            goes_on = (axis.below or axis.above) and numbers is breakpoints
+            if goes_on:  # the last slope, on the sides that the axis says
+                place = limited(place, None if axis.below else numbers[0], None if axis.above else numbers[-1])
+            places.append(place)
+            points.append(numbers)
+            outside.append(Extrapolated() if goes_on else Clamped())
+        return Interp(*places, axes=points, values=self.values, outside=outside)
