@@ -511,9 +511,9 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/trim_unknowns.py",
         (
-            "a chart without its right Jacobian",
-            "[slopes[:, :n] @ right, slopes[:, n:]]",
-            "[slopes[:, :n] @ right.T, slopes[:, n:]]",
+            "bounds of another unknown",
+            "into[places] = reals(",
+            "into[places[0] - 1] = reals(",
             "test_trim.py",
         ),
     ),
@@ -1025,11 +1025,11 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- trajectory and scenes ---------------------------------------------------------------------------------------
     *_at(
-        "trajectory/discretize.py",
+        "trajectory/linearize.py",
         (
             "transport the other way",
-            "jacobian[:, :n] - dynamics.group.ad(rate)",
-            "jacobian[:, :n] + dynamics.group.ad(rate)",
+            "slopes[:n, :n] - dynamics.group.ad(value[:n])",
+            "slopes[:n, :n] + dynamics.group.ad(value[:n])",
             "trajectory/test_linearize.py",
         ),
     ),
