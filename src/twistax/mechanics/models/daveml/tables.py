@@ -10,7 +10,7 @@ import numpy as np
 
 from ....checks import listed
 from ....expr import Constant, Expr, Interp, Max, Min, Where
-from ....tables import Clamped, Extrapolated
+from ....expr.table_kinds import Clamped, Extrapolated
 from ..xml_file import Element
 from .numbers import optional_number
 
