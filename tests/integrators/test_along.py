@@ -159,6 +159,21 @@ def test_other_rows_and_another_table_compile_nothing(way: dict[str, float]) -> 
     assert compiled(lambda: jax.jit(lambda a: a - 1.0)(1.0)) > 0
 
 
+@pytest.mark.slow
+def test_another_level_of_an_event_compiles_nothing() -> None:
+    x = cart().states[0]
+
+    def fly(level: float) -> float:
+        event = [tx.Event(x - level), tx.Event(-1.0 - level - x)]
+        found = tx.integrate(cart(), start(), t1=2.0, dt=0.25, u={"F": np.asarray(1.0)}, event=event)
+        assert found.event == 0
+        return float(found.ts[-1])
+
+    assert fly(1.3) == pytest.approx(1.3)
+    assert compiled(lambda: fly(0.6)) == 0
+    assert fly(0.6) == pytest.approx(0.6)
+
+
 METHODS = {
     "DOP853": (None, 6),
     "TSIT5": (tx.RKMK(tx.tableaus.TSIT5), 4),

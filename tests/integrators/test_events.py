@@ -250,13 +250,3 @@ def test_refusals(unchecked: None) -> None:
         solve([GROUND, tx.Event(lambda t, x, u, params: x["V"])], **FIXED)
     with pytest.raises(tx.ModelError, match="reads Parameter 'other'"):
         solve(tx.Event(g[2, 3] - tx.Parameter("other", value=1.0)), **FIXED)
-
-
-@pytest.mark.slow
-def test_the_same_condition_does_not_compile_again() -> None:
-    from twistax.integrators.rollout import rollout as compiled
-
-    solve(tx.Event(g[2, 3] - 0.5), **FIXED)
-    before = compiled._cache_size()
-    solve(tx.Event(g[2, 3] - 0.5), 7.0, **FIXED)
-    assert compiled._cache_size() == before

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..checks import callable_with, real_array
 from ..errors import InputError, ModelError
-from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Time, canonicalize_all, evaluate_all, leaves_of
+from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Sub, Time, canonicalize_all, evaluate_all, leaves_of
 from ..expr.margins import margin
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
@@ -83,14 +83,17 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class _OfExpression:
-    """An expression as a condition. A value: equal where the expressions are."""
+    """An expression as a condition, less a level that is an input. A value: equal where the expressions are."""
 
     key: Any
+    falling: bool  # whether it is the level less the expression
     expr: Expr = dataclasses.field(compare=False)
 
-    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
+    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *level: Any) -> jax.Array:
         inputs = Inputs(t, x, u, params, t.dtype)
         (value,) = evaluate_all([self.expr], lambda leaf: leaf.read(inputs))
+        for own in level:
+            value = own - value if self.falling else value - own
         return value
 
 
@@ -162,7 +165,8 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
         condition = own.condition
         closed: tuple[Any, ...] = ()
         if isinstance(condition, Expr):
-            condition = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
+            found = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
+            condition, closed = found[0], tuple(np.asarray(level, start.dtype) for level in found[1])
         elif is_tracing():
             value, arguments = value_of(number, condition)
             if is_traced(value):
@@ -179,8 +183,12 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
     return Watch(tuple(functions), tuple(e.sense for e in events), tuple(inputs)), values
 
 
-def _of_expression(dynamics: Dynamics, condition: Expr) -> _OfExpression:
-    """An expression that the system can evaluate. Raises ModelError."""
+def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, list[Any]]:
+    """An expression that the system can evaluate, and the number it is compared with: another one compiles nothing.
+
+    Raises:
+        ModelError: it reads what the system does not have.
+    """
     known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
     for leaf in leaves_of(condition):
         if isinstance(leaf, Leaf) and not isinstance(leaf, (Constant, Time)) and leaf.key() not in known:
@@ -190,7 +198,11 @@ def _of_expression(dynamics: Dynamics, condition: Expr) -> _OfExpression:
                 f"does not have{baked}"
             )
     (expr,) = canonicalize_all([condition])
-    return _OfExpression(expr.key(), expr)
+    left, right = expr.children() if isinstance(expr, Sub) else (None, None)
+    for level, other in ((left, right), (right, left)):
+        if isinstance(level, Constant) and level.shape == () and other is not None:
+            return _OfExpression(other.key(), level is left, other), [level.value]
+    return _OfExpression(expr.key(), False, expr), []
 
 
 # ---- where in its last step an integration meets an event, and what becomes of it then -----------------------------
