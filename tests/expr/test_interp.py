@@ -132,6 +132,21 @@ def test_the_cost_grows_with_the_axes_and_not_with_the_points(kind: Any) -> None
     assert uneven[1] - uneven[0] <= 4 * 9  # a load, a comparison, a sum and a choice for each halving
 
 
+def test_tables_that_are_parameters_give_what_tables_of_numbers_give() -> None:
+    names = {"p": UNEVEN, "q": EVEN, "line": values(7), "plane": values(7, 7)}
+    p, q, line, plane = (tx.Parameter(name, value=own) for name, own in names.items())
+    pairs = [
+        (tx.Linterp(x, p, line), tx.Linterp(x, UNEVEN, values(7))),
+        (tx.Linterp(x, UNEVEN, plane), tx.Linterp(x, UNEVEN, values(7, 7))),
+        (tx.Bilerp(x, x[::-1], p, q, plane), tx.Bilerp(x, x[::-1], UNEVEN, EVEN, values(7, 7))),
+    ]
+    for changing, fixed in pairs:
+        for point in POINTS[[0, 1, -2, -1]]:
+            at = {"x": jnp.asarray(point)}
+            found = tx.lower(changing)(0.0, at)
+            np.testing.assert_allclose(found, tx.lower(fixed)(0.0, at), rtol=1e-13, atol=1e-14)
+
+
 def test_tables_travel_by_pickle_also_after_they_were_read() -> None:
     for expr, at in ((e, {"x": jnp.asarray(POINTS[0])}) for e, _ in list(tables().values())[:3]):
         value = tx.lower(expr)(0.0, at)
