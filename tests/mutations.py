@@ -1061,8 +1061,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/interval.py",
         (
             "adjoints without the rows at the points",
-            "adjoint = adjoint + through + pulls[s]",
-            "adjoint = adjoint + through",
+            "return adjoint + through + pull, adjoints",
+            "return adjoint + through, adjoints",
             "trajectory/test_shooting.py",
         ),
         ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),

@@ -71,7 +71,7 @@ def test_a_limit_that_binds_has_the_slope_of_the_objective_as_multiplier() -> No
         problem.solve(free={"unread": (0.0, 1.0)})
 
 
-@pytest.mark.parametrize("size", [1e-6, 1e6])
+@pytest.mark.parametrize("size", [pytest.param(1e-6, marks=pytest.mark.slow), 1e6])
 def test_units_of_a_parameter_do_not_matter(size: float) -> None:
     """x' = u + push from 0 to size in 1 s at least u^2 + push^2: half each; an entry may have no value and no box."""
     x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,))

@@ -68,12 +68,12 @@ def regulator(nodes: int, controls: Any) -> float:
     return result.cost - np.tanh(2.0)
 
 
-def test_the_order_in_the_mesh() -> None:
+@pytest.mark.parametrize(("controls", "order"), [pytest.param(Held(), 2.0, marks=pytest.mark.slow), (Linear(), 4.0)])
+def test_the_order_in_the_mesh(controls: Any, order: float) -> None:
     """Held controls miss the optimum by the second power of the intervals, linear ones by the fourth."""
-    for controls, order in ((Held(), 2.0), (Linear(), 4.0)):
-        far, near = regulator(5, controls), regulator(9, controls)
-        assert far > near > 0.0
-        assert np.log2(far / near) == pytest.approx(order, abs=0.25)
+    far, near = regulator(5, controls), regulator(9, controls)
+    assert far > near > 0.0
+    assert np.log2(far / near) == pytest.approx(order, abs=0.25)
 
 
 def test_limits_hold_at_both_ends_and_norms_are_cones() -> None:

@@ -40,7 +40,11 @@ def point_of(problem: Problem, final_time: float) -> Point:
 
 @pytest.mark.parametrize(
     ("tableau", "order"),
-    [(tx.tableaus.GAUSS_LEGENDRE4, 4), (tx.tableaus.GAUSS_LEGENDRE6, 6), (tx.tableaus.RADAU_IIA5, 5)],
+    [
+        (tx.tableaus.GAUSS_LEGENDRE4, 4),
+        pytest.param(tx.tableaus.GAUSS_LEGENDRE6, 6, marks=pytest.mark.slow),
+        (tx.tableaus.RADAU_IIA5, 5),
+    ],
 )
 def test_the_order_of_an_interval_and_of_its_cost(tableau: Any, order: int) -> None:
     """Against the same system with its cost as a state, integrated to round-off."""
