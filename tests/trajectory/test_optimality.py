@@ -13,7 +13,7 @@ from twistax.trajectory import Problem, Status, TrajectoryResult
 
 
 @functools.cache
-def fastest(limit: float = 1.0) -> Problem:
+def fastest(limit: float) -> Problem:
     """Least time (and a constant) of mass p'' = u, |u| <= limit, over as far as the limit: T = 2 s."""
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-limit, max=limit)
     mass, since = tx.Parameter("mass", value=1.0), tx.Parameter("since", value=0.0)
@@ -37,13 +37,13 @@ def test_units_do_not_matter(limit: float) -> None:
 
 @pytest.mark.parametrize("limits", [(0.5, 3.0), (0.5, 2000.0)])
 def test_limits_of_the_final_time_do_not_matter(limits: tuple[float, float]) -> None:
-    result = fastest().solve(final_time=limits)
+    result = fastest(1.0).solve(final_time=limits)
     assert result.status is Status.SOLVED
     assert result.final_time == pytest.approx(2.0, rel=1e-5)
 
 
 def test_a_constant_in_the_objective_does_not_matter() -> None:
-    plain, moved = fastest().solve(), fastest().solve(params={"since": 1000.0})
+    plain, moved = fastest(1.0).solve(), fastest(1.0).solve(params={"since": 1000.0})
     assert moved.status is Status.SOLVED
     assert moved.cost - 1000.0 == pytest.approx(plain.cost, abs=1e-5)
     np.testing.assert_allclose(moved.us["u"], plain.us["u"], atol=1e-4)
@@ -52,7 +52,7 @@ def test_a_constant_in_the_objective_does_not_matter() -> None:
 
 def test_other_cases_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
     """From rest to rest over a distance D with |u| <= 1 it takes 2 sqrt(mass D)."""
-    problem = fastest()
+    problem = fastest(1.0)
     assert problem.solve().solved
     with jax.log_compiles(), caplog.at_level(logging.WARNING):
         result = problem.solve(
@@ -76,7 +76,7 @@ OTHERS: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("case", "text"), OTHERS, ids=["initial", "final", "time"])
 def test_what_needs_another_problem_is_refused(case: dict[str, Any], text: str) -> None:
     with pytest.raises(tx.TrajectoryError, match=text):
-        fastest().solve(**case)
+        fastest(1.0).solve(**case)
 
 
 # ---- the first-order conditions ----------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ def test_a_worst_trajectory_is_left() -> None:
 def test_running_out_of_iterations_is_never_solved() -> None:
     """However many there were: SOLVED asks for errors within the tolerance, in scales just measured."""
     for most in range(1, 14):
-        result = fastest().solve(max_iterations=most)
+        result = fastest(1.0).solve(max_iterations=most)
         errors = result.optimality
         small = max(errors.stationarity, errors.feasibility, errors.gap) <= 1e-6
         assert result.solved is small
