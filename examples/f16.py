@@ -39,7 +39,7 @@ def aircraft(folder: Path) -> tuple[flight.Vehicle, tx.Dynamics]:
     air = craft.air
     p, q, r = (air.rate[i] for i in range(3))  # relative to the turning Earth, as simulation 05 takes them
     alpha, beta = air.alpha / degrees, air.beta / degrees
-    euler = tx.lie.euler(craft.attitude) / degrees
+    euler = craft.euler / degrees
     sticks = files["control"](
         OFF,
         throttleTrim=tx.Parameter("throttle", value=0.14),
