@@ -33,12 +33,13 @@ by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path
 #: Why some say nothing of errors.
 NO_ERRORS = {
     "users get these and do not make them": """
-        Between Dynamics LinearSystem Mode Order Result columns.Column Solution Statistics Sweep Trim charts.Coordinates
-        diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.GivenForces mechanics.joints.Screws
-        mechanics.environment.earth.Geodetic mechanics.flight.AirData mechanics.flight.Gust
-        mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization trajectory.Meshed
-        trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
-        trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults trajectory.WarmStart""",
+        Between Dynamics Mode Order Result columns.Column Solution Statistics Sweep Trim charts.Coordinates
+        diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel mechanics.GivenForces
+        mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
+        mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
+        trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
+        trajectory.Solution trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults
+        trajectory.WarmStart""",
     "it takes no arguments": """
         JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient tables.BSpline tables.Clamped
         tables.Extrapolated tables.Linear tables.MonotoneCubic tables.Refused""",
@@ -63,13 +64,14 @@ KNOWN = {
     "lie": "R T X W xi omega momentum points",
     "trajectory": "dynamics t params problem",
     "diffrax": "dynamics ambient",
+    "trim": "dynamics",
 }
 
 #: Why some do not name what they are made with.
 NO_ARGUMENTS = {
     "users get these and do not make them": """
-        LinearSystem Order Sweep diffrax.LieTerm trajectory.PhasedResult trajectory.PhasedResults trajectory.Solution
-        trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
+        Order Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
+        trajectory.Solution trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
     "the base class says it": "Maximize Minimize charts.SplitExponential",
     "one argument, which the first line is about": "Product units.Quantity",
 }

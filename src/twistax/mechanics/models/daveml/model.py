@@ -265,7 +265,7 @@ class DaveModel:
 
 
 def load_daveml(path: str | Path) -> DaveModel:
-    """The model that a DAVE-ML file (ANSI/AIAA S-119-2011, DAVE-ML 1.9 to 2.0) describes.
+    """The model of the DAVE-ML file (ANSI/AIAA S-119-2011, DAVE-ML 1.9 to 2.0) at a path.
 
     Read are variables with limits and initial values, calculations in MathML, gridded tables, ungridded tables whose
     points fill a grid, lookups that are linear or by steps, and static checks. A document type may be named and is not
