@@ -702,8 +702,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "tolerances of position and rotation swapped",
-            "jnp.stack([position] * 3 + [rotation] * 3)",
-            "jnp.stack([rotation] * 3 + [position] * 3)",
+            "stack([position] * 3 + [rotation] * 3)",
+            "stack([rotation] * 3 + [position] * 3)",
             "integrators/test_tolerances.py",
         ),
     ),
