@@ -82,6 +82,20 @@ def test_derivatives_of_the_program_are_those_of_its_values(turning: tx.trajecto
     assert np.allclose(without, numbers, rtol=0.0, atol=1e-9)
 
 
+def test_multipliers_follow_the_charts(turning: tx.trajectory.Problem) -> None:
+    """What a change of a node costs is the same in the charts about where it was and about where it is."""
+    reference, rng = somewhere(turning), np.random.default_rng(3)
+    program = Program(turning.shooting, InteriorPoint(turning.shooting, 1e-6), with_copies=False)
+    z, multipliers = 0.5 * rng.normal(size=program.size), rng.normal(size=program.count)
+    before, _ = program.multipliers(multipliers)
+    found, d, h = program.reached(z, reference, multipliers), program.step(z).d, 1e-6
+    for k in range(1, 9):
+        here, e = np.asarray(reference.point.xs["R"][k]), rng.normal(size=3)
+        ahead, back = (np.asarray(tx.SO3.retract(here, d[k, :3] + s * h * e)) for s in (1.0, -1.0))
+        moved = np.asarray(tx.SO3.log(back.T @ ahead)) / (2.0 * h)
+        assert found.dynamics[k - 1, :3] @ moved == pytest.approx(before[k - 1, :3] @ e, abs=1e-7)
+
+
 def test_they_find_what_the_interior_point_finds(turning: tx.trajectory.Problem) -> None:
     plain = turning.solve()
     assert plain.solved
