@@ -5,9 +5,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
+import jaxtyping
 import pytest
+from beartype.roar import BeartypeCallHintParamViolation
 
 import twistax
+from twistax.groups import so3
 
 SOURCE = Path(twistax.__file__).parent
 LAYERS = [
@@ -171,3 +175,14 @@ def test_the_smoke_tier_names_tests_that_exist() -> None:
         assert f"def {test.partition('[')[0]}" in (tests / file).read_text(), f"{file} {test}"
     packages = {path.name for path in SOURCE.iterdir() if path.is_dir() and path.name != "__pycache__"}
     assert packages - {"report"} <= {name.split("/")[0] for name in named}
+
+
+def test_types_and_shapes_are_checked_while_tests_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the hook of conftest.py, which leaves shapes to the functions of groups: it would be gone in silence."""
+    with pytest.raises(BeartypeCallHintParamViolation):
+        twistax.checks.listed(3)
+    monkeypatch.setattr(so3, "rigid_polynomial", lambda *_: jnp.zeros((2, 2)))
+    with pytest.raises(jaxtyping.TypeCheckError):
+        so3.exp(jnp.zeros(3))
+    elsewhere = [path for path in SOURCE.rglob("*.py") if path.parent.name != "groups"]
+    assert [path for path in elsewhere if "from jaxtyping" in path.read_text()] == []

@@ -37,9 +37,16 @@ def blocks(pages: list[Path]) -> str:
     return "\n".join(code for page in pages for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
 
 
-@pytest.mark.parametrize("pages", [p for p in PROGRAMS if blocks(p)], ids=lambda p: "/".join(p[0].parts[-2:]))
+@pytest.mark.parametrize("pages", [p for p in PROGRAMS if blocks(p)], ids=lambda p: str(p[0].relative_to(ROOT)))
 def test_code_blocks_run(pages: list[Path]) -> None:
     exec(compile(blocks(pages), str(pages[0]), "exec"), {"__name__": "docs"})
+
+
+def test_the_smoke_tier_has_the_readme() -> None:
+    """By the name that its test has, which must not depend on where the checkout is."""
+    names = [str(pages[0].relative_to(ROOT)) for pages in PROGRAMS if blocks(pages)]
+    named = re.findall(r'"test_docs\.py::test_code_blocks_run\[(.*)\]"', (ROOT / "tests/conftest.py").read_text())
+    assert named == ["README.md"] == names[:1]
 
 
 def test_the_tutorial_is_all_there() -> None:

@@ -18,6 +18,8 @@ EXTRAS = {
     "plot": ("matplotlib",),
     "models": ("mujoco",),
     "casadi": ("casadi",),
+    "control": ("control",),
+    "tables": ("pandas",),
     "report": ("matplotlib", "jinja2"),
     "docs": ("sphinx", "myst-parser", "furo"),
 }
@@ -43,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "report",
         help="what is measured: error against run time, the edges, speed, every other figure",
         description="Error against run time: scenes with known answers, by our methods and by diffrax. With "
-        "--stability, --speed or --figures something else. Writes a page, figures and tables.",
+        "--stability, --speed, --optimal or --figures something else. Writes a page, figures and tables.",
     )
     report_arguments.add_options(report)
     report.set_defaults(run=_report, rerun="; the same command goes on where it stopped")

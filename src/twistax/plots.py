@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from numpy import ndarray as Array
 
 from .errors import InputError, ModelError
-from .groups import SE3, SO3, Group, SpecialEuclidean, SpecialOrthogonal
+from .groups import SE3, SO3, Group, SpecialEuclidean, SpecialOrthogonal, euler
 
 #: A panel with more curves than this has no legend.
 _NAMED = 9
@@ -77,9 +78,7 @@ def group_of(value: Array) -> Group | None:
 
 
 def _angles(values: Array) -> Array:
-    R = values[:, :3, :3]
-    pitch = np.arcsin(np.clip(-R[:, 2, 0], -1.0, 1.0))
-    angles = np.stack([np.arctan2(R[:, 2, 1], R[:, 2, 2]), pitch, np.arctan2(R[:, 1, 0], R[:, 0, 0])], axis=1)
+    angles = np.asarray(jax.vmap(euler)(values[:, :3, :3]))
     return np.rad2deg(np.unwrap(angles, axis=0))
 
 
