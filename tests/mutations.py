@@ -512,8 +512,14 @@ MUTATIONS: list[Mutation] = [
         "trajectory/trim_unknowns.py",
         (
             "bounds of another unknown",
-            "into[places] = reals(",
-            "into[places[0] - 1] = reals(",
+            "into[places] = numbers",
+            "into[places[0] - 1] = numbers",
+            "test_trim.py",
+        ),
+        (
+            "wide bounds that hide what is left",
+            "else np.minimum(self._half, size)",
+            "else np.where(np.isfinite(self._half), self._half, size)",
             "test_trim.py",
         ),
     ),
@@ -573,8 +579,8 @@ MUTATIONS: list[Mutation] = [
         "mechanics/environment/harmonics.py",
         (
             "sines of tesseral terms",
-            "factor * (S * low_v - C * low_w)",
-            "factor * (S * low_v + C * low_w)",
+            "low * (S * low_v - C * low_w)",
+            "low * (S * low_v + C * low_w)",
             "mechanics/test_gravity_and_upper_air.py",
         ),
     ),

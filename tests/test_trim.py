@@ -121,6 +121,40 @@ def test_what_cannot_be_met_is_said() -> None:
     assert loose.undetermined == ("g[0]", "thrust")
 
 
+@functools.cache
+def pushed() -> tx.Dynamics:
+    x, push = tx.State("x"), tx.Control("push")
+    return tx.compile(tx.System({x: push - 10.0 * x}))
+
+
+def test_bounds_that_are_far_apart_hide_nothing() -> None:
+    ask = functools.partial(tx.trim, pushed(), zero=["x"])
+    for most in (1e3, 1e6, 1e12):
+        for first in (0.0, 30.0):
+            found = ask({"x": 1.0}, {"push": first}, free={"push": (0.0, most)})
+            np.testing.assert_allclose(found.u["push"], 10.0, rtol=1e-9)
+            assert found.saturated == {}
+        off = ask({"x": 1.0}, {"push": 30.0}, free={"push": (20.0, most)}, throw=False)
+        assert not off.trimmed
+        assert off.saturated == {"push": 20.0}
+    assert ask({"x": 1e6}, {"push": 0.0}, free={"push": (0.0, 2e7)}).u["push"] == pytest.approx(1e7, rel=1e-12)
+
+
+def test_a_start_beyond_its_bounds_is_moved_to_them() -> None:
+    for most in np.linspace(0.05, 0.4, 8):  # 0.7 + (most - 0.7) is not most, but for round-off
+        found = tx.trim(
+            pushed(), {"x": 1.0}, {"push": 0.7}, free={"push": (-1.0, float(most))}, zero=["x"], throw=False
+        )
+        np.testing.assert_allclose(found.u["push"], most, rtol=1e-9)
+
+
+def test_no_finite_derivatives_on_the_way_are_named() -> None:
+    x, push = tx.State("x"), tx.Control("push")
+    system = tx.compile(tx.System({x: tx.Abs(push) ** 0.5 + 1e-3 - 0.0 * x}))
+    with pytest.raises(tx.TrajectoryError, match=r"on the way these are not finite, .*: rate of x"):
+        tx.trim(system, {"x": 0.0}, {"push": 1.0}, free=["push"], zero=["x"])
+
+
 def pendulum(unit: float) -> tx.Dynamics:
     """Lengths and torques in a unit of their own."""
     angle, rate, torque = tx.State("angle"), tx.State("rate"), tx.Control("torque", min=-4.0 * unit, max=4.0 * unit)
@@ -219,6 +253,9 @@ def test_python_control_takes_a_linearisation() -> None:
         ({"free": {"el": 3.0}, "zero": ["V"]}, r"expects \(least, most\)"),
         ({"free": [3], "zero": ["V"]}, "names such as"),
         ({"free": ["el"], "zero": ["V"], "tolerance": 0.0}, "tolerance must be a positive"),
+        ({"free": ["el"], "zero": ["V"], "tolerance": np.inf}, "tolerance must be a positive"),
+        ({"free": {"V[0:2]": ([0.0, 1.0, 2.0], None)}, "zero": ["V"]}, "expects a bound or 2 of them"),
+        ({"free": [["el"]], "zero": ["V"]}, "names such as"),
     ],
 )  # fmt: skip
 def test_what_trim_refuses(asked: dict[str, Any], words: str, unchecked: None) -> None:

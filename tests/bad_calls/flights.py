@@ -50,6 +50,7 @@ ROWS = [
     bad("numbers of text", lambda: flight.numbers("x"), "'x'"),
     bad("values by name", lambda: flight.numbers(w, {"w": 3.0}), "'w'"),
     bad("a term without coefficients", lambda: Harmonics(1.0, 1.0, ((2, 0),)), "(2, 0)"),
+    bad("harmonics of 3", lambda: Harmonics(1.0, 1.0, 3), "terms", "3"),
     bad("a coefficient of text", lambda: Harmonics(1.0, 1.0, ((2, 0, "a", 0.0),)), "'a'"),
     bad("a degree of text", lambda: EGM2008.up_to("8"), "'8'"),
     bad("a boom in no air", lambda: flight.probe(3, np.ones(3)), "air", "3"),

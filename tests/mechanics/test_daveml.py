@@ -130,6 +130,14 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ("<signalName>steps<", "<signalName>stpes<", "line {line}, <signal>: there is no variable 'stpes'"),
         ("nowhere/DAVEfunc.dtd\"", 'nowhere/DAVEfunc.dtd" [<!ENTITY a "1">]', "line 2: a document type or entity"),
         (">0.2, 0.6", ">&a; 0.6", "line {line}: unknown entity &a;"),
+        ('type="e-notation">1<m:sep/>4', 'type="rational">1<m:sep/>0', "line {line}, <cn>: .*denominator"),
+        ("</calculation>", "</calculation><calculation/>", "line {line}, <calculation>: a variable has one"),
+        ('max="12"', 'min="13" max="12"', "line {line}, <independentVarRef>: min 13 is above max 12"),
+        ('<dependentVarPts varID="near">', '<independentVarRef varID="el"/><dependentVarPts varID="near">',
+         "line {line}, <independentVarRef>: a function has either"),
+        ("<signalUnits>deg", "<signalUnits>rad", "line {line}, <signal>: gives 'angleOfAttack' in 'rad'.* in 'deg'"),
+        (' standalone="no"', ' encoding="shift_jis"', "this is no XML: multi-byte"),
+        (' standalone="no"', ' encoding="foo"', "this is no XML: unknown encoding"),
     ],
 )  # fmt: skip
 def test_a_broken_file_is_refused_with_its_line(old: str, new: str, words: str, tmp_path: Path) -> None:
@@ -143,6 +151,28 @@ def test_a_broken_file_is_refused_with_its_line(old: str, new: str, words: str, 
     line = broken[:begin].count("\n") + 1
     with pytest.raises(tx.ModelError, match="(?s)" + words.replace("{line}", str(line))):
         load_daveml(tmp_path / "broken.dml")
+
+
+def test_odd_roots_and_the_values_of_checks(tmp_path: Path) -> None:
+    """The signal "b" is the variable of that name, though another has it as varID; what is no input is not given."""
+    text = """<DAVEfunc><variableDef varID="a" name="b"/><variableDef varID="b" name="a"/>
+      <variableDef varID="c" name="c" initialValue="2"/><variableDef varID="root" name="root"><calculation><math>
+      <apply><root/><degree><cn>3</cn></degree><apply><times/><ci>c</ci><ci>a</ci></apply></apply></math></calculation>
+      </variableDef><checkData><staticShot name="s"><checkInputs>
+      <signal><signalName>b</signalName><signalValue>-4</signalValue></signal>
+      <signal><signalName>a</signalName><signalValue>0</signalValue></signal>
+      <signal><signalName>c</signalName><signalValue>2</signalValue></signal></checkInputs><checkOutputs>
+      <signal><varID>root</varID><signalValue>-2</signalValue><tol>1e-12</tol></signal></checkOutputs>
+      </staticShot></checkData></DAVEfunc>"""
+    path = tmp_path / "root.dml"
+    path.write_text(text)
+    model = load_daveml(path)
+    assert len(model.check()) == 1
+    with pytest.raises(tx.ModelError, match="'a' given twice"):
+        model.values({"a": 1.0}, a=2.0)
+    path.write_text(text.replace("<signalValue>2<", "<signalValue>3<"))
+    with pytest.raises(tx.ModelError, match="gives 'c' the value 3, which is no input"):
+        load_daveml(path).check()
 
 
 @pytest.mark.slow

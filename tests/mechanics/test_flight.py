@@ -162,6 +162,9 @@ def test_at_rest_nothing_is_infinite() -> None:
     still = flight.Vehicle(flight.EARTH.still())
     assert [at(still, each, state) for each in (still.air.alpha, still.air.beta, still.air.mach)] == [0.0, 0.0, 0.0]
     np.testing.assert_array_equal(at(still, flight.drag(still.air, 1.0), state), np.zeros(3))
+    wing = flight.Aerodynamics(1.0, 1.0, 1.0)
+    damping = wing.wrench(still.air, np.zeros(3), -wing.reduced_rates(still.air))
+    np.testing.assert_array_equal(at(still, damping, state | {"V": np.array([0.0, 0, 0, 1, 2, 3])}), np.zeros(6))
 
 
 @pytest.mark.parametrize("axes", [flight.body_axes, flight.stability_axes, flight.wind_axes])

@@ -232,6 +232,9 @@ def test_impact_pressure(mach: float) -> None:
         (lambda: flight.Vehicle(turbulence=3.0), ModelError, "turbulence to be of Dryden, got 3.0"),
         (lambda: flight.Engine(np.ones(2)), ShapeError, r"Engine expects thrust with shape \(\), got \(2,\)"),
         (lambda: flight.Imu(mounting=np.ones(3)), ShapeError, r"mounting with shape \(3, 3\), got \(3,\)"),
+        (lambda: flight.Imu(mounting=2.0 * np.eye(3)), ModelError, "mounting to be a rotation"),
+        (lambda: flight.Engine(1.0, direction=(0.0, 0.0, -2.0)), ModelError, "direction of length 1, .* of 2"),
+        (lambda: flight.even_turbulence((0.0, 1.0, 1.0), SIGMA), ModelError, "positive lengths"),
         (lambda: flight.burning(np.ones(3), 1.0, None, np.ones(3)), ShapeError, r"V with shape \(6,\)"),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import twistax as tx
 from twistax.errors import ModelError
 from twistax.mechanics import flight
 from twistax.mechanics.environment import atmosphere, earth, gravity
-from twistax.mechanics.environment.harmonics import EGM2008, Harmonics
+from twistax.mechanics.environment.harmonics import EGM2008, HarmonicPull, Harmonics
 from twistax.mechanics.environment.upper_atmosphere import US1976_TO_1000_KM
 from twistax.mechanics.flight import numbers
 
@@ -57,6 +58,15 @@ def slope_of_potential(model: Harmonics, place: list[float]) -> list[float]:
 def test_harmonics_are_the_gradient_of_their_potential(place: list[float]) -> None:
     found = numbers(EGM2008.acceleration(place))
     np.testing.assert_allclose(found, slope_of_potential(EGM2008, place), rtol=1e-14, atol=1e-13)
+
+
+def test_high_orders_in_single_precision() -> None:
+    """Without normalisation they overflow there."""
+    place, model = np.array([0.7, 0.7, 0.2]), Harmonics(1.0, 1.0, ((32, 32, 1e-3, 2e-3),))
+    expected = slope_of_potential(model, place.tolist())
+    pull = HarmonicPull(place, model)
+    for kind, close in (jnp.float32, 1e-5), (jnp.float64, 1e-13):
+        np.testing.assert_allclose(pull.evaluate(jnp.asarray(place, kind)), expected, rtol=close)
 
 
 def test_j2_is_the_second_zonal_harmonic() -> None:

@@ -23,8 +23,7 @@ class Unknowns:
 
     Attributes:
         columns: where each unknown sits among the perturbations of all states, controls and parameters.
-        names, scales, lower, upper: of each unknown.
-        all_scales: of all perturbations.
+        names, lower, upper: of each unknown.
     """
 
     def __init__(self, dynamics: Dynamics, start: Inputs, free: Mapping[str, Any], params: tuple[str, ...]) -> None:
@@ -41,7 +40,6 @@ class Unknowns:
         every = labels(shapes)
         self.names = [every[i] for i in self.columns]
         lower, upper, scale = (np.full(len(every), value) for value in (-np.inf, np.inf, np.nan))
-        value = self._flat(start)
         ends = np.cumsum([0, *(np.prod(shape, dtype=int) for shape in shapes.values())])
         where = {name: slice(a, b) for name, a, b in zip(shapes, ends[:-1], ends[1:])}
         flat = [isinstance(own, Euclidean) for own in dynamics.group.factors.values()]
@@ -65,11 +63,11 @@ class Unknowns:
                 raise InputError(f"free[{name!r}]: a turn or a shift on a group has no bounds; give None")
             for bound, into in zip(pair, (lower, upper)):
                 if bound is not None:
-                    into[places] = reals(f"free[{name!r}]", bound, InputError).reshape(-1)
-        half = (upper - lower) / 2.0
-        size = np.maximum(1.0, np.abs(value))
-        self.all_scales = np.where(np.isnan(scale), np.where(np.isfinite(half), half, size), scale)
-        self.scales = self.all_scales[self.columns]
+                    numbers = reals(f"free[{name!r}]", bound, InputError).reshape(-1)
+                    if numbers.size not in (1, len(places)):
+                        raise InputError(f"free[{name!r}] expects a bound or {len(places)} of them, got {short(bound)}")
+                    into[places] = numbers
+        self._scale, self._half = scale, (upper - lower) / 2.0
         self.lower, self.upper = lower[self.columns], upper[self.columns]
         for name, low, high in zip(self.names, self.lower, self.upper):
             if not low < high:
@@ -91,6 +89,16 @@ class Unknowns:
     def values(self, point: Inputs) -> np.ndarray:
         return self._flat(point)[self.columns]
 
+    def scales(self, point: Inputs, reach: bool = False) -> np.ndarray:
+        """Of all perturbations: of its leaf, else its size, at least 1, or half the distance of its bounds if less.
+
+        Bounds that are far apart must not hide what is left. To reach what is far from a start at zero, though, they
+        are all that is known: with `reach` half their distance counts wherever there are two.
+        """
+        size = np.maximum(1.0, np.abs(self._flat(point)))
+        known = np.where(np.isfinite(self._half), self._half, size) if reach else np.minimum(self._half, size)
+        return np.where(np.isnan(self._scale), known, self._scale)
+
     @property
     def on_group(self) -> np.ndarray:
         """Which unknowns are turns or shifts on a group, not numbers of their own."""
@@ -108,7 +116,7 @@ class Unknowns:
 
     def moved(self, point: Inputs, z: np.ndarray) -> Inputs:
         """The point after perturbations of what is free."""
-        full = np.zeros(len(self.all_scales))
+        full = np.zeros(len(self._scale))
         full[self.columns] = z
         n, m = self._dynamics.dimension, sum(np.prod(s, dtype=int) for s in self._controls.values())
         controls = Controls(self._dynamics.controls)

@@ -101,7 +101,8 @@ def trim(
 
     Solved are the bounded nonlinear least squares of all conditions by SciPy's trust-region-reflective method in the
     tangent space, in double precision, with exact derivatives. Conditions and unknowns are scaled, so that units do not
-    matter: an unknown by its leaf's `scale`, else by half the distance of its bounds, else by its size, at least 1.
+    matter: an unknown by its leaf's `scale`, else by its size, at least 1, or half the distance of its bounds if that
+    is less.
     A system is compiled for this once for rates alone, once with outputs, once with slopes of outputs; other values
     compile nothing.
 
@@ -119,14 +120,15 @@ def trim(
     Raises:
         InputError: an unknown name, nothing free, no condition, a value of another shape, bounds that leave no room or
             are of a group.
-        TrajectoryError: no trim was found; it says what is off and what stands at a bound.
+        TrajectoryError: no trim was found; it says what is off and what stands at a bound. Conditions or derivatives
+            are not finite.
         ModelError: the system is not compiled.
 
     Source: Branch, Coleman, Li, A subspace, interior, and conjugate gradient method for large-scale bound-constrained
     minimization problems, SIAM J. Sci. Comput. 21 (1999), for the least squares.
     """
     need_compiled("trim", dynamics)
-    number("tolerance", tolerance, "a positive number", lambda v: v > 0.0)
+    number("tolerance", tolerance, "a positive number", lambda v: 0.0 < v < np.inf)
     number("trim: t", t)
     sought = _mapping("free", free)
     named = {str(name).partition("[")[0] for name in sought}
@@ -151,9 +153,11 @@ def trim(
 def _names(place: str, names: Any) -> list[str]:
     if isinstance(names, str):
         return [names]
-    if not isinstance(names, Iterable):
-        raise InputError(f"trim: {place} expects names such as ['V', 'V[3]'], got {short(names)}")
-    return list(names)
+    found = list(names) if isinstance(names, Iterable) else [names]
+    for name in found:
+        if not isinstance(name, str):
+            raise InputError(f"trim: {place} expects names such as ['V', 'V[3]'], got {short(name)}")
+    return found
 
 
 def _mapping(place: str, given: Any) -> dict[str, Any]:
@@ -177,23 +181,23 @@ def _solve(conditions: Conditions, unknowns: Unknowns, start: Inputs) -> Trim:
     """Least squares in the chart about the start, then about its end, until nothing moves."""
     now = unknowns.values(start)
     point = unknowns.moved(start, np.clip(now, unknowns.lower, unknowns.upper) - now)
-    _need_finite(conditions, point)
+    _need_finite(conditions, *conditions.at(point), "at the start")
     turned, evaluations = np.zeros(len(now)), 0
-    for _ in range(_ROUNDS):
-        step, counted = _round(conditions, unknowns, point)
+    for k in range(_ROUNDS):
+        step, counted = _round(conditions, unknowns, point, unknowns.scales(point, reach=k == 0))
         point = unknowns.moved(point, step)
         turned, evaluations = turned + step, evaluations + counted
-        if np.abs(step / unknowns.scales).max() < _SETTLED:
+        if np.abs(step / unknowns.scales(point)[unknowns.columns]).max() < _SETTLED:
             break
     return _judged(conditions, unknowns, point, turned, evaluations)
 
 
-def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs) -> tuple[np.ndarray, int]:
-    """The step to the least squares in the chart about a point, and how many evaluations it took."""
+def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs, every: np.ndarray) -> tuple[np.ndarray, int]:
+    """The step to the least squares in the chart about a point, by scales, and how many evaluations it took."""
     from scipy.optimize import least_squares
 
-    scales, now = unknowns.scales, unknowns.values(about)
-    change = _changes(conditions.at(about)[1], unknowns)
+    now = unknowns.values(about)
+    scales, change = every[unknowns.columns], _changes(conditions.at(about)[1], unknowns.columns, every)
     rows = np.where(change > 0.0, change, 1.0)
 
     @functools.lru_cache(maxsize=2)  # SciPy asks for values and derivatives one after the other
@@ -202,11 +206,17 @@ def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs) -> tuple[n
         value, slopes = conditions.at(unknowns.moved(about, step))
         return value / rows, unknowns.in_chart(slopes, step) * scales / rows[:, None]
 
+    def derivatives(z: np.ndarray) -> np.ndarray:
+        value, slopes = at(z.tobytes())
+        _need_finite(conditions, value, slopes, "on the way")
+        return slopes
+
     found = least_squares(
         lambda z: at(z.tobytes())[0],
         np.zeros(len(now)),
-        lambda z: at(z.tobytes())[1],
-        bounds=((unknowns.lower - now) / scales, (unknowns.upper - now) / scales),
+        derivatives,
+        # A point that was moved to a bound may be beyond it by round-off.
+        bounds=(np.minimum((unknowns.lower - now) / scales, 0.0), np.maximum((unknowns.upper - now) / scales, 0.0)),
         xtol=1e-15,
         ftol=1e-15,
         gtol=1e-15,
@@ -217,10 +227,11 @@ def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs) -> tuple[n
 def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: np.ndarray, evaluations: int) -> Trim:
     """What was found, with its measures; `trimmed` is left to the caller."""
     value, slopes = conditions.at(point)
-    change = _changes(slopes, unknowns)
+    every = unknowns.scales(point)
+    change = _changes(slopes, unknowns.columns, every)
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(value == 0.0, 0.0, np.abs(value) / change)
-    final, scales = unknowns.values(point), unknowns.scales
+    final, scales = unknowns.values(point), every[unknowns.columns]
     saturated = {
         name: bound
         for side in (unknowns.lower, unknowns.upper)
@@ -246,18 +257,17 @@ def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: n
     )
 
 
-def _need_finite(conditions: Conditions, point: Inputs) -> None:
-    value, slopes = conditions.at(point)
+def _need_finite(conditions: Conditions, value: np.ndarray, slopes: np.ndarray, where: str) -> None:
     fine = np.isfinite(value) & np.isfinite(slopes).all(axis=1)
     if not fine.all():
         names = ", ".join(name for name, ok in zip(conditions.names, fine) if not ok)
-        raise TrajectoryError(f"trim: at the start these are not finite, or have no finite derivatives: {names}")
+        raise TrajectoryError(f"trim: {where} these are not finite, or have no finite derivatives: {names}")
 
 
-def _changes(slopes: np.ndarray, unknowns: Unknowns) -> np.ndarray:
+def _changes(slopes: np.ndarray, columns: list[int], scales: np.ndarray) -> np.ndarray:
     """By how much each condition changes where every unknown does by its scale; else, where anything at all does."""
-    own = np.abs(slopes[:, unknowns.columns]) @ unknowns.scales
-    return np.where(own > 0.0, own, np.abs(slopes) @ unknowns.all_scales)
+    own = np.abs(slopes[:, columns]) @ scales[columns]
+    return np.where(own > 0.0, own, np.abs(slopes) @ scales)
 
 
 def _undetermined(slopes: np.ndarray) -> np.ndarray:

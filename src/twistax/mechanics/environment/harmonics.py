@@ -42,6 +42,10 @@ class Harmonics:
     def __post_init__(self) -> None:
         positive(self, "gm", self.gm)
         positive(self, "radius", self.radius)
+        if not isinstance(self.terms, (list, tuple)):
+            raise ModelError(
+                f"Harmonics expects terms (degree, order, cosine, sine) in a tuple, got {short(self.terms)}"
+            )
         for term in self.terms:
             if not isinstance(term, (list, tuple)) or len(term) != 4:
                 raise ModelError(f"Harmonics expects terms (degree, order, cosine, sine), got {short(term)}")
@@ -52,6 +56,7 @@ class Harmonics:
                 raise ModelError(f"Harmonics expects orders up to the degree and degrees up to 40, got {(n, m)}")
             for value in coefficients:
                 number(f"Harmonics: a coefficient of {(n, m)}", value, error=ModelError)
+        object.__setattr__(self, "terms", tuple(map(tuple, self.terms)))
         if len({term[:2] for term in self.terms}) != len(self.terms):
             raise ModelError(f"Harmonics expects each degree and order once, got {listed(t[:2] for t in self.terms)}")
 
@@ -84,7 +89,8 @@ class HarmonicPull(Expr):
     """The gradient of the potential of `Harmonics`. Shapes: (3,) -> (3,), m -> m/s2.
 
     By the recursions of V_nm and W_nm, which are (R/r)^(n+1) P_nm times the cosine and sine; they have no singularity
-    at the poles. A term of degree n takes some 20 operations.
+    at the poles. P_nm is fully normalised: without that, single precision overflows at degree 30. A term of degree n
+    takes some 20 operations.
 
     Attributes:
         position: planet-fixed, from the centre, m.
@@ -116,16 +122,19 @@ class HarmonicPull(Expr):
         for m in range(most + 1):
             if m:
                 before = V[m - 1, m - 1], W[m - 1, m - 1]
-                V[m, m] = (2 * m - 1) * ratio * (x * before[0] - y * before[1])
-                W[m, m] = (2 * m - 1) * ratio * (x * before[1] + y * before[0])
+                step = (2 * m - 1) * _plain(m, m) / _plain(m - 1, m - 1)
+                V[m, m] = step * ratio * (x * before[0] - y * before[1])
+                W[m, m] = step * ratio * (x * before[1] + y * before[0])
             for n in range(m + 1, model.degree + 2):
+                step = (2 * n - 1) / (n - m) * _plain(n, m) / _plain(n - 1, m)
                 for of in (V, W):
-                    of[n, m] = (2 * n - 1) / (n - m) * z * ratio * of[n - 1, m]
+                    of[n, m] = step * z * ratio * of[n - 1, m]
                     if n > m + 1:
-                        of[n, m] = of[n, m] - (n + m - 1) / (n - m) * square * of[n - 2, m]
+                        back = (n + m - 1) / (n - m) * _plain(n, m) / _plain(n - 2, m)
+                        of[n, m] = of[n, m] - back * square * of[n - 2, m]
         total = [jnp.zeros_like(x)] * 3
         for n, m, cosine, sine in ((0, 0, 1.0, 0.0), *model.terms):
-            for i, part in enumerate(_parts(n, m, _plain(n, m) * cosine, _plain(n, m) * sine, V, W)):
+            for i, part in enumerate(_parts(n, m, cosine, sine, V, W)):
                 total[i] = total[i] + part
         return model.gm / model.radius**2 * jnp.stack(total)
 
@@ -138,14 +147,15 @@ def _plain(n: int, m: int) -> float:
 def _parts(
     n: int, m: int, C: float, S: float, V: dict[tuple[int, int], Array], W: dict[tuple[int, int], Array]
 ) -> tuple[Array, Array, Array]:
-    """x, y and z of a term, in GM / R^2; coefficients without normalisation."""
-    down = -(n - m + 1) * (C * V[n + 1, m] + S * W[n + 1, m])
+    """x, y and z of a term, in GM / R^2."""
+    level, up = (_plain(n, m) / _plain(n + 1, order) for order in (m, m + 1))
+    down = -(n - m + 1) * level * (C * V[n + 1, m] + S * W[n + 1, m])
     if m == 0:
-        return -C * V[n + 1, 1], -C * W[n + 1, 1], down
+        return -up * C * V[n + 1, 1], -up * C * W[n + 1, 1], down
     up_v, up_w, low_v, low_w = V[n + 1, m + 1], W[n + 1, m + 1], V[n + 1, m - 1], W[n + 1, m - 1]
-    factor = (n - m + 2) * (n - m + 1)
-    along = 0.5 * (factor * (C * low_v + S * low_w) - C * up_v - S * up_w)
-    across = 0.5 * (factor * (S * low_v - C * low_w) - C * up_w + S * up_v)
+    low = (n - m + 2) * (n - m + 1) * _plain(n, m) / _plain(n + 1, m - 1)
+    along = 0.5 * (low * (C * low_v + S * low_w) - up * (C * up_v + S * up_w))
+    across = 0.5 * (low * (S * low_v - C * low_w) + up * (S * up_v - C * up_w))
     return along, across, down
 
 

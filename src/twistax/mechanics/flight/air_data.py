@@ -153,8 +153,9 @@ class Aerodynamics:
         return Concat(self.span, self.chord, self.span)
 
     def reduced_rates(self, air: AirData) -> Expr:
-        """(p b, q c, r b) / (2 V) (3,), of rates relative to the air; infinite at rest."""
-        return air.rate * self.lengths / (2.0 * air.airspeed)
+        """(p b, q c, r b) / (2 V) (3,), of rates relative to the air; 0 at rest, where they exert nothing."""
+        moves = air.airspeed > 0.0
+        return Where(moves, 0.5 / Where(moves, air.airspeed, 1.0), 0.0) * air.rate * self.lengths
 
     def wrench(self, air: AirData, force: ExprLike, moment: ExprLike = (0.0, 0.0, 0.0)) -> Expr:
         """[f; tau] (6,) at the body's origin in its axes: q S R C_f, and q S R (b C_l, c C_m, b C_n) moved there.

@@ -9,9 +9,9 @@ import dataclasses
 
 import numpy as np
 
-from ...checks import number
+from ...checks import number, short
 from ...errors import ModelError
-from ...expr import Cross, Expr
+from ...expr import Constant, Cross, Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, wrench
 from ...units import kilograms, metres, newtons, same_unit, seconds
@@ -51,6 +51,10 @@ class Engine:
         }
         for name, (shape, unit) in parts.items():
             object.__setattr__(self, name, of_shape("Engine", name, getattr(self, name), shape, unit=unit))
+        if isinstance(self.direction, Constant):
+            length = float(np.linalg.norm(self.direction.value))
+            if not abs(length - 1.0) <= 1e-6:
+                raise ModelError(f"Engine expects a direction of length 1, got {short(self.direction)} of {length:g}")
 
     @property
     def wrench(self) -> Expr:

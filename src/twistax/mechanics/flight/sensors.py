@@ -10,6 +10,7 @@ import numpy as np
 from ...expr import Cross, Expr
 from ...expr.fields import ExprLike
 from ...expr.lie import angular, linear
+from ...expr.lie.base import check_element
 from ...units import metres, radians, seconds
 from ..arguments import of_kind, of_shape
 from .air_data import AirData
@@ -49,6 +50,7 @@ class Imu:
         }
         for name, (shape, unit) in parts.items():
             object.__setattr__(self, name, of_shape("Imu", name, getattr(self, name), shape, unit=unit))
+        check_element("Imu", "mounting", of_shape("Imu", "mounting", self.mounting, (3, 3)))
 
     def read(self, V: ExprLike, acceleration: ExprLike, gravitation: ExprLike) -> ImuReading:
         """What it reads: v' + w x v + w' x r + w x (w x r) - a_g, and w, in its axes, with biases.

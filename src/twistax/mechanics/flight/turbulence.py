@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
-from ...checks import callable_with
+from ...checks import callable_with, short
 from ...errors import ModelError
 from ...expr import Concat, Control, Expr, Max, Min, Sqrt, State
 from ...units import feet, metres, seconds, taken
@@ -35,11 +35,13 @@ def even_turbulence(lengths: Any, intensities: Any) -> Scales:
     """The same at all heights, as above 2000 ft: L_u, L_v, L_w = 1750 ft.
 
     Args:
-        lengths: (L_u, L_v, L_w), m.
+        lengths: (L_u, L_v, L_w), m, positive.
         intensities: (sigma_u, sigma_v, sigma_w), m/s.
-    Raises: InputError for other units or shapes.
+    Raises: InputError for other units or shapes; ModelError for a length that is not positive.
     """
     L = tuple(taken("even_turbulence: lengths", lengths, metres, (3,)).tolist())
+    if not min(L) > 0.0:
+        raise ModelError(f"even_turbulence expects positive lengths in m, got {short(lengths)}")
     sigma = tuple(taken("even_turbulence: intensities", intensities, metres / seconds, (3,)).tolist())
     return lambda height: ((L[0], L[1], L[2]), (sigma[0], sigma[1], sigma[2]))
 

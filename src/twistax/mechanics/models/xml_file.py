@@ -82,8 +82,9 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
     """
     try:
         data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{caller} expects a file, cannot read {str(path)!r}: {error.strerror}") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        why = getattr(error, "strerror", None) or error
+        raise ModelError(f"{caller} expects a file, cannot read {str(path)!r}: {why}") from None
     parser, open_elements, roots = expat.ParserCreate(), list[Element](), list[Element]()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -110,6 +111,7 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
             "need.\n  fix: remove <!DOCTYPE ...>; write out what its entities stand for"
         )
 
+    parser.buffer_text, parser.buffer_size = True, 1 << 20  # else each line of a table is added to the text by itself
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: open_elements.pop()
     parser.CharacterDataHandler = characters
@@ -120,4 +122,8 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
         parser.Parse(data, True)
     except expat.ExpatError as error:
         raise ModelError(f"{path.name}, line {error.lineno}: this is no XML: {expat.ErrorString(error.code)}") from None
+    except ModelError:
+        raise
+    except (LookupError, ValueError) as error:  # the encoding that it names
+        raise ModelError(f"{path.name}: this is no XML: {error}") from None
     return roots[0]

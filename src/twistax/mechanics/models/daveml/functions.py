@@ -79,7 +79,10 @@ class Functions:
 
     def _function(self, element: Element) -> Function:
         points = element.all("independentVarPts")
-        inputs = points or element.all("independentVarRef")
+        refs = element.all("independentVarRef")
+        if points and refs:
+            raise refs[0].wrong("a function has either <independentVarRef> or <independentVarPts>")
+        inputs = points or refs
         output = needed(element, "dependentVarPts" if points else "dependentVarRef")
         axes = tuple(Axis.read(one) for one in inputs)
         if points:

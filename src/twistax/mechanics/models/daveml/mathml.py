@@ -28,6 +28,7 @@ from ....expr import (
     Max,
     Min,
     Not,
+    Sign,
     Sin,
     Sinh,
     Tan,
@@ -51,6 +52,13 @@ def _chain(holds: Callable[[Expr, Expr], Expr]) -> Build:
 
 def _one_of(a: Expr, b: Expr) -> Expr:
     return All(Any(a, b), Not(All(a, b)))
+
+
+def _root(a: Expr, degree: Expr) -> Expr:
+    """The real root; of an odd degree negative numbers have one too."""
+    if isinstance(degree, Constant) and float(degree.value) % 2.0 == 1.0:
+        return Sign(a) * Abs(a) ** (1.0 / degree)
+    return a ** (1.0 / degree)
 
 
 #: Operators: the fewest and the most operands (None: any number), and what they build.
@@ -154,7 +162,7 @@ class Calculation:
         self._partial += self._is_partial(name, operands)
         if qualifier is not None:
             by = self._value(_only(qualifier), depth + 1)
-            return operands[0] ** (1.0 / by) if name == "root" else Log(operands[0]) / Log(by)
+            return _root(operands[0], by) if name == "root" else Log(operands[0]) / Log(by)
         return build(*operands)
 
     @staticmethod
@@ -205,7 +213,10 @@ def _number(element: Element) -> float:
     if len(words) == parts == 2 and kind == "e-notation":
         return number_of(element, "e".join(words))
     if len(words) == parts == 2 and kind == "rational":
-        return number_of(element, words[0]) / number_of(element, words[1])
+        over, under = (number_of(element, word) for word in words)
+        if under == 0.0:
+            raise element.wrong("expected a denominator that is not zero")
+        return over / under
     if kind not in ("real", "integer") or parts != 1 or element.attributes.get("base", "10") != "10":
         raise element.wrong("expected a real number, an integer, or e-notation or rational with <sep/>, in base 10")
     return number_of(element, element.content)

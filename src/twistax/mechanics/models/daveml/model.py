@@ -18,7 +18,7 @@ from ....precision import in_double
 from ..xml_file import Element, read_xml
 from .functions import Functions, by_id, needed
 from .mathml import Calculation, names_in
-from .numbers import optional_number
+from .numbers import limits_of, optional_number
 from .static_checks import StaticCheck, read_shots
 from .tables import limited
 
@@ -100,7 +100,7 @@ class DaveModel:
         self.outputs: dict[str, Signal] = {name: self.variables[name] for name in chosen}
         self._leaves = {name: State(f"input{i}") for i, name in enumerate(self.inputs)}
         self._built = self._build(self._leaves, self.variables)  # now, so that a broken file is refused now
-        self._shots = read_shots(root, self._names())
+        self._shots = read_shots(root, {name: (one.name, one.units) for name, one in self.variables.items()})
 
     def __repr__(self) -> str:
         return (
@@ -148,7 +148,7 @@ class DaveModel:
     ) -> dict[str, float]:
         """Outputs as numbers, in double precision, by varID. Arguments, errors: as of a call, with numbers."""
         with in_double():
-            found = lower(self({**(inputs or {}), **named}, outputs=outputs))(0.0)
+            found = lower(self(inputs, outputs=outputs, **named))(0.0)
         return {name: float(value) for name, value in found.items()}
 
     def check(self) -> list[StaticCheck]:
@@ -157,7 +157,7 @@ class DaveModel:
         Returns: every output of every case; an empty list if the file has none.
         Raises:
             ModelError: outputs are off by more than their tolerances; it says which, and which internal value of the
-                case is off first. A case leaves out an input that has no initial value.
+                case is off first. A case leaves out an input that has no initial value, or gives what is no input.
         """
         if not self._shots:
             return []
@@ -182,8 +182,10 @@ class DaveModel:
     def _read_rules(self, elements: Mapping[str, Element]) -> dict[str, _Rule]:
         rules: dict[str, _Rule] = {}
         for name, element in elements.items():
-            calculation = element.first("calculation")
-            if calculation is not None:
+            calculations = element.all("calculation")
+            if len(calculations) > 1:
+                raise calculations[1].wrong("a variable has one calculation")
+            for calculation in calculations:
                 rules[name] = _calculated(needed(calculation, "math"), elements)
         for function in Functions(self._root).all:
             for axis in function.axes:
@@ -195,13 +197,6 @@ class DaveModel:
                 raise function.element.wrong(f"varID {function.output!r} has another table or calculation already")
             rules[function.output] = _Rule(tuple(axis.variable for axis in function.axes), function)
         return rules
-
-    def _names(self) -> dict[str, list[str]]:
-        """The varIDs by name; a varID means itself."""
-        names: dict[str, list[str]] = {}
-        for variable, signal in self.variables.items():
-            names.setdefault(signal.name, []).append(variable)
-        return names | {variable: [variable] for variable in self.variables}
 
     # ---- building --------------------------------------------------------------------------------------------------
 
@@ -243,6 +238,9 @@ class DaveModel:
         """Every variable at every shot."""
         columns: dict[str, list[float]] = {name: [] for name in self.inputs}
         for shot in self._shots:
+            for name, given in shot.inputs.items():
+                if name not in self.inputs and given.value != self.variables[name].initial:
+                    raise given.element.wrong(f"gives {name!r} the value {given.value:g}, which is no input")
             for name, signal in self.inputs.items():
                 value = shot.inputs[name].value if name in shot.inputs else signal.initial
                 if value is None:
@@ -283,9 +281,7 @@ def _signal(element: Element) -> Signal:
     text = {name: element.attributes.get(name, "").strip() for name in ("name", "units", "sign")}
     description = element.first("description")
     words = "" if description is None else " ".join(description.content.split())
-    initial, lower, upper = (optional_number(element, name) for name in ("initialValue", "minValue", "maxValue"))
-    if lower is not None and upper is not None and lower > upper:
-        raise element.wrong(f"minValue {lower:g} is above maxValue {upper:g}")
+    initial, (lower, upper) = optional_number(element, "initialValue"), limits_of(element, "minValue", "maxValue")
     return Signal(text["name"], text["units"], text["sign"], words, initial, lower, upper, element.place)
 
 

@@ -28,6 +28,14 @@ def optional_number(element: Element, attribute: str) -> float | None:
     return number_of(element, element.attributes[attribute], f"a finite number in {attribute}")
 
 
+def limits_of(element: Element, least: str, most: str) -> tuple[float | None, float | None]:
+    """Two attributes that limit a value, None where there is none. Raises ModelError where the first is higher."""
+    lower, upper = optional_number(element, least), optional_number(element, most)
+    if lower is not None and upper is not None and lower > upper:
+        raise element.wrong(f"{least} {lower:g} is above {most} {upper:g}")
+    return lower, upper
+
+
 def numbers_of(element: Element) -> np.ndarray:
     """The numbers in an element, apart by commas or white space."""
     words = element.content.replace(",", " ").split()

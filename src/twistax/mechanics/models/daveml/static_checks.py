@@ -54,17 +54,17 @@ class Shot:
     outputs: Mapping[str, Value]
 
 
-def read_shots(root: Element, names: Mapping[str, list[str]]) -> list[Shot]:
+def read_shots(root: Element, variables: Mapping[str, tuple[str, str]]) -> list[Shot]:
     """The shots of a file.
 
     Args:
-        names: the varIDs by name of variable, and by varID itself.
-    Raises: ModelError for a signal that is no variable, or whose name several have.
+        variables: name and units by varID.
+    Raises: ModelError for a signal that is no variable, whose name several have, or that is in other units.
     """
 
     def values(shot: Element, part: str) -> dict[str, Value]:
         block = shot.first(part)
-        return dict(_signal(signal, names) for signal in block.all("signal")) if block else {}
+        return dict(_signal(signal, variables) for signal in block.all("signal")) if block else {}
 
     return [
         Shot(
@@ -75,13 +75,19 @@ def read_shots(root: Element, names: Mapping[str, list[str]]) -> list[Shot]:
     ]
 
 
-def _signal(signal: Element, names: Mapping[str, list[str]]) -> tuple[str, Value]:
-    name = needed(signal, "signalName", "varID", "signalID").content.strip()
-    found = names.get(name, [])
+def _signal(signal: Element, variables: Mapping[str, tuple[str, str]]) -> tuple[str, Value]:
+    said = needed(signal, "signalName", "varID", "signalID")
+    word = said.content.strip()
+    by_name, by_id = [v for v, (name, _) in variables.items() if name == word], [word] if word in variables else []
+    found = by_id or by_name if said.tag == "varID" else by_name or by_id
     if not found:
-        raise signal.wrong(f"there is no variable {name!r}; there are {listed(names, name)}")
+        known = dict.fromkeys([*variables, *(name for name, _ in variables.values())])
+        raise signal.wrong(f"there is no variable {word!r}; there are {listed(known, word)}")
     if len(found) > 1:
-        raise signal.wrong(f"several variables have the name {name!r}: {', '.join(found)}")
+        raise signal.wrong(f"several variables have the name {word!r}: {', '.join(found)}")
+    units, own = signal.first("signalUnits"), variables[found[0]][1]
+    if units is not None and own and units.content.strip() not in ("", own):
+        raise signal.wrong(f"gives {word!r} in {units.content.strip()!r}, its variable is in {own!r}")
     value, tolerance = needed(signal, "signalValue"), signal.first("tol")
     return found[0], Value(
         signal, number_of(value, value.content), 0.0 if tolerance is None else number_of(tolerance, tolerance.content)

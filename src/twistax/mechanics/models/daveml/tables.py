@@ -12,7 +12,7 @@ from ....checks import listed
 from ....expr import Constant, Expr, Interp, Max, Min, Where
 from ....expr.table_kinds import Clamped, Extrapolated
 from ..xml_file import Element
-from .numbers import optional_number
+from .numbers import limits_of
 
 #: Entries of `extrapolate`: whether the table goes on below its first and above its last breakpoint.
 _ENDS = {"neither": (False, False), "min": (True, False), "max": (False, True), "both": (True, True)}
@@ -50,7 +50,7 @@ class Axis:
                 f"interpolate={kind!r} is not read; tables are looked up by {listed(LOOKUPS)}.\n"
                 "  fix: put the spline's values on finer breakpoints"
             )
-        lower, upper = (optional_number(element, name) for name in ("min", "max"))
+        lower, upper = limits_of(element, "min", "max")
         below, above = _ENDS[ends]
         return cls(element, element.text("varID").strip(), lower, upper, below, above, LOOKUPS[kind])
 
