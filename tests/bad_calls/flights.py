@@ -32,6 +32,13 @@ ROWS = [
     bad("a thrust in pounds", lambda: flight.Engine(100 * units.pounds), "thrust", "kg m s-2", "kg"),
     bad("an impulse in metres", lambda: rocket(300 * units.metres), "specific_impulse", "300.0 m"),
     bad("a sensor in seconds", lambda: flight.Imu((1 * units.seconds, 0.0, 0.0)), "position", "1.0 s"),
+    bad("a wind of places alone", lambda: flight.Vehicle(wind=lambda place: (0.0, 0.0, 0.0)), "wind", "(place, t)"),
+    bad(
+        "a motion of one's own",
+        lambda: craft.system(ball, rates={craft.twist: tx.Constant(np.zeros(6))}),
+        "rates",
+        "'V'",
+    ),
     bad("a profile of numbers", lambda: flight.Profile(5.0, 3.0), "Profile"),
     bad("a profile with one velocity", lambda: flight.Profile((0.0, 1.0), 3.0), "Profile"),
     bad("a strong wind", lambda: flight.LogarithmicShear("strong", 0.0), "speed", "'strong'"),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
-from ...checks import callable_with
+from ...checks import callable_with, listed
 from ...errors import ModelError
 from ...expr import Concat, Expr, Norm, State, Time
 from ...expr.fields import ExprLike
@@ -55,6 +55,7 @@ class Vehicle:
                 f"Vehicle expects wind to be a function of (place, t), got {wind!r}.\n"
                 "  fix: flight.Steady((north, east, down)) is the same wind everywhere"
             )
+        callable_with("Vehicle: wind", wind, ("place", "t"), ModelError)
         if turbulence is not None:
             of_kind("Vehicle", "turbulence", turbulence, Dryden)
         self.planet, self.wind, self.turbulence = planet, wind, turbulence
@@ -162,11 +163,14 @@ class Vehicle:
             rates: of further states.
             outputs: beside those of `outputs()`.
             more: what `System` takes.
-        Raises: ModelError, ShapeError, as `acceleration`.
+        Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states.
         """
         motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: self.acceleration(body, wrench)}
         if self.turbulence is not None and self._gust is not None:
             motion[self.turbulence.state] = self._gust.state_rate
+        own = [str(state) for state in motion if state in (rates or {})]
+        if own:
+            raise ModelError(f"Vehicle.system: rates has {listed(own)}, whose rate is the motion itself")
         return System({**motion, **(rates or {})}, {**self.outputs(), **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
