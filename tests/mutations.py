@@ -786,7 +786,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/steps.py",
+        "integrators/rows.py",
         (
             "as many rows as times",
             "    room = 64\n",

@@ -113,6 +113,7 @@ ROWS = [
     bad("a spline of a parameter", lambda: tx.Cinterp(s, [0.0, 1.0], tx.Parameter("p", 2)), "Cinterp", "p"),
     bad("a spline with NaN", lambda: tx.Cinterp(s, [0.0, 1.0, 2.0], [1.0, np.nan, 2.0]), "Cinterp", "fp", "nan"),
     bad("a spline with infinities", lambda: tx.Cinterp(s, [0.0, 1.0, np.inf], [1.0, 1.0, 2.0]), "Cinterp", "inf"),
+    bad("an axis without end", lambda: tx.Interp(s, axes=[0.0, np.inf], values=[1.0, 2.0]), "axes[0]", "inf"),
     bad("an axis too few", lambda: tx.Interp(s, s, axes=[[0.0, 1.0]], values=np.eye(2)), "Interp", "2", "1"),
     bad(
         "an axis that falls",

@@ -152,3 +152,17 @@ def test_rewrites_and_printing() -> None:
     assert tx.spatial.QDCM(tx.lie.quaternion(R)).canonicalize() is R
     assert repr(turned) == "EulerRotation(a, sequence='ZXZ')"
     assert repr(tx.lie.euler(tx.pose(euler=a))) == "EulerAngles(EulerRotation(a))"
+
+
+def test_numbers_beside_expressions_are_checked(unchecked: None) -> None:
+    for wrong, message in (
+        ({"quaternion": [0.0, 0.0, 0.0, 0.0]}, "not zero"),
+        ({"rotation": 2.0 * np.eye(3)}, "to be a rotation"),
+        ({"euler": [np.nan, 0.0, 0.0]}, "finite"),
+    ):
+        with pytest.raises(tx.InputError, match=message):
+            tx.pose(position=a, **wrong)
+    with pytest.raises(tx.InputError, match="position to be finite"):
+        tx.pose(position=[np.inf, 0.0, 0.0], euler=a)
+    with pytest.raises(tx.InputError, match="names three axes"):
+        tx.pose(euler=a, sequence=["z", "x", "z"])

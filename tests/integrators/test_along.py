@@ -77,6 +77,21 @@ def test_of_a_batch_and_inside_of_jit() -> None:
         batch.to_csv("never.csv")
 
 
+def test_rows_that_were_not_reached_have_no_outputs_and_lost_values_are_named() -> None:
+    x = cart().states[0]
+
+    def fly(force: jax.Array) -> tx.Solution:
+        stop = tx.Event(x > 0.75)
+        return tx.integrate(
+            cart(), start(), t1=2.0, dt=0.25, u=lambda t: {"F": force + 0.0 * t}, save_at=TIMES, event=stop
+        )
+
+    late = jax.vmap(lambda force: fly(force).outputs["late"])(jnp.array([1.0, 0.25]))
+    np.testing.assert_allclose(late, 3.0 * np.array([[0.0, 0.5, 0.75, np.nan, 0.75], [*TIMES, 2.0]]), atol=1e-12)
+    with pytest.raises(tx.InputError, match=r"u reads values that were there only within jax\.vmap"):
+        _ = jax.vmap(fly)(jnp.array([1.0, 0.25])).us
+
+
 def test_an_output_of_what_was_not_given_is_named() -> None:
     x, F, w = tx.State("x"), tx.Control("F"), tx.Parameter("w")
     without = tx.compile(tx.System(rates={x: -x}, outputs={"push": F * x}))
@@ -113,6 +128,18 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
         solution.to_csv(tmp_path / "nowhere" / "a.csv")
     with pytest.raises(tx.ModelError, match="layout must be one like"):
         solution.to_csv(tmp_path / "a.csv", {"x": "m"})
+
+    class Own(tx.columns.Layout):
+        def columns(self, solution: tx.Solution) -> Any:
+            return found
+
+    found: Any = [tx.columns.Column("x", "m", np.zeros(3))]
+    with pytest.raises(tx.ShapeError, match=r"column 'x \[m\]' expects a number for each of 4 saved times"):
+        solution.to_csv(tmp_path / "a.csv", Own())
+    found = {"x": np.zeros(4)}
+    with pytest.raises(tx.ModelError, match=r"Own.columns must return a list of tx.columns.Column"):
+        solution.to_csv(tmp_path / "a.csv", Own())
+    assert not list(tmp_path.iterdir())
     with pytest.raises(tx.ModelError, match="the unit of 'x' must be a text"):
         tx.columns.Columns(units={"x": 1})
 
@@ -125,6 +152,15 @@ def test_a_data_frame_or_the_name_of_what_is_missing(monkeypatch: pytest.MonkeyP
     frame = flown().to_dataframe()
     assert list(frame)[:3] == ["t [s]", "x", "R.qw"]
     np.testing.assert_allclose(frame["x"], XS, atol=1e-14)
+    with pytest.raises(tx.InputError, match=r"two columns are called 'a\[1\] \[m\]'"):
+        flown().to_dataframe(_Twice())
+
+
+class _Twice(tx.columns.Layout):
+    """A column that is there two times."""
+
+    def columns(self, solution: tx.Solution) -> list[tx.columns.Column]:
+        return [tx.columns.Column("a[1]", "m", solution.ts)] * 2
 
 
 def compiled(call: Any) -> int:
@@ -164,7 +200,8 @@ def test_another_level_of_an_event_compiles_nothing() -> None:
     x = cart().states[0]
 
     def fly(level: float) -> float:
-        event = [tx.Event(x - level), tx.Event(-1.0 - level - x)]
+        # Simplified the first one would be a sum without a level.
+        event = [tx.Event(~((x + 1.0) < level + 1.0)), tx.Event(-1.0 - level - x)]
         found = tx.integrate(cart(), start(), t1=2.0, dt=0.25, u={"F": np.asarray(1.0)}, event=event)
         assert found.event == 0
         return float(found.ts[-1])

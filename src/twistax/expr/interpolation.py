@@ -337,8 +337,8 @@ def _increasing_if_constant(node: Expr, name: str, points: Expr) -> None:
 
 
 def _increasing(node: str, name: str, points: np.ndarray) -> None:
-    if points.ndim != 1 or len(points) < 2 or not (np.diff(points) > 0).all():
-        raise ModelError(f"{node} expects {name} to be two or more strictly increasing numbers, got {points}")
+    if points.ndim != 1 or len(points) < 2 or not np.isfinite(points).all() or not (np.diff(points) > 0).all():
+        raise ModelError(f"{node} expects {name} to be two or more finite, strictly increasing numbers, got {points}")
 
 
 def _numbers(node: str, name: str, value: Any) -> np.ndarray:

@@ -18,6 +18,8 @@ def margin(what: str, condition: Expr) -> Expr:
     """
     if isinstance(condition, (Less, Inequality)):
         return condition.lhs - condition.rhs
+    if isinstance(condition, Not) and isinstance(condition.condition, (Less, Inequality)):
+        return condition.condition.rhs - condition.condition.lhs
     if isinstance(condition, Not):
         return Neg(margin(what, condition.condition))
     if isinstance(condition, (All, Any)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -31,7 +30,6 @@ class Turns(NamedTuple):
         return 1.0 if (self.axes[1] - self.axes[0]) % 3 == 1 else -1.0
 
 
-@functools.cache
 def turns(sequence: str) -> Turns:
     """The turns that a sequence stands for: "xyz" about fixed axes, first x; "ZYX" about the body's own, first z.
 
@@ -39,7 +37,7 @@ def turns(sequence: str) -> Turns:
         InputError: no three letters of one case, or an axis follows itself.
     """
     axes = tuple("xyz".find(letter) for letter in str(sequence).lower())
-    one_case = sequence in (str(sequence).lower(), str(sequence).upper())
+    one_case = isinstance(sequence, str) and sequence in (sequence.lower(), sequence.upper())
     if len(axes) != 3 or -1 in axes or not one_case or axes[1] in (axes[0], axes[2]):
         raise InputError(
             f"a sequence of Euler angles names three axes, none twice in a row, in one case, got {sequence!r}.\n"

@@ -22,8 +22,9 @@ from .controls import Signals
 from .interpolant import Between
 from .kernels import kernel_tries
 from .method import Attempt, Carry, Stepper
+from .rows import first_rows, put, rows
 from .step_control import Errors, StepControl, first_step
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite, first_rows, put, rows
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite
 from .tolerances import Tolerances
 
 #: A step that leaves less than this share of itself to the next stop goes there at once.

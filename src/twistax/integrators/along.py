@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ..checks import listed
 from ..errors import InputError
@@ -16,7 +17,7 @@ from ..expr import Inputs
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from .method import Stepper, jitted
-from .steps import room_for
+from .rows import room_for
 
 
 def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:
@@ -53,7 +54,9 @@ def _controls() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
 def _outputs() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
     def at(stepper: Stepper, t: jax.Array, x: Arrays) -> Arrays:
         functions = stepper.dynamics._functions
-        return functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
+        found = functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
+        missed = jnp.isnan(ravel_pytree(x)[0]).any()  # outputs that read no state would go on
+        return {name: jnp.where(missed, jnp.nan, value) for name, value in found.items()}
 
     return lambda stepper, ts, xs: _each(at, stepper, ts, xs)
 
@@ -76,9 +79,19 @@ def _in_rows(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, ts: ja
     """What is made, at all times: known rows are filled up, so that another number of them compiles nothing anew."""
     count = ts.shape[-1]
     if is_traced((stepper, ts, xs)) or ts.ndim > 1 or not count:
-        found: Arrays = jitted(make, stepper, ts, xs)
-        return found
+        return _called(make, stepper, ts, xs)
     last = np.minimum(np.arange(room_for(count, sum(x.size for x in xs.values()) // count)), count - 1)
     ts, xs = jax.tree.map(lambda a: np.asarray(a)[last], (ts, xs))
-    found = jitted(make, stepper, ts, xs)
+    found = _called(make, stepper, ts, xs)
     return {name: jax.device_put(np.asarray(value)[:count]) for name, value in found.items()}
+
+
+def _called(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, *rest: Any) -> Arrays:
+    try:
+        found: Arrays = jitted(make, stepper, *rest)
+    except jax.errors.UnexpectedTracerError:
+        raise InputError(
+            "the function u reads values that were there only within jax.vmap or jax.jit.\n"
+            "  fix: return solution.us or solution.outputs from within it, or hand u those values through params"
+        ) from None
+    return found

@@ -15,7 +15,7 @@ import numpy as np
 from ..checks import listed, path_of, short
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SpecialEuclidean, SpecialOrthogonal, euler, quaternion
-from .steps import room_for
+from .rows import room_for
 
 if TYPE_CHECKING:
     from .solution import Solution
@@ -160,7 +160,13 @@ def _read(rotations: Rotations, R: np.ndarray) -> np.ndarray:
 
 
 def columns_of(solution: Solution, layout: Any) -> list[Column]:
-    """The columns of one solution. Raises InputError for batches, ModelError for another kind of layout."""
+    """The columns of one solution.
+
+    Raises:
+        InputError: a batch.
+        ModelError: another kind of layout, or one that makes no columns.
+        ShapeError: a column of another length.
+    """
     layout = Columns() if layout is None else layout
     if not isinstance(layout, Layout):
         raise ModelError(f"layout must be one like tx.columns.Columns(units=...), got {short(layout)}")
@@ -169,7 +175,17 @@ def columns_of(solution: Solution, layout: Any) -> list[Column]:
             f"a table is of one solution, got a batch with times of shape {np.shape(solution.ts)}.\n"
             "  fix: jax.tree.map(lambda a: a[i], solution) is one of them"
         )
-    return layout.columns(solution)
+    found = layout.columns(solution)
+    if not isinstance(found, list) or not all(isinstance(own, Column) for own in found):
+        raise ModelError(f"{type(layout).__name__}.columns must return a list of tx.columns.Column, got {short(found)}")
+    found = [own._replace(values=np.asarray(own.values)) for own in found]
+    for own in found:
+        if own.values.shape != np.shape(solution.ts):
+            raise ShapeError(
+                f"column {own.header!r} expects a number for each of {len(solution.ts)} saved times, "
+                f"got shape {own.values.shape}"
+            )
+    return found
 
 
 def write_csv(columns: list[Column], path: Any) -> None:
@@ -185,9 +201,19 @@ def write_csv(columns: list[Column], path: Any) -> None:
 
 
 def frame_of(columns: list[Column]) -> Any:
-    """The columns as a DataFrame, called by their headers. Raises ModelError where pandas is not installed."""
+    """The columns as a DataFrame, called by their headers.
+
+    Raises:
+        ModelError: pandas is not installed.
+        InputError: two of one header.
+    """
     try:
         import pandas
     except ImportError:
         raise ModelError("to_dataframe needs pandas.\n  fix: pip install 'twistax[tables]', or to_csv(path)") from None
-    return pandas.DataFrame({column.header: column.values for column in columns})
+    found = {column.header: column.values for column in columns}
+    if len(found) < len(columns):
+        headers = [column.header for column in columns]
+        twice = next(own for own in headers if headers.count(own) > 1)
+        raise InputError(f"two columns are called {twice!r}.\n  fix: other names or units, or a tx.columns.Layout")
+    return pandas.DataFrame(found)

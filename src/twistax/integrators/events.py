@@ -21,7 +21,8 @@ from ..lowering.dynamics import Arrays
 from .charts import Blocks
 from .controls import Signals
 from .method import Stepper
-from .steps import Part, Result, Run, Saved, Trail, Watched, put
+from .rows import put
+from .steps import Part, Result, Run, Saved, Trail, Watched
 
 #: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
 #: of the one at the other end of the step.
@@ -198,10 +199,13 @@ def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, 
                 f"does not have{baked}"
             )
     (expr,) = canonicalize_all([condition])
-    left, right = expr.children() if isinstance(expr, Sub) else (None, None)
-    for level, other in ((left, right), (right, left)):
-        if isinstance(level, Constant) and level.shape == () and other is not None:
-            return _OfExpression(other.key(), level is left, other), [level.value]
+    # As it is written first: of h - 0 and of (h + 5) - 0 the simplified forms have no level.
+    for form in (condition, expr):
+        left, right = form.children() if isinstance(form, Sub) else (None, None)
+        for level, other in ((left, right), (right, left)):
+            if isinstance(level, Constant) and level.shape == () and other is not None:
+                (other,) = canonicalize_all([other])
+                return _OfExpression(other.key(), level is left, other), [level.value]
     return _OfExpression(expr.key(), False, expr), []
 
 

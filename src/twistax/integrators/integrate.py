@@ -32,9 +32,10 @@ from .method import Method, Stepper
 from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
+from .rows import filled
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import Result, Steps, check_saves, filled, fixed_steps, span_of
+from .steps import Result, Steps, check_saves, fixed_steps, span_of
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 

@@ -17,7 +17,8 @@ from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before
 from .kernels import advance_again
 from .method import Stepper, jitted
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite, first_rows
+from .rows import first_rows
+from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
 
 
 class Rollout(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,11 +20,10 @@ from ..lowering.small_call import small_call
 from .charts import Blocks
 from .kernels import kernel_steps
 from .method import Carry, Stepper
+from .rows import first_rows, put, rows
 
 #: A saved time this close to a step, in steps, counts as on it: far more than round-off, far less than anyone means.
 _SNAP = 1e-9
-#: So many numbers are written in no time.
-_LIGHT = 2**15
 
 
 class Result(enum.IntEnum):
@@ -288,59 +286,6 @@ class FixedSteps(Steps):
 def all_finite(tree: Any) -> jax.Array:
     """Whether every entry is finite. One reduction: XLA would compute a chain of tests again at every reader."""
     return jnp.isfinite(ravel_pytree(tree)[0]).all()
-
-
-def rows(like: Any, count: int) -> Any:
-    """Zeros with a leading axis in front of every leaf of a pytree."""
-    return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), like)
-
-
-def put(table: Any, row: Any, value: Any) -> Any:
-    """The table with one row of every leaf set."""
-    return jax.tree.map(lambda a, b: a.at[row].set(jnp.asarray(b, a.dtype)), table, value)
-
-
-def first_rows(
-    step: Callable[[Any, Any], Any],
-    start: Any,
-    given: Any,
-    count: Any,
-    like: Any,
-    following: Callable[[jax.Array, Any], jax.Array] = lambda k, carried: k + 1,
-) -> tuple[Any, Any]:
-    """`jax.lax.scan`, which ends after `count` of the rows that are given.
-
-    Args:
-        like: the result of a row. Results of rows that are not visited are zero.
-        following: the number of the next row, from that of this one and what is carried.
-    """
-
-    def one(now: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
-        k, carried, results = now
-        carried, found = step(carried, jax.tree.map(lambda a: a[k], given))
-        return following(k, carried), carried, put(results, k, found)
-
-    results = rows(like, jax.tree.leaves(given)[0].shape[0])
-    found = jax.lax.while_loop(lambda now: now[0] < count, one, (jnp.zeros((), int), start, results))
-    return found[1], found[2]
-
-
-def room_for(count: int, width: int) -> int:
-    """How many rows of so many numbers to make room for, so that another count mostly compiles nothing anew.
-
-    Up to eight times as many where they are light, else up to twice as many.
-    """
-    room = 64
-    while room < count:
-        room *= 8 if room * width < _LIGHT else 2
-    return room
-
-
-def filled(save_at: Any, t1: Any, width: int) -> Any:
-    """Known saved times with the end behind them, as many as there is room for."""
-    times = np.asarray(save_at)
-    room, kind = room_for(len(times), width), times.dtype if times.dtype.kind == "f" else float
-    return np.append(times.astype(kind), np.full(room - len(times), float(t1), kind))
 
 
 # ---- what a user asked for ----------------------------------------------------------------------------------------

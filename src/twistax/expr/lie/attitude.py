@@ -119,9 +119,13 @@ def pose(
             Where these are traced or computed the pose is NaN.
     """
     given = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
-    if not any(map(_symbolic, [position, *given.values()])):
-        numbers: Any = pose_of_numbers
-        return numbers(position, **given, sequence=sequence)
+    of_numbers: Any = pose_of_numbers
+    everything = {"position": position} | given
+    numbers = {name: own for name, own in everything.items() if own is not None and not _symbolic(own)}
+    if not any(map(_symbolic, everything.values())):
+        return of_numbers(**numbers, sequence=sequence)
+    if numbers:
+        of_numbers(**numbers, sequence=sequence)  # for its checks
     found = {name: _joined(value) for name, value in given.items() if value is not None}
     one_attitude(found)
     R: Expr = to_expr(np.eye(3))
