@@ -1,5 +1,6 @@
 """Every example is a script that runs as a user would run it, without a warning."""
 
+import json
 import os
 import subprocess
 import sys
@@ -12,11 +13,11 @@ BRIEF = {"small_matrices.py": ["--repeat", "1"]}
 
 #: Runs one script with its arguments after the other, each with JAX's own precision at its start.
 RUN = """
-import contextlib, io, runpy, sys
+import contextlib, io, json, runpy, sys
 import jax
 
-for words in sys.argv[1:]:
-    script, *_ = sys.argv = words.split()
+for words in json.loads(sys.argv[1]):
+    script, *_ = sys.argv = words
     jax.config.update("jax_enable_x64", False)
     said = io.StringIO()
     try:
@@ -32,8 +33,8 @@ for words in sys.argv[1:]:
 def test_examples_run(tmp_path: Path) -> None:
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "MPLBACKEND": "agg"}
     scripts = [str(path) for path in EXAMPLES]
-    words = [" ".join([str(path), *BRIEF.get(path.name, [])]) for path in EXAMPLES]
-    command = [sys.executable, "-W", "error", "-c", RUN, *words]
+    words = json.dumps([[str(path), *BRIEF.get(path.name, [])] for path in EXAMPLES])
+    command = [sys.executable, "-W", "error", "-c", RUN, words]
     run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert run.returncode == 0, run.stdout + run.stderr
     assert run.stdout.splitlines() == scripts
