@@ -42,7 +42,7 @@ class Trim:
         measure: the largest remaining condition, by shares of what it changes by when every unknown changes by its
             scale. It has no unit.
         residuals: by name, "rate of V[3]", "airspeed", "slope of alpha": what is left of every condition, in its unit.
-        unknowns: by name, the values of what was free; of a group-valued state the turn or shift from the start.
+        unknowns: by name, the values of what was free; of a group-valued state its steps from the start, added up.
         saturated: by name, the bound at which an unknown stands.
         undetermined: the unknowns that may move together without a change of any condition, to first order.
         evaluations: how often the conditions were evaluated.
