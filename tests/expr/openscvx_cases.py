@@ -19,8 +19,10 @@ import twistax as tx
 BASES = {"Expr", "Leaf", "Variable", "Constraint"}
 WITHOUT_COUNTERPART = {
     *{"NodalConstraint", "CrossNodeConstraint", "CTCS", "NodeReference"},
-    *{"STLExpr", "STLJaxExpr", "And", "Or", "Not", "IfThen", "IntegerVariable", "Always", "Eventually", "Until"},
+    *{"STLExpr", "STLJaxExpr", "And", "Or", "IfThen", "IntegerVariable", "Always", "Eventually", "Until"},
 }
+#: Nodes of a name that mean something else: theirs negates a formula of signal temporal logic, ours a condition.
+NAMESAKES = {"Not"}
 
 
 class Nodes:

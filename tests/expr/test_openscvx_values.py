@@ -12,13 +12,13 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from openscvx_cases import BASES, CASES, COMMON, DIFFERENT, WITHOUT_COUNTERPART, Nodes
+from openscvx_cases import BASES, CASES, COMMON, DIFFERENT, NAMESAKES, WITHOUT_COUNTERPART, Nodes
 from openscvx_lowering import openscvx, ours, theirs
 
 import twistax as tx
 
 PAGE = (Path(__file__).parents[2] / "docs" / "openscvx.md").read_text()
-VERDICTS = ("same", "differs", "none", "only here", "base")
+VERDICTS = ("same", "differs", "namesake", "none", "only here", "base")
 
 
 # ---- the page -------------------------------------------------------------------------------------------------
@@ -40,6 +40,7 @@ def test_every_node_stands_on_the_page_once_with_the_verdict_of_the_cases() -> N
     assert listed("same") == COMMON - DIFFERENT
     assert listed("differs") == DIFFERENT
     assert listed("none") == WITHOUT_COUNTERPART
+    assert listed("namesake") == NAMESAKES
     assert listed("base") == BASES
     names = [name for found, _ in rows() for name in found]
     assert len(names) == len(set(names))
@@ -47,7 +48,7 @@ def test_every_node_stands_on_the_page_once_with_the_verdict_of_the_cases() -> N
 
 def test_what_the_page_calls_common_or_ours_exists() -> None:
     nodes = {node.__name__ for node in tx.expr.all_nodes()}
-    assert listed("same", "differs", "only here") <= nodes
+    assert listed("same", "differs", "namesake", "only here") <= nodes
     assert not listed("none") & nodes
     assert all(issubclass(getattr(tx, name), tx.Expr) for name in listed("base"))
 
@@ -119,4 +120,4 @@ def test_every_node_of_theirs_is_accounted_for(other: Nodes) -> None:
         waiting += cls.__subclasses__()
         if cls.__module__.startswith("openscvx.") and not cls.__name__.startswith("_"):
             found.add(cls.__name__)
-    assert found == COMMON | WITHOUT_COUNTERPART | BASES
+    assert found == COMMON | NAMESAKES | WITHOUT_COUNTERPART | BASES

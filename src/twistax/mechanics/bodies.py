@@ -164,7 +164,7 @@ class SpatialInertia:
         tensor = self.inertia + other.inertia + _steiner(reduced, apart)
         return self._derived(m, c, tensor, self.physical and other.physical)
 
-    def __add__(self, other: SpatialInertia) -> SpatialInertia:
+    def __add__(self, other: object) -> SpatialInertia:
         if not isinstance(other, SpatialInertia):
             raise OperationError(f"+ expects another SpatialInertia, got {other!r}")
         return self.merge(other)
