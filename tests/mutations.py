@@ -148,6 +148,12 @@ MUTATIONS: list[Mutation] = [
         ),
         ("a halving that loses the odd point", "count -= half", "count = half", "expr/test_interp.py"),
         (
+            "a refused coordinate with the slope zero",
+            "return x * jnp.where((x >= float(points[0])) & (x <= float(points[-1])), 1.0, jnp.nan)",
+            "return jnp.where((x >= float(points[0])) & (x <= float(points[-1])), x, jnp.nan)",
+            "expr/test_interp.py::test_kinks_and_edges_have_the_slopes_that_are_said",
+        ),
+        (
             "strides of the next axis",
             "shape[axis + 1 :]) for axis in range",
             "shape[axis:]) for axis in range",
@@ -774,6 +780,12 @@ MUTATIONS: list[Mutation] = [
             "for h in (small, -small))",
             "for h in (-small, small))",
             "integrators/test_along.py::test_outputs_and_controls_are_those_at_the_saved_times",
+        ),
+        (
+            "outputs of rows that were not reached",
+            "jnp.where(missed, jnp.nan, value)",
+            "value",
+            "integrators/test_along.py::test_rows_that_were_not_reached_have_no_outputs_and_lost_values_are_named",
         ),
     ),
     *_at(

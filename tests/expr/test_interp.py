@@ -112,6 +112,8 @@ def test_kinks_and_edges_have_the_slopes_that_are_said() -> None:
         return float(jax.grad(lambda z: value(0.0, {"s": z}))(at))
 
     assert [slope(at) for at in (-0.1, 0.0, 0.5, 1.0, 2.0, 2.1)] == [0.0, 0.5, 1.0, 4.0, 2.0, 0.0]
+    assert [slope(at, outside=Refused()) for at in (0.0, 2.0)] == [1.0, 4.0]
+    assert np.isnan([slope(at, outside=Refused()) for at in (-0.1, 2.1, np.nan)]).all()
     assert [slope(at, outside=Extrapolated()) for at in (-0.1, 0.0, 1.0, 2.1)] == [1.0, 1.0, 4.0, 4.0]
     assert np.isnan(tx.lower(tx.Interp(s, axes=[0.0, 1.0], values=[0.0, 1.0], outside=Refused()))(0.0, {"s": 1.1}))
 

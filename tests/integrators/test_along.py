@@ -92,6 +92,14 @@ def test_rows_that_were_not_reached_have_no_outputs_and_lost_values_are_named() 
         _ = jax.vmap(fly)(jnp.array([1.0, 0.25])).us
 
 
+def test_truth_values_stay_so() -> None:
+    x = tx.State("x")
+    falling = tx.compile(tx.System(rates={x: -1.0 + 0.0 * x}, outputs={"low": x < 0.5}))
+    low = tx.integrate(falling, {"x": 1.0}, t1=1.0, dt=0.5, save_at=[0.0, 0.25, 1.0]).outputs["low"]
+    assert low.dtype == bool
+    assert low.tolist() == [False, False, True]
+
+
 def test_an_output_of_what_was_not_given_is_named() -> None:
     x, F, w = tx.State("x"), tx.Control("F"), tx.Parameter("w")
     without = tx.compile(tx.System(rates={x: -x}, outputs={"push": F * x}))

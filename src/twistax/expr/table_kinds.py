@@ -260,8 +260,9 @@ class Extrapolated:
 
 @dataclasses.dataclass(frozen=True)
 class Refused:
-    """Outside the value is NaN, with which integrations end and say so."""
+    """Outside the value and the slope are NaN, with which integrations end and say so."""
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
         """The coordinate at which the table is read."""
-        return jnp.where((x >= float(points[0])) & (x <= float(points[-1])), x, jnp.nan)
+        # A factor: where(..., x, nan) would have the slope zero outside.
+        return x * jnp.where((x >= float(points[0])) & (x <= float(points[-1])), 1.0, jnp.nan)

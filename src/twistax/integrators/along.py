@@ -56,7 +56,8 @@ def _outputs() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
         functions = stepper.dynamics._functions
         found = functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
         missed = jnp.isnan(ravel_pytree(x)[0]).any()  # outputs that read no state would go on
-        return {name: jnp.where(missed, jnp.nan, value) for name, value in found.items()}
+        numbers = {name: jnp.where(missed, jnp.nan, value) for name, value in found.items() if value.dtype != bool}
+        return found | numbers
 
     return lambda stepper, ts, xs: _each(at, stepper, ts, xs)
 

@@ -108,7 +108,7 @@ class Solution:
     def outputs(self) -> Arrays:
         """The outputs of the system by name at the saved times, leading axis n; all in one call, when asked for.
 
-        Also of a batch, and inside of jit. Rows that were not reached are NaN, as their states.
+        Also of a batch, and inside of jit. Numbers of rows that were not reached are NaN, as their states.
 
         Raises:
             InputError: an output reads a control or a parameter that the integration was not given.
