@@ -515,6 +515,10 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/trimming.py",
+        ("bounds that are never reached", "return step if left[1] < left[0] else", "return", "test_trim.py"),
+    ),
+    *_at(
         "trajectory/trim_unknowns.py",
         (
             "bounds of another unknown",

@@ -124,7 +124,7 @@ def test_what_cannot_be_met_is_said() -> None:
 @functools.cache
 def pushed() -> tx.Dynamics:
     x, push = tx.State("x"), tx.Control("push")
-    return tx.compile(tx.System({x: push - 10.0 * x}))
+    return tx.compile(tx.System({x: push - 10.0 * x}, {"twice": 2.0 * x + push}))
 
 
 def test_bounds_that_are_far_apart_hide_nothing() -> None:
@@ -138,6 +138,14 @@ def test_bounds_that_are_far_apart_hide_nothing() -> None:
         assert not off.trimmed
         assert off.saturated == {"push": 20.0}
     assert ask({"x": 1e6}, {"push": 0.0}, free={"push": (0.0, 2e7)}).u["push"] == pytest.approx(1e7, rel=1e-12)
+
+
+def test_a_trim_may_lie_on_a_bound() -> None:
+    for first in (0.0, 1.7):
+        idle = tx.trim(pushed(), {"x": 0.5}, {"push": first}, free={"push": (0.0, 3.0), "x": None}, zero=["x"],
+                       fixed={"twice": 0.0})  # fmt: skip
+        assert idle.saturated == {"push": 0.0}
+        np.testing.assert_allclose([idle.u["push"], idle.x["x"]], 0.0, atol=1e-9)
 
 
 def test_a_start_beyond_its_bounds_is_moved_to_them() -> None:

@@ -186,6 +186,8 @@ def _solve(conditions: Conditions, unknowns: Unknowns, start: Inputs) -> Trim:
     for k in range(_ROUNDS):
         step, counted = _round(conditions, unknowns, point, unknowns.scales(point, reach=k == 0))
         point = unknowns.moved(point, step)
+        last = _to_bounds(conditions, unknowns, point)
+        point, step = unknowns.moved(point, last), step + last
         turned, evaluations = turned + step, evaluations + counted
         if np.abs(step / unknowns.scales(point)[unknowns.columns]).max() < _SETTLED:
             break
@@ -222,6 +224,21 @@ def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs, every: np.
         gtol=1e-15,
     )
     return found.x * scales, found.nfev
+
+
+def _to_bounds(conditions: Conditions, unknowns: Unknowns, point: Inputs) -> np.ndarray:
+    """The step of what is next to a bound to it, where that leaves less: least squares from inside never get there."""
+    now, scales = unknowns.values(point), unknowns.scales(point)
+    near = _AT_BOUND * scales[unknowns.columns]
+    step = np.where(np.abs(unknowns.lower - now) <= near, unknowns.lower - now, 0.0)
+    step = np.where(np.abs(unknowns.upper - now) <= near, unknowns.upper - now, step)
+    if not step.any():
+        return step
+    value, slopes = conditions.at(point)
+    change = _changes(slopes, unknowns.columns, scales)
+    rows = np.where(change > 0.0, change, 1.0)
+    left = [np.linalg.norm(each / rows) for each in (value, conditions.at(unknowns.moved(point, step))[0])]
+    return step if left[1] < left[0] else np.zeros(len(now))
 
 
 def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: np.ndarray, evaluations: int) -> Trim:
