@@ -39,6 +39,12 @@ ROWS = [
         "rates",
         "'V'",
     ),
+    bad(
+        "a motion of one's own by name",
+        lambda: craft.system(ball, rates={"V": tx.Constant(np.zeros(6))}),
+        "rates",
+        "'V'",
+    ),
     bad("a profile of numbers", lambda: flight.Profile(5.0, 3.0), "Profile"),
     bad("a profile with one velocity", lambda: flight.Profile((0.0, 1.0), 3.0), "Profile"),
     bad("a strong wind", lambda: flight.LogarithmicShear("strong", 0.0), "speed", "'strong'"),

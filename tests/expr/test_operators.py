@@ -62,9 +62,18 @@ def test_type_errors(attempt: Callable[[], Any], sentence: str) -> None:
         (lambda: tx.SmoothReLU(x, c=-1.0), "SmoothReLU expects c to be a positive number"),
         (lambda: tx.Norm(x, 0.5), "Norm expects ord to be"),
         (lambda: tx.Norm(x, "nuc"), "Norm expects ord to be"),
-        (lambda: tx.Linterp(s, [0.0, 0.0, 1.0], [1.0, 2.0, 3.0]), "Linterp expects xp to be two or more strictly"),
-        (lambda: tx.Bilerp(s, s, [0.0, 1.0], [1.0, 0.0], np.eye(2)), "Bilerp expects yp to be two or more strictly"),
-        (lambda: tx.Cinterp(s, [0.0, 2.0, 1.0], [1.0, 2.0, 3.0]), "Cinterp expects xp to be two or more strictly"),
+        (
+            lambda: tx.Linterp(s, [0.0, 0.0, 1.0], [1.0, 2.0, 3.0]),
+            "Linterp expects xp to be two or more finite, strictly",
+        ),
+        (
+            lambda: tx.Bilerp(s, s, [0.0, 1.0], [1.0, 0.0], np.eye(2)),
+            "Bilerp expects yp to be two or more finite, strictly",
+        ),
+        (
+            lambda: tx.Cinterp(s, [0.0, 2.0, 1.0], [1.0, 2.0, 3.0]),
+            "Cinterp expects xp to be two or more finite, strictly",
+        ),
         (lambda: tx.Cinterp(s, [0.0, 1.0], [1.0, 2.0, 3.0]), "Cinterp expects fp with a first axis of length 2"),
         (lambda: tx.Cinterp(s, [0.0, 1.0, 2.0], [1.0, 2.0, 3.0], method="quintic"), "one of cubic, pchip, akima"),
         (lambda: tx.Cinterp(s, x, [1.0, 2.0, 3.0]), "Cinterp expects xp to be numbers"),

@@ -168,9 +168,13 @@ class Vehicle:
         motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: self.acceleration(body, wrench)}
         if self.turbulence is not None and self._gust is not None:
             motion[self.turbulence.state] = self._gust.state_rate
-        own = [str(state) for state in motion if state in (rates or {})]
+        given = {state if isinstance(state, str) else state.name for state in rates or {}}
+        own = [name for name in (getattr(state, "name", state) for state in motion) if name in given]
         if own:
-            raise ModelError(f"Vehicle.system: rates has {listed(own)}, whose rate is the motion itself")
+            raise ModelError(
+                f"Vehicle.system expects rates of further states, got {listed(own)}, the motion itself.\n"
+                "  fix: put what acts on the body into wrench, or write a System of vehicle.acceleration(body, wrench)"
+            )
         return System({**motion, **(rates or {})}, {**self.outputs(), **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
