@@ -130,6 +130,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ("<signalName>steps<", "<signalName>stpes<", "line {line}, <signal>: there is no variable 'stpes'"),
         ("nowhere/DAVEfunc.dtd\"", 'nowhere/DAVEfunc.dtd" [<!ENTITY a "1">]', "line 2: a document type or entity"),
         (">0.2, 0.6", ">&a; 0.6", "line {line}: unknown entity &a;"),
+        ('max="12"', 'max="1&q;2"', "line {line}: unknown entity &q;"),
         ('type="e-notation">1<m:sep/>4', 'type="rational">1<m:sep/>0', "line {line}, <cn>: .*denominator"),
         ("</calculation>", "</calculation><calculation/>", "line {line}, <calculation>: a variable has one"),
         ('max="12"', 'min="13" max="12"', "line {line}, <independentVarRef>: min 13 is above max 12"),

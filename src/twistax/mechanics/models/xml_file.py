@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -10,6 +11,10 @@ from xml.parsers import expat
 import numpy as np
 
 from ...errors import ModelError
+
+#: A start tag, and a reference in it to an entity that XML does not have by itself.
+_TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*""")
+_ENTITY = re.compile(rb"&(?!amp;|lt;|gt;|quot;|apos;|#)([^;]*);")
 
 
 @dataclasses.dataclass
@@ -88,6 +93,9 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
     parser, open_elements, roots = expat.ParserCreate(), list[Element](), list[Element]()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        written = _TAG.match(data, parser.CurrentByteIndex) if document_type else None
+        if written and (entity := _ENTITY.search(written[0])):
+            unknown(entity[1].decode("utf-8", "replace"), None)
         name = tag.rpartition(":")[2] if document_type else tag
         element = Element(name, attributes, parser.CurrentLineNumber, path)
         (open_elements[-1].children if open_elements else roots).append(element)
@@ -116,7 +124,8 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
     parser.EndElementHandler = lambda _: open_elements.pop()
     parser.CharacterDataHandler = characters
     parser.EntityDeclHandler, parser.StartDoctypeDeclHandler = declared, doctype
-    # After a document type that is not opened, expat would drop an entity that it does not know.
+    # After a document type that is not opened, expat would drop an entity that it does not know, and does so without a
+    # call in attributes: `start` looks for those.
     parser.SkippedEntityHandler = unknown
     try:
         parser.Parse(data, True)
