@@ -3,7 +3,22 @@
 import functools
 
 from ..checks import Checked, Section
-from . import costs, edges, identities, keeping, maps, mechanisms, optima, optimal, refined, scalars, steps, stiff
+from . import (
+    calls,
+    costs,
+    edges,
+    identities,
+    keeping,
+    lookups,
+    maps,
+    mechanisms,
+    optima,
+    optimal,
+    refined,
+    scalars,
+    steps,
+    stiff,
+)
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -30,6 +45,8 @@ FIGURES: dict[str, Section] = {
     "costs": costs.COSTS,
     "steps": steps.STEPS,
     "beside": steps.BESIDE,
+    "calls": calls.CALLS,
+    "lookups": lookups.LOOKUPS,
     "gradients": steps.GRADIENTS,
     "operations": scalars.OPERATIONS,
     "kernels": scalars.KERNELS,

@@ -1,0 +1,95 @@
+"""What a call of `tx.integrate` costs beside its steps: in Python, and for saved times."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+import twistax as tx
+
+from ...mechanics import chain_models, forward_dynamics
+from ..checks import Check, Section, agree, at_most, between
+from ..timing import Repeats, Timed, in_turn
+from .steps import apart
+
+_REPEATS = Repeats(15, 7)
+_ROWS = 301
+
+
+def _body() -> tuple[tx.Dynamics, dict[str, Any], dict[str, Any]]:
+    """A body in a wind that is a table of time, 20 s."""
+    g, V, wind = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Control("wind", shape=(3,))
+    M = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
+    air = V[:3] - g[:3, :3].T @ wind
+    drag = tx.Concat(-0.1 * tx.linalg.Norm(air) * air, np.zeros(3))
+    rates: dict[Any, Any] = {g: V, V: tx.linalg.Solve(M, drag - tx.lie.AdjointDual(V, M @ V))}
+    gusts = np.random.default_rng(0).normal(size=(21, 3))
+    u = {"wind": tx.FirstOrderHold(np.linspace(0.0, 20.0, 21), gusts)}
+    x0 = {"g": tx.pose(), "V": np.array([1.0, 0.0, 0.0, 0.1, 2.0, 0.1])}
+    return tx.compile(tx.System(rates)), x0, {"t1": 20.0, "rtol": 1e-9, "atol": 1e-9, "u": u}
+
+
+def _panda() -> tuple[tx.Dynamics, dict[str, Any], dict[str, Any]]:
+    """A Panda that falls against damping, 2 s."""
+    q, qd, tau = tx.State("q", shape=(7,)), tx.State("qd", shape=(7,)), tx.Control("tau", shape=(7,))
+    rates: dict[Any, Any] = {q: qd, qd: forward_dynamics(chain_models.panda(), q, qd, tau - 0.5 * qd)}
+    x0 = {"q": np.full(7, 0.3), "qd": np.zeros(7)}
+    return tx.compile(tx.System(rates)), x0, {"t1": 2.0, "rtol": 1e-8, "atol": 1e-8, "u": {"tau": np.zeros(7)}}
+
+
+_END, _IN_JIT, _STEPS, _POLYNOMIALS = "end alone", "end alone, in jit", "rows by steps", "rows by polynomials"
+
+
+@functools.cache
+def called(make: Callable[[], Any]) -> dict[str, Timed]:
+    """The same rollout called in four ways, those with rows inside of `jit`; all have the same end."""
+    dynamics, x0, options = make()
+    rows = {"save_at": np.linspace(0.0, options["t1"], _ROWS)}
+    more: dict[str, dict[str, Any]] = {
+        _IN_JIT: {},
+        _STEPS: rows,
+        _POLYNOMIALS: rows | {"between": tx.Between.POLYNOMIAL},
+    }
+
+    def jitted(own: dict[str, Any]) -> Timed:
+        run = jax.jit(lambda x: tx.integrate(dynamics, x, **options, **own).xs)
+        return Timed(lambda: run(x0))
+
+    ways = {_END: Timed(lambda: tx.integrate(dynamics, x0, **options).xs)}
+    ways |= {name: jitted(own) for name, own in more.items()}
+    ends = {name: {state: each[-1] for state, each in way.result().items()} for name, way in ways.items()}
+    for end in ends.values():
+        agree(apart(end, ends[_END]), 1e-6)
+    in_turn(list(ways.values()), _REPEATS)
+    return ways
+
+
+def _over(way: str, other: str, make: Callable[[], Any]) -> float:
+    return called(make)[way].seconds / called(make)[other].seconds
+
+
+CALLS: Section = [
+    check
+    for name, make in (("a body in a wind table", _body), ("a Panda", _panda))
+    for check in (
+        Check(
+            name, f"a call, {_IN_JIT}", between(unit="ms"), lambda m: 1e3 * called(m)[_IN_JIT].seconds, make, slow=True
+        ),
+        Check(name, "a call over the same in jit", at_most(1.3), _over, _END, _IN_JIT, make, slow=True),
+        Check(name, f"{_ROWS} {_STEPS} over none, in jit", between(), _over, _STEPS, _IN_JIT, make, slow=True),
+        Check(
+            name,
+            f"{_ROWS} {_POLYNOMIALS} over none, in jit",
+            at_most(1.2),
+            _over,
+            _POLYNOMIALS,
+            _IN_JIT,
+            make,
+            slow=True,
+        ),
+    )
+]

@@ -1,0 +1,72 @@
+"""What a lookup in a table of numbers costs: by its points, its axes and its kind."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import twistax as tx
+
+from ...lowering.native.backend import installed
+from ..checks import Absent, Check, Section, agree, between
+from ..timing import Repeats, Timed, compiled, in_turn
+from .steps import apart
+
+_REPEATS = Repeats(7, 5)
+_BATCH = 100_000
+_LINEAR, _SPLINE = tx.tables.Linear(), tx.tables.BSpline()
+_NATIVE, _XLA, _INTERP = "native", "XLA", "jnp.interp"
+
+
+@functools.cache
+def looked_up(points: int, axes: int, kind: Any, even: bool) -> dict[str, Timed]:
+    """A batch of places in one table, by each way that there is; all find the same values."""
+    rng = np.random.default_rng(0)
+    grid = [np.linspace(-1.0, 1.0, points) if even else np.sort(rng.uniform(-1.0, 1.0, points)) for _ in range(axes)]
+    values = rng.normal(size=(points,) * axes)
+    x = tx.State("x", shape=(axes,))
+    table = tx.Interp([x[k] for k in range(axes)], axes=grid, values=values, kind=kind)
+    system = tx.System(rates={x: 0.0 * x}, outputs={"y": table})
+    places = jnp.asarray(rng.uniform(-1.0, 1.0, (_BATCH, axes)))
+
+    def by(backend: Any) -> Timed:
+        dynamics = tx.compile(system, backend=backend)
+        read = jax.vmap(lambda place: dynamics.outputs(0.0, {"x": place})["y"])
+        return compiled(read, places, evaluations=_BATCH)
+
+    ways = {_XLA: by(tx.XLA())} | ({_NATIVE: by(tx.Native())} if installed() else {})
+    if axes == 1 and kind == _LINEAR:
+        interp = lambda places: jnp.interp(places[:, 0], jnp.asarray(grid[0]), jnp.asarray(values))  # noqa: E731
+        ways[_INTERP] = compiled(interp, places, evaluations=_BATCH)
+    for each in ways.values():
+        agree(apart(each.result(), ways[_XLA].result()), 1e-12)
+    in_turn(list(ways.values()), _REPEATS)
+    return ways
+
+
+def _nanoseconds(way: str, *table: Any) -> float:
+    if way == _NATIVE and not installed():
+        raise Absent("not run: llvmlite is not installed")
+    return 1e9 * looked_up(*table)[way].seconds
+
+
+_TABLES: dict[str, tuple[int, int, Any, bool]] = {
+    "8 points, linear": (8, 1, _LINEAR, True),
+    "64 points, linear": (64, 1, _LINEAR, True),
+    "1024 points, linear": (1024, 1, _LINEAR, True),
+    "1024 points, uneven": (1024, 1, _LINEAR, False),
+    "32 x 32 points, linear": (32, 2, _LINEAR, True),
+    "32 x 32 points, B-spline": (32, 2, _SPLINE, True),
+    "16 x 16 x 16 points, linear": (16, 3, _LINEAR, True),
+    "16 x 16 x 16 points, B-spline": (16, 3, _SPLINE, True),
+}
+
+LOOKUPS: Section = [
+    Check(what, way, between(unit="ns"), _nanoseconds, way, *table, slow=True)
+    for what, table in _TABLES.items()
+    for way in (_NATIVE, _XLA, *([_INTERP] if table[1:3] == (1, _LINEAR) else []))
+]
