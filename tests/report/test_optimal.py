@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from twistax.report.checks import Absent
-from twistax.report.sections import OPTIMAL, optimal, refined
+from twistax.report.sections import OPTIMAL, optimal, problems
 
 
 def test_every_problem_is_asked_the_same() -> None:
@@ -17,9 +17,9 @@ def test_every_problem_is_asked_the_same() -> None:
 
 
 def test_refined_meshes_are_asked_for_a_millionth_where_digits_are_published() -> None:
-    assert {check.what for check in OPTIMAL["refined"]} == set(refined.KNOWN)
-    assert len(OPTIMAL["refined"]) == 5 * len(refined.KNOWN)
-    for name, known in refined.KNOWN.items():
+    assert {check.what for check in OPTIMAL["refined"]} == set(optimal.KNOWN)
+    assert len(OPTIMAL["refined"]) == 5 * len(optimal.KNOWN)
+    for name, known in optimal.KNOWN.items():
         # Goddard's climb is published to five decimals; the landing has no optimum of others.
         assert known.bar <= (5e-6 if name.startswith("Goddard") else 1e-6) or "landing" in name
 
@@ -56,7 +56,7 @@ def test_ratios_are_over_what_both_solve(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_the_half_turn_with_five_switches() -> None:
     """By SciPy, in quaternions: these arcs, each with every torque at a limit, end at rest after a half turn."""
-    a, b = refined.FIVE_SWITCHES
+    a, b = problems.FIVE_SWITCHES
     signs = [(1, 1, 1), (-1, 1, 1), (-1, -1, 1), (-1, -1, -1), (1, -1, -1), (1, 1, -1)]
     y = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     for torque, length in zip(signs, (a, b, a, a, b, a), strict=True):

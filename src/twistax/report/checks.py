@@ -5,17 +5,22 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import importlib.util
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 import twistax as tx
 
 from .page import as_svg, panels, table_of, texts
 from .rows import DONE, Row, Store, first_line, now, number
-from .timing import Tell
+from .timing import Repeats, Tell, Timed, in_turn
 
 
 class Report(ABC):
@@ -66,6 +71,13 @@ class Absent(Exception):
     """What a check needs is not on this machine; the message says what."""
 
 
+def needed(module: str, fix: str = "") -> Any:
+    """A module that may not be installed. Raises Absent where it is not; the message ends with how to get it."""
+    if importlib.util.find_spec(module) is None:
+        raise Absent(f"not run: {module} is not installed{fix and f'; pip install {fix}'}")
+    return importlib.import_module(module)
+
+
 class Ended(Exception):
     """An integration that ended early: how, and when, s."""
 
@@ -86,6 +98,23 @@ def agree(apart: float, bar: float) -> None:
     """Asked before times are compared. Raises RuntimeError where results are farther apart than the bar, or NaN."""
     if not apart <= bar:
         raise RuntimeError(f"DISAGREES by {apart:.1e}, more than {bar:.0e}")
+
+
+def apart(ends: Any, others: Any) -> float:
+    """The largest difference of an entry; NaN if there is one."""
+    # NumPy's maximum hands on NaN; Python's loses it.
+    return float(np.max(jax.tree.leaves(jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others))))
+
+
+def raced(
+    ways: dict[str, Timed], bar: float, repeats: Repeats, read: Callable[[Any], Any] = lambda end: end
+) -> dict[str, Timed]:
+    """The same ways to one result, timed in turn, once what is read of their results agrees with the first."""
+    first, *others = (read(way.result()) for way in ways.values())
+    for other in others:
+        agree(apart(other, first), bar)
+    in_turn(list(ways.values()), repeats)
+    return ways
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,6 +203,9 @@ class Check:
             row = dataclasses.replace(row, note=kind + first_line(came))
         return judged(row, self.expected, came)
 
+
+#: One that the quick run leaves out.
+slow = functools.partial(Check, slow=True)
 
 _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 

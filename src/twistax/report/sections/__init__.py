@@ -12,9 +12,7 @@ from . import (
     lookups,
     maps,
     mechanisms,
-    optima,
     optimal,
-    refined,
     scalars,
     steps,
     stiff,
@@ -53,12 +51,12 @@ FIGURES: dict[str, Section] = {
     "small": scalars.SMALL,
     "mechanisms": mechanisms.MECHANISMS,
     "landings": costs.LANDINGS,
-    "optima": optima.OPTIMA,
+    "optima": optimal.OPTIMA,
 }
 
 OPTIMAL: dict[str, Section] = {
     "published": optimal.PUBLISHED,
-    "refined": refined.REFINED,
+    "refined": optimal.REFINED,
     "solvers": optimal.SOLVERS,
     "ratios": optimal.RATIOS,
 }

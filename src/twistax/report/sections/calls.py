@@ -12,9 +12,8 @@ import numpy as np
 import twistax as tx
 
 from ...mechanics import chain_models, forward_dynamics
-from ..checks import Check, Section, agree, at_most, between
-from ..timing import Repeats, Timed, in_turn
-from .steps import apart
+from ..checks import Check, Section, at_most, between, raced, slow
+from ..timing import Repeats, Timed
 
 _REPEATS = Repeats(15, 7)
 _ROWS = 301
@@ -49,11 +48,7 @@ def called(make: Callable[[], Any]) -> dict[str, Timed]:
     """The same rollout called in four ways, those with rows inside of `jit`; all have the same end."""
     dynamics, x0, options = make()
     rows = {"save_at": np.linspace(0.0, options["t1"], _ROWS)}
-    more: dict[str, dict[str, Any]] = {
-        _IN_JIT: {},
-        _STEPS: rows,
-        _POLYNOMIALS: rows | {"between": tx.Between.POLYNOMIAL},
-    }
+    more: dict[str, Any] = {_IN_JIT: {}, _STEPS: rows, _POLYNOMIALS: rows | {"between": tx.Between.POLYNOMIAL}}
 
     def jitted(own: dict[str, Any]) -> Timed:
         run = jax.jit(lambda x: tx.integrate(dynamics, x, **options, **own).xs)
@@ -61,35 +56,20 @@ def called(make: Callable[[], Any]) -> dict[str, Timed]:
 
     ways = {_END: Timed(lambda: tx.integrate(dynamics, x0, **options).xs)}
     ways |= {name: jitted(own) for name, own in more.items()}
-    ends = {name: {state: each[-1] for state, each in way.result().items()} for name, way in ways.items()}
-    for end in ends.values():
-        agree(apart(end, ends[_END]), 1e-6)
-    in_turn(list(ways.values()), _REPEATS)
-    return ways
+    return raced(ways, 1e-6, _REPEATS, lambda xs: {name: each[-1] for name, each in xs.items()})
 
 
 def _over(way: str, other: str, make: Callable[[], Any]) -> float:
     return called(make)[way].seconds / called(make)[other].seconds
 
 
-CALLS: Section = [
-    check
-    for name, make in (("a body in a wind table", _body), ("a Panda", _panda))
-    for check in (
-        Check(
-            name, f"a call, {_IN_JIT}", between(unit="ms"), lambda m: 1e3 * called(m)[_IN_JIT].seconds, make, slow=True
-        ),
-        Check(name, "a call over the same in jit", at_most(1.3), _over, _END, _IN_JIT, make, slow=True),
-        Check(name, f"{_ROWS} {_STEPS} over none, in jit", between(), _over, _STEPS, _IN_JIT, make, slow=True),
-        Check(
-            name,
-            f"{_ROWS} {_POLYNOMIALS} over none, in jit",
-            at_most(1.2),
-            _over,
-            _POLYNOMIALS,
-            _IN_JIT,
-            make,
-            slow=True,
-        ),
-    )
-]
+def _of(name: str, make: Callable[[], Any]) -> list[Check]:
+    return [
+        slow(name, f"a call, {_IN_JIT}", between(unit="ms"), lambda: 1e3 * called(make)[_IN_JIT].seconds),
+        slow(name, "a call over the same in jit", at_most(1.3), _over, _END, _IN_JIT, make),
+        slow(name, f"{_ROWS} {_STEPS} over none, in jit", between(), _over, _STEPS, _IN_JIT, make),
+        slow(name, f"{_ROWS} {_POLYNOMIALS} over none, in jit", at_most(1.2), _over, _POLYNOMIALS, _IN_JIT, make),
+    ]
+
+
+CALLS: Section = [*_of("a body in a wind table", _body), *_of("a Panda", _panda)]

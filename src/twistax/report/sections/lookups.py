@@ -12,9 +12,9 @@ import numpy as np
 import twistax as tx
 
 from ...lowering.native.backend import installed
-from ..checks import Absent, Check, Section, agree, between
-from ..timing import Repeats, Timed, compiled, in_turn
-from .steps import apart
+from ..checks import Section, between, raced, slow
+from ..timing import Repeats, Timed, compiled
+from .scalars import need_llvmlite
 
 _REPEATS = Repeats(7, 5)
 _BATCH = 100_000
@@ -42,15 +42,12 @@ def looked_up(points: int, axes: int, kind: Any, even: bool) -> dict[str, Timed]
     if axes == 1 and kind == _LINEAR:
         interp = lambda places: jnp.interp(places[:, 0], jnp.asarray(grid[0]), jnp.asarray(values))  # noqa: E731
         ways[_INTERP] = compiled(interp, places, evaluations=_BATCH)
-    for each in ways.values():
-        agree(apart(each.result(), ways[_XLA].result()), 1e-12)
-    in_turn(list(ways.values()), _REPEATS)
-    return ways
+    return raced(ways, 1e-12, _REPEATS)
 
 
 def _nanoseconds(way: str, *table: Any) -> float:
-    if way == _NATIVE and not installed():
-        raise Absent("not run: llvmlite is not installed")
+    if way == _NATIVE:
+        need_llvmlite()
     return 1e9 * looked_up(*table)[way].seconds
 
 
@@ -66,7 +63,7 @@ _TABLES: dict[str, tuple[int, int, Any, bool]] = {
 }
 
 LOOKUPS: Section = [
-    Check(what, way, between(unit="ns"), _nanoseconds, way, *table, slow=True)
+    slow(what, way, between(unit="ns"), _nanoseconds, way, *table)
     for what, table in _TABLES.items()
     for way in (_NATIVE, _XLA, *([_INTERP] if table[1:3] == (1, _LINEAR) else []))
 ]

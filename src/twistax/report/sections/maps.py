@@ -8,10 +8,9 @@ Beyond 1 rad the figure is divided by the angle, because rounding the angle itse
 from __future__ import annotations
 
 import functools
-import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -22,7 +21,7 @@ import twistax as tx
 
 from ...groups import se3, so3
 from ...scenes import SCENES
-from ..checks import Absent, Check, Section, at_most, refused, simulated
+from ..checks import Check, Section, at_most, needed, refused, simulated
 from ..rows import plain
 
 #: The largest figure allowed.
@@ -30,11 +29,7 @@ BAR = 8.0
 Array = np.ndarray
 
 
-def mpmath() -> ModuleType:
-    """The module. Raises Absent where it is not installed."""
-    if importlib.util.find_spec("mpmath") is None:
-        raise Absent("not run: mpmath is not installed; pip install mpmath")
-    return importlib.import_module("mpmath")
+mpmath = functools.partial(needed, "mpmath", "mpmath")
 
 
 def exact(xi: Array) -> SimpleNamespace:

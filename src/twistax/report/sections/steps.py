@@ -28,7 +28,7 @@ from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
 from ...trajectory.scaling import declared
-from ..checks import Absent, Check, Section, agree, at_most, between
+from ..checks import Absent, Check, Section, agree, apart, at_most, between, raced, slow
 from ..timing import Repeats, Timed, compiled, in_turn
 from .stiff import fourth_order, weighted_end
 
@@ -48,12 +48,6 @@ def _body() -> tx.Dynamics:
 _START = {"g": np.eye(4), "V": np.array([0.1, 0.2, 0.3, 1.0, 0.5, -0.3])}
 
 
-def apart(ends: Any, others: Any) -> float:
-    """The largest difference of an entry; NaN if there is one."""
-    # NumPy's maximum hands on NaN; Python's loses it.
-    return float(np.max(jax.tree.leaves(jax.tree.map(lambda a, b: jnp.abs(a - b).max(), ends, others))))
-
-
 @functools.cache
 def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
     """A loop of steps as one small function, as `tx.integrate` has it where no kernel runs, and as XLA does it."""
@@ -67,10 +61,8 @@ def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
         return local.value(jax.lax.fori_loop(0, count, advance, local.enter(x)))
 
     forms = {"small": lambda x, count: small_call(loop, x, count), "default": loop}
-    timed = {name: compiled(form, _START, jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
-    agree(apart(timed["small"].result(), timed["default"].result()), 1e-12)
-    in_turn(list(timed.values()), _REPEATS)
-    return timed
+    ways = {name: compiled(form, _START, jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
+    return raced(ways, 1e-12, _REPEATS)
 
 
 _LOOPS = {
@@ -95,12 +87,15 @@ STEPS: Section = [
 ]
 
 
-def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000) -> float:
+_ADAPTIVE = "adaptive"
+
+
+def bridged(kind: Callable[[], Any], chart: Chart | None, adaptive: bool, steps: int = 2000) -> float:
     """The time of a step of `LieSolver` over that of the same solver on quaternions.
 
     Adaptive ones measure errors but may take one length only, so that both take the same steps.
     """
-    dynamics, dt = _body(), 1e-3
+    dynamics, solver, dt = _body(), kind(), 1e-3
     term, lie = bridge.ambient_term(dynamics), bridge.LieSolver(solver, dynamics, chart)
     of_group: Any = diffrax.ConstantStepSize()
     plain: Any = of_group
@@ -118,25 +113,16 @@ def bridged(solver: Any, chart: Chart | None, adaptive: bool, steps: int = 2000)
 
     ours = run(bridge.lie_term(dynamics), lie, of_group, lambda y: y, lambda x: x)
     theirs = run(term, solver, plain, term.from_ambient, term.to_ambient)
-    (ends, taken), (others, other_taken) = ours.result(), theirs.result()
-    agree(float(abs(taken - other_taken)), 0.0)
-    agree(apart(ends, others), 1e-9)
-    in_turn([ours, theirs], _REPEATS)
+    # That of the numbers of steps too.
+    raced({"ours": ours, "theirs": theirs}, 1e-9, _REPEATS)
     return ours.seconds / theirs.seconds
 
 
 BRIDGE: Section = [
-    Check(
-        f"{solver.__name__}, {repr(chart) if chart else 'default chart'}",
-        "adaptive" if adaptive else "constant steps",
-        at_most(1.5),
-        lambda solver, *how: bridged(solver(), *how),
-        *(solver, chart, adaptive),
-        slow=True,
-    )
+    slow(f"{solver.__name__}, {chart or 'default chart'}", by, at_most(1.5), bridged, solver, chart, by == _ADAPTIVE)
     for solver in (diffrax.Tsit5, diffrax.Dopri8)
     for chart in (None, tx.charts.Exponential(), tx.charts.Ambient())
-    for adaptive in (False, True)
+    for by in ("constant steps", _ADAPTIVE)
 ]
 
 SOURCE = Path(__file__).with_name("rkmk4.c")
