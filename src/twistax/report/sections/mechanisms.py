@@ -20,7 +20,8 @@ from ... import mechanics
 from ...lowering.scalar.program import scalarize
 from ...mechanics import Drive, Mechanism, chain_models
 from ...mechanics.derivatives import inverse_dynamics_derivatives
-from ..checks import Absent, Check, Section, agree, at_most
+from ..checks import Absent, Check, Section, agree, at_most, needed, slow
+from ..speed.contenders import pinocchio_model
 from ..timing import Repeats, Timed, in_turn
 
 _BATCH = 4096
@@ -32,7 +33,6 @@ _FILES = {
     "ANYmal": (f"{_DATA}/anymal_b_simple_description/robots/anymal.urdf", True),
     "Talos": (f"{_DATA}/talos_data/robots/talos_reduced.urdf", True),
 }
-_PARTS = ("dynamics", "derivatives")
 
 
 def _file(robot: str) -> tuple[Path, bool]:
@@ -94,11 +94,7 @@ def _ours(robot: str, part: str) -> tuple[Timed, float]:
 @functools.cache
 def _pinocchio(robot: str) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, list[int]]:
     """Its model, positions, velocities and forces of the batch, and its entries of our velocities."""
-    try:
-        import pinocchio as pin
-    except ImportError:
-        raise Absent("pinocchio is not installed") from None
-    path, floating = _file(robot)
+    pin, (path, floating) = needed("pinocchio", "pin"), _file(robot)
     model = pin.buildModelFromUrdf(str(path), *([pin.JointModelFreeFlyer()] if floating else []))
     ours, (x, u) = _mechanism(robot), _points(robot)
     q, order = np.tile(pin.neutral(model), (_BATCH, 1)), list[int]()
@@ -131,12 +127,7 @@ def _theirs(model: Any, function: Any, q: np.ndarray, v: np.ndarray, third: np.n
 
 def _beside(own: Timed, model: Any, function: Any, *points: np.ndarray) -> float:
     """The time of ours over Pinocchio's, in turn. From theirs the time of a model of one link is taken off."""
-    import pinocchio as pin
-
-    small = pin.Model()
-    small.appendBodyToJoint(
-        small.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "one"), pin.Inertia.Random(), pin.SE3.Identity()
-    )
+    small = pinocchio_model(chain_models.equal_links(1))
     call = _theirs(small, function, *(np.ascontiguousarray(each[:, :1]) for each in points))
     other = _theirs(model, function, *points)
     own = dataclasses.replace(own, samples=[])
@@ -144,10 +135,13 @@ def _beside(own: Timed, model: Any, function: Any, *points: np.ndarray) -> float
     return own.seconds / (other.seconds - call.seconds)
 
 
-def _ratio(robot: str, part: str) -> float:
-    model, q, v, tau, order = _pinocchio(robot)
-    import pinocchio as pin
+def _agree(*pairs: tuple[Any, np.ndarray]) -> None:
+    for ours, theirs in pairs:
+        agree(float(np.max(np.abs(np.asarray(ours) - theirs)) / np.max(np.abs(theirs))), 1e-9)
 
+
+def _ratio(robot: str, part: str) -> float:
+    pin, (model, q, v, tau, order) = needed("pinocchio", "pin"), _pinocchio(robot)
     own, data = _ours(robot, part)[0], model.createData()
     found, function = own.call(), pin.aba if part == "dynamics" else pin.computeABADerivatives
     group, width = _mechanism(robot).system().group, _points(robot)[1]["tau"].shape[1]
@@ -161,39 +155,27 @@ def _ratio(robot: str, part: str) -> float:
             at = np.concatenate([np.arange(group.dimension)[group.slices[name]] for name in places])
             pairs = [(found["x"][i][rates, rates], slopes[1]), (found["x"][i][rates][:, at], slopes[0])]
             pairs.append((found["u"][i][rates], slopes[2][:, model.nv - width :]))
-        for ours, theirs in pairs:
-            agree(float(np.max(np.abs(np.asarray(ours) - theirs)) / np.max(np.abs(theirs))), 1e-9)
+        _agree(*pairs)
     return _beside(own, model, function, q, v, tau)
 
 
 def _rnea(links: int) -> float:
     """The derivatives of inverse dynamics of a chain of equal links."""
-    try:
-        import pinocchio as pin
-    except ImportError:
-        raise Absent("pinocchio is not installed") from None
-    from ..speed.cases import numbers
-
-    chain, rng, n = chain_models.equal_links(links), np.random.default_rng(3), links
-    model, at = pin.Model(), 0
-    for link, body in zip(chain.links, chain.bodies.values(), strict=True):
-        mount = numbers(link.mount)
-        at = model.addJoint(at, pin.JointModelRZ(), pin.SE3(mount[:3, :3], mount[:3, 3]), link.name)
-        own = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
-        model.appendBodyToJoint(at, own, pin.SE3.Identity())
+    pin, chain, n = needed("pinocchio", "pin"), chain_models.equal_links(links), links
+    model = pinocchio_model(chain)
     q, qd, qdd = tx.Control("q", shape=(n,)), tx.State("qd", shape=(n,)), tx.Control("qdd", shape=(n,))
     known = inverse_dynamics_derivatives(chain, q, qd, qdd)
     system = tx.System(
         rates={qd: mechanics.inverse_dynamics(chain, q, qd, qdd)},
         slopes={qd: [(q, known.q), (qd, known.qd), (qdd, known.qdd)]},
     )
-    dynamics, points = tx.compile(system, backend=tx.Native(threads=1)), rng.normal(size=(3, _BATCH, n))
+    dynamics = tx.compile(system, backend=tx.Native(threads=1))
+    points = np.random.default_rng(3).normal(size=(3, _BATCH, n))
     call = lambda q, v, a: dynamics.jacobian(0.0, {"qd": v}, {"q": q, "qdd": a})  # noqa: E731
     timed, _ = _batch(call, *map(jnp.asarray, points))
     found, data = timed.call(), model.createData()
     by_q, by_v, _ = pin.computeRNEADerivatives(model, data, *points[:, 0])
-    for ours, theirs in ((found["u"][0][:, :n], by_q), (found["x"][0], by_v)):
-        agree(float(np.max(np.abs(np.asarray(ours) - theirs)) / np.max(np.abs(theirs))), 1e-9)
+    _agree((found["u"][0][:, :n], by_q), (found["x"][0], by_v))
     return _beside(timed, model, pin.computeRNEADerivatives, *points)
 
 
@@ -206,31 +188,29 @@ def _operations(robot: str) -> float:
     return scalarize(lambda *a: [f(0.0, dict(zip(("q", "qd", "tau"), a, strict=True)))], *shapes).operations
 
 
-def _row(robots: Sequence[str], what: str, by: str, limits: Sequence[float], measure: Any, *more: Any) -> list[Check]:
+def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -> list[Check]:
+    """One check a limit, of the robots with files and then of 60 links."""
     unit = "s" if "compiling" in what else ""
     return [
-        Check(f"{what}, {robot}", by, at_most(limit, unit), measure, robot, *more, slow=limit > 1.0)
-        for robot, limit in zip(robots, limits, strict=True)
+        Check(f"{what}, {robot}", by, at_most(limit, unit), measure, robot, part, slow=limit > 1.0)
+        for robot, limit in zip((*_FILES, "60 links"), limits, strict=False)
     ]
 
 
 _SECONDS = {"dynamics": (0.4, 1.0, 2.5, 4.0), "derivatives": (2.0, 5.0, 12.0, 20.0)}
 _OVER = {"dynamics": (0.05, 0.1, 0.15), "derivatives": (0.1, 0.25, 0.5)}
-_LENGTH = "60 links"
 
 MECHANISMS: Section = [
     Check("operations of ABA, Panda", "mechanics.forward_dynamics", at_most(1450), lambda: _operations("Panda")),
     *(
         check
-        for part in _PARTS
-        for check in _row(
-            [*_FILES, _LENGTH], f"compiling {part}", "tx.Native", _SECONDS[part], lambda r, p: _ours(r, p)[1], part
-        )
+        for part, limits in _SECONDS.items()
+        for check in _row(f"compiling {part}", "tx.Native", limits, lambda *which: _ours(*which)[1], part)
     ),
     *(
         check
-        for part in _PARTS
-        for check in _row([*_FILES], f"{part} of ABA, batch of 4,096", "over Pinocchio", _OVER[part], _ratio, part)
+        for part, limits in _OVER.items()
+        for check in _row(f"{part} of ABA, batch of 4,096", "over Pinocchio", limits, _ratio, part)
     ),
-    Check("derivatives of RNEA, 30 links, batch of 4,096", "over Pinocchio", at_most(1.0), _rnea, 30, slow=True),
+    slow("derivatives of RNEA, 30 links, batch of 4,096", "over Pinocchio", at_most(1.0), _rnea, 30),
 ]

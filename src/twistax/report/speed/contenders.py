@@ -24,6 +24,7 @@ import twistax as tx
 
 from ...lowering.backends import Backend
 from ...lowering.scalar.graph import TooLarge
+from ...mechanics import Chain
 from ...scenes.scene import cross_matrix
 from ..timing import Timed, compiled, repeated
 from .cases import CENTER, MASS, Case, inertia, numbers
@@ -263,21 +264,27 @@ class _Called:
         return Timed(run, evaluations, self._seconds)
 
 
+def pinocchio_model(chain: Chain) -> Any:
+    """A chain as a model of Pinocchio; all joints turn about z."""
+    import pinocchio as pin
+
+    model, before = pin.Model(), 0
+    for link, body in zip(chain.links, chain.bodies.values(), strict=True):
+        mount = numbers(link.mount)
+        before = model.addJoint(before, pin.JointModelRZ(), pin.SE3(mount[:3, :3], mount[:3, 3]), link.name)
+        own = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
+        model.appendBodyToJoint(before, own, pin.SE3.Identity())
+    return model
+
+
 def _pinocchio(case: Case, quantity: Quantity) -> Task:
-    """The chain as a model of Pinocchio; all joints turn about z."""
     import pinocchio as pin
 
     if case.chain is None:
         raise Lacks("it has no function with quaternion rates")
     if quantity not in (VALUE, JACOBIAN):
         raise Lacks("it has Jacobians only")
-    begin, model, before, inverse = time.perf_counter(), pin.Model(), 0, case.inverse
-    chain = case.chain()
-    for number, (link, body) in enumerate(zip(chain.links, chain.bodies.values(), strict=True)):
-        mount = numbers(link.mount)
-        before = model.addJoint(before, pin.JointModelRZ(), pin.SE3(mount[:3, :3], mount[:3, 3]), f"joint{number}")
-        own = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
-        model.appendBodyToJoint(before, own, pin.SE3.Identity())
+    begin, model, inverse = time.perf_counter(), pinocchio_model(case.chain()), case.inverse
     data = model.createData()
 
     def slopes(q: Any, qd: Any, third: Any) -> Any:
