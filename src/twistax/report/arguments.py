@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -23,19 +22,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "minutes rather than an hour: few methods or functions, coarse settings, few repeats, nothing that takes long; "
     )
     parser.add_argument("--quick", action="store_true", help=f"{quick}the longest scenes only if asked for")
-    for name, what, names, text in (
-        ("scene", "scene", lambda: _load("..scenes").SCENES, "only this scene"),
-        ("method", "method", lambda: _load(".work_precision.contenders").CONTENDERS, "only this method"),
-        ("case", "case", lambda: _load(".speed.cases").CASES, "with --speed, only this function"),
-        (
-            "only",
-            "section",
-            lambda: _load(".sections").EVERY,
-            "with --stability, --figures or --optimal, only this section",
-        ),
+    for name, module, names, text in (
+        ("scene", "..scenes", "SCENES", "only this scene"),
+        ("method", ".work_precision.contenders", "CONTENDERS", "only this method"),
+        ("case", ".speed.cases", "CASES", "with --speed, only this function"),
+        ("only", ".sections", "EVERY", "with --stability, --figures or --optimal, only this section"),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
-        parser.add_argument(f"--{name}", type=_one_of(what, names), action="append", metavar="NAME", help=several)
+        known = _one_of("section" if name == "only" else name, module, names)
+        parser.add_argument(f"--{name}", type=known, action="append", metavar="NAME", help=several)
     out = "folder for page, figures and tables (./out/report); what was measured there before is kept"
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/report"), help=out)
     parser.add_argument("--again", action="store_true", help="measure again what was measured there before")
@@ -44,13 +39,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-progress", action="store_true", help="no progress bar")
 
 
-def _load(module: str) -> Any:
-    return importlib.import_module(module, __package__)
-
-
-def _one_of(what: str, names: Callable[[], Iterable[str]]) -> Callable[[str], str]:
+def _one_of(what: str, module: str, names: str) -> Callable[[str], str]:
     def name(text: str) -> str:
-        if text not in (known := list(names())):
+        if text not in (known := list(getattr(importlib.import_module(module, __package__), names))):
             raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
         return text
 

@@ -14,6 +14,7 @@ from . import (
     mechanisms,
     optimal,
     scalars,
+    small,
     steps,
     stiff,
 )
@@ -48,7 +49,7 @@ FIGURES: dict[str, Section] = {
     "gradients": steps.GRADIENTS,
     "operations": scalars.OPERATIONS,
     "kernels": scalars.KERNELS,
-    "small": scalars.SMALL,
+    "small": small.SMALL,
     "mechanisms": mechanisms.MECHANISMS,
     "landings": costs.LANDINGS,
     "optima": optimal.OPTIMA,

@@ -20,7 +20,7 @@ import twistax as tx
 
 from ...lowering.explain import count_equations
 from ...scenes import SCENES, heavy_top, powered_descent, touchdown
-from ..checks import Check, Section, at_most, between
+from ..checks import Check, Section, at_most, between, slow
 from ..rows import Origin, Store, plain
 from ..speed.cases import CASES
 from ..timing import empty_call_seconds, seconds_of
@@ -45,11 +45,16 @@ def chain_equations() -> dict[str, int]:
     return {name: count_equations(jax.make_jaxpr(form)({"x": jnp.ones(3)}).jaxpr) for name, form in forms.items()}
 
 
+def _printed(code: str, **environment: str) -> float:
+    """The number that a program of Python prints in a process of its own."""
+    given: dict[str, Any] = {"capture_output": True, "text": True, "check": True, "env": os.environ | environment}
+    return float(subprocess.run([sys.executable, "-c", code], **given).stdout)
+
+
 def import_seconds(runs: int = 7) -> float:
     """Median over fresh processes of the time `import twistax` takes once JAX is imported."""
     code = "import time, jax; t = time.perf_counter(); import twistax; print(time.perf_counter() - t)"
-    command = functools.partial(subprocess.run, capture_output=True, text=True, check=True)
-    return median(float(command([sys.executable, "-c", code]).stdout) for _ in range(runs))
+    return median(_printed(code) for _ in range(runs))
 
 
 def compile_seconds() -> float:
@@ -83,9 +88,7 @@ print(sum(spent))
 def _starts() -> list[float]:
     """The seconds that a script of the Panda spends on kernels when it first starts, and the second time."""
     with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "TWISTAX_CACHE": folder, "JAX_PLATFORMS": "cpu"}
-        command = functools.partial(subprocess.run, capture_output=True, text=True, check=True, env=environment)
-        return [float(command([sys.executable, "-c", _START]).stdout) for _ in range(2)]
+        return [_printed(_START, TWISTAX_CACHE=folder, JAX_PLATFORMS="cpu") for _ in range(2)]
 
 
 COSTS: Section = [
@@ -112,9 +115,9 @@ def _landings() -> list[float]:
 
 
 LANDINGS: Section = [
-    Check("guesses that land", "of 8", between(7.0), lambda: len(_landings()), slow=True),
-    Check("final mass of those, least", "of 8", between(unit="kg"), lambda: min(_landings()), slow=True),
-    Check("final mass of those, most", "of 8", between(unit="kg"), lambda: max(_landings()), slow=True),
+    slow("guesses that land", "of 8", between(7.0), lambda: len(_landings())),
+    slow("final mass of those, least", "of 8", between(unit="kg"), lambda: min(_landings())),
+    slow("final mass of those, most", "of 8", between(unit="kg"), lambda: max(_landings())),
 ]
 
 #: A finer ladder than that of the report: an order of 8 falls far between its rungs.
@@ -154,7 +157,7 @@ def _ratio(scene: str, method: str, error: float) -> float:
 
 def _race(title: str, scene: str, method: Any, error: float, limit: float = math.inf) -> Check:
     what = f"{title}, error {plain(error)}"
-    return Check(what, method.name, between(high=limit), _ratio, scene, method.name, error, slow=True)
+    return slow(what, method.name, between(high=limit), _ratio, scene, method.name, error)
 
 
 RACES: Section = [

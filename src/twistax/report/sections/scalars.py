@@ -1,12 +1,10 @@
-"""Scalar programs: operations, agreement with arrays, what kernels of them cost, also in `tx.fast` beside C."""
+"""Scalar programs: operations, agreement with arrays, what kernels of them cost."""
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -21,12 +19,12 @@ from ...lowering.native.backend import installed
 from ...lowering.scalar.derivatives import cotangent_program, jacobian
 from ...lowering.scalar.primitive import Derived, call_program
 from ...lowering.scalar.program import ScalarProgram, one_by_one, scalarize
-from ..checks import Absent, Check, Section, agree, apart, at_most, between, raced
+from ..checks import Absent, Check, Section, agree, apart, at_most, between
 from ..speed.cases import CASES, Case
 from ..speed.page import apart as relative
 from ..timing import Repeats, Timed, compiled, in_turn, seconds_of
 from .maps import mpmath
-from .steps import C_ARRAY, FLAGS, c_body, c_loop
+from .steps import c_body
 
 #: Arrays to a list of arrays.
 Function = Callable[..., list[jax.Array]]
@@ -205,57 +203,4 @@ KERNELS: Section = [
     Check(_EMPTY, "llvmlite", at_most(1.0, "us"), _above_an_empty_call),
     Check(_BATCH, "llvmlite", at_most(0.3), batch_ratio, slow=True),
     Check(_SINES, "llvmlite", at_most(2.0, "ulp"), lambda: units_off(angles(30_000), tx.Native()), slow=True),
-]
-
-_STEPS = 10_000
-
-
-@functools.cache
-def loops(n: int) -> dict[str, Timed]:
-    """10,000 products of n x n matrices, each of which waits for the one before."""
-    matrix = 0.99 * np.eye(n) + 0.01 / n
-
-    def products(matrix: jax.Array) -> jax.Array:
-        return jax.lax.scan(lambda c, _: (matrix @ c, None), jnp.eye(n), None, length=_STEPS)[0]
-
-    def by_c(flags: tuple[str, ...]) -> Timed:
-        source = Path(__file__).with_name("powers.c")
-        loop = c_loop(source, "powers", [C_ARRAY, C_ARRAY, ctypes.c_long], *flags, f"-DN={n}")
-
-        def call() -> np.ndarray:
-            product = np.eye(n)
-            loop(matrix, product, _STEPS)
-            return product
-
-        return Timed(call, _STEPS)
-
-    runs = {"tx.fast": tx.fast(products), "JAX": jax.jit(products)}
-    in_c = {" ".join(flags): by_c(flags) for flags in FLAGS}
-    ours = {name: Timed(functools.partial(run, jnp.asarray(matrix)), _STEPS) for name, run in runs.items()}
-    ways = raced(in_c | ours, 1e-12, Repeats(9, 5))
-    return ways | {"C": min(in_c.values(), key=lambda each: each.seconds)}
-
-
-def solves() -> float:
-    """10,000 systems of three equations at once: the time by `tx.fast` over that by JAX."""
-    random = np.random.default_rng(0)
-    a, b = jnp.asarray(random.normal(size=(_STEPS, 3, 3))), jnp.asarray(random.normal(size=(_STEPS, 3)))
-    runs = [jax.jit(jax.vmap(solve)) for solve in (tx.fast(jnp.linalg.solve), jnp.linalg.solve)]
-    timed = [Timed(functools.partial(run, a, b), _STEPS) for run in runs]
-    fast, plain = (each.result() for each in timed)
-    # Some of the matrices are nearly singular.
-    agree(apart(fast, plain) / float(jnp.abs(plain).max()), 1e-9)
-    in_turn(timed, Repeats(9, 5))
-    return timed[0].seconds / timed[1].seconds
-
-
-_over_c = lambda n, by: loops(n)[by].seconds / loops(n)["C"].seconds  # noqa: E731
-
-SMALL: Section = [
-    *(
-        Check(f"products of {n}x{n} in a scan: time over C", by, bar, _over_c, n, by)
-        for n in (3, 6)
-        for by, bar in (("tx.fast", at_most(1.5)), ("JAX", between()))
-    ),
-    Check("10,000 solves of 3x3: time over `jax.vmap`", "tx.fast", at_most(0.2), solves),
 ]

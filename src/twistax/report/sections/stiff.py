@@ -15,7 +15,7 @@ import twistax as tx
 from ...integrators import Method
 from ...scenes import SCENES, Scene, actuator_lag, stiff_attitude
 from ...scenes.scene import about, rotation_angle
-from ..checks import Check, Expected, Section, at_most, between, ends, simulated
+from ..checks import Check, Expected, Section, at_most, between, ends, simulated, slow
 from ..rows import plain
 
 _HOLD, _LAG, _JOINT = stiff_attitude.STIFF_ATTITUDE, actuator_lag.ACTUATOR_LAG, SCENES["stiff-joint"]
@@ -51,7 +51,7 @@ def _order_at(rate: float) -> float:
 
 
 def _slow(what: str, expected: Expected, *how: Any, **options: Any) -> Check:
-    return Check(what, "Radau IIA 5", expected, *how, slow=True, **options)
+    return slow(what, "Radau IIA 5", expected, *how, **options)
 
 
 _FINE, _MANY_STEPS = "rtol 1e-8", {"rtol": 1e-8, "control": tx.StepControl(max_steps=10**6)}
