@@ -101,13 +101,34 @@ def functions(case: Case) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, 
     x["clock"] = np.zeros((), case.dtype)
     bake = {name: np.asarray(case.leaves[name], float) for name in case.baked if p.pop(name, None) is not None}
     for name, backend in BACKENDS.items():
-        dynamics = tx.compile(whole, backend=backend, bake=bake)
 
-        def run(x: Any, u: Any, p: Any, own: tx.Dynamics = dynamics) -> list[Any]:
-            found = own.outputs(0.0, x, u, p)
-            return [found[name] for name in outputs]
+        def compiled(*names: str, backend: Any = backend) -> tx.Dynamics:
+            return tx.compile(whole, outputs=names, backend=backend, bake=bake)
+
+        parts = [compiled(*outputs)]
+        if name != "arrays" and not has_form(parts[0], x, u, p):
+            # A term without a form of its own would take the form from all that it is compiled with.
+            alone = {each: has_form(compiled(each), x, u, p) for each in outputs}
+            groups = [[each for each, has in alone.items() if has is wanted] for wanted in (True, False)]
+            parts = [compiled(*group) for group in groups if group]
+
+        def run(x: Any, u: Any, p: Any, parts: Sequence[tx.Dynamics] = parts) -> list[Any]:
+            found = {each: value for own in parts for each, value in own.outputs(0.0, x, u, p).items()}
+            return [found[each] for each in outputs]
 
         yield name, run, (x, u, p)
+
+
+def has_form(dynamics: tx.Dynamics, x: Any, u: Any, p: Any) -> bool:
+    """Whether the outputs run as scalars, by native backends as a kernel, and not as arrays."""
+    functions = dynamics._functions
+    try:
+        inputs = functions.prepare(0.0, x, u, p, reads=("outputs",))
+        leaves, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
+        emission, _ = functions.emission("outputs", structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
+    except Exception:  # which a call raises too, and `check` reports
+        return False
+    return emission.program is not None and "not native" not in emission.reason
 
 
 def values(case: Case) -> Iterator[tuple[str, list[Any]]]:
