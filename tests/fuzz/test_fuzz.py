@@ -16,9 +16,11 @@ from paths import check, oracle
 from put_back import TABLE
 from shrink import smallest
 from term import Case, Term
+from users_nodes import around
 
 import twistax as tx
 from mutations import ROOT, Mutation
+from twistax.lowering.native.backend import Native
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -127,6 +129,22 @@ def test_errors_can_still_be_put_back(file: str) -> None:
     for row in TABLE:
         if row[1] == file:
             assert Mutation(*row, ()).applied(text) != text
+
+
+def test_a_term_without_a_form_leaves_the_others_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What draws random numbers has no kernel; what is compiled with it keeps its own."""
+
+    def broken(*_: Any) -> None:
+        raise RuntimeError("a kernel is made")
+
+    random = "jax.random.normal(jax.random.key(3), a.shape, jnp.float32).astype(a.dtype)"
+    plan = around(f"a * {random}", (3,))
+    foreign = Term(plan.code, plan.numpy, (LEAF,), (3,), setup=plan.setup)
+    sine = Term("tx.Sin({0})", np.sin, (LEAF,), (3,))
+    case = one(foreign, {"s0": [0.5, 1.25, -2.0]})
+    monkeypatch.setattr(Native, "_built", broken)
+    assert check(case) == ""
+    assert "a kernel is made" in check(replace(case, terms=(foreign, sine)))
 
 
 def test_users_nodes_reach_scalars() -> None:
