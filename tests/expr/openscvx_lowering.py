@@ -17,9 +17,17 @@ import twistax as tx
 
 Values = Mapping[str, np.ndarray]
 
+#: What docs/openscvx.md is about: the release, and a nightly that `pip install --pre "openscvx[lie]==..."` installs.
+VERSIONS = ("0.5.2", "0.5.3.dev60")
+
+
+def is_nightly() -> bool:
+    """Whether it is the later of the two."""
+    return importlib.metadata.version("openscvx") == VERSIONS[1]
+
 
 def openscvx() -> Nodes:
-    """The nodes of OpenSCvx 0.5.2 and its lowering; the test is skipped where it is not installed."""
+    """The nodes of OpenSCvx and its lowering; the test is skipped where none of the `VERSIONS` is installed."""
     how = 'pip install "twistax[openscvx]"'
     with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
         warnings.simplefilter("ignore")
@@ -28,8 +36,8 @@ def openscvx() -> Nodes:
         ox = pytest.importorskip("openscvx", reason=f"OpenSCvx is not installed: {how}")
         pytest.importorskip("jaxlie", reason=f"OpenSCvx needs jaxlie for Exp and Log: {how}")
         modules = [importlib.import_module(f"openscvx.symbolic.{name}") for name in ("expr", "lower")]
-    if importlib.metadata.version("openscvx") != "0.5.2":
-        pytest.skip("what docs/openscvx.md says is about OpenSCvx 0.5.2")
+    if importlib.metadata.version("openscvx") not in VERSIONS:
+        pytest.skip(f"what docs/openscvx.md says is about OpenSCvx {' and '.join(VERSIONS)}")
     return Nodes(ox, ox.linalg, ox.spatial, ox.lie, *modules)
 
 

@@ -38,7 +38,7 @@ class Interp(Variadic, init=False):
     Raises:
         ShapeError: the coordinates do not broadcast.
         ModelError: an axis that does not increase or has too few points, values of another shape, a table that is an
-            expression or not finite, another kind, or one of which there is none for so many axes.
+            expression or not finite, another kind, or `MonotoneCubic()` with more than one axis.
     """
 
     at: Operands

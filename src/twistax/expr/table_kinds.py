@@ -205,8 +205,8 @@ class Linear:
 class MonotoneCubic:
     """Cubic with one continuous derivative, monotone wherever the data is, of one axis.
 
-    Of several axes there is none: its slopes are no linear function of the values, so that a product of such curves
-    depends on which axis comes first, and does not keep what is monotone.
+    It does not extend to several axes: its slopes are not linear in the values, so a product of such curves would
+    depend on which axis comes first, and would not stay monotone.
 
     Source: F. Fritsch, J. Butland, A method for constructing local monotone piecewise cubic interpolants (1984), the
     weighted harmonic means of SciPy's `PchipInterpolator`, which computes the coefficients.

@@ -37,7 +37,8 @@ class Vehicle:
         wind: velocity of the air over the planet, a function of (place, t).
         turbulence: gusts beside the wind; their state and noise belong to `system`.
         pose, twist: names of the states.
-    Raises: ModelError for a planet or a turbulence that is none, or a wind that is no function.
+    Raises:
+        ModelError: planet is not a `Planet`, turbulence is not a `Dryden`, or wind is not a function of (place, t).
     """
 
     def __init__(
