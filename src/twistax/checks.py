@@ -93,6 +93,12 @@ def number(
     return value
 
 
+def instance(place: str, value: Any, kind: Any, like: str, error: type[Exception]) -> None:
+    """Raise the error unless the value is of a kind, in words `like`."""
+    if not isinstance(value, kind):
+        raise error(f"{place} expects {like}, got {short(value)}")
+
+
 def whole(place: str, value: Any, least: int = 1, error: type[Exception] = InputError) -> int:
     """The value if it is a whole number, not less than the least."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:

@@ -134,7 +134,7 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
         solution.to_csv(tmp_path / "a.csv", tx.columns.Columns(units={"a": ["m"]}))
     with pytest.raises(tx.InputError, match="to_csv cannot write"):
         solution.to_csv(tmp_path / "nowhere" / "a.csv")
-    with pytest.raises(tx.ModelError, match="layout must be one like"):
+    with pytest.raises(tx.ModelError, match="layout expects one like"):
         solution.to_csv(tmp_path / "a.csv", {"x": "m"})
 
     class Own(tx.columns.Layout):
@@ -285,5 +285,5 @@ def test_what_has_no_polynomial_says_so() -> None:
 
 @pytest.mark.usefixtures("unchecked")
 def test_another_word_for_a_polynomial_is_refused() -> None:
-    with pytest.raises(tx.InputError, match=r"between must be tx\.Between\.STEP or tx\.Between\.POLYNOMIAL, got"):
+    with pytest.raises(tx.InputError, match=r"between expects tx\.Between\.STEP or tx\.Between\.POLYNOMIAL, got"):
         flown(dt=None, rtol=1e-6, between="cubic")

@@ -142,7 +142,7 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
         ({"save_at": []}, r"save_at expects times with shape \(n,\)"),
         ({"save_at": 0.5}, r"save_at expects times with shape \(n,\)"),
         ({"save_at": [np.nan]}, "save_at expects finite times"),
-        ({"method": tx.tableaus.RK4}, r"method must be an object like tx.RKMK\(tx.tableaus.RK4\), got ButcherTableau"),
+        ({"method": tx.tableaus.RK4}, r"method expects an object like tx.RKMK\(tx.tableaus.RK4\), got ButcherTableau"),
         ({"x0": {"x": np.nan}}, r"x0\['x'\] expects finite numbers, got nan"),
         ({"x0": {"y": 1.0}}, "unknown key 'y' in x0"),
         ({"params": {"a": np.inf}}, r"params\['a'\] expects finite numbers, got inf"),

@@ -268,5 +268,5 @@ def test_methods_are_values() -> None:
 def test_bad_arguments_are_named() -> None:
     with pytest.raises(tx.ModelError, match="Magnus expects order 4 or 6, got 5"):
         tx.Magnus(5)
-    with pytest.raises(tx.ModelError, match=r"Magnus expects inner to be a tableau like tx\.tableaus\.RK4, got 'RK4'"):
+    with pytest.raises(tx.ModelError, match=r"Magnus: inner expects a tableau like tx\.tableaus\.RK4, got 'RK4'"):
         tx.Magnus(4, "RK4")  # type: ignore[arg-type]

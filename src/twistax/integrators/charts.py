@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from ..checks import instance
 from ..errors import ModelError
 from ..groups import Euclidean, Group, Order, Product, SpecialEuclidean, SpecialOrthogonal, quaternions
 from ..groups.arrays import Components, add, dot, matrix, pose_rate, rotation_rate, scale, swept, unpack, vector
@@ -392,8 +393,7 @@ def chart_of(owner: str, given: Any, default: Chart) -> Chart:
     """The chart that was given to a method, or the default one. Raises ModelError for what is not a chart."""
     if given is None:
         return default
-    if not isinstance(given, Chart):
-        raise ModelError(f"{owner} expects a chart like tx.charts.Exponential(), got {given!r}")
+    instance(owner, given, Chart, "a chart like tx.charts.Exponential()", ModelError)
     return given
 
 

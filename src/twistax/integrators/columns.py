@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from ..checks import listed, path_of, short
+from ..checks import instance, listed, path_of, short
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SpecialEuclidean, SpecialOrthogonal, euler, quaternion
 from .rows import room_for
@@ -94,10 +94,8 @@ class Columns(Layout):
     rotations: Rotations = QUATERNION
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rotations, Rotations):
-            raise ModelError(f"Columns: rotations must be one as tx.columns.QUATERNION, got {short(self.rotations)}")
-        if not isinstance(self.units, Mapping):
-            raise ModelError(f"Columns: units must be a dict from names to texts, got {short(self.units)}")
+        instance("Columns: rotations", self.rotations, Rotations, "one as tx.columns.QUATERNION", ModelError)
+        instance("Columns: units", self.units, Mapping, "a dict from names to texts", ModelError)
         for name, unit in self.units.items():
             texts = [unit] if isinstance(unit, str) else unit
             if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) for text in texts):
@@ -168,8 +166,7 @@ def columns_of(solution: Solution, layout: Any) -> list[Column]:
         ShapeError: a column of another length.
     """
     layout = Columns() if layout is None else layout
-    if not isinstance(layout, Layout):
-        raise ModelError(f"layout must be one like tx.columns.Columns(units=...), got {short(layout)}")
+    instance("layout", layout, Layout, "one like tx.columns.Columns(units=...)", ModelError)
     if np.ndim(solution.ts) != 1:
         raise InputError(
             f"a table is of one solution, got a batch with times of shape {np.shape(solution.ts)}.\n"

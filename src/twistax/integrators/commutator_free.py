@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import instance
 from ..errors import ModelError
 from ..lowering import Dynamics
 from .charts import Blocks, Exponential, StateCoordinates, coordinates_of
@@ -114,8 +115,7 @@ class CommutatorFree(Method):
     tableau: CommutatorFreeTableau = CF4
 
     def __post_init__(self) -> None:
-        if not isinstance(self.tableau, CommutatorFreeTableau):
-            raise ModelError(f"CommutatorFree expects a tableau like tx.tableaus.CF4, got {self.tableau!r}")
+        instance("CommutatorFree", self.tableau, CommutatorFreeTableau, "a tableau like tx.tableaus.CF4", ModelError)
 
     @property
     def name(self) -> str:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from ..checks import instance
 from ..errors import ModelError
 from ..jax_inside import opened
 from ..lowering import XLA, Dynamics
@@ -96,10 +97,8 @@ class ImplicitRKMK(ChartMethod):
     chart: Chart | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.tableau, CollocationTableau):
-            raise ModelError(
-                f"ImplicitRKMK expects an implicit tableau like tx.tableaus.RADAU_IIA5, got {self.tableau!r}"
-            )
+        wanted = "an implicit tableau like tx.tableaus.RADAU_IIA5"
+        instance("ImplicitRKMK", self.tableau, CollocationTableau, wanted, ModelError)
         object.__setattr__(self, "chart", chart_of("ImplicitRKMK", self.chart, Exponential()))
 
     @property

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import short
+from ..checks import instance
 from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
@@ -118,18 +118,15 @@ def integrate(
     adaptive = rtol is not None or atol is not None
     if method is None:
         method = RKMK(DOP853, Ambient()) if adaptive else RKMK(RK4)
-    if not isinstance(method, Method):
-        raise InputError(f"method must be an object like tx.RKMK(tx.tableaus.RK4), got {method!r}")
+    instance("method", method, Method, "an object like tx.RKMK(tx.tableaus.RK4)", InputError)
     if dynamics.system.corrections:
         method = projected(method)
     method.check(dynamics)
     for name, flag in (("dense", dense), ("throw", throw)):
         if not isinstance(flag, (bool, np.bool_)):
             raise InputError(f"{name} must be True or False, got {flag!r}")
-    if not isinstance(between, Between):
-        raise InputError(f"between must be tx.Between.STEP or tx.Between.POLYNOMIAL, got {short(between)}")
-    if not isinstance(control, StepControl | None):
-        raise InputError(f"control must be tx.StepControl(...), got {short(control)}")
+    instance("between", between, Between, "tx.Between.STEP or tx.Between.POLYNOMIAL", InputError)
+    instance("control", control, StepControl | None, "tx.StepControl(...)", InputError)
     span = span_of(t0, t1, dt)
     controls = controls_of(u)
     places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")

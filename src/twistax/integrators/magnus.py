@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import instance
 from ..errors import ModelError
 from ..groups import Euclidean, Group
 from ..lowering import Dynamics
@@ -73,8 +74,7 @@ class Magnus(Method):
             raise ModelError(f"Magnus expects order 4 or 6, got {self.order!r}")
         if self.inner is None:
             object.__setattr__(self, "inner", _EXPANSIONS[self.order][2])
-        if not isinstance(self.inner, ButcherTableau):
-            raise ModelError(f"Magnus expects inner to be a tableau like tx.tableaus.RK4, got {self.inner!r}")
+        instance("Magnus: inner", self.inner, ButcherTableau, "a tableau like tx.tableaus.RK4", ModelError)
 
     @property
     def name(self) -> str:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from ..errors import InputError, ModelError
 from ..expr import Inputs
+from ..groups import Euclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
@@ -108,23 +109,13 @@ class Projected(Method):
 
     def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
         local, functions = self.coordinates(field.dynamics), field.dynamics._functions
-        slices, factors = functions.group.slices, functions.group.factors
-        u = field.controls(t)
+        own, u = functions.group.factors.items(), field.controls(t)
+        shapes = {name: group.shape if isinstance(group, Euclidean) else group.dimension for name, group in own}
+        still = {name: jnp.zeros(shape, t.dtype) for name, shape in shapes.items()}
         for _ in range(_CORRECTIONS):
             found = functions.evaluate("corrections", field.clock(t), local.value(y), u, field.params)
-            vector = increments(functions, found)
-            step: dict[str, Any] = {
-                name: vector[slices[name]].reshape(factors[name].shape if _flat(factors[name]) else (-1,))
-                for name in factors
-            }
-            y = local.settle(local.move(y, local.first_slope(y, local.rate(step))))
+            y = local.settle(local.move(y, local.first_slope(y, local.rate(still | found))))
         return y
-
-
-def _flat(group: Any) -> bool:
-    from ..groups import Euclidean
-
-    return isinstance(group, Euclidean)
 
 
 def projected(method: Method) -> Projected:

@@ -13,6 +13,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
+from ..checks import instance
 from ..errors import ModelError
 from ..groups import Euclidean
 from ..lowering import Dynamics
@@ -50,8 +51,7 @@ class RKMK(ChartMethod):
     chart: Chart | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.tableau, ButcherTableau):
-            raise ModelError(f"RKMK expects a tableau like tx.tableaus.RK4, got {self.tableau!r}")
+        instance("RKMK", self.tableau, ButcherTableau, "a tableau like tx.tableaus.RK4", ModelError)
         default = Exponential(commutators=max(1, self.tableau.order - 2))
         object.__setattr__(self, "chart", chart_of("RKMK", self.chart, default))
 

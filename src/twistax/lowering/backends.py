@@ -12,7 +12,7 @@ from typing import Literal as OneOf
 import jax
 import jax.numpy as jnp
 
-from ..checks import whole
+from ..checks import instance, whole
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
 from .scalar.graph import LIMITS, Limits, TooLarge
@@ -185,8 +185,7 @@ def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
         ModelError: it is not a backend.
     """
     found = auto if isinstance(backend, str) and backend == "auto" else backend
-    if not isinstance(found, Backend):
-        raise ModelError(f'backend expects "auto", tx.XLA(), tx.Native() or tx.JAX(), got {backend!r}')
+    instance("backend", found, Backend, '"auto", tx.XLA(), tx.Native() or tx.JAX()', ModelError)
     return found
 
 

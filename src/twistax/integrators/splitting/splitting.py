@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ...checks import instance
 from ...errors import ModelError
 from ...expr import Parameter
 from ...lowering import Dynamics
@@ -69,10 +70,8 @@ class Splitting(Method):
     bodies: Any
 
     def __post_init__(self) -> None:
-        if not isinstance(self.composition, Composition):
-            raise ModelError(
-                f"Splitting expects a composition like tx.compositions.KAHAN_LI8, got {self.composition!r}"
-            )
+        wanted = "a composition like tx.compositions.KAHAN_LI8"
+        instance("Splitting", self.composition, Composition, wanted, ModelError)
         bodies = (self.bodies,) if isinstance(self.bodies, FreeMotion) else self.bodies
         if not isinstance(bodies, (tuple, list)) or not bodies or not all(isinstance(b, FreeMotion) for b in bodies):
             raise ModelError(

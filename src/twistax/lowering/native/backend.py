@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 
-from ...checks import whole
+from ...checks import instance, whole
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
@@ -65,8 +65,7 @@ class Native(Backend):
         if self.threads is not None:
             whole("Native: threads", self.threads, 1, ModelError)
         whole("Native: least", self.least, 0, ModelError)
-        if not isinstance(self.scalars, XLA):
-            raise ModelError(f"Native: scalars must be tx.XLA(...), got {self.scalars!r}")
+        instance("Native: scalars", self.scalars, XLA, "tx.XLA(...)", ModelError)
 
     def __str__(self) -> str:
         with_it = f"llvmlite {importlib.metadata.version('llvmlite')}" if installed() else f"{_MISSING}: XLA"
