@@ -6,7 +6,7 @@ Huxley's equations, its gradient and a batch) and 26021 (the mass matrix of a ch
 compared first. JAX 0.11 and later run loops over scalars faster again: ratios depend on the version.
 
     python examples/small_matrices.py            # everything, half a minute
-    python examples/small_matrices.py --repeat 3
+    python examples/small_matrices.py --issue 26145 --repeat 3
 """
 
 from __future__ import annotations
@@ -143,11 +143,12 @@ def median(function: Callable[..., Any], arguments: tuple[Any, ...], repeat: int
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=21, help="calls that are timed (default: %(default)s)")
-    repeat = parser.parse_args().repeat
+    parser.add_argument("--issue", default="", help="the number of one of them (default: all)")
+    repeat, issue = (given := parser.parse_args()).repeat, given.issue
     jax.config.update("jax_enable_x64", True)
     print(f"JAX {jax.__version__}, float64, medians of {repeat} calls in us\n")
     print(f"{'':34}{'jax.jit':>10}{'tx.fast':>10}{'ratio':>8}{'differ by':>12}")
-    for name, plain, fast, arguments in cases():
+    for name, plain, fast, arguments in (case for case in cases() if case[0].startswith(issue)):
         expected, found = plain(*arguments), fast(*arguments)
         apart = float(jnp.abs(expected - found).max() / jnp.abs(expected).max())
         before, after = median(plain, arguments, repeat), median(fast, arguments, repeat)

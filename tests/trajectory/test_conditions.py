@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator, free_flyer
+from trajectory_systems import EULER, double_integrator, free_flyer
 
 import twistax as tx
 from twistax.trajectory import Problem, TrajectoryResult
@@ -19,6 +19,7 @@ def test_a_start_on_a_circle_is_the_nearest_point_of_it() -> None:
         nodes=3,
         final_time=1.0,
         initial=[x @ x == 4.0, x[0] <= 1.5],
+        **EULER,
         final={x: [3.0, 4.0]},
         guess={x: [1.0, 1.0]},
     )
@@ -82,7 +83,7 @@ def flown(**ends: Any) -> TrajectoryResult:
     """Least |v|^2 + |w|^2 in a second."""
     dynamics = tx.compile(free_flyer())
     V = dynamics.controls[0]
-    return Problem(dynamics, tx.Minimize(running=V @ V), nodes=4, final_time=1.0, **ends).solve()
+    return Problem(dynamics, tx.Minimize(running=V @ V), nodes=4, final_time=1.0, **EULER, **ends).solve()
 
 
 def half(pose: np.ndarray, block: Any) -> np.ndarray:
@@ -129,7 +130,7 @@ def test_a_limit_that_the_given_half_decides_leaves_room(initial: Any) -> None:
     V = tx.Control("V", shape=(6,))
     dynamics = tx.compile(tx.System(rates={g: V}, constraints={"ground": g[2, 3] >= 0.0}))
     options: dict[str, Any] = {"nodes": 3, "final_time": 1.0, "final": [g[:3, 3] == SHIFT * np.array([1, 1, -1])]}
-    problem = Problem(dynamics, tx.Minimize(running=V @ V), initial=initial, **options)
+    problem = Problem(dynamics, tx.Minimize(running=V @ V), initial=initial, **options, **EULER)
     result = problem.solve()
     assert result.solved
     assert result.cost == pytest.approx(SHIFT @ SHIFT, rel=1e-3)
@@ -147,6 +148,7 @@ def test_a_limit_is_not_decided_by_the_values_of_parameters() -> None:
         final_time=1.0,
         initial={x: [0.0, 0.0]},
         final=[x[0] == 1.0, x[0] + k * x[1] <= 1.5],
+        **EULER,
     )
     for given, cost in ((0.0, 3.0), (1.0, 3.5)):
         result = problem.solve(params={k: given})
@@ -158,7 +160,7 @@ def test_a_limit_on_a_control_is_not_decided_by_the_start() -> None:
     """u^2 <= x, x = 1 + t, has no slope by u at u = 0, where the guess is. The limit is narrowest at the start."""
     x, y, u = tx.State("x"), tx.State("y"), tx.Control("u")
     dynamics = tx.compile(tx.System(rates={x: 1.0, y: u}, constraints={"narrow": u * u <= x}))
-    problem = Problem(dynamics, tx.Maximize(y), nodes=3, final_time=2.0, initial={x: 1.0, y: 0.0})
+    problem = Problem(dynamics, tx.Maximize(y), nodes=3, final_time=2.0, initial={x: 1.0, y: 0.0}, **EULER)
     result = problem.solve()
     assert result.solved
     np.testing.assert_allclose(result.us["u"], np.sqrt([1.0, 2.0]), atol=1e-5)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse
-from trajectory_systems import double_integrator
+from trajectory_systems import HEUN, double_integrator
 
 import twistax as tx
 from twistax.trajectory.interior_point import InteriorPoint
@@ -32,6 +32,7 @@ def turning() -> tx.trajectory.Problem:
         final_time=(0.5, 10.0),
         initial={R: np.eye(3), w: np.zeros(3)},
         final={R: np.asarray(tx.SO3.exp(jnp.array([0.6, 2.2, -1.0]))), w: np.zeros(3)},
+        **HEUN,
     )
 
 
@@ -117,7 +118,7 @@ def pushing() -> tx.trajectory.Problem:
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-20.0, max=20.0)
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))
     ends = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}}
-    return tx.trajectory.Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends)
+    return tx.trajectory.Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends, **HEUN)
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=["ipopt", "fatrop"])

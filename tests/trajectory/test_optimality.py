@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from trajectory_systems import EULER
 
 import twistax as tx
 from twistax.trajectory import Problem, Status, TrajectoryResult
@@ -29,10 +30,15 @@ def fastest(limit: float) -> Problem:
 
 @pytest.mark.parametrize("limit", [1e-6, 1.0, pytest.param(1e6, marks=pytest.mark.slow)])
 def test_units_do_not_matter(limit: float) -> None:
-    result = fastest(limit).solve()
+    seen: list[tuple[int, float, float]] = []
+    result = fastest(limit).solve(callback=lambda *state: seen.append(state))
     assert result.status is Status.SOLVED
     assert result.final_time == pytest.approx(2.0, rel=1e-5)
     np.testing.assert_allclose(result.us["u"] / limit, np.repeat([1.0, -1.0], 10), atol=1e-3)
+    assert result.cost == pytest.approx(result.final_time)
+    assert result.violation <= 1e-6
+    assert seen[-1][0] <= result.iterations
+    assert seen[-1][1] == pytest.approx(result.cost, abs=1e-2)
 
 
 @pytest.mark.parametrize("limits", [(0.5, 3.0), (0.5, 2000.0)])
@@ -89,7 +95,7 @@ def test_a_weight_that_the_objective_alone_reads_is_set() -> None:
     x, u, weight = tx.State("x"), tx.Control("u"), tx.Parameter("weight", value=1.0)
     dynamics = tx.compile(tx.System(rates={x: u}))
     objective = tx.Minimize(weight * (x - 1.0) ** 2, running=u**2)
-    problem = Problem(dynamics, objective, nodes=4, final_time=1.0, initial={x: 0.0})
+    problem = Problem(dynamics, objective, nodes=4, final_time=1.0, initial={x: 0.0}, **EULER)
     for value in (1.0, 3.0):
         result = problem.solve(params={"weight": value})
         assert result.solved
@@ -148,7 +154,7 @@ def test_a_start_where_a_constraint_has_no_slope_is_left() -> None:
     """x.x >= 1.1 from x = 0 with free ends: staying anywhere outside costs nothing."""
     x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,))
     dynamics = tx.compile(tx.System(rates={x: u}, constraints={"outside": x @ x >= 1.1}))
-    problem = Problem(dynamics, tx.Minimize(running=u @ u), nodes=6, final_time=1.0)
+    problem = Problem(dynamics, tx.Minimize(running=u @ u), nodes=6, final_time=1.0, **EULER)
     result = problem.solve(guess={"x": np.zeros(2)})
     assert result.status is Status.SOLVED
     assert result.cost < 1e-8
@@ -191,9 +197,8 @@ def test_what_a_coarse_mesh_misses_is_told() -> None:
 def test_a_limit_that_reads_the_time_counts_at_a_free_end() -> None:
     x, u = tx.State("x"), tx.Control("u", min=-1.0, max=1.0)
     dynamics = tx.compile(tx.System(rates={x: u}, constraints={"deadline": tx.Time() <= 2.0}))
-    problem = Problem(
-        dynamics, tx.Maximize(tx.Time()), nodes=3, final_time=(0.5, 6.0), initial={x: 0.0}, final={x: 0.1}
-    )
+    ends: dict[str, Any] = {"initial": {x: 0.0}, "final": {x: 0.1}}
+    problem = Problem(dynamics, tx.Maximize(tx.Time()), nodes=3, final_time=(0.5, 6.0), **ends, **EULER)
     result = problem.solve(final_time_guess=1.0)
     assert result.solved
     assert result.final_time == pytest.approx(2.0, rel=1e-5)
@@ -215,7 +220,7 @@ def test_ends_that_break_a_small_limit_are_said() -> None:
     x, u = tx.State("x"), tx.Control("u")
     dynamics = tx.compile(tx.System(rates={x: u}, constraints={"wall": x <= 1e-7}))
     ends: dict[str, Any] = {"initial": {x: 0.0}, "final": {x: 2e-7}}
-    result = Problem(dynamics, tx.Minimize(running=u**2), nodes=3, final_time=1.0, **ends).solve()
+    result = Problem(dynamics, tx.Minimize(running=u**2), nodes=3, final_time=1.0, **ends, **EULER).solve()
     assert result.status is Status.INFEASIBLE
     assert "'wall' at node 2" in result.message
 
@@ -225,7 +230,8 @@ def test_a_norm_may_stand_twice_in_a_cost() -> None:
     norm = tx.linalg.Norm(u)
     dynamics = tx.compile(tx.System(rates={x: u}))
     ends: dict[str, Any] = {"initial": {x: [0.0, 0.0]}, "final": {x: [3.0, 4.0]}}
-    problem = Problem(dynamics, tx.Minimize(running=norm + 2.0 * tx.linalg.Norm(u)), nodes=3, final_time=1.0, **ends)
+    cost = tx.Minimize(running=norm + 2.0 * tx.linalg.Norm(u))
+    problem = Problem(dynamics, cost, nodes=3, final_time=1.0, **ends, **EULER)
     result = problem.solve()
     assert result.solved
     assert result.cost == pytest.approx(15.0, rel=1e-5)
@@ -235,7 +241,7 @@ def test_a_worst_trajectory_is_left() -> None:
     """The first-order conditions hold where a maximum is at its least."""
     x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,), min=-1.0, max=1.0)
     dynamics = tx.compile(tx.System(rates={x: u}))
-    result = Problem(dynamics, tx.Maximize(x @ x), nodes=5, final_time=1.0, initial={x: [0.0, 0.0]}).solve()
+    result = Problem(dynamics, tx.Maximize(x @ x), nodes=5, final_time=1.0, initial={x: [0.0, 0.0]}, **EULER).solve()
     assert result.solved
     assert result.cost == pytest.approx(2.0, rel=1e-5)
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.integrate
-from trajectory_systems import double_integrator
+from trajectory_systems import HEUN, double_integrator
 
 import twistax as tx
 from twistax.trajectory import Linear, Mesh, Meshed, Problem, Status, refine
@@ -22,6 +22,7 @@ def test_a_jump_between_nodes() -> None:
         initial={p: 0.0, v: 0.0},
         final=[{v: 0.0}, p == 1.0],
         at={4: v <= 5.0},
+        **HEUN,
     )
     result = problem.solve(refine=1e-6)
     assert result.solved
@@ -82,6 +83,7 @@ def test_refined_and_held_between_nodes_on_free_nodes() -> None:
         final_time=(0.5, 6.0),
         initial={p: 0.0, v: 0.0},
         final={p: 1.0, v: 0.0},
+        **HEUN,
     )
     result = problem.solve(refine=1e-6, between=1e-6)
     assert result.solved

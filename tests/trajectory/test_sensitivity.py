@@ -8,13 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.errors import InputError, TrajectoryError
 from twistax.trajectory import Problem, Solution, solution
-
-#: Exact for rates that the control alone gives, and quick to compile; for others a transcription as good as any.
-EXACT: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.EULER), "substeps": 1}
 
 
 def centred(function: Callable[[Any], Any], at: np.ndarray, size: float) -> np.ndarray:
@@ -44,7 +42,7 @@ def crane() -> Callable[..., Solution]:
         final_time=(0.5, 20.0),
         initial={p: 0.0, v: 0.0},
         final={p: 1.5, v: 0.0},
-        **EXACT,
+        **EULER,
     )
     assert {"v <= 0.8", "u <= 1"} <= set(problem.solve(params={"mass": 0.9}, tolerance=1e-8).active)
     return solution(problem)
@@ -93,6 +91,7 @@ def test_poses_a_fixed_time_and_a_free_parameter() -> None:
         initial={R: np.eye(3), w: np.zeros(3)},
         final={R: np.asarray(tx.SO3.exp(np.array([0.3, -0.8, 1.1])))},
         free={push: (-1.0, 1.0)},
+        **EULER,
     )
     optimum, goal = solution(problem), np.asarray(tx.SO3.exp(np.array([0.3, -0.8, 1.1])))
 
@@ -117,7 +116,7 @@ def test_second_derivatives(inner: Any) -> None:
     x, w, c = tx.State("x"), tx.Control("w"), tx.Parameter("c", value=1.0)
     dynamics = tx.compile(tx.System(rates={x: c * w}))
     objective = tx.Minimize((x - 3.0) ** 2, running=w**2)
-    optimum = solution(Problem(dynamics, objective, nodes=3, final_time=1.0, initial={x: 2.0}, **EXACT))
+    optimum = solution(Problem(dynamics, objective, nodes=3, final_time=1.0, initial={x: 2.0}, **EULER))
 
     def found(c: Any) -> Any:
         own = optimum(params={"c": c})
@@ -146,7 +145,7 @@ def test_without_a_strict_minimum_there_is_no_derivative() -> None:
         final_time=1.0,
         initial={x: 0.0},
         final={x: 1.0},
-        **EXACT,
+        **EULER,
     )
     optimum = solution(problem)
     thrust = lambda end: optimum(final={"x": end}).us["free"]  # noqa: E731
@@ -167,9 +166,8 @@ def test_a_problem_of_a_traced_function() -> None:
         x, v, u = tx.State("x"), tx.State("v"), tx.Control("u")
         dynamics = tx.compile(tx.System(rates={x: v, v: u}))
         start = {x: 0.0, v: 0.0}
-        problem = Problem(
-            dynamics, tx.Minimize(running=u**2), nodes=5, final_time=2.0, initial=start, final={x: 0.5, v: 0.0}
-        )
+        ends: dict[str, Any] = {"initial": start, "final": {x: 0.5, v: 0.0}}
+        problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=5, final_time=2.0, **ends, **HEUN)
         first = problem.solve(tolerance=1e-8)
         assert first.solved
         return z * problem.solve(warm=first, tolerance=1e-8).cost

@@ -1,6 +1,7 @@
 """Systems with known answers, or with every kind of state, that the trajectory tests share."""
 
 import functools
+from typing import Any
 
 import jax
 import numpy as np
@@ -9,6 +10,11 @@ import twistax as tx
 
 #: jit for code that runs once: compiled in less time, to slower code.
 quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
+
+#: Transcriptions that are quick to compile: exact where rates are held controls, and where their rates are.
+EULER: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.EULER), "substeps": 1}
+HEUN: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.HEUN), "substeps": 1}
 
 
 def double_integrator() -> tx.System:
