@@ -37,32 +37,16 @@ class Projected(Method):
 
     inner: Method
 
-    @property
-    def name(self) -> str:
-        return f"{self.inner.name}, projected"
-
-    @property
-    def order(self) -> int:
-        return self.inner.order
-
-    @property
-    def evaluations(self) -> int:
-        return self.inner.evaluations
+    # What the inner method says of itself.
+    name = property(lambda self: f"{self.inner.name}, projected")
+    order = property(lambda self: self.inner.order)
+    error_order = property(lambda self: self.inner.error_order)
+    evaluations = property(lambda self: self.inner.evaluations)
+    resume_evaluations = property(lambda self: self.inner.resume_evaluations)
+    solves = property(lambda self: self.inner.solves)
 
     def evaluations_of(self, dynamics: Dynamics) -> int:
         return self.inner.evaluations_of(dynamics)
-
-    @property
-    def solves(self) -> bool:  # type: ignore[override]
-        return self.inner.solves
-
-    @property
-    def resume_evaluations(self) -> int:  # type: ignore[override]
-        return self.inner.resume_evaluations
-
-    @property
-    def error_order(self) -> int:
-        return self.inner.error_order
 
     def check(self, dynamics: Dynamics) -> None:
         self.inner.check(dynamics)

@@ -16,19 +16,17 @@ from .primitive import Bodies, Rows, Shapes, by_kernel, define
 from .program import ScalarProgram
 
 
-@weakly_kept
-class Repeated:
-    """A step and the kernels that take it again and again. Compared and hashed by identity.
+class _Rolled:
+    """A loop and the kernels that take all of its iterations. Compared and hashed by identity.
 
     Args:
-        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
-        state: how many arguments are the state.
         kernel: makes the kernel, for one body (True) or for many; None where there is none.
     """
 
-    def __init__(self, step: ScalarProgram, state: int, kernel: Callable[[bool], Rows | None]) -> None:
-        self._step = step
-        self._state = state
+    function: Any  # the loop as JAX has it
+    results: Any  # the shapes and types of its results
+
+    def __init__(self, kernel: Callable[[bool], Rows | None]) -> None:
         self._kernel = functools.lru_cache(kernel)
 
     def kernel(self, rows: int) -> Rows | None:
@@ -36,6 +34,21 @@ class Repeated:
 
     def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
         return bodies.each(self.function, arguments)
+
+
+@weakly_kept
+class Repeated(_Rolled):
+    """A step, taken again and again.
+
+    Args:
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
+        state: how many arguments are the state.
+        kernel: as of all loops.
+    """
+
+    def __init__(self, step: ScalarProgram, state: int, kernel: Callable[[bool], Rows | None]) -> None:
+        super().__init__(kernel)
+        self._step, self._state = step, state
 
     @functools.cached_property
     def results(self) -> Shapes:
@@ -89,27 +102,20 @@ class Ring:
 
 
 @weakly_kept
-class Looped:
-    """A loop of JAX, and the kernels that take all of its iterations. Compared and hashed by identity.
+class Looped(_Rolled):
+    """A loop of JAX.
 
     Args:
-        function: the loop as JAX has it, of (count, *arguments).
+        function: of (count, *arguments).
         results: the shapes and types of its results.
-        kernel: makes the kernel, for one body (True) or for many; None where there is none.
+        kernel: as of all loops.
     """
 
     def __init__(
         self, function: Callable[..., list[jax.Array]], results: Shapes, kernel: Callable[[bool], Rows | None]
     ) -> None:
-        self.function = function
-        self.results = results
-        self._kernel = functools.lru_cache(kernel)
-
-    def kernel(self, rows: int) -> Rows | None:
-        return self._kernel(rows == 1)
-
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
-        return bodies.each(self.function, arguments)
+        super().__init__(kernel)
+        self.function, self.results = function, results
 
 
 #: A repeated step, or a loop.
