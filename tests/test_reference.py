@@ -1,12 +1,16 @@
-"""Every public name says in its docstring what it takes and what it raises, or a reason stands here why it does not.
+"""Every public name says in its docstring what it takes and raises, its maths, shapes, units and source, or there is a
+reason why it does not, here or in `reference_reasons.toml`.
 
-That maths, shapes, units and sources are right no test can tell from text; `tests/expr/test_conformance.py` runs every
-node, and compares shapes and errors with its docstring.
+That they are right no test can tell from text; `tests/expr/test_conformance.py` runs every node, and compares shapes
+and errors with its docstring.
 """
 
 import enum
+import fnmatch
 import inspect
 import re
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -75,6 +79,41 @@ NO_ARGUMENTS = {
     "the base class says it": "Maximize Minimize charts.SplitExponential",
     "one argument, which the first line is about": "Product units.Quantity",
 }
+
+
+#: How a docstring shows that it says it.
+SAYS = {
+    "maths": r"\$[^$]+\$|[\w)\]'}] (=|<=|>=) [\w(\[-]|\^|\w [*/] \w|->|\bExp\(|\bLog\(|\w x \w\b",
+    "shapes": r"[Ss]hape|->|\((\d|n|m|k|s|\w+,)[^)]*\)|\(\)|\bscalars?\b|\bnumbers?\b|\barrays?\b",
+    "units": r"\b(m|s|rad|kg|N|Pa|K|deg|Hz|J|W|m2|units?|seconds|dimensionless|degrees)\b",
+    "source": r"Source|\b(19|20)\d\d\b",
+}
+#: By what it does not say: why, and the names or patterns of names of which it is true.
+REASONS = {
+    asked: [(why, word) for why, words in table.items() for word in words.split()]
+    for asked, table in tomllib.loads((Path(__file__).parent / "reference_reasons.toml").read_text()).items()
+}
+
+
+def silent(asked: str) -> list[Any]:
+    """The names whose docstrings do not say it."""
+    return [name for name in DOCUMENTED if not re.search(SAYS[asked], inspect.getdoc(name.value) or "")]
+
+
+def fits(word: str, name: Any) -> bool:
+    return name.is_node if word == "nodes" else fnmatch.fnmatchcase(name.path.removeprefix("twistax."), word)
+
+
+@pytest.mark.parametrize("asked", SAYS)
+def test_it_says_its_maths_shapes_units_and_source_or_why_not(asked: str) -> None:
+    words = [word for _, word in REASONS[asked]]
+    assert [name.path for name in silent(asked) if not any(fits(word, name) for word in words)] == []
+
+
+@pytest.mark.parametrize("asked", SAYS)
+def test_every_reason_is_needed(asked: str) -> None:
+    names = silent(asked)
+    assert [word for _, word in REASONS[asked] if not any(fits(word, name) for name in names)] == []
 
 
 def excused(table: dict[str, str], name: Any) -> bool:

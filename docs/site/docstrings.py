@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
+from formulas import to_latex
+
 SECTIONS = {"Args": "Arguments", "Attributes": "Attributes", "Raises": "Raises", "Returns": "Returns"}
 _HEAD = re.compile(rf"({'|'.join(SECTIONS)}):(?: (.*))?$")
 _ITEM = re.compile(r"([*\w`.]+(?:, [*\w`.]+)*): (.*)$")
@@ -25,7 +27,9 @@ def to_rst(lines: Sequence[str], link: Link) -> list[str]:
             written += _section(head[1], first + _dedented(block), link)
         elif rest[0].startswith("    "):
             block, rest = _until(rest, lambda line: bool(line.strip()) and not line.startswith("    "))
-            written += ["::", "", *block, ""]
+            formula = " ".join(" ".join(block).split())
+            marked = re.fullmatch(r"\$([^$]+)\$[.,]?", formula)
+            written += [f".. math:: {to_latex(marked[1])}", ""] if marked else ["::", "", *block, ""]
         else:
             block, rest = _until(rest, lambda line: bool(_HEAD.match(line)) or line.startswith("    "), least=1)
             written += [*_text(block, link), ""]
@@ -67,11 +71,15 @@ def _section(name: str, lines: list[str], link: Link) -> list[str]:
 
 
 def _text(lines: list[str], link: Link) -> list[str]:
-    """Sentences; code in backticks may go on over a line's end."""
+    """Sentences; code in backticks and formulas between dollars may go on over a line's end."""
     errors_too = re.sub(r"(?<![\w`.])(\w+Error)\b(?!`)", r"`\1`", "\n".join(lines))
-    parts = re.split(r"`([^`]+)`", errors_too)
+    parts = re.split(r"(`[^`]+`|\$[^$]+\$)", errors_too)
     for i, part in enumerate(parts):
-        parts[i] = link(" ".join(part.split())) if i % 2 else re.sub(r"([\\*_|])", r"\\\1", part)
+        own = " ".join(part[1:-1].split())
+        if i % 2:
+            parts[i] = link(own) if part[0] == "`" else f":math:`{to_latex(own)}`"
+        else:
+            parts[i] = re.sub(r"([\\*_|])", r"\\\1", part)
     text = ""
     for i, part in enumerate(parts):
         # A role needs white space or punctuation on both sides.

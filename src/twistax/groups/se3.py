@@ -63,7 +63,8 @@ def transform(R: Array, p: Array) -> Array:
 
 
 def exp(xi: Input) -> Float[Array, "4 4"]:
-    """Exp(xi) = [Exp(w), J_l(w) v; 0, 1]: the pose reached from the origin by the constant body twist xi in unit time.
+    """$Exp(xi) = [Exp(w), J_l(w) v; 0, 1]$: the pose reached from the origin by the constant body twist xi in unit
+    time.
 
     Shapes: xi = [v; w] (6,), v in any length unit, w in rad -> (4, 4). Raises ShapeError.
     """
@@ -93,7 +94,7 @@ def unchecked_log(T: Array) -> Array:
 
 
 def hat(xi: Input) -> Float[Array, "4 4"]:
-    """[W v; 0 0] of xi = [v; w]. Shapes: (6,) -> (4, 4). Raises ShapeError."""
+    """$[W, v; 0, 0]$ of $xi = [v; w]$. Shapes: (6,) -> (4, 4). Raises ShapeError."""
     (xi,) = of_shape("se3.hat", {"xi": (6,)}, xi)
     (a, b, c), (x, y, z) = _halves(xi)
     o = jnp.zeros_like(x)
@@ -112,7 +113,7 @@ def compose(T: Input, S: Input) -> Float[Array, "4 4"]:
 
 
 def inverse(T: Input) -> Float[Array, "4 4"]:
-    """[R^T, -R^T p; 0, 1]. Shapes: (4, 4) -> (4, 4). Raises ShapeError."""
+    """$[R^T, -R^T p; 0, 1]$. Shapes: (4, 4) -> (4, 4). Raises ShapeError."""
     (T,) = of_shape("se3.inverse", {"T": (4, 4)}, T)
     Rt = T[:3, :3].T
     return transform(Rt, -multiply(Rt, T[:3, 3]))
@@ -138,19 +139,19 @@ def act(T: Input, points: Input) -> Float[Array, "*points"]:
 
 
 def ad(xi: Input) -> Float[Array, "6 6"]:
-    """ad_xi = [W V; 0 W], so that ad_xi eta = [xi, eta]. Shapes: (6,) -> (6, 6). Raises ShapeError."""
+    """$ad_xi = [W, V; 0, W]$, so that $ad_xi eta = [xi, eta]$. Shapes: (6,) -> (6, 6). Raises ShapeError."""
     (xi,) = of_shape("se3.ad", {"xi": (6,)}, xi)
     return _blocks(so3.hat(xi[3:]), so3.hat(xi[:3]), jnp.zeros((3, 3), xi.dtype))
 
 
 def ad_dual(xi: Input) -> Float[Array, "6 6"]:
-    """ad*_xi = -ad_xi^T = [W 0; V W]; M xi' = F - ad*_xi (M xi). Shapes: (6,) -> (6, 6). Raises ShapeError."""
+    """$ad*_xi = -ad_xi^T = [W, 0; V, W]$; $M xi' = F - ad*_xi (M xi)$. Shapes: (6,) -> (6, 6). Raises ShapeError."""
     (xi,) = of_shape("se3.ad_dual", {"xi": (6,)}, xi)
     return _blocks(so3.hat(xi[3:]), jnp.zeros((3, 3), xi.dtype), so3.hat(xi[:3]))
 
 
 def Ad(T: Input) -> Float[Array, "6 6"]:
-    """Ad_T = [R [p]R; 0 R]: twists from frame b to frame a for T = T_ab.
+    """$Ad_T = [R, [p]R; 0, R]$: twists from frame b to frame a for T = T_ab.
 
     Shapes: (4, 4) -> (6, 6). Raises ShapeError.
     """
@@ -160,7 +161,7 @@ def Ad(T: Input) -> Float[Array, "6 6"]:
 
 
 def Ad_dual(T: Input) -> Float[Array, "6 6"]:
-    """Ad*_T = Ad_T^-T = [R 0; [p]R R]: wrenches from frame b to frame a for T = T_ab.
+    """$Ad*_T = Ad_T^-T = [R, 0; [p]R, R]$: wrenches from frame b to frame a for T = T_ab.
 
     Shapes: (4, 4) -> (6, 6). Raises ShapeError.
     """
@@ -170,19 +171,19 @@ def Ad_dual(T: Input) -> Float[Array, "6 6"]:
 
 
 def bracket(xi: Input, eta: Input) -> Float[Array, "6"]:
-    """[xi, eta] = ad_xi eta = [w1 x v2 + v1 x w2; w1 x w2]. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
+    """$[xi, eta] = ad_xi eta = [w1 x v2 + v1 x w2; w1 x w2]$. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
     (v, w), (y, u) = map(_halves, of_shape("se3.bracket", {"xi": (6,), "eta": (6,)}, xi, eta))
     return vector(add(cross(w, y), cross(v, u)) + cross(w, u))
 
 
 def coad(xi: Input, momentum: Input) -> Float[Array, "6"]:
-    """ad*_xi mu = [w x p; v x p + w x L] for mu = [p; L]. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
+    """$ad*_xi mu = [w x p; v x p + w x L]$ for $mu = [p; L]$. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
     (v, w), (p, L) = map(_halves, of_shape("se3.coad", {"xi": (6,), "momentum": (6,)}, xi, momentum))
     return vector(cross(w, p) + add(cross(v, p), cross(w, L)))
 
 
 def left_jacobian(xi: Input) -> Float[Array, "6 6"]:
-    """J_l(xi) = [J Q; 0 J]: Exp(xi + d) = Exp(J_l d) Exp(xi) to first order.
+    """$J_l(xi) = [J, Q; 0, J]$: $Exp(xi + d) = Exp(J_l d) Exp(xi)$ to first order.
 
     J is the left Jacobian of SO(3) at w, Q its derivative in the direction v. Shapes: (6,) -> (6, 6).
     Raises ShapeError.
@@ -195,7 +196,7 @@ def left_jacobian(xi: Input) -> Float[Array, "6 6"]:
 
 
 def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
-    """J_r(xi) = J_l(-xi): Exp(xi + d) = Exp(xi) Exp(J_r d) to first order.
+    """$J_r(xi) = J_l(-xi)$: $Exp(xi + d) = Exp(xi) Exp(J_r d)$ to first order.
 
     Shapes: (6,) -> (6, 6). Raises ShapeError.
     """
@@ -203,7 +204,7 @@ def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
 
 
 def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
-    """J_l(xi)^-1 = [D E; 0 D], D = I - W/2 + d W^2, E its derivative in the direction v; singular at |w| = 2 pi.
+    """$J_l(xi)^-1 = [D, E; 0, D]$, $D = I - W/2 + d W^2$, E its derivative in the direction v; singular at |w| = 2 pi.
 
     d = (1 - (t/2) cot(t/2)) / t^2, t = |w|. Shapes: (6,) -> (6, 6). Raises ShapeError.
     """
@@ -215,7 +216,7 @@ def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
 
 
 def right_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
-    """J_r(xi)^-1 = J_l(-xi)^-1. Shapes: (6,) -> (6, 6). Raises ShapeError."""
+    """$J_r(xi)^-1 = J_l(-xi)^-1$. Shapes: (6,) -> (6, 6). Raises ShapeError."""
     return left_jacobian_inv(-of_shape("se3.right_jacobian_inv", {"xi": (6,)}, xi)[0])
 
 

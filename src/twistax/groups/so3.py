@@ -40,7 +40,7 @@ __all__ = [
 
 
 def exp(w: Input) -> Float[Array, "3 3"]:
-    """Exp(w) = I + (sin t / t) W + ((1 - cos t) / t^2) W^2, t = |w|: the rotation by t rad about w.
+    """$Exp(w) = I + (sin t / t) W + ((1 - cos t) / t^2) W^2$, $t = |w|$: the rotation by t rad about w.
 
     Shapes: w (3,) in rad -> (3, 3). Raises ShapeError. Source: Rodrigues' formula.
     """
@@ -135,19 +135,19 @@ def Ad_dual(R: Input) -> Float[Array, "3 3"]:
 
 
 def bracket(w: Input, u: Input) -> Float[Array, "3"]:
-    """[w, u] = w x u. Shapes: (3,), (3,) -> (3,). Raises ShapeError."""
+    """$[w, u] = w x u$. Shapes: (3,), (3,) -> (3,). Raises ShapeError."""
     w, u = of_shape("so3.bracket", {"w": (3,), "u": (3,)}, w, u)
     return vector(cross(unpack(w), unpack(u)))
 
 
 def coad(w: Input, momentum: Input) -> Float[Array, "3"]:
-    """ad*_w L = w x L. Shapes: (3,), (3,) -> (3,). Raises ShapeError."""
+    """$ad*_w L = w x L$. Shapes: (3,), (3,) -> (3,). Raises ShapeError."""
     w, momentum = of_shape("so3.coad", {"w": (3,), "momentum": (3,)}, w, momentum)
     return vector(cross(unpack(w), unpack(momentum)))
 
 
 def left_jacobian(w: Input) -> Float[Array, "3 3"]:
-    """J_l(w) = I + ((1 - cos t) / t^2) W + ((t - sin t) / t^3) W^2: Exp(w + d) = Exp(J_l d) Exp(w) to first order.
+    """$J_l(w) = I + ((1 - cos t) / t^2) W + ((t - sin t) / t^3) W^2$: $Exp(w + d) = Exp(J_l d) Exp(w)$ to first order.
 
     Shapes: (3,) in rad -> (3, 3). Raises ShapeError.
     """
@@ -158,12 +158,15 @@ def left_jacobian(w: Input) -> Float[Array, "3 3"]:
 
 
 def right_jacobian(w: Input) -> Float[Array, "3 3"]:
-    """J_r(w) = J_l(-w): Exp(w + d) = Exp(w) Exp(J_r d) to first order. Shapes: (3,) -> (3, 3). Raises ShapeError."""
+    """$J_r(w) = J_l(-w)$: $Exp(w + d) = Exp(w) Exp(J_r d)$ to first order.
+
+    Shapes: (3,) -> (3, 3). Raises ShapeError.
+    """
     return left_jacobian(-of_shape("so3.right_jacobian", {"w": (3,)}, w)[0])
 
 
 def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
-    """J_l(w)^-1 = I - W/2 + d W^2, d = (1 - (t/2) cot(t/2)) / t^2; singular at t = 2 pi.
+    """$J_l(w)^-1 = I - W/2 + d W^2$, $d = (1 - (t/2) cot(t/2)) / t^2$; singular at t = 2 pi.
 
     Shapes: (3,) in rad -> (3, 3). Raises ShapeError.
     """
@@ -173,12 +176,12 @@ def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
 
 
 def right_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
-    """J_r(w)^-1 = J_l(-w)^-1. Shapes: (3,) in rad -> (3, 3). Raises ShapeError."""
+    """$J_r(w)^-1 = J_l(-w)^-1$. Shapes: (3,) in rad -> (3, 3). Raises ShapeError."""
     return left_jacobian_inv(-of_shape("so3.right_jacobian_inv", {"w": (3,)}, w)[0])
 
 
 def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
-    """J_r(w)^-1 u = u + w x u / 2 + d w x (w x u), by cross products.
+    """$J_r(w)^-1 u = u + w x u / 2 + d w x (w x u)$, by cross products.
 
     For R' = R hat(u) and R = R_0 Exp(w) this is w'. Shapes: (3,), (3,) -> (3,). Raises ShapeError.
     """

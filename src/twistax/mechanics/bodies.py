@@ -183,7 +183,7 @@ class SpatialInertia:
 
 
 def power(F: ExprLike, V: ExprLike) -> Expr:
-    """F . V (), W, of a wrench (6,) on a body with twist (6,), both in one frame. The same in every frame.
+    """$F . V$ (), W, of a wrench (6,) on a body with twist (6,), both in one frame. The same in every frame.
 
     Raises: ShapeError if an argument is not of shape (6,).
     """

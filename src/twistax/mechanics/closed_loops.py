@@ -207,7 +207,7 @@ def loop_wrench(
     frame: str | None = None,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """F = [f; tau] (6,) that a closure puts on its second frame, written in any frame; its own unless given.
+    """$F = [f; tau]$ (6,), N and N m, that a closure puts on its second frame, in any frame; its own unless given.
 
     Raises: as `closed_dynamics`; ModelError for a loop that is not known.
     """

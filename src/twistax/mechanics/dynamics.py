@@ -40,6 +40,8 @@ def inverse_dynamics(
 
         F = M B + ad*_W(M W) - wrenches + the sum of Ad*_T F over the segments that sit on it,    tau = H' F.
 
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5.
+
     Args:
         mechanism: a tree or a chain.
         q, qd: positions and velocities (n,); the mechanism's own states unless given.
@@ -95,18 +97,27 @@ def _gathered(mechanism: Mechanism, needed: list[Expr], qdd: Expr) -> Expr:
 def bias_forces(
     mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None, *, wrenches: Wrenches | None = None
 ) -> Expr:
-    """b (n,) of M qdd + b = tau: gravity, Coriolis and centrifugal forces, less the wrenches. Raises as RNEA does."""
+    """b (n,) of $M qdd + b = tau$: gravity, Coriolis and centrifugal forces, less the wrenches, N or N m.
+
+    Raises as `inverse_dynamics` does.
+    """
     return inverse_dynamics(mechanism, q, qd, wrenches=wrenches)
 
 
 def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """g(q) (n,): the forces of the joints that hold the mechanism at rest. Raises as `inverse_dynamics` does."""
+    """$g(q) = b(q, 0)$ (n,), N or N m: the forces of the joints that hold the mechanism at rest.
+
+    Raises as `inverse_dynamics` does.
+    """
     checked("gravity_forces", mechanism)
     return inverse_dynamics(mechanism, q, np.zeros(mechanism.dofs))
 
 
 def coriolis_forces(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """c(q, qd) = C(q, qd) qd (n,): Coriolis and centrifugal forces, no gravity. Raises as `inverse_dynamics` does."""
+    """$c(q, qd) = C(q, qd) qd$ (n,), N or N m: Coriolis and centrifugal forces, no gravity.
+
+    Raises as `inverse_dynamics` does.
+    """
     owner, still = "coriolis_forces", Constant(np.zeros(checked("coriolis_forces", mechanism).dofs))
     weightless = Constant(np.zeros(3))
     return _gathered(mechanism, carried_wrenches(owner, mechanism, q, qd, still, None, weightless), still)
@@ -122,7 +133,8 @@ def forward_dynamics(
 ) -> Expr:
     """The accelerations (n,) of a mechanism whose joints have the forces tau: m/s2 for a slide, rad/s2 for a turn.
 
-    The articulated-body algorithm (ABA). From tips to base it finds what a segment and all that hangs on it need for
+    It solves $M(q) qdd + b(q, qd) = tau$. The articulated-body algorithm (ABA), Featherstone, Rigid Body Dynamics
+    Algorithms (2008), chapter 7. From tips to base it finds what a segment and all that hangs on it need for
     the acceleration B of the segment, the wrench I B + b; from base to tips the accelerations. Where joints mimic
     others the equations of the mass matrix are solved instead, and with them those of closed loops where there are any.
 
@@ -172,10 +184,12 @@ rnea, aba = inverse_dynamics, forward_dynamics
 
 
 def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """The inertia M (n, n) of a mechanism: kinetic energy qd.M qd / 2, forces of the joints M qdd + b(q, qd).
+    """The inertia M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, forces of the joints $M qdd + b(q, qd)$.
 
     The composite-rigid-body algorithm (CRBA). From tips to base I_c, the inertia of a segment with all that hangs on it
     as if it were rigid; M_ij = H_j' Ad* I_c H_i for every j between the base and i. Rotors add to the diagonal.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 6.
 
     Args:
         mechanism: a tree or a chain; gravity has no part in it.

@@ -27,7 +27,7 @@ def _sum(terms: list[Expr], empty: Expr = _NOTHING) -> Expr:
 
 
 def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """The sum of V.M V / 2 over all bodies (), J, and of the rotors. Raises ShapeError."""
+    """The sum of $V.M V / 2$ over all bodies (), J, and of the rotors. Raises ShapeError."""
     twists = checked("kinetic_energy", mechanism).twists(q, qd)
     terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
     rates = mechanism.coordinates("kinetic_energy", "qd", qd)
@@ -40,7 +40,7 @@ def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLik
 
 
 def potential_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """Minus the sum of m g . c over all bodies (), J: zero for masses at the base. Raises ShapeError."""
+    """$U = -sum m_i g . c_i$ over all bodies (), J: zero for masses at the base. Raises ShapeError."""
     poses = checked("potential_energy", mechanism).poses(q)
     lifted = [
         body.mass * Dot(mechanism.gravity, Act(poses[i], body.center_of_mass)) for i, body in mechanism.bodies.items()
@@ -57,7 +57,10 @@ def total_mass(mechanism: Mechanism) -> Expr:
 
 
 def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """Of all bodies that move (3,), m, in the base. Raises ShapeError; ModelError where there is no mass."""
+    """$c = sum m_i c_i / sum m_i$ of all bodies that move (3,), m, in the base.
+
+    Raises ShapeError; ModelError where there is no mass.
+    """
     poses = checked("center_of_mass", mechanism).poses(q)
     moments = [body.mass * Act(poses[i], body.center_of_mass) for i, body in mechanism.bodies.items()]
     return _sum(moments) / total_mass(mechanism)
@@ -80,7 +83,10 @@ def centroidal_momentum(mechanism: Mechanism, q: Positions | None = None, qd: Ex
 
 
 def centroidal_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """A (6, n) with A qd the centroidal momentum; columns Ad*_T I_c H, about the centre of mass. Raises ShapeError."""
+    """A (6, n) kg and kg m, with $A qd$ the centroidal momentum; columns $Ad*_T I_c H$, about the centre of mass.
+
+    Raises ShapeError.
+    """
     places = checked("centroidal_matrix", mechanism).positions("centroidal_matrix", q)
     poses, I = mechanism.poses(q), composite_inertias(mechanism, places)
     columns: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]

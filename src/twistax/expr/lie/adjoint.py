@@ -43,9 +43,9 @@ Value = TypeVar("Value", jax.Array, Expr)
 
 
 class Adjoint(TwistNode):
-    """The Lie bracket of two twists, ad_xi1(xi2) = [xi1, xi2] = [w1 x v2 - w2 x v1; w1 x w2].
+    """The Lie bracket of two twists, $ad_xi1(xi2) = [xi1, xi2] = [w1 x v2 - w2 x v1; w1 x w2]$.
 
-    As a matrix for [v; w]: ad_xi = [[w] [v]; 0 [w]]. Shapes: (6,), (6,) -> (6,).
+    As a matrix for [v; w]: $ad_xi = [[w], [v]; 0, [w]]$. Shapes: (6,), (6,) -> (6,).
 
     Attributes:
         twist1, twist2: twists (6,), m/s and rad/s.
@@ -74,9 +74,9 @@ class Adjoint(TwistNode):
 
 
 class AdjointDual(TwistNode):
-    """The coadjoint action on momentum or wrench, ad*_xi(mu) = -ad_xi^T mu = [w x p; v x p + w x L].
+    """The coadjoint action on momentum or wrench, $ad*_xi(mu) = -ad_xi^T mu = [w x p; v x p + w x L]$.
 
-    Newton-Euler for a body: M xi' = F - ad*_xi(M xi). Shapes: (6,), (6,) -> (6,).
+    Newton-Euler for a body: $M xi' = F - ad*_xi(M xi)$. Shapes: (6,), (6,) -> (6,).
 
     Attributes:
         twist: (6,), m/s and rad/s.
@@ -124,9 +124,9 @@ class _FrameMatrix(TwistNode):
 
 
 class SE3Adjoint(_FrameMatrix):
-    """Ad_T, the 6x6 matrix that maps twists of frame b to frame a: xi_a = Ad_T xi_b, (Ad_T xi)^ = T xi^ T^-1.
+    """Ad_T, the 6x6 matrix that maps twists of frame b to frame a: $xi_a = Ad_T xi_b$, (Ad_T xi)^ = T xi^ T^-1.
 
-    For [v; w]: Ad_T = [R [p]R; 0 R]. Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed
+    For [v; w]: $Ad_T = [R, [p]R; 0, R]$. Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed
     without the matrix.
 
     Attributes:
@@ -148,9 +148,9 @@ class SE3Adjoint(_FrameMatrix):
 
 
 class SE3AdjointDual(_FrameMatrix):
-    """Ad*_T = Ad_T^-T, the 6x6 matrix that maps wrenches and momenta of frame b to frame a: F_a = Ad*_T F_b.
+    """Ad*_T = Ad_T^-T, the 6x6 matrix that maps wrenches and momenta of frame b to frame a: $F_a = Ad*_T F_b$.
 
-    Power is the same in both frames: F_a . xi_a = F_b . xi_b. For [f; tau]: Ad*_T = [R 0; [p]R R].
+    Power is the same in both frames: $F_a . xi_a = F_b . xi_b$. For [f; tau]: $Ad*_T = [R, 0; [p]R, R]$.
     Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed without the matrix.
 
     Attributes:

@@ -18,7 +18,7 @@ __all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass", "gradient_torque"]
 
 @dataclasses.dataclass(frozen=True)
 class PointMass:
-    """Gravity of a point or a homogeneous ball.
+    """Gravity of a point or a homogeneous ball, $-GM p / r^3$ in m/s2 at a position p (3,) in m.
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.

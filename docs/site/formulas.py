@@ -1,0 +1,80 @@
+"""Formulas of docstrings, written as one types them, `$ad*_xi(mu) = -ad_xi^T mu$`, as LaTeX.
+
+Names are one letter or a word: Greek ones become their letters, sum its sign, qd and qdd rates of q, others upright.
+`x` between two factors is the cross product, `.` the dot product, `[a, b; c, d]` a matrix; `^` and `_` take the next.
+"""
+
+from __future__ import annotations
+
+import re
+
+GREEK = re.compile("alpha|beta|gamma|delta|epsilon|theta|lambda|mu|nu|xi|eta|rho|sigma|tau|phi|psi|omega|Omega|pi|sum")
+RATES = {"qd": r"\dot q", "qdd": r"\ddot q"}
+SIGNS = {"<=": r"\le", ">=": r"\ge", "->": r"\to", ".": r"\cdot", "*": r"\,", "{": r"\{", "}": r"\}"}
+COLUMN = r"\end{bmatrix}"
+_TOKEN = re.compile(r"\s*(?:(\d+(?:\.\d+)?)|(sqrt)\(|([A-Za-z]+\d*)(\*?)|(\^|_)(-?\w+)|(<=|>=|->|\S))")
+
+
+def to_latex(text: str) -> str:
+    """The LaTeX of a formula. Raises ValueError for brackets that do not match."""
+    written: list[str] = []
+    closing: list[str] = []  # what ends the brackets that are open
+    at, text = 0, text.strip()
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        assert token is not None  # there is always a last sign
+        at = token.end()
+        number, root, word, star, script, scripted, sign = token.groups()
+        if number:
+            written.append(number)
+        elif root:
+            written.append(r"\sqrt{")
+            closing.append("}")
+        elif word:
+            # The star of Ad* is part of the name, that of a * b a product.
+            dual = star and word in ("ad", "Ad")
+            crossed = word == "x" and text[: token.start(3)].endswith(" ") and text[at : at + 1] == " "
+            written.append(r"\times" if crossed else name(word) + ("^*" if dual else ""))
+            at -= bool(star) and not dual
+        elif script:
+            minus = "-" if scripted.startswith("-") else ""
+            written.append(f"{script}{{{minus}{name(scripted.lstrip('-'))}}}")
+        elif sign in "([":
+            column = sign == "[" and ";" in inside(text, at)
+            written.append(r"\begin{bmatrix}" if column else sign)
+            closing.append(COLUMN if column else {"(": ")", "[": "]"}[sign])
+        elif sign in ")]":
+            if not closing:
+                raise ValueError(f"the formula {text!r} has a bracket too many")
+            written.append(closing.pop())
+        elif sign == ";":
+            written.append(r"\\")
+        elif sign == "," and closing[-1:] == [COLUMN]:
+            written.append("&")
+        else:
+            written.append(SIGNS.get(sign, sign))
+    if closing:
+        raise ValueError(f"the formula {text!r} has a bracket that is not closed")
+    return " ".join(written)
+
+
+def inside(text: str, at: int) -> str:
+    """What stands in the bracket that opens before `at`, without brackets inside of it."""
+    depth, own = 0, ""
+    for letter in text[at:]:
+        depth += (letter in "([") - (letter in ")]")
+        if depth < 0:
+            break
+        own += letter if depth == 0 else ""
+    return own
+
+
+def name(word: str) -> str:
+    if word in RATES:
+        return RATES[word]
+    if GREEK.fullmatch(word):
+        return f"\\{word}"
+    if len(word) > 1 and word[-1].isdigit() and not word.isdigit():
+        letters = word.rstrip("0123456789")
+        return f"{name(letters)}_{{{word[len(letters) :]}}}"
+    return word if len(word) == 1 or word.isdigit() else rf"\mathrm{{{word}}}"
