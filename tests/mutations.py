@@ -71,6 +71,26 @@ def _at(file: str, *entries: tuple[str, str, str, str]) -> list[Mutation]:
 
 
 MUTATIONS: list[Mutation] = [
+    # ---- progress ----------------------------------------------------------------------------------------------------
+    *_at(
+        "integrators/meter.py",
+        (
+            "a part beyond the stop",
+            "jnp.minimum(stop, at(now)[0] + part)",
+            "at(now)[0] + part",
+            "integrators/test_meter.py",
+        ),
+        ("who asked is kept", "del _ASKED[number]", "pass", "integrators/test_meter.py"),
+    ),
+    *_at(
+        "integrators/adaptive.py",
+        (
+            "the share of a leg, not of the way",
+            "(now.t - self.t0) / (self.stops.limits[-1] - self.t0)",
+            "(now.t - self.t0) / (t - self.t0)",
+            "integrators/test_meter.py",
+        ),
+    ),
     # ---- language ----------------------------------------------------------------------------------------------------
     *_at(
         "expr/arithmetic.py",

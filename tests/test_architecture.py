@@ -21,6 +21,7 @@ LAYERS = [
     "table_load",
     "precision",
     "checks",
+    "progress",
     "units",
     "groups",
     "plots",

@@ -21,12 +21,15 @@ from .charts import Blocks
 from .controls import Signals
 from .interpolant import Between
 from .kernels import kernel_tries
+from .meter import Meter
 from .method import Attempt, Carry, Stepper
 from .rows import first_rows, put, rows
 from .step_control import Errors, StepControl, first_step
 from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite
 from .tolerances import Tolerances
 
+#: Steps between words of how far it is, where they are asked for: a word takes as long as some twenty of them.
+_TOLD = 256
 #: A step that leaves less than this share of itself to the next stop goes there at once.
 _STRETCH = 0.01
 
@@ -136,6 +139,7 @@ class AdaptiveSteps(Steps):
     dense: bool = dataclasses.field(metadata={"static": True})
     between: Between = dataclasses.field(metadata={"static": True})
     watch: Any = None
+    meter: Meter | None = None
 
     too_long = (
         "however short the step: the solution grows without bound, or a rate stops being finite just after",
@@ -264,6 +268,23 @@ class AdaptiveSteps(Steps):
 
     def _to(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Now:
         """Steps to a stop at t, or beyond it up to the end of the leg."""
+        if self.meter is None:
+            return self._tries(t, leg, stepper, packing, now, self.bound)
+
+        def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
+            tried = jnp.where((now.t < t) & (now.code == 0), now.tried, self.bound)
+            return tried, now.t, (now.t - self.t0) / (self.stops.limits[-1] - self.t0)
+
+        return self.meter.along(
+            lambda now, most: self._tries(t, leg, stepper, packing, now, most),
+            now,
+            jnp.asarray(self.bound),
+            jnp.asarray(_TOLD),
+            so_far,
+        )
+
+    def _tries(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now, bound: Any) -> _Now:
+        """The same, until so many were tried."""
 
         def going(now: _Now, t: jax.Array) -> jax.Array:
             return (now.t < t) & (now.code == 0)
@@ -279,11 +300,11 @@ class AdaptiveSteps(Steps):
         if now.path is None and now.every is None and now.watched is None and countable:
             # Without the saved times: another number of them needs no other kernel.
             own = self.stops._replace(ts=None, leg=None, place=None, count=None)
-            kernel = kernel_tries(one_try, (dataclasses.replace(self, stops=own), t, leg), stepper, now)
+            kernel = kernel_tries(one_try, (dataclasses.replace(self, stops=own, meter=None), t, leg), stepper, now)
             if kernel is not None:
-                return kernel(now, now.tried, jnp.where(going(now, t), self.bound, now.tried))
+                return kernel(now, now.tried, jnp.where(going(now, t), bound, now.tried))
         return jax.lax.while_loop(
-            lambda n: going(n, t) & (n.tried < self.bound), lambda n: self._try(stepper, packing, n, leg), now
+            lambda n: going(n, t) & (n.tried < bound), lambda n: self._try(stepper, packing, n, leg), now
         )
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:

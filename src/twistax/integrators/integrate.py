@@ -6,6 +6,7 @@ which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop ov
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -28,6 +29,7 @@ from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events import watch_of
 from .interpolant import Between
+from .meter import asked_for, metered
 from .method import Method, Stepper
 from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
@@ -60,6 +62,7 @@ def integrate(
     dense: bool = False,
     event: Any = None,
     throw: bool = True,
+    progress: Any = None,
 ) -> Solution:
     """Integrate a system from x0 at t0 to t1, with fixed steps or with as long ones as tolerances allow.
 
@@ -103,6 +106,9 @@ def integrate(
             it ended, besides the saved times before it. Derivatives of the time and the state there are those
             of the implicit function theorem.
         throw: raise when the integration ends early. Otherwise the part before the failure is returned, with `result`.
+        progress: True for a line that shows how far it is, as `tx.trajectory.Progress` writes it; or a function called
+            with the time reached in s and the share of the way from t0 to t1, every hundredth of fixed steps, every 256
+            steps that are chosen. One other program is compiled for it; nothing is told where something is traced.
 
     Returns:
         `Solution(ts, xs, stats, result)`, saved times on the leading axis. Where something is traced, states that were
@@ -166,7 +172,9 @@ def integrate(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
         taken = fixed_steps(t0, t1, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch)
-    found = rollout(taken, stepper, x)
+    told = asked_for(progress)
+    with metered(None if traced or is_tracing() else told) as meter:
+        found = rollout(taken if meter is None else dataclasses.replace(taken, meter=meter), stepper, x)
     times = [t1] if save_at is None else save_at
     ts = (jnp if is_traced(times) else np).asarray(times, dtype)
     if is_traced((t0, t1, save_at)):

@@ -19,6 +19,7 @@ from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .kernels import kernel_steps
+from .meter import Meter
 from .method import Carry, Stepper
 from .rows import first_rows, put, rows
 
@@ -108,6 +109,7 @@ class Steps(ABC):
 
     dense: bool  # whether the starts of all steps are kept
     watch: Any  # the `Watch`, the conditions that end an integration
+    meter: Meter | None  # who is told how far it is
     #: Cause and fix, with the length h of the step: of an end that is not finite, where nothing else is known; of the
     #: equations of an implicit step that could not be solved.
     too_long: tuple[str, str]
@@ -180,6 +182,7 @@ class FixedSteps(Steps):
     most: int | None = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
     watch: Any = None
+    meter: Meter | None = None
 
     too_long = (
         "the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound",
@@ -223,7 +226,7 @@ class FixedSteps(Steps):
         if every is None and watched is None:
             kernel = kernel_steps(stepper, self.t0, self.h, none, y, carry)
 
-        def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
+        def steps_to(now: _Now, stop: jax.Array) -> _Now:
             if kernel is None:
                 now = jax.lax.while_loop(
                     lambda n: (n.steps < stop) & (n.code == Result.SUCCESS.value),
@@ -239,6 +242,18 @@ class FixedSteps(Steps):
                 evaluations = now.evaluations + tried * kernel.evaluations
                 code = jnp.where(halted, Result.NON_FINITE.value, now.code)
                 now = _Now(steps, y, carry, evaluations, code, None, None)
+            return now
+
+        def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
+            steps = jnp.where(now.code == Result.SUCCESS.value, now.steps, jnp.iinfo(now.steps.dtype).max)
+            return steps, self._time(now.steps), now.steps / jnp.maximum(self.steps, 1)
+
+        def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
+            if self.meter is None:
+                now = steps_to(now, stop)
+            else:
+                part = jnp.maximum(self.steps // 100, 1).astype(stop.dtype)
+                now = self.meter.along(steps_to, now, stop, part, so_far)
             return now, None if self.at is None else (now.y, now.code == Result.SUCCESS.value)
 
         if self.at is None:

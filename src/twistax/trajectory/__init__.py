@@ -1,5 +1,6 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
+from ..progress import Progress
 from .cases import PhasedResults, TrajectoryResults
 from .controls import Held, Linear, Rate
 from .discretize import Discretization, discretize
@@ -12,7 +13,6 @@ from .modes import Mode as Mode  # tx.Mode, tx.Trim and tx.trim are their home
 from .phase import Phase
 from .phased_result import PhasedResult
 from .problem import Problem
-from .progress import Progress
 from .refine import Meshed
 from .result import TrajectoryResult
 from .sensitivity import Solution, solution

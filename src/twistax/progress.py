@@ -1,12 +1,13 @@
-"""How far a search is, on one line: `problem.solve(callback=tx.trajectory.Progress())`."""
+"""How far a search or an integration is, on one line: `problem.solve(callback=tx.trajectory.Progress())`."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
-from ..errors import TrajectoryError
+from .errors import TrajectoryError
 
 #: Seconds between lines, on a terminal and elsewhere.
 _LIVE, _LOGGED = 0.1, 5.0
@@ -15,7 +16,8 @@ _LIVE, _LOGGED = 0.1, 5.0
 class Progress:
     """A callback of `Problem.solve`: iteration, cost and violation, and the seconds since it was made.
 
-    On a terminal it is one line that is overwritten, elsewhere a line every five seconds.
+    On a terminal it is one line that is overwritten, elsewhere a line every five seconds. Its method `reached` shows
+    how far an integration is: `tx.integrate(..., progress=tx.trajectory.Progress("flight").reached)`.
 
     Args:
         what: the word the line begins with.
@@ -37,11 +39,13 @@ class Progress:
         self._shown = 0.0 if self._live else self._begin
 
     def __call__(self, iteration: int, cost: float, violation: float) -> None:
-        now = time.perf_counter()
-        if now - self._shown >= (_LIVE if self._live else _LOGGED):
-            self._shown = now
-            seen = f"iteration {iteration:4d}   violation {violation:8.1e}   {self._cost.format(cost)}"
-            self._write(f"{seen}   {now - self._begin:5.1f} s")
+        self._show(lambda: f"iteration {iteration:4d}   violation {violation:8.1e}   {self._cost.format(cost)}")
+
+    def reached(self, t: float, share: float) -> None:
+        """Show the time an integration reached in s, and the share of the way to its end."""
+        self._show(lambda: f"t {t:12.6g} s   {100.0 * share:5.1f} %")
+        if share >= 1.0:
+            self.close()
 
     def note(self, text: str) -> None:
         """Show a text until the first iteration, on a terminal only."""
@@ -52,6 +56,13 @@ class Progress:
         """Clear the line."""
         if self._live:
             print("\r\033[K", end="", file=self._stream, flush=True)
+
+    def _show(self, seen: Callable[[], str]) -> None:
+        """Where it is time for another line."""
+        now = time.perf_counter()
+        if now - self._shown >= (_LIVE if self._live else _LOGGED):
+            self._shown = now
+            self._write(f"{seen()}   {now - self._begin:5.1f} s")
 
     def _write(self, text: str) -> None:
         line = f"{self._what:<9} {text}"
