@@ -51,7 +51,10 @@ def weighed(tree: Any) -> jax.Array:
 
 @pytest.mark.parametrize(
     ("bound", "record"),
-    [(1, True), (15, True), (16, True), (17, True), (300, True), (2000, True), (1, False), (17, False), (2000, False)],
+    [
+        *((1, True), (15, True), (16, True), (17, True), (2000, True), (1, False), (17, False), (2000, False)),
+        pytest.param(300, True, marks=pytest.mark.slow),  # as many levels as 2000
+    ],
 )
 def test_values_and_derivatives_are_those_of_a_plain_loop(bound: int, record: bool) -> None:
     h = jnp.asarray(1.0 / bound)

@@ -12,6 +12,7 @@ from twistax.tableaus import HEUN
 
 TIMES = np.array([0.0, 0.5, 1.0, 1.5])
 ROWS = np.array([[1.0, 0.0], [-2.0, 1.0], [0.5, 0.5], [3.0, -1.0]])
+HOLDS, TOLERANCES = (tx.ZeroOrderHold, tx.FirstOrderHold), {"rtol": 1e-6, "atol": 1e-6}
 
 
 @functools.cache
@@ -71,9 +72,18 @@ def test_a_table_has_no_value_where_it_does_not_reach(form: type, ts: list[float
     assert traced(jnp.asarray([0.0, 1.0])).result == tx.Result.SUCCESS
 
 
-@pytest.mark.parametrize("adaptive", [{"steps": 4}, {"rtol": 1e-6, "atol": 1e-6}])
-@pytest.mark.parametrize("inside", [False, True])
-@pytest.mark.parametrize("form", [tx.ZeroOrderHold, tx.FirstOrderHold])
+@pytest.mark.parametrize(
+    ("form", "inside", "adaptive"),
+    [
+        *((form, inside, {"steps": 4}) for form in HOLDS for inside in (False, True)),
+        *((form, inside, TOLERANCES) for form, inside in zip(HOLDS, (False, True), strict=True)),
+        # Each form, each place and each kind of steps has met the two others above.
+        *(
+            pytest.param(form, inside, TOLERANCES, marks=pytest.mark.slow)
+            for form, inside in zip(HOLDS, (True, False), strict=True)
+        ),
+    ],
+)
 def test_a_table_whose_times_are_known_in_a_traced_integration(
     form: type, inside: bool, adaptive: dict[str, float]
 ) -> None:

@@ -96,13 +96,13 @@ NATIVE = tx.Native(least=0)
 @pytest.mark.parametrize(
     ("backend", "name"),
     [
-        ("auto", "arm"),
         ("auto", "tables and conditions"),
         ("auto without llvmlite", "free body"),
         (NATIVE, "arm"),
         (NATIVE, "free body"),
         (NATIVE, "tables and conditions"),
         # Each of the three systems and each of the three backends stands above.
+        pytest.param("auto", "arm", marks=pytest.mark.slow),
         pytest.param("auto", "free body", marks=pytest.mark.slow),
         pytest.param("auto without llvmlite", "arm", marks=pytest.mark.slow),
         pytest.param("auto without llvmlite", "tables and conditions", marks=pytest.mark.slow),
