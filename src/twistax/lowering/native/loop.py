@@ -13,7 +13,7 @@ from ..scalar.loops import Ring
 from ..scalar.program import ScalarProgram
 from .code import NAMES, Code
 from .rows import Array, Rows
-from .tile import Scalars, Tile, arguments_of, by_numpy, needed_by
+from .tile import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
 
 _COUNT = Array((), np.dtype(np.int32))
 
@@ -99,7 +99,7 @@ class Loop(Tile):
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
         return [np.full_like(arguments[0], self.tried), *arguments[1:]]
 
-    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
         ring, (count, *rest) = self.ring, arguments
         length = int(count[0, 0])
         fixed, state = rest[: ring.fixed], rest[ring.fixed : ring.fixed + ring.state]
@@ -109,7 +109,7 @@ class Loop(Tile):
         for k in range(length):
             place = length - 1 - k if ring.reverse else k
             here = [_part(a, place, own.size) for a, own in zip(longer, self._rows, strict=True)]
-            found = by_numpy(self.program, [*fixed, *state, *here])
+            found = by_numpy(self.program, [*fixed, *state, *here], rounded)
             if ring.length is None:
                 live = live & found.pop(0)
             state = [np.where(live, new, old) for new, old in zip(found, state, strict=False)]

@@ -25,6 +25,9 @@ NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 #: The value of an entry of an argument.
 Read: TypeAlias = Callable[[int, int], str]
 
+#: Values as some other order of operations may round them.
+Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
+
 #: Computed several at a time, by `sines_and_cosines`.
 _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
@@ -183,8 +186,8 @@ class Tile(ABC):
         """
 
     @abstractmethod
-    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        """All results by NumPy, for all arguments, (rows, entries) each."""
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
+        """All results by NumPy, for all arguments, (rows, entries) each; `rounded` is applied to each number met."""
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
         """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
@@ -232,8 +235,8 @@ class Straight(Tile):
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
         scratch.freed(code, memory)
 
-    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        return by_numpy(self.program, arguments)
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
+        return by_numpy(self.program, arguments, rounded)
 
 
 #: Places of the first arguments: the number of the first iteration, and the number at which to stop.
@@ -311,12 +314,12 @@ class Iterations(Tile):
         counts = np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
         return [first, first + counts, *rest]
 
-    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
         first, stop, *rest = arguments
         fixed, state, k = rest[: self._first_state - 1], rest[self._first_state - 1 :], first.copy()
         live = k < stop
         while live.any():
-            found = by_numpy(self.program, [k, *fixed, *state])
+            found = by_numpy(self.program, [k, *fixed, *state], rounded)
             more = found.pop() if self._says else live
             for values in [] if self._says else found:
                 live = live & np.isfinite(values).all(1, keepdims=True)
@@ -348,14 +351,16 @@ def needed_by(program: ScalarProgram) -> set[int]:
     return {place[0] for i in program.live if (place := program.graph.input_of(i)) is not None}
 
 
-def by_numpy(program: ScalarProgram, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+def by_numpy(
+    program: ScalarProgram, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray
+) -> list[NDArray[Any]]:
     """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
     count = len(arguments[0]) if arguments else 1
     with np.errstate(all="ignore"):
         values = program.computed(
             lambda argument, place: arguments[argument][:, place],
-            lambda value, dtype: np.full(count, value, dtype),
-            lambda operation, i, *a: np.asarray(operation.number(*a)).astype(program.graph.dtypes[i]),
+            lambda value, dtype: rounded(np.full(count, value, dtype)),
+            lambda operation, i, *a: rounded(np.asarray(operation.number(*a)).astype(program.graph.dtypes[i])),
         )
     return [
         np.stack([values[i] for i in flat(nodes)], 1) if nodes.size else np.zeros((count, 0), dtype)
