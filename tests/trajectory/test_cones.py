@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import quick_jit
+from trajectory_systems import HEUN, quick_jit
 
 import twistax as tx
 from twistax.expr import Constraint, Expr, Inputs, evaluate_all
@@ -96,6 +96,7 @@ def test_least_fuel_of_a_rendezvous(form: str) -> None:
         final_time=8.0,
         initial={p: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]},
         final={p: np.zeros(3), v: np.zeros(3)},
+        **HEUN,
     )
     result = problem.solve()
     assert result.status is Status.SOLVED

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.errors import ModelError, TrajectoryError
@@ -33,6 +34,7 @@ def fastest(**options: Any) -> Problem:
         final_time=(0.5, 20.0),
         initial={"p": 0.0, "v": 0.0},
         final={"p": TURN, "v": 0.0},
+        **HEUN,
         **options,
     )
 
@@ -84,6 +86,7 @@ def test_units_of_a_parameter_do_not_matter(size: float) -> None:
         initial={x: np.zeros(2)},
         final={x: [size, -2.0 * size]},
         free={push: (None, [np.inf, -1.5 * size])},
+        **EULER,
     )
     result = problem.solve()
     assert result.solved
@@ -102,6 +105,7 @@ def test_an_end_may_be_a_parameter_that_constraints_limit() -> None:
         initial={x: 0.0},
         final=[x == place],
         free={place: (-9, 9)},
+        **EULER,
     )
     result = problem.solve()
     assert result.solved

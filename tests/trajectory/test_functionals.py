@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator, free_flyer
+from trajectory_systems import HEUN, double_integrator, free_flyer
 
 import twistax as tx
 from twistax.errors import ModelError
@@ -17,8 +17,6 @@ from twistax.trajectory import Initial, Integral, Linear, Maximum, Minimum, Phas
 
 NODES, TIME = 11, 2.0
 STEP = TIME / (NODES - 1)
-#: Exact for a double integrator under held controls, and quick to compile.
-EXACT: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.HEUN), "substeps": 1}
 dynamics = functools.cache(lambda: tx.compile(double_integrator()))
 
 
@@ -58,7 +56,7 @@ def with_budget() -> Problem:
         tx.Maximize(p),
         nodes=NODES,
         final_time=TIME,
-        **EXACT,
+        **HEUN,
         initial={p: 0.0, v: 0.0},
         final=[Integral(u**2) <= BUDGET],
     )
@@ -117,7 +115,7 @@ def test_derivatives_of_optima() -> None:
     """By a budget, by a distance under the smallest peak, and by the step of a periodic path."""
     p, v, u = leaves()
     budget, step = tx.Parameter("budget", value=BUDGET), tx.Parameter("step", value=1.0)
-    given: dict[str, Any] = {"nodes": NODES, "final_time": TIME, **EXACT}
+    given: dict[str, Any] = {"nodes": NODES, "final_time": TIME, **HEUN}
     rest = {p: 0.0, v: 0.0}
     farther = Problem(dynamics(), tx.Maximize(p), initial=rest, final=[Integral(u**2) <= budget], **given)
     slope = jax.grad(lambda b: solution(farther)(params={"budget": b}).cost)(BUDGET)
@@ -178,7 +176,7 @@ def test_the_smallest_peak_force() -> None:
         tx.Minimize(Maximum(tx.Abs(u))),
         nodes=NODES,
         final_time=TIME,
-        **EXACT,
+        **HEUN,
         initial={p: 0.0, v: 0.0},
         final={p: 1.0, v: 0.0},
     )
@@ -201,7 +199,7 @@ def test_limits_on_extremes_bind_and_the_least_is_pushed_up() -> None:
         tx.Maximize(2.0 * Minimum(v) - 0.5 * p),
         nodes=NODES,
         final_time=TIME,
-        **EXACT,
+        **HEUN,
         initial={p: 0.0},
         final=[p >= 1.0, Maximum(v) <= 0.6],
     )
@@ -220,7 +218,7 @@ def test_a_periodic_path_of_least_energy() -> None:
         tx.Minimize(running=u**2),
         nodes=NODES,
         final_time=TIME,
-        **EXACT,
+        **HEUN,
         initial={p: 2.0},
         at={5: p == 2.3},
         final=[p == Initial(p) + 1.0, v == Initial(v)],
@@ -290,7 +288,7 @@ def test_functionals_in_phases() -> None:
             tx.Minimize(Integral(u**2)),
             nodes=half + 1,
             final_time=1.0,
-            **EXACT,
+            **HEUN,
             initial={p: 0.0},
             final=[Integral(v) == 0.3, Maximum(v) <= 3.0],
             name="first",
@@ -300,7 +298,7 @@ def test_functionals_in_phases() -> None:
             tx.Minimize(Integral(u**2)),
             nodes=half + 1,
             final_time=1.0,
-            **EXACT,
+            **HEUN,
             final=[p == Initial(p) + 1.0, v == Initial(v), Maximum(v) <= 4.0, Integral(v) == 0.7],
             name="second",
         ),
@@ -343,7 +341,7 @@ def test_least_time_on_a_budget_of_velocity(linear: bool) -> None:
         tx.Minimize(tx.Time()),
         nodes=31,
         final_time=(0.5, 10.0),
-        **({"controls": {f: Linear()}} if linear else EXACT),
+        **({"controls": {f: Linear()}} if linear else HEUN),
         initial={x: [0.0, 0.0], w: [0.0, 0.0]},
         final=[{x: [0.8, 0.6], w: [0.0, 0.0]}, Integral(size) <= 1.0],
     )

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
+from trajectory_systems import HEUN, double_integrator
 
 import twistax as tx
 from twistax.trajectory import Mesh, Problem, TrajectoryResult
@@ -24,7 +24,7 @@ def test_least_energy_on_uneven_nodes() -> None:
     dynamics = tx.compile(double_integrator())
     u = dynamics.controls[0]
     ends: dict[str, Any] = {"initial": {"p": 0.0, "v": 0.0}, "final": {"p": 1.0, "v": 0.0}}
-    problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=SHARES, final_time=2.0, **ends)
+    problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=SHARES, final_time=2.0, **ends, **HEUN)
     result = problem.solve(tolerance=1e-8)
     assert result.solved
     widths = 2.0 * np.diff(SHARES)
@@ -59,6 +59,7 @@ def test_a_jump_is_found_between_nodes() -> None:
         final_time=(0.5, 6.0),
         initial={p: 0.0, v: 0.0},
         final={p: 1.0, v: 0.0},
+        **HEUN,
     )
     result = problem.solve()
     assert result.solved
@@ -103,10 +104,10 @@ def test_free_nodes_after_a_phase_with_others() -> None:
     """Rest to rest in least time, T = 2: the clock of the second phase begins when the first has ended."""
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))
-    Phase, heun = tx.trajectory.Phase, {"method": tx.RKMK(tx.tableaus.HEUN), "substeps": 1}
-    first = Phase(dynamics, nodes=2, final_time=(0.1, 3.0), initial={p: 0.0, v: 0.0}, final=[p == 0.3], **heun)
+    Phase = tx.trajectory.Phase
+    first = Phase(dynamics, nodes=2, final_time=(0.1, 3.0), initial={p: 0.0, v: 0.0}, final=[p == 0.3], **HEUN)
     ends: dict[str, Any] = {"final_time": (0.1, 3.0), "final": {p: 1.0, v: 0.0}}
-    second = Phase(dynamics, tx.Minimize(tx.Time()), nodes=Mesh(3, free=True), **ends, **heun)
+    second = Phase(dynamics, tx.Minimize(tx.Time()), nodes=Mesh(3, free=True), **ends, **HEUN)
     result = Problem([first, second]).solve()
     assert result.solved
     np.testing.assert_allclose(result.phases[1].ts, [np.sqrt(0.6), 1.0, 2.0], atol=1e-5)

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from trajectory_systems import quick_jit
+from trajectory_systems import EULER, HEUN, quick_jit
 
 import twistax as tx
 from twistax.trajectory import Phase, PhasedResult, Problem, Status
@@ -25,10 +25,11 @@ def pushed(push: float) -> tx.Dynamics:
 @functools.cache
 def bang_bang() -> Problem:
     """Full ahead, then full back, for as long as each takes: 1 s each for a distance of 1."""
+    once: dict[str, Any] = {"final_time": (0.1, 5.0), **HEUN}
     return Problem(
         [
-            Phase(pushed(1.0), nodes=3, final_time=(0.1, 5.0), initial={"p": 0.0, "v": 0.0}, name="ahead"),
-            Phase(pushed(-1.0), tx.Minimize(tx.Time()), nodes=4, final_time=(0.1, 5.0), final={"p": 1.0, "v": 0.0}),
+            Phase(pushed(1.0), nodes=3, initial={"p": 0.0, "v": 0.0}, name="ahead", **once),
+            Phase(pushed(-1.0), tx.Minimize(tx.Time()), nodes=4, final={"p": 1.0, "v": 0.0}, **once),
         ]
     )
 
@@ -109,11 +110,11 @@ def test_a_phase_cut_in_two_is_the_phase() -> None:
     second = tx.compile(tx.System(rates={spare: np.array([1.0, 2.0]) * v, v: u, p: v}))
     cost = tx.Minimize(running=u * u)
     ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}}
-    whole = Problem(first, cost, nodes=11, final_time=2.0, final={p: 1.0, v: 0.0}, **ends).solve(tolerance=1e-8)
+    whole = Problem(first, cost, nodes=11, final_time=2.0, final={p: 1.0, v: 0.0}, **ends, **HEUN).solve(tolerance=1e-8)
     halves = Problem(
         [
-            Phase(first, cost, nodes=6, final_time=1.0, **ends),
-            Phase(second, cost, nodes=6, final_time=1.0, initial={spare: [0.0, 0.0]}, final={p: 1.0, v: 0.0}),
+            Phase(first, cost, nodes=6, final_time=1.0, **ends, **HEUN),
+            Phase(second, cost, nodes=6, final_time=1.0, initial={spare: [0.0, 0.0]}, final={p: 1.0, v: 0.0}, **HEUN),
         ]
     ).solve(tolerance=1e-8)
     assert halves.solved
@@ -132,10 +133,11 @@ def test_an_impulse_a_free_start_and_a_value(link: str) -> None:
     p, v, dv = tx.State("p", max=2.0), tx.State("v"), tx.Parameter("dv", value=0.0)
     drift = tx.compile(tx.System(rates={p: v, v: 0.0 * v}))
     cost = tx.Minimize(dv * dv + (v - 1.0) ** 2) if link == "impulse" else tx.Minimize((v - 1.0) ** 2)
+    once: dict[str, Any] = {"nodes": 3, "final_time": 1.0, **EULER}
     problem = Problem(
         [
-            Phase(drift, nodes=3, final_time=1.0, initial={p: 0.0, v: 0.5}),
-            Phase(drift, cost, nodes=3, final_time=1.0, initial={v: 1.5} if link == "value" else None, final={p: 2.0}),
+            Phase(drift, initial={p: 0.0, v: 0.5}, **once),
+            Phase(drift, cost, initial={v: 1.5} if link == "value" else None, final={p: 2.0}, **once),
         ],
         links=[{"impulse": {v: v + dv}, "free": {v: None}, "value": None}[link]],
         free={dv: (-5.0, 5.0)} if link == "impulse" else None,
@@ -154,8 +156,8 @@ def test_a_limit_that_the_end_of_a_phase_meets_binds_nobody_at_the_next_start() 
     cost = tx.Minimize(running=u * u)
     result = Problem(
         [
-            Phase(dynamics, cost, nodes=5, final_time=1.0, initial={p: 0.0, v: 0.0}, final={p: 1.0, v: 0.0}),
-            Phase(dynamics, cost, nodes=5, final_time=1.0, final={p: 0.0, v: 0.0}),
+            Phase(dynamics, cost, nodes=5, final_time=1.0, initial={p: 0.0, v: 0.0}, final={p: 1.0, v: 0.0}, **HEUN),
+            Phase(dynamics, cost, nodes=5, final_time=1.0, final={p: 0.0, v: 0.0}, **HEUN),
         ]
     ).solve()
     assert result.solved
@@ -175,14 +177,11 @@ def rich() -> Problem:
     )
     alone = tx.compile(tx.System(rates={z: 0.3 * z, R: gain * t * np.array([1.0, 2.0, -1.0]) + z * np.ones(3)}))
     jump = R @ tx.lie.SO3Exp(gain * w)
+    once: dict[str, Any] = {"final_time": (0.05, 3.0), **HEUN}
     return Problem(
         [
-            Phase(
-                turning, tx.Minimize(t * w[0] ** 2, running=u @ u), nodes=4, final_time=(0.05, 3.0), final=[w[1] <= 3.0]
-            ),
-            Phase(
-                alone, tx.Minimize(gain * t**2 + z * R[0, 1]), nodes=3, final_time=(0.05, 3.0), final=[R[0, 2] <= 9.0]
-            ),
+            Phase(turning, tx.Minimize(t * w[0] ** 2, running=u @ u), nodes=4, final=[w[1] <= 3.0], **once),
+            Phase(alone, tx.Minimize(gain * t**2 + z * R[0, 1]), nodes=3, final=[R[0, 2] <= 9.0], **once),
         ],
         links=[{R: jump}],
         free={gain: (0.1, 5.0)},

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from trajectory_systems import HEUN
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, TrajectoryError
@@ -15,8 +16,7 @@ from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem
 
 WALL, NODES = -0.03, 6
 STEP = 1.0 / (NODES - 1)
-#: Exact for a double integrator under held controls, and quick to compile.
-EXACT: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.HEUN), "substeps": 1, "nodes": NODES}
+EXACT: dict[str, Any] = {**HEUN, "nodes": NODES}
 p, v, u, w = tx.State("p"), tx.State("v"), tx.Control("u", min=-9.0, max=9.0), tx.State("w")
 
 

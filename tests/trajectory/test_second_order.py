@@ -114,18 +114,21 @@ def test_exact_intervals() -> None:
 
 
 def test_batches_precision_and_what_is_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
-    euler = tx.RKMK(tx.tableaus.EULER)
+    R, u, euler = tx.State("R", group=tx.SO3), tx.Control("u"), tx.RKMK(tx.tableaus.EULER)
+    system = tx.System(rates={R: u * R[2] + tx.Sin(tx.Time()) * tx.linalg.Cross(R[0], [0.3, 0.1, 0.8])})
+    rolling = tx.compile(system)
 
-    def interval(x: Any, dynamics: tx.Dynamics = TURNING) -> tuple[jax.Array, jax.Array]:
-        step = discretize(dynamics, 0.2, x, U, 0.3, method=euler, weights=WEIGHTS)
+    def interval(R: Any, dynamics: tx.Dynamics = rolling) -> tuple[jax.Array, jax.Array]:
+        step = discretize(dynamics, 0.2, {"R": R}, {"u": U["u"]}, 0.3, method=euler, weights=WEIGHTS[:3])
         return step.hessian, step.A
 
-    ws = np.array([X["w"], -X["w"]])
+    Rs = np.array([X["R"], X["R"].T])
     compiled = jax.jit(interval)
-    one = [compiled({**X, "w": w})[0] for w in ws]
-    many = jax.jit(jax.vmap(lambda w: interval({**X, "w": w})[0]))(ws)
+    one = [compiled(own)[0] for own in Rs]
+    many = jax.jit(jax.vmap(lambda own: interval(own)[0]))(Rs)
     np.testing.assert_allclose(many, one, atol=1e-13)
-    single = compiled(jax.tree.map(np.float32, X))
+    assert np.abs(one[0] - one[1]).max() > 1e-2
+    single = compiled(np.float32(X["R"]))
     assert single[0].dtype == single[1].dtype == np.float32
     np.testing.assert_allclose(single[0], one[0], atol=1e-5)
 
@@ -133,9 +136,9 @@ def test_batches_precision_and_what_is_too_large(monkeypatch: pytest.MonkeyPatch
         raise TooLarge("the function takes more than 200000 scalars")
 
     monkeypatch.setattr(hessian, "columns_of", refused)
-    left = jax.jit(lambda x: interval(x, turning()))(X)
+    left = jax.jit(lambda own: interval(own, tx.compile(system)))(X["R"])
     np.testing.assert_allclose(left[0], one[0], atol=1e-13)
-    np.testing.assert_allclose(left[1], compiled(X)[1], atol=1e-13)
+    np.testing.assert_allclose(left[1], compiled(X["R"])[1], atol=1e-13)
 
 
 def test_wrong_weights() -> None:

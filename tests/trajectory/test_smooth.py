@@ -1,5 +1,6 @@
 """Derivatives by programs of their own against finite differences, also of what has no such program."""
 
+import functools
 from typing import Any
 
 import jax
@@ -32,14 +33,19 @@ def centred(function: Any, z: np.ndarray, size: float) -> np.ndarray:
     return (4.0 * near - far) / 3.0
 
 
+@functools.cache
+def compiled() -> Any:
+    """Value, slopes and bends of `turned`."""
+    smooth = Smooth(turned, tx.XLA())
+    return jax.jit(smooth.__call__), jax.jit(smooth.slopes), jax.jit(smooth.bends)
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.7])
 def test_slopes_and_bends(offset: float) -> None:
     rng = np.random.default_rng(0)
     others = (np.asarray(tx.SE3.exp(rng.normal(size=6))), {"a": rng.normal(size=3)})
-    smooth = Smooth(turned, tx.XLA())
+    value, slopes, bends = compiled()
     z, w = np.append(offset * rng.normal(size=6), 1.3), rng.normal(size=7)
-    slopes, bends = jax.jit(smooth.slopes), jax.jit(smooth.bends)
-    value = jax.jit(smooth.__call__)
     np.testing.assert_allclose(slopes(z, *others), centred(lambda z: value(z, *others), z, 1e-3), atol=1e-9)
     np.testing.assert_allclose(bends(w, z, *others), centred(lambda z: w @ slopes(z, *others), z, 1e-3), atol=1e-9)
 

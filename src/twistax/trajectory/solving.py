@@ -195,6 +195,7 @@ class Solvable(ABC, Generic[One, Many]):
         with in_double():
             begin = time.perf_counter()
             plain, given, own, ends = self.started(guess, initial, final, params, final_time, final_time_guess, free)
+            first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
             own_solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
@@ -206,7 +207,7 @@ class Solvable(ABC, Generic[One, Many]):
                 return found
 
             for attempt in range(guesses):
-                start = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
+                start = first
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
                     start = own_solver.perturbed(plain, given, rng)
