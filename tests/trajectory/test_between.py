@@ -42,6 +42,13 @@ def test_a_limit_holds_along_the_whole_path() -> None:
     assert 0.0 < held.cost / plain.cost - 1.0 < 1e-3
 
 
+def test_perturbed_guesses_stay_where_the_end_is_given() -> None:
+    # The given end decides whether x keeps its limit there; a guess that missed the end said INFEASIBLE at once.
+    result = below_a_ceiling().solve(guesses=6)
+    assert all(status is tx.trajectory.Status.SOLVED for status, *_ in result.tries), result.tries
+    assert np.ptp([cost for _, cost, *_ in result.tries]) <= 1e-5
+
+
 def test_what_cannot_hold_is_said() -> None:
     # It starts at the ceiling and rises: no control keeps it from passing.
     problem, start = below_a_ceiling(), {"x": 1.0 / 9.0}

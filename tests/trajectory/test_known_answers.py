@@ -95,7 +95,7 @@ def test_problems_and_results_travel() -> None:
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-6.0, max=6.0)
     dynamics = tx.compile(tx.System(rates={p: v, v: u}, constraints={"speed": v <= 1.4}))
     ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": [{v: 0.0}, p == 1.0]}
-    problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends)
+    problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends, **HEUN)
     result = problem.solve()
     back, again = (pickle.loads(pickle.dumps(each)) for each in (result, problem))
     assert (back.status, back.cost, back.message) == (result.status, result.cost, result.message)

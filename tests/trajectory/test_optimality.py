@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from trajectory_systems import EULER
+from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.trajectory import Problem, Status, TrajectoryResult
@@ -25,6 +25,7 @@ def fastest(limit: float) -> Problem:
         final_time=(0.5, 6.0),
         initial={p: 0.0, v: 0.0},
         final={p: limit, v: 0.0},
+        **HEUN,
     )
 
 
@@ -116,6 +117,7 @@ def least_energy() -> TrajectoryResult:
         final_time=INTERVALS * LENGTH,
         initial={p: 0.0, v: 0.0},
         final={p: 1.0, v: 0.0},
+        **HEUN,
     ).solve(tolerance=1e-8)
 
 
@@ -209,7 +211,7 @@ def test_an_objective_without_slope_at_the_guess_has_its_own_scale() -> None:
     p, v, u, weight = tx.State("p"), tx.State("v"), tx.Control("u"), tx.Parameter("weight", value=1.0)
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))
     ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}}
-    problem = Problem(dynamics, tx.Minimize(running=weight * u**4), nodes=7, final_time=4.0, **ends)
+    problem = Problem(dynamics, tx.Minimize(running=weight * u**4), nodes=7, final_time=4.0, **ends, **HEUN)
     plain, light = problem.solve(), problem.solve(params={"weight": 1e-20})
     assert plain.solved
     assert light.solved

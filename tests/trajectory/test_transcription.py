@@ -48,16 +48,16 @@ def point_of(problem: Problem, final_time: float) -> Point:
 )
 def test_the_order_of_an_interval_and_of_its_cost(tableau: Any, order: int) -> None:
     """Against the same system with its cost as a state, integrated to round-off."""
-    errors = []
+    problem, errors = tumbling(Collocation(tableau), nodes=2), []
+    given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
+    values = quick_jit(problem.shooting.values)
+    R, w, u, t = *problem.dynamics.states, problem.dynamics.controls[0], tx.Time()
+    spent = tx.State("spent")
+    rates = {s: problem.dynamics.system.rates[s.name] for s in (R, w)}
+    whole = tx.compile(tx.System(rates={**rates, spent: u @ u + w @ w + R[0, 1] * t}))
     for final_time in (0.15, 0.075):
-        problem = tumbling(Collocation(tableau), nodes=2)
         point = point_of(problem, final_time)
-        given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
-        found = quick_jit(problem.shooting.values)(point, given)
-        R, w, u, t = *problem.dynamics.states, problem.dynamics.controls[0], tx.Time()
-        spent = tx.State("spent")
-        rates = {s: problem.dynamics.system.rates[s.name] for s in (R, w)}
-        whole = tx.compile(tx.System(rates={**rates, spent: u @ u + w @ w + R[0, 1] * t}))
+        found = values(point, given)
         x0 = {name: a[0] for name, a in point.xs.items()} | {"spent": np.float64(0.0)}
         exact = tx.integrate(whole, x0, t1=final_time, rtol=1e-13, atol=1e-13, u={"u": point.us[0]}).xs
         end = {name: np.asarray(exact[name])[-1] for name in exact}
