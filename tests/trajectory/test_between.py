@@ -16,7 +16,8 @@ def below_a_ceiling() -> tx.trajectory.Problem:
     x, v, u = tx.State("x", max=1.0 / 9.0), tx.State("v"), tx.Control("u")
     dynamics = tx.compile(tx.System(rates={x: v, v: u}))
     ends: dict[str, Any] = {"initial": {x: 0.0, v: 1.0}, "final": {x: 0.0, v: -1.0}}
-    return tx.trajectory.Problem(dynamics, tx.Minimize(running=0.5 * u**2), nodes=11, final_time=1.0, **ends, **HEUN)
+    twice = {**HEUN, "substeps": 2}
+    return tx.trajectory.Problem(dynamics, tx.Minimize(running=0.5 * u**2), nodes=11, final_time=1.0, **ends, **twice)
 
 
 def highest(result: tx.trajectory.TrajectoryResult) -> float:
