@@ -177,7 +177,7 @@ def rich() -> Problem:
     )
     alone = tx.compile(tx.System(rates={z: 0.3 * z, R: gain * t * np.array([1.0, 2.0, -1.0]) + z * np.ones(3)}))
     jump = R @ tx.lie.SO3Exp(gain * w)
-    once: dict[str, Any] = {"final_time": (0.05, 3.0), **HEUN}
+    once: dict[str, Any] = {"final_time": (0.05, 3.0)}
     return Problem(
         [
             Phase(turning, tx.Minimize(t * w[0] ** 2, running=u @ u), nodes=4, final=[w[1] <= 3.0], **once),
