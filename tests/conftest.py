@@ -129,6 +129,7 @@ def unchecked() -> Iterator[None]:
 
 #: Quick tests that touch every package: the smoke tier. Files, or tests of a file.
 SMOKE = (
+    "view/test_view_scene.py::test_arrows_turn_with_their_body_or_do_not",
     "test_jax_inside.py",
     "test_system.py",
     "test_docs.py::test_code_blocks_run[README.md]",

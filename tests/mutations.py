@@ -1416,6 +1416,27 @@ MUTATIONS: list[Mutation] = [
         ),
         ("a last chunk with members twice", "kept = numbers <= last", "kept = numbers >= 0", "test_sweep.py"),
     ),
+    Mutation(
+        "arrows start at the body's origin",
+        "view/scene.py",
+        "start = p + R @ self.looks.at",
+        "start = p + 0.0 * (R @ self.looks.at)",
+        ("view/test_view_scene.py",),
+    ),
+    Mutation(
+        "attitudes of pictures as [x, y, z, w]",
+        "view/stage.py",
+        "np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)",
+        "Rotation.from_matrix(R).as_quat()",
+        ("view/test_view_scene.py",),
+    ),
+    Mutation(
+        "an ellipsoid of inertia is mirrored",
+        "view/shapes.py",
+        "axes * np.sign(np.linalg.det(axes))",
+        "axes * -np.sign(np.linalg.det(axes))",
+        ("view/test_view_scene.py",),
+    ),
 ]
 
 

@@ -25,6 +25,7 @@ LAYERS = [
     "units",
     "groups",
     "plots",
+    "view",
     "expr",
     "system",
     "lowering",
@@ -94,7 +95,17 @@ def loaded_by(statement: str) -> set[str]:
 
 
 #: What `import twistax` leaves to those who use it: it would double the time of `import jax`.
-HEAVY = ("diffrax", "equinox", "scipy", "matplotlib", "llvmlite", "jax.extend", "jax.experimental", "jax.scipy")
+HEAVY = (
+    "diffrax",
+    "equinox",
+    "scipy",
+    "matplotlib",
+    "llvmlite",
+    "viser",
+    "jax.extend",
+    "jax.experimental",
+    "jax.scipy",
+)
 LAYERS_ABOVE = (
     "lowering",
     "integrators",
@@ -105,6 +116,7 @@ LAYERS_ABOVE = (
     "demo",
     "jax_inside",
     "table_load",
+    "view",
 )
 
 

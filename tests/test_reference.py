@@ -43,11 +43,12 @@ NO_ERRORS = {
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults
-        trajectory.WarmStart""",
+        trajectory.WarmStart view.Body view.Scene""",
     "it takes no arguments": """
         JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient tables.BSpline tables.Clamped
         tables.Extrapolated tables.Linear tables.MonotoneCubic tables.Refused""",
     "a base, whose subclasses say it": "Expr Leaf Variable Constraint Example charts.Chart columns.Layout",
+    "the base class says it": "view.Box view.Cone view.Cylinder view.Ellipsoid view.Sphere",
     "it takes every shape": """
         Neg linalg.Sum linalg.Transpose mechanics.environment.atmosphere.Pressure
         mechanics.environment.atmosphere.Temperature""",
@@ -76,7 +77,8 @@ NO_ARGUMENTS = {
     "users get these and do not make them": """
         Order Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
-    "the base class says it": "Maximize Minimize charts.SplitExponential",
+    "the base class says it": """
+        Maximize Minimize charts.SplitExponential view.Box view.Cone view.Cylinder view.Ellipsoid view.Sphere""",
     "one argument, which the first line is about": "Product units.Quantity",
 }
 

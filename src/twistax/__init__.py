@@ -36,7 +36,7 @@ from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Pro
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
-    from . import charts, columns, compositions, diffrax, mechanics, tableaus, trajectory, units
+    from . import charts, columns, compositions, diffrax, mechanics, tableaus, trajectory, units, view
     from .integrators import RKMK, CommutatorFree, Event, Magnus, StepControl, integrate
     from .integrators.controls import FirstOrderHold, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
@@ -59,13 +59,14 @@ __all__ = [
     "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
     "compile", "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose",
     "spatial", "sweep", "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units",
+    "view",
 ]
 # fmt: on
 __all__ += expr.__all__
 
 #: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
 _LATER = {
-    "": ("charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units"),
+    "": ("charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units", "view"),
     ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
     ".integrators.controls": ("FirstOrderHold", "ZeroOrderHold"),
     ".integrators.interpolant": ("Between",),

@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ import twistax as tx
 
 from ..scenes import powered_descent as scene
 from ..scenes.touchdown import ALLOWED, SAMPLES, Descent, Miss, Reach, planned, reaches, replayed
+from ..view.motion import Motion, shown
 from .derivatives import BAR, DerivativeCheck, check_derivatives
-from .figure import save_figure, save_table
+from .figure import ENLARGED, LENGTH, PLUME, RADIUS, save_figure, save_table
 
 #: Points at which the derivatives are checked.
 _POINTS = 6
@@ -99,7 +101,8 @@ def run(arguments: argparse.Namespace) -> int:
         save_figure(figure, title, dense, nodes, limits, vehicle)
     except ImportError:
         drawn = "no figure: it needs matplotlib; get it with pip install 'twistax[plot]'"
-    report.say("files", drawn, str(table), f"in {report.lap():.1f} s")
+    animation = _animated(table.with_suffix(".html"), dense, vehicle)
+    report.say("files", drawn, animation, str(table), f"in {report.lap():.1f} s")
     report.say("time", f"{time.perf_counter() - report.begin:.1f} s in all, imports aside")
     if landed:
         mass = dense.xs["m"]
@@ -137,6 +140,22 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent
         except tx.IntegrationError as error:
             failures.append(f"{name}: {str(error).splitlines()[0]}")
     return rollouts, failures
+
+
+def _animated(path: Path, dense: Descent, vehicle: scene.Vehicle) -> str:
+    """Write the flight in three dimensions; its file, or why there is none."""
+    plume = -ENLARGED * PLUME / vehicle.max_thrust
+    try:
+        shown(
+            Motion(dense.ts, dense.xs, (lambda: dense.us,)),
+            path,
+            bodies={"g": tx.view.Cylinder(ENLARGED * RADIUS, ENLARGED * LENGTH)},
+            arrows={"T": tx.view.Arrow(at=ENLARGED * np.array(vehicle.engine), scale=plume)},
+            shapes=[tx.view.Cone(4.0 * LENGTH, vehicle.glide_slope, color=(91, 154, 104))],
+        )
+    except tx.ModelError:
+        return "no animation: it needs viser; get it with pip install 'twistax[view]'"
+    return str(path)
 
 
 # ---- words -------------------------------------------------------------------------------------------------------

@@ -21,8 +21,8 @@ from ..scenes.touchdown import Descent
 _INK, _PATH, _BODY, _FLAME, _LIMIT, _CONE = "#1b2a3a", "#1f5f99", "#37506b", "#f28c28", "#c0392b", "#5b9a68"
 
 #: The stage is drawn this many times larger than it is, a plume at full thrust this long (m, before enlarging).
-_ENLARGED = 3.0
-_LENGTH, _RADIUS, _PLUME = 28.0, 2.4, 34.0
+ENLARGED = 3.0
+LENGTH, RADIUS, PLUME = 28.0, 2.4, 34.0
 _POSES = 9
 _DEGREES = 180.0 / np.pi
 
@@ -146,7 +146,7 @@ def _scene_handles(vehicle: Vehicle) -> list[Any]:
     return [
         Line2D([], [], color=_PATH, lw=1.8, marker="o", ms=3.0, mfc=_INK, mec=_INK, label="path and nodes"),
         Line2D([], [], color="0.55", lw=1.0, ls=":", label="ground track"),
-        Patch(color=_BODY, label=f"stage, drawn {_ENLARGED:g} times as large"),
+        Patch(color=_BODY, label=f"stage, drawn {ENLARGED:g} times as large"),
         Patch(color=_FLAME, label="plume, length by thrust"),
         Patch(color=_CONE, alpha=0.4, label=f"approach cone, {np.rad2deg(vehicle.glide_slope):.0f} deg"),
         Line2D([], [], color=_LIMIT, ls="", marker="x", ms=6.0, label="pad"),
@@ -164,13 +164,13 @@ def _draw_cone(axes: Any, vehicle: Vehicle, radius: float) -> None:
 def _draw_stage(axes: Any, descent: Descent, sample: int, vehicle: Vehicle) -> None:
     """The stage as a cylinder with a nose, and its plume against the thrust, down to the ground at most."""
     p = descent.position[sample]
-    heights = _ENLARGED * _LENGTH * np.array([0.0, 0.0, 0.82, 1.0])
-    radii = _ENLARGED * _RADIUS * np.array([0.0, 1.0, 1.0, 0.0])
+    heights = ENLARGED * LENGTH * np.array([0.0, 0.0, 0.82, 1.0])
+    radii = ENLARGED * RADIUS * np.array([0.0, 1.0, 1.0, 0.0])
     _draw_solid(axes, p, descent.rotation[sample, :, 2], heights, radii, _BODY)
     size = float(np.linalg.norm(descent.thrust[sample]))
     if size > 0.0:
         down = -descent.thrust[sample] / size
-        length = _ENLARGED * _PLUME * size / vehicle.max_thrust
+        length = ENLARGED * PLUME * size / vehicle.max_thrust
         if down[2] < 0.0:
             length = min(length, max(p[2], 0.0) / -down[2])
         _draw_solid(axes, p, down, np.linspace(0.0, length, 3), radii[1] * np.array([0.55, 0.8, 0.0]), _FLAME)

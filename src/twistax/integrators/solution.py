@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,9 @@ from ..plots import chosen, draw, group_of, panels
 from .charts import Blocks, Exponential, StateCoordinates
 from .method import Stepper, jitted
 from .steps import Outcome, Result, Steps, Trail
+
+if TYPE_CHECKING:
+    from ..view import Scene
 
 
 @jax.tree_util.register_dataclass
@@ -181,10 +184,7 @@ class Solution:
             InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
         """
-        if is_traced(self.ts) or np.ndim(self.ts) != 1:
-            raise InputError(
-                "plot: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
-            )
+        self._single("plot")
         if len(self.ts) < 2:
             raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
         ts, found = np.asarray(self.ts), []
@@ -192,6 +192,49 @@ class Solution:
             x = np.asarray(self.xs[name])
             found += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
         return draw(found)
+
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.
+
+        Bodies are true to size, and the side of the squares below them is written beside the time. Pictures between
+        saved times are interpolated: save so many that no body turns by half a turn in between.
+
+        Args:
+            path: of the HTML file; one that is there is written over. Left out: opened in a browser, or in a notebook.
+            choices: which are
+
+                bodies: what moves: a mapping of states to what they look like, `{"g": tx.view.Box((1.0, 2.0, 0.5))}`,
+                    with one shape, several, or () for axes alone; a state is a pose, a rotation about the origin, or a
+                    pair `("R", "p")` of a rotation and a position. Or a mechanism. Every pose and rotation, as axes,
+                    unless given.
+                arrows: states, controls and outputs (3,), wrenches and twists (6,) that are drawn as arrows:
+                    `{"T": tx.view.Arrow("g", at=engine)}`.
+                shapes: what stands still: obstacles, cones, a ground.
+                trails: names of bodies and frames whose path is drawn; those of poses unless given.
+                up: (3,) the direction that is drawn upwards; z unless given.
+                seconds: how long the animation takes; real time, from 2 to 20 s, unless given.
+                live: serve it to a browser of this machine, too, with a slider; needs no file.
+        Returns:
+            the scene, a `tx.view.Scene`, which can be saved, served and looked at as numbers.
+        Raises:
+            InputError: names that are not there; shapes, arrows and bodies that are none; one saved time alone; a
+                solution that is traced or of a batch; a path that cannot be written.
+            ModelError: viser, the extra `view`, is not installed.
+        """
+        from ..view.motion import Motion, shown
+
+        self._single("show")
+        params = self.stepper.params if self.stepper is not None else {}
+        return shown(
+            Motion(np.asarray(self.ts), self.xs, (lambda: self.us, lambda: self.outputs), params), path, **choices
+        )
+
+    def _single(self, what: str) -> None:
+        """Raise InputError for a solution that is traced or a batch."""
+        if is_traced(self.ts) or np.ndim(self.ts) != 1:
+            raise InputError(
+                f"{what}: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
+            )
 
     @property
     def result(self) -> Any:

@@ -20,6 +20,7 @@ from .tree import Frame, Link, Segment, segments_of, sorted_links
 
 if TYPE_CHECKING:
     from ..system import System
+    from ..view import Body
 
 #: Positions: a vector, or a mapping with a vector "q" and an element for each joint on a group.
 Positions = ExprLike | Mapping[str, ExprLike]
@@ -294,6 +295,12 @@ class Mechanism:
         from .momentum import kinetic_energy, potential_energy
 
         return kinetic_energy(self, q, qd) + potential_energy(self, q)
+
+    def bodies_in_view(self, xs: Mapping[str, Any], params: Mapping[str, Any]) -> list[Body]:
+        """All frames along a motion with the shapes of their links, for `solution.show(bodies=mechanism)`."""
+        from .links_in_view import links_in_view
+
+        return links_in_view(self, xs, params)
 
     def system(self, **choices: Any) -> System:
         """The mechanism as a `tx.System`; see `twistax.mechanics.mechanism_system.system_of`."""

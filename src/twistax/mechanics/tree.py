@@ -17,6 +17,7 @@ from ..errors import ModelError
 from ..expr import Constant, Expr, canonicalize_all
 from ..expr.lie import Act, Compose, Pose
 from ..expr.lie.elements import parts_of_pose
+from ..view import Shape
 from .arguments import pose
 from .bodies import SpatialInertia
 from .drives import Drive
@@ -60,6 +61,7 @@ class Link:
         name: the link's; the joint's unless given.
         drive: what the joint has beside its geometry: rotor, damping, friction, spring, gear and limits.
         mimic: the joint it follows, if it does not move on its own.
+        shapes: what it looks like in its frame, for `solution.show`; the ellipsoid of its inertia unless given.
     Raises:
         ModelError: something else as joint, body, drive or mimic; a mount made of numbers and no pose; a
             follower with a position on a group.
@@ -73,6 +75,7 @@ class Link:
     name: str = ""
     drive: Drive = dataclasses.field(default_factory=Drive)
     mimic: Mimic | None = None
+    shapes: tuple[Shape, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.joint, Joint):
@@ -85,6 +88,9 @@ class Link:
             raise ModelError(
                 f"Link expects mimic to be a Mimic, of a joint with one freedom, got {self.mimic!r} of {self.joint!r}"
             )
+        wrong = [shape for shape in self.shapes if not isinstance(shape, Shape)]
+        if wrong:
+            raise ModelError(f"Link expects shapes, such as tx.view.Sphere(0.1), got {wrong[0]!r}")
         object.__setattr__(self, "mount", pose("Link", "mount", self.mount))
         object.__setattr__(self, "name", self.name or self.joint.name)
 

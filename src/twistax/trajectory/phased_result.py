@@ -12,13 +12,14 @@ from numpy import ndarray as Array
 
 from ..precision import in_double
 from .found import Found, Tried, found_params
-from .pictures import drawn
+from .pictures import animated, drawn
 from .replay import Replay
 from .result import Trajectory, multipliers_of, trajectory_at, violations_of
 from .solver import Outcome
 from .transcribed import Segment, Values
 
 if TYPE_CHECKING:
+    from ..view import Scene
     from .phases import PhasedProblem
 
 
@@ -54,6 +55,10 @@ class PhasedResult(Found):
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
         """All phases in one figure; see `TrajectoryResult.plot`."""
         return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
+
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """All phases one after the other, the states and controls that all of them have; see `Solution.show`."""
+        return animated(self.phases, path, choices)
 
     def _by_phase(self, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
         pairs = zip(self.problem.names, found, strict=True)

@@ -1,4 +1,4 @@
-"""Trajectories as pictures: states and controls over time, with nodes, limits and multipliers."""
+"""Trajectories as pictures: states and controls over time, with nodes, limits and multipliers; in three dimensions."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ..expr import Control, State
 from ..plots import Panel, chosen, draw, panels
 
 if TYPE_CHECKING:
+    from ..view import Scene
     from .result import Trajectory
 
 #: So many multipliers are shown, of the constraints that matter most.
@@ -38,6 +39,29 @@ def drawn(
     ]
     sizes = {name: float(np.abs(values).max()) for name, values in (multipliers or {}).items()}
     return draw(found, title, dict(list(sizes.items())[:_MOST]))
+
+
+def animated(parts: Sequence[Trajectory], path: Any, choices: Mapping[str, Any]) -> Scene:
+    """The scene of one trajectory, or of several that follow each other; see `Trajectory.show`."""
+    from ..view.motion import Motion, shown
+
+    found = [_motion(part) for part in parts]
+
+    def joined(some: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+        return {n: np.concatenate([own[n] for own in some]) for n in some[0] if all(n in own for own in some)}
+
+    ts, xs, us = zip(*found)
+    return shown(Motion(np.concatenate(ts), joined(xs), (lambda: joined(us),), parts[0].params), path, **choices)
+
+
+def _motion(part: Trajectory) -> tuple[Array, Mapping[str, Array], Mapping[str, Array]]:
+    """Times, states and controls of a dense rollout, or at the nodes where it does not reach its end."""
+    try:
+        along = part.dense
+    except IntegrationError:
+        count = len(part.ts)
+        return part.ts, part.xs, {n: np.concatenate([us, us[-1:]])[:count] for n, us in part.us.items()}
+    return along.ts, along.xs, along.us
 
 
 def _panels(parts: Sequence[Trajectory], leaf: State | Control, unit: str) -> list[Panel]:

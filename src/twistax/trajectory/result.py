@@ -16,7 +16,7 @@ from ..integrators import RKMK, FirstOrderHold, ZeroOrderHold
 from ..integrators.tableaus import RK4
 from ..precision import in_double
 from .found import Found, Tried, found_params
-from .pictures import drawn
+from .pictures import animated, drawn
 from .replay import Replay, replayed
 from .solver import Outcome
 from .statement import largest_by_name, violations
@@ -24,6 +24,7 @@ from .transcribed import Point
 from .warm import WarmStart
 
 if TYPE_CHECKING:
+    from ..view import Scene
     from .problem import Problem
     from .refine import Meshed
 
@@ -102,6 +103,13 @@ class Trajectory:
             ModelError: matplotlib is not installed.
         """
         return drawn([self], names, units)
+
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """The dense rollout in three dimensions, with the choices of `Solution.show`; arrows of states and controls.
+
+        Where the rollout does not reach its end, the nodes and straight lines between them.
+        """
+        return animated([self], path, choices)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
         """Roll out the found controls from the first node, and measure what comes out.

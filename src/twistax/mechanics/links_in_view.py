@@ -1,0 +1,59 @@
+"""What the links of a mechanism look like, and where they are along a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import listed
+from ..errors import InputError
+from ..expr import Expr, State, leaves_of
+from ..expr.lie import Compose
+from ..lowering import lower
+from ..view import Body, Ellipsoid, Shape
+
+if TYPE_CHECKING:
+    from .mechanism import Mechanism
+    from .tree import Link
+
+
+def links_in_view(mechanism: Mechanism, xs: Mapping[str, Any], params: Mapping[str, Any]) -> list[Body]:
+    """Every frame of a mechanism as a body, the base's too. A link without shapes is the ellipsoid of its inertia.
+
+    Args:
+        xs: the states of `mechanism.system()` by name, leading axis the times.
+        params: values of parameters, those given that the mechanism has; others have their own.
+    Raises: InputError for positions that are not among the states.
+    """
+    poses = mechanism.poses()
+    frames = {n: f.T if f.segment < 0 else Compose(poses[f.segment], f.T) for n, f in mechanism.frames.items()}
+    x = {leaf.name: xs.get(leaf.name) for leaf in leaves_of(*frames.values()) if isinstance(leaf, State)}
+    for name, value in x.items():
+        if value is None:
+            raise InputError(f"show: the mechanism has the state {name!r}, this motion has: {listed(xs, name)}")
+    count = len(next(iter(xs.values())))
+    own = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves_of(*frames.values()))}
+    function = lower(frames)
+    found = jax.jit(jax.vmap(lambda x: function(0.0, x, params=own), axis_size=count))(
+        {name: np.asarray(value) for name, value in x.items()}
+    )
+    shapes = {link.name: link.shapes or _of_inertia(link, params) for link in mechanism.links}
+    return [Body(n, np.asarray(found[n]), shapes.get(n, ()), axes=False, trail=False) for n in frames]
+
+
+def _of_inertia(link: Link, params: Mapping[str, Any]) -> tuple[Shape, ...]:
+    """The ellipsoid of a link's inertia; nothing for a point, or for an inertia that changes with the motion."""
+    if link.body is None:
+        return ()
+    parts: list[Expr] = [link.body.mass, link.body.center_of_mass, link.body.inertia]
+    leaves = leaves_of(*parts)
+    if any(isinstance(leaf, State) for leaf in leaves):
+        return ()
+    own = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves)}
+    found: list[Array] = [np.asarray(value, dtype=np.float64) for value in lower(parts)(0.0, {}, params=own)]
+    mass, center, inertia = found
+    return (Ellipsoid.of_inertia(float(mass), center, inertia),) if inertia.any() and mass > 0.0 else ()

@@ -1,0 +1,9 @@
+"""Scenes in three dimensions, which `solution.show()` and `result.show()` make: bodies that move, arrows, shapes.
+
+Nothing here needs more than NumPy and SciPy but `Scene.save` and `Scene.live`, which load viser, the extra `view`.
+"""
+
+from .scene import Arrow, Body, Scene
+from .shapes import Box, Cone, Cylinder, Ellipsoid, Shape, Sphere
+
+__all__ = ["Arrow", "Body", "Box", "Cone", "Cylinder", "Ellipsoid", "Scene", "Shape", "Sphere"]

@@ -1,0 +1,175 @@
+"""A scene on viser, the extra `view`: as one HTML page that plays by itself, or served to a browser."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..errors import ModelError
+from .scene import RATE, Body, Scene
+from .shapes import Ellipsoid, Shape, Sphere
+
+#: The scene is drawn this large, whatever its size: GPUs have single precision, cameras a nearest distance.
+_DRAWN = 10.0
+_TRAIL = (31, 95, 153)
+_CAMERA = np.array([0.55, -1.05, 0.5])
+
+
+def page(scene: Scene) -> str:
+    """The animation as one HTML page."""
+    with _server() as server:
+        frames = scene.frames()
+        stage = _Stage(server, frames)
+        recorded = server.get_scene_serializer()
+        for k in range(1, len(frames.ts)):
+            recorded.insert_sleep(frames.duration / (len(frames.ts) - 1))
+            stage.draw(k)
+        return str(recorded.as_html())
+
+
+def served(scene: Scene, port: int) -> Any:
+    """A server of the scene, with a slider; the animation goes on in a thread of its own until the server stops."""
+    server = _viser().ViserServer(host="127.0.0.1", port=port)
+    frames = scene.frames()
+    stage, last = _Stage(server, frames), len(frames.ts) - 1
+    playing = server.gui.add_checkbox("play", True)
+    slider = server.gui.add_slider("picture", 0, last, 1, 0)
+    slider.on_update(lambda _: stage.draw(int(slider.value)))
+
+    def play() -> None:
+        while threading.main_thread().is_alive():
+            time.sleep(1.0 / RATE)
+            if playing.value:
+                slider.value = (int(slider.value) + 1) % (last + 1)
+
+    threading.Thread(target=play, daemon=True).start()
+    return server
+
+
+def _viser() -> Any:
+    try:
+        import viser
+    except ImportError as error:
+        raise ModelError(f"show needs viser ({error}).\n  fix: pip install 'twistax[view]'") from None
+    return viser
+
+
+@contextlib.contextmanager
+def _server() -> Iterator[Any]:
+    """A server that nobody looks at: viser writes down what it would send. It says where it is, which is of no use."""
+    viser = _viser()
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host="127.0.0.1", verbose=False)
+        try:
+            yield server
+        finally:
+            server.stop()
+
+
+class _Stage:
+    """The nodes of a scene on a server, and where they are in picture k."""
+
+    def __init__(self, server: Any, scene: Scene) -> None:
+        low, high = scene.extent()
+        self.scene, self.nodes = scene, server.scene
+        self.center, self.zoom = 0.5 * (low + high), _DRAWN / scene.size
+        self.turn = _upwards(np.asarray(scene.up))
+        server.scene.set_up_direction(tuple(self.turn[:, 2]))
+        server.initial_camera.up = tuple(self.turn[:, 2])
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.initial_camera.position = tuple(self.turn @ (_DRAWN * _CAMERA))
+        square = self._grid(low, high)
+        self.note = f"   squares of {square:g} m"
+        self.bodies = [self._body(body) for body in scene.bodies]
+        for i, shape in enumerate(scene.shapes):
+            self._solid(f"/shapes/{i}", shape, self.center)
+        self.arrows = [self._arrow(f"/arrows/{vector.name}", vector.color) for vector in scene.vectors]
+        self.ends = [self._drawn(vector.ends(scene.scale_of(vector))) for vector in scene.vectors]
+        self.label = self.nodes.add_label("/time", "", position=tuple(self.turn @ [0.0, 0.0, 0.5 * _DRAWN]))
+        self.digits = max(0, int(np.ceil(-np.log10((scene.ts[-1] - scene.ts[0]) / len(scene.ts)))))
+        self.draw(0)
+
+    def draw(self, k: int) -> None:
+        """Move everything to picture k."""
+        for node, places, turns in self.bodies:
+            node.position, node.wxyz = places[k], turns[k]
+        for arrow, ends in zip(self.arrows, self.ends):
+            arrow.visible = bool(np.linalg.norm(ends[k, 1] - ends[k, 0]) > 0.01)
+            arrow.points = ends[k][None].astype(np.float32)
+        self.label.text = f"t = {self.scene.ts[k]:.{self.digits}f} s{self.note}"
+
+    def _drawn(self, points: Array) -> Array:
+        return (points - self.center) * self.zoom
+
+    def _body(self, body: Body) -> tuple[Any, Array, Array]:
+        name, places = f"/bodies/{body.name.replace('/', ' ')}", self._drawn(body.poses[:, :3, 3])
+        node = self.nodes.add_frame(name, show_axes=body.axes, axes_length=0.6, axes_radius=0.02)
+        for i, shape in enumerate(body.shapes):
+            self._solid(f"{name}/{i}", shape, np.zeros(3))
+        if body.trail:
+            lines = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
+            self.nodes.add_line_segments(f"/trails{name}", lines, _TRAIL, thickness=2.0, thickness_units="screen")
+        return node, places, quaternions(body.poses[:, :3, :3])
+
+    def _solid(self, name: str, shape: Shape, origin: Array) -> None:
+        corners, faces = shape.mesh()
+        self.nodes.add_mesh_simple(
+            name,
+            (corners * self.zoom).astype(np.float32),
+            faces.astype(np.uint32),
+            color=shape.color,
+            opacity=None if shape.opacity == 1.0 else shape.opacity,
+            flat_shading=not isinstance(shape, (Ellipsoid, Sphere)),
+            side="front" if shape.opacity == 1.0 else "double",
+            cast_shadow=shape.opacity == 1.0,
+            wxyz=tuple(quaternions(shape.at[None, :3, :3])[0]),
+            position=tuple((shape.at[:3, 3] - origin) * self.zoom),
+        )
+
+    def _arrow(self, name: str, color: Any) -> Any:
+        start = np.zeros((1, 2, 3), np.float32)
+        return self.nodes.add_arrows(name, start, color, shaft_radius=0.03, head_radius=0.08, head_length=0.2)
+
+    def _grid(self, low: Array, high: Array) -> float:
+        """A grid below all, or on the world's zero where that is near; the side of its squares, m."""
+        corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+        least = (corners @ self.turn[:, 2]).min()
+        height = 0.0 if abs(least) < 0.15 * self.scene.size else least
+        rough = self.scene.size / 8.0
+        power = 10.0 ** np.floor(np.log10(rough))
+        square = float(power * max(n for n in (1.0, 2.0, 5.0) if n * power <= rough))
+        # Its lines lie on whole numbers of squares.
+        place = np.round(self.center @ self.turn / square) * square
+        place[2] = height
+        self.nodes.add_grid(
+            "/grid",
+            2.0 * _DRAWN,
+            2.0 * _DRAWN,
+            cell_size=square * self.zoom,
+            section_size=5.0 * square * self.zoom,
+            wxyz=tuple(quaternions(self.turn[None])[0]),
+            position=tuple(self._drawn(self.turn @ place)),
+        )
+        return square
+
+
+def quaternions(R: Array) -> Array:
+    """Rotations (n, 3, 3) as [w, x, y, z] (n, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
+
+
+def _upwards(up: Array) -> Array:
+    """A rotation that takes z to a direction; none for z itself."""
+    z = up / np.linalg.norm(up)
+    x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (0.0, 0.0, 1.0), z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)

@@ -1,0 +1,50 @@
+"""A page in a real browser, without a network: it loads, says no error, and its picture is not empty."""
+
+import importlib.util
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.view.motion import Motion, shown
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed"),
+    pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+
+def picture(page: Path, milliseconds: int) -> tuple[np.ndarray, str]:
+    """The page after so much time, and what its console says."""
+    from matplotlib.image import imread
+
+    file = page.with_suffix(f".{milliseconds}.png")
+    command = f"{CHROMIUM} --headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader".split()
+    command += [f"--user-data-dir={page.parent / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND"]
+    command += ["--window-size=800,600", "--enable-logging=stderr", f"--virtual-time-budget={milliseconds}"]
+    command += [f"--screenshot={file}", page.as_uri()]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=120).stderr
+    console = "\n".join(line for line in said.splitlines() if "CONSOLE" in line)
+    return imread(file)[200:550, :, :3], console
+
+
+def test_a_scene_plays_in_a_browser(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 4.0, 41)
+    poses = np.tile(np.eye(4), (41, 1, 1))
+    poses[:, 0, 3] = 2.0 * t - 4.0
+    page = tmp_path / "scene.html"
+    red = tx.view.Box((2.0, 2.0, 2.0), color=(220, 30, 30))
+    shown(Motion(t, {"g": poses}), page, bodies={"g": red}, shapes=[tx.view.Cone(3.0, 0.5, color=(0, 160, 60))])
+    (early, said), (late, _) = picture(page, 800), picture(page, 3200)
+    assert "Embedded data loaded" in said
+    assert not [line for line in said.splitlines() if "ERROR" in line or "rror:" in line]
+    red_at = [np.argwhere((image[..., 0] > 0.5) & (image[..., 1] < 0.35)) for image in (early, late)]
+    assert min(map(len, red_at)) > 500  # the box
+    assert abs(red_at[1][:, 1].mean() - red_at[0][:, 1].mean()) > 50  # and it moves
