@@ -231,6 +231,9 @@ def test_outputs_are_linearised_by_states_and_controls() -> None:
     differences = np.stack([(seen(e) - seen(-e)) / 2e-6 for e in eye], axis=1)
     np.testing.assert_allclose(np.hstack([found.C, found.D]), differences, atol=1e-7)
     assert found.outputs == ("alpha", "down[0]", "down[1]", "down[2]", "climb")
+    part = point.linearize(outputs=["climb", "down[1]"])
+    assert part.outputs == ("climb", "down[1]")
+    np.testing.assert_array_equal(part.C, found.C[np.array([4, 2])])
     mapped = jax.vmap(lambda t: linearize(aircraft(), t, point.x, point.u).A)(np.zeros(2))
     np.testing.assert_allclose(mapped[1], found.A, atol=1e-12)
 

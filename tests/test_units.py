@@ -87,3 +87,12 @@ def test_a_door_refuses(value: Any, unit: Quantity, shape: tuple[int, ...], word
 
 def test_a_door_takes_plain_numbers() -> None:
     np.testing.assert_array_equal(taken("x", (1 * feet, 2.0), metres, (2,)), [0.3048, 2.0])
+
+
+@pytest.mark.parametrize("number", [np.float64(3.0), np.float32(3.0), np.int64(3)])
+def test_numbers_of_numpy_keep_the_unit(number: Any) -> None:
+    for made, words in [(number * feet, "m"), (feet * number, "m"), (number / seconds, "s-1")]:
+        assert isinstance(made, Quantity)
+        assert made.unit == words
+    assert number * feet == 3 * 0.3048
+    assert np.cos(60 * degrees) == pytest.approx(0.5)

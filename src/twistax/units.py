@@ -48,6 +48,8 @@ class Quantity(float):
     """
 
     exponents: tuple[int, ...]
+    #: Above that of NumPy's scalars, which then leave a product to the quantity, and below that of its arrays.
+    __array_priority__ = -1.0
 
     def __new__(cls, value: float, exponents: tuple[int, ...] = (0, 0, 0, 0, 0)) -> Quantity:
         made = super().__new__(cls, value)
@@ -99,14 +101,14 @@ class Quantity(float):
         return Quantity(-float(self), self.exponents)
 
     def _combined(self, other: Any, operation: Any, sign: int) -> Any:
-        if not isinstance(other, (int, float)):
+        if not isinstance(other, numbers.Real):
             return NotImplemented
         theirs = other.exponents if isinstance(other, Quantity) else (0,) * len(_BASE)
         exponents = tuple(a + sign * b for a, b in zip(self.exponents, theirs))
         return Quantity(operation(float(self), float(other)), exponents)
 
     def _summed(self, other: Any, operation: Any) -> Any:
-        if not isinstance(other, (int, float)):
+        if not isinstance(other, numbers.Real):
             return NotImplemented
         total = operation(float(self), float(other))
         if not isinstance(other, Quantity):

@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
+from twistax.errors import InputError
 
 OWN = ["".join(axes).upper() for axes in itertools.product("xyz", repeat=3) if axes[0] != axes[1] != axes[2]]
 SEQUENCES = [*OWN, *(sequence.lower() for sequence in OWN)]
@@ -166,3 +167,9 @@ def test_numbers_beside_expressions_are_checked(unchecked: None) -> None:
         tx.pose(position=[np.inf, 0.0, 0.0], euler=a)
     with pytest.raises(tx.InputError, match="names three axes"):
         tx.pose(euler=a, sequence=["z", "x", "z"])
+
+
+def test_a_sequence_is_checked_without_angles() -> None:
+    for position in (None, np.zeros(3), tx.State("p", (3,))):
+        with pytest.raises(InputError, match="names three axes"):
+            tx.pose(position=position, sequence="abc")

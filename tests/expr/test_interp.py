@@ -15,6 +15,7 @@ from jax.experimental.jet import jet
 from scipy import interpolate
 
 import twistax as tx
+from twistax.errors import ModelError
 from twistax.expr.table_kinds import Axis
 from twistax.lowering.scalar.program import emitted_form, scalarize
 from twistax.table_load import Table, load
@@ -181,3 +182,9 @@ def test_a_load_under_every_transformation() -> None:
         np.testing.assert_array_equal([slope(t) for t in ts], [5.0, 7.0, -1.0])
     assert Table([4.0, 5.0, 7.0, -1.0]) == table != Table([4.0, 5.0, 7.0, 1.0])
     assert load(table, jnp.int32(1), np.float32).dtype == np.float32
+
+
+@pytest.mark.parametrize("far", [[0.0, 1e308, -1e308, 0.0], [0.0, 1.7e308, 1.7e308, 0.0]])
+def test_differences_beyond_all_numbers_are_refused(far: list[float]) -> None:
+    with pytest.raises(ModelError, match="differences and slopes are finite"):
+        tx.lower(tx.Interp(x[0], axes=np.arange(4.0), values=far, kind=MonotoneCubic()))

@@ -105,6 +105,11 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
     ]:
         with pytest.raises(tx.ModelError, match=words):
             model(arguments)
+    for wrong in (np.nan, np.inf):
+        with pytest.raises(tx.ModelError, match="alpha must be a finite number"):
+            model.values(mach=0.4, alpha=wrong, el=0.0)
+    with pytest.raises(tx.ModelError, match="have no finite value"):
+        model.values(mach=0.4, alpha=-2.0, el=0.0, floor=1e308, outputs=["steps"])
 
 
 @pytest.mark.parametrize(

@@ -245,3 +245,16 @@ def test_what_is_refused(unchecked: None) -> None:
     ):
         with pytest.raises(error, match=words):
             call()
+
+
+def test_names_and_sizes_that_are_refused() -> None:
+    craft = flight.Vehicle()
+    body = SpatialInertia(mass=1.0, inertia=np.eye(3))
+    with pytest.raises(ModelError, match="further outputs, got 'altitude'"):
+        craft.system(body, outputs={"altitude": craft.place.altitude / feet})
+    with pytest.raises(ModelError, match="area must be 0 or more"):
+        flight.drag(craft.air, -0.1)
+    for size in [(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0)]:
+        with pytest.raises(ModelError, match="must be 0 or more"):
+            flight.Aerodynamics(*size)
+    flight.Aerodynamics(tx.Parameter("S", value=1.0), 1.0, 1.0)

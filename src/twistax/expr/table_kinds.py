@@ -222,7 +222,18 @@ class MonotoneCubic:
                 f"MonotoneCubic interpolates along one axis, got {len(axes)}: a product of such curves depends on "
                 "which axis comes first and is not monotone.\n  fix: tx.tables.Linear() or tx.tables.BSpline()"
             )
-        return pieces(axes[0], np.ascontiguousarray(PchipInterpolator(axes[0], values).c[::-1]))
+        try:
+            with np.errstate(all="ignore"):
+                coefficients = np.ascontiguousarray(PchipInterpolator(axes[0], values).c[::-1])
+        except ValueError:  # of slopes that are not finite
+            coefficients = np.array(np.nan)
+        if not np.isfinite(coefficients).all():
+            raise ModelError(
+                "MonotoneCubic expects values whose differences and slopes are finite numbers, got values up to "
+                f"{np.max(np.abs(values)):.3g} on points as near as {np.min(np.diff(axes[0])):.3g}.\n"
+                "  fix: give values and points in larger units"
+            )
+        return pieces(axes[0], coefficients)
 
 
 @dataclasses.dataclass(frozen=True)

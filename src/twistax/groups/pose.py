@@ -52,6 +52,7 @@ def pose(
     }
     given = {name: own for name, own in attitudes.items() if own[0] is not None}
     one_attitude(given)
+    euler_angles.turns(sequence)  # which is checked without angles too
     place = (0.0, 0.0, 0.0) if position is None else position
     if not given:
         (p,) = of_shape("pose", {"position": (3,)}, place)

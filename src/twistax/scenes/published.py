@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import functools
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,6 +85,15 @@ class Track:
         }
 
 
+@functools.cache
+def _fixed_positions(figure: earth.Ellipsoid) -> Callable[..., Array]:
+    """Planet-fixed positions (n, 3) of latitudes, longitudes and altitudes, (n,) each."""
+    place = [tx.State(name) for name in ("latitude", "longitude", "altitude")]
+    one = tx.lower(figure.position(*place))
+    each = jax.jit(jax.vmap(lambda *values: one(0.0, dict(zip(("latitude", "longitude", "altitude"), values)))))
+    return lambda *values: np.asarray(each(*values))
+
+
 class Table:
     """A published trajectory at TIMES; rows between them are left out. Raises InputError for a file of another form."""
 
@@ -129,11 +141,9 @@ class Table:
             longitude = np.arctan2(y, x)
             distance = np.hypot(x, y)
         else:
-            latitude, longitude = self.column("latitude"), self.column("longitude")
-            altitude, e2 = self.column("altitudeMsl"), self.figure.eccentricity_squared
-            normal = self.figure.radius / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
-            distance = (normal + altitude) * np.cos(latitude)
-            z = ((1.0 - e2) * normal + altitude) * np.sin(latitude)
+            longitude = self.column("longitude")
+            over = self.column("latitude"), np.zeros_like(longitude), self.column("altitudeMsl")
+            distance, _, z = _fixed_positions(self.figure)(*over).T
         angle = longitude + self.figure.rate * TIMES
         return np.stack([distance * np.cos(angle), distance * np.sin(angle), z], axis=1)
 

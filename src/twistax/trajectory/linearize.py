@@ -125,7 +125,7 @@ def linearize(
     Traceable: jit, vmap and further derivatives apply.
 
     Args:
-        outputs: names of outputs for the rows of C and D.
+        outputs: for the rows of C and D: names of outputs, "V", or entries of them, "V[3]", "V[3:6]".
     Raises:
         InputError: as a call of the dynamics does; an unknown output.
         ModelError: the system is not compiled.
@@ -133,13 +133,11 @@ def linearize(
     need_compiled("linearize", dynamics)
     wanted = [outputs] if isinstance(outputs, str) else list(outputs)
     known = dynamics._functions.families["outputs"]
-    for name in wanted:
-        if name not in known:
-            raise InputError(f"linearize: outputs names {name!r}; there are {listed(known, name)}")
+    shapes = {name: own[0].shape for name, own in known.items()}
+    rows = positions("linearize: outputs", wanted, shapes)
     inputs = dynamics._functions.prepare(t, x, u, params, reads=("rates", "outputs") if wanted else ("rates",))
     n, m = dynamics.dimension, Controls(dynamics.controls).dimension
     value, slopes = around(dynamics, bool(wanted))(inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params))
-    rows = positions("linearize: outputs", wanted, {name: own[0].shape for name, own in known.items()})
     C = slopes[n:][np.asarray(rows, int)]
     return Linearization(
         value[:n],
@@ -149,7 +147,7 @@ def linearize(
         C[:, n : n + m],
         labels(tangent_shapes(dynamics.group)),
         labels({leaf.name: leaf.shape for leaf in dynamics.controls}),
-        labels({name: known[name][0].shape for name in wanted}),
+        tuple(np.array(labels(shapes))[rows].tolist()) if rows else (),
     )
 
 

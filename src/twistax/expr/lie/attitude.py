@@ -115,7 +115,8 @@ def pose(
             own, "ZYX" with yaw, pitch, roll.
     Raises:
         ShapeError: a wrong shape.
-        InputError: two attitudes; numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
+        InputError: two attitudes; a sequence that names no three axes;
+            numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
             Where these are traced or computed the pose is NaN.
     """
     given = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
@@ -124,8 +125,7 @@ def pose(
     numbers = {name: own for name, own in everything.items() if own is not None and not _symbolic(own)}
     if not any(map(_symbolic, everything.values())):
         return of_numbers(**numbers, sequence=sequence)
-    if numbers:
-        of_numbers(**numbers, sequence=sequence)  # for its checks
+    of_numbers(**numbers, sequence=sequence)  # for its checks
     found = {name: _joined(value) for name, value in given.items() if value is not None}
     one_attitude(found)
     R: Expr = to_expr(np.eye(3))

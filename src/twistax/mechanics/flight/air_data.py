@@ -10,7 +10,9 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TypeAlias
 
-from ...checks import callable_with
+import numpy as np
+
+from ...checks import callable_with, number
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Max, Norm, Sin, Sqrt, Where
 from ...expr.fields import ExprLike
@@ -116,9 +118,20 @@ def wind_axes(air: AirData) -> Expr:
     return stability_axes(air) @ Block([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def _not_negative(place: str, value: ExprLike) -> None:
+    """Raise ModelError for a number below 0; what an expression comes to is not known."""
+    known = value.value if isinstance(value, Constant) else value
+    if not isinstance(known, Expr):
+        number(place, known, "0 or more", lambda x: 0.0 <= x < np.inf, ModelError)
+
+
 def drag(air: AirData, area: ExprLike) -> Expr:
-    """-rho V C_D S u / 2 (3,) in body axes, N, of C_D S = area (), m2; smooth at rest. Raises ShapeError."""
+    """-rho V C_D S u / 2 (3,) in body axes, N, of C_D S = area (), m2; smooth at rest.
+
+    Raises: ShapeError; ModelError for a number below 0.
+    """
     of_kind("drag", "air", air, AirData)
+    _not_negative("drag: area", area)
     return -0.5 * of_shape("drag", "area", area, (), unit=metres**2) * air.density * air.airspeed * air.velocity
 
 
@@ -132,7 +145,7 @@ class Aerodynamics:
         chord: c, of pitch, m.
         reference: where the moments are taken, (3,) from the body's origin, m.
         axes: of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
-    Raises: ShapeError, ModelError for values that are no such numbers or expressions.
+    Raises: ShapeError, ModelError for values that are no such numbers or expressions, or are below 0.
     """
 
     area: ExprLike
@@ -145,6 +158,8 @@ class Aerodynamics:
         parts = {"area": ((), metres**2), "span": ((), metres), "chord": ((), metres), "reference": ((3,), metres)}
         for name, (shape, unit) in parts.items():
             object.__setattr__(self, name, of_shape("Aerodynamics", name, getattr(self, name), shape, unit=unit))
+            if not shape:
+                _not_negative(f"Aerodynamics: {name}", getattr(self, name))
         callable_with("Aerodynamics: axes", self.axes, ("air",), ModelError)
 
     @property

@@ -164,7 +164,8 @@ class Vehicle:
             rates: of further states.
             outputs: beside those of `outputs()`.
             more: what `System` takes.
-        Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states.
+        Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states, or an
+            output of a name that it has.
         """
         motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: self.acceleration(body, wrench)}
         if self.turbulence is not None and self._gust is not None:
@@ -176,7 +177,14 @@ class Vehicle:
                 f"Vehicle.system expects rates of further states, got {listed(own)}, the motion itself.\n"
                 "  fix: put what acts on the body into wrench, or write a System of vehicle.acceleration(body, wrench)"
             )
-        return System({**motion, **(rates or {})}, {**self.outputs(), **(outputs or {})}, **more)
+        ready = self.outputs()
+        twice = [name for name in outputs or {} if name in ready]
+        if twice:
+            raise ModelError(
+                f"Vehicle.system expects further outputs, got {listed(twice)}, which a flight has already.\n"
+                "  fix: give it another name, or write a System of vehicle.acceleration(body, wrench)"
+            )
+        return System({**motion, **(rates or {})}, {**ready, **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
         """What flights are compared by.

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ....checks import listed, path_of
+from ....checks import listed, number, path_of
 from ....errors import ModelError, TwistaxError
 from ....expr import Constant, Expr, State, to_expr
 from ....expr.fields import ExprLike
@@ -146,10 +146,21 @@ class DaveModel:
     def values(
         self, inputs: Mapping[str, float] | None = None, /, *, outputs: Iterable[str] | None = None, **named: float
     ) -> dict[str, float]:
-        """Outputs as numbers, in double precision, by varID. Arguments, errors: as of a call, with numbers."""
+        """Outputs as numbers, in double precision, by varID. Arguments, errors: as of a call, with numbers.
+
+        Raises: ModelError also for an input or an output that is no finite number.
+        """
+        for name, value in {**(inputs or {}), **named}.items():
+            number(f"{self.name}: {name}", value, "a finite number", np.isfinite, ModelError)
         with in_double():
             found = lower(self(inputs, outputs=outputs, **named))(0.0)
-        return {name: float(value) for name, value in found.items()}
+        values = {name: float(value) for name, value in found.items()}
+        lost = [name for name, value in values.items() if not np.isfinite(value)]
+        if lost:
+            raise ModelError(
+                f"{self.name}: {listed(lost)} have no finite value at these inputs, got {values[lost[0]]!r}"
+            )
+        return values
 
     def check(self) -> list[StaticCheck]:
         """Runs the static check-cases of the file, in double precision. Inputs that a case leaves out are initial.
