@@ -164,6 +164,17 @@ def test_a_limit_that_the_end_of_a_phase_meets_binds_nobody_at_the_next_start() 
     assert result.cost == pytest.approx(2.0 * 12.0 / (1.0 - 1.0 / 16.0), rel=1e-5)
 
 
+def test_a_limit_is_asked_once_at_a_join_and_on_both_sides_of_a_jump() -> None:
+    p, v, u = tx.State("p", max=1.0), tx.State("v"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    phases = [
+        Phase(dynamics, tx.Minimize(running=u * u), nodes=3, final_time=1.0, initial={p: 0.0, v: 0.0}),
+        Phase(dynamics, nodes=4, final_time=1.0, final={p: 0.0, v: 0.0}),
+    ]
+    asked = [int(Problem(phases, links=[link]).shooting.exists.sum()) for link in ({}, {p: 0.9 * p})]
+    assert asked[1] == asked[0] + 1
+
+
 # ---- derivatives -------------------------------------------------------------------------------------------------
 
 
