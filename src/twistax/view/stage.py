@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -43,12 +42,18 @@ def served(scene: Scene, port: int) -> Any:
     slider = server.gui.add_slider("picture", 0, last, 1, 0)
     slider.on_update(lambda _: stage.draw(int(slider.value)))
 
+    stopped, stop = threading.Event(), server.stop
+
+    def stop_both() -> None:
+        stopped.set()
+        stop()
+
     def play() -> None:
-        while threading.main_thread().is_alive():
-            time.sleep(1.0 / RATE)
+        while not stopped.wait(1.0 / RATE):
             if playing.value:
                 slider.value = (int(slider.value) + 1) % (last + 1)
 
+    server.stop = stop_both
     threading.Thread(target=play, daemon=True).start()
     return server
 
