@@ -30,7 +30,7 @@ class Body:
 
     Attributes:
         name: of the state, or of the frame of a mechanism.
-        poses: T (n, 4, 4) in the world at the times of the scene.
+        poses: T (n, 4, 4) in the world at the times of the scene; positions in m.
         shapes: in its axes.
         axes: whether x (red), y (green) and z (blue) are drawn.
         trail: whether the path of its origin is.

@@ -120,7 +120,7 @@ class Ellipsoid(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball about its place, of a radius in m."""
+    """A ball about its place, of a radius in m, a number."""
 
     radius: float
 
@@ -134,7 +134,7 @@ class Sphere(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
-    """A cylinder about its place, along z, with radius and length in m."""
+    """A cylinder about its place, along z, with two numbers, radius and length in m."""
 
     radius: float
     length: float
@@ -150,7 +150,7 @@ class Cylinder(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cone(Shape):
-    """A cone with its tip at its place, opening along z: its height in m, and `half_angle` from its axis in rad."""
+    """A cone with its tip at its place, opening along z. Two numbers: height in m, `half_angle` from its axis in rad."""
 
     height: float
     half_angle: float
