@@ -150,7 +150,7 @@ class Cylinder(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cone(Shape):
-    """A cone with its tip at its place, opening along z. Two numbers: height in m, `half_angle` from its axis in rad."""
+    """A cone, its tip at its place, opening along z: two numbers, height in m, `half_angle` from its axis in rad."""
 
     height: float
     half_angle: float
