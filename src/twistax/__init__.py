@@ -41,6 +41,8 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.controls import FirstOrderHold, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
     from .integrators.interpolant import Between
+    from .integrators.phased_solution import PhasedSolution
+    from .integrators.phases import Phase, integrate_phases
     from .integrators.solution import Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
@@ -53,13 +55,13 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "Between", "CommutatorFree", "Dynamics",
-    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK", "InputError",
-    "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
-    "OperationError", "Order", "OrderError", "Product", "Result", "ShapeError", "Solution", "Splitting", "Statistics",
-    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
-    "compile", "compositions", "diffrax", "fast", "integrate", "lie", "linalg", "load", "lower", "mechanics", "pose",
-    "spatial", "sweep", "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units",
-    "view",
+    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
+    "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
+    "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "Product", "Result", "ShapeError",
+    "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim",
+    "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions", "diffrax", "fast", "integrate",
+    "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial", "sweep", "tableaus",
+    "tables", "tangent_grad", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -70,6 +72,8 @@ _LATER = {
     ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
     ".integrators.controls": ("FirstOrderHold", "ZeroOrderHold"),
     ".integrators.interpolant": ("Between",),
+    ".integrators.phased_solution": ("PhasedSolution",),
+    ".integrators.phases": ("Phase", "integrate_phases"),
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.solution": ("Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),

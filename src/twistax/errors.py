@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import ClassVar
 
 
@@ -80,3 +82,14 @@ class TrajectoryError(TwistaxError, RuntimeError):
     """A trajectory problem could not be set up or solved."""
 
     page = "docs/trajectory.md#stating-a-problem"
+
+
+@contextlib.contextmanager
+def in_phase(name: str) -> Iterator[None]:
+    """Errors with the phase's name in front."""
+    try:
+        yield
+    except ShapeError as error:
+        raise ShapeError(f"{name}: {error}") from None
+    except TwistaxError as error:
+        raise type(error)(f"{name}: {error}") from None

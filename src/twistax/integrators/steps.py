@@ -36,6 +36,7 @@ class Result(enum.IntEnum):
     STEP_TOO_SMALL = 3, "no step is small enough for the tolerances"
     NEWTON_FAILED = 4, "the equations of an implicit step could not be solved"
     EVENT = 5, "an event stopped it"
+    NO_EVENT = 6, "a phase ended without its event"
 
     #: What happened, in plain words.
     sentence: str

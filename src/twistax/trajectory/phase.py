@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from ..errors import ShapeError, TwistaxError
 from ..expr import Expr, leaves_of
 from ..lowering import Dynamics
 from .border import boxes_of
@@ -46,17 +44,6 @@ class Phase:
     method: Any = None
     substeps: int | None = None
     name: str | None = None
-
-
-@contextlib.contextmanager
-def in_phase(name: str) -> Iterator[None]:
-    """Errors with the phase's name in front."""
-    try:
-        yield
-    except ShapeError as error:
-        raise ShapeError(f"{name}: {error}") from None
-    except TwistaxError as error:
-        raise type(error)(f"{name}: {error}") from None
 
 
 def as_dict(free: Any) -> dict[Any, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import listed, reals, short
-from ..errors import InputError, ModelError, ShapeError
+from ..errors import InputError, ModelError, ShapeError, in_phase
 from ..expr import Expr, Parameter, State, leaves_of, to_expr
 from ..lowering.dynamics import need_compiled
 from ..system import free_name, name_of
@@ -23,7 +23,7 @@ from .found import Tried
 from .functionals import Initial
 from .guess import resample
 from .joined import Join, Joined, told_before
-from .phase import Phase, as_dict, asked, in_phase, names_read
+from .phase import Phase, as_dict, asked, names_read
 from .phased_result import PhasedResult, best_of_phases
 from .problem import Problem
 from .reduction import InPhase, functionals_of
