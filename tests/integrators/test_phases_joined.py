@@ -79,8 +79,8 @@ def test_a_ball_bounces_at_known_times_on_known_arcs() -> None:
     ("how", "derivative"),
     [
         # RK4 is exact on these arcs.
-        ({"steps": 4}, jax.jacrev),
-        pytest.param({"steps": 4}, jax.jacfwd, marks=pytest.mark.slow),
+        ({"steps": 40}, jax.jacrev),
+        pytest.param({"steps": 40}, jax.jacfwd, marks=pytest.mark.slow),
         pytest.param({"rtol": 1e-10}, jax.jacrev, marks=pytest.mark.slow),
         pytest.param({"rtol": 1e-10}, jax.jacfwd, marks=pytest.mark.slow),
     ],
@@ -175,7 +175,7 @@ def test_a_batch_has_its_own_times_and_one_grid() -> None:
     @jax.vmap
     def fly(height: jax.Array) -> tx.PhasedSolution:
         return tx.integrate_phases(
-            phases, {"h": height, "v": 0.0}, links, steps=4, save_at=TIMES, params={"pull": 9.81}
+            phases, {"h": height, "v": 0.0}, links, steps=40, save_at=TIMES, params={"pull": 9.81}
         )
 
     # The third falls for longer than its phase may take.
@@ -194,14 +194,14 @@ def test_a_batch_has_its_own_times_and_one_grid() -> None:
 
 
 def test_a_phase_that_fails_is_named() -> None:
-    blown = tx.compile(tx.System({h: h * h, v: 0.0, R: SPIN}))
-    first, second = tx.Phase(ball(), duration=0.3, name="drop"), tx.Phase(blown, duration=5.0, name="blow up")
+    blown = tx.compile(tx.System({h: h * h, v: 0.0}))
+    first, second = tx.Phase(point(), duration=0.3, name="drop"), tx.Phase(blown, duration=5.0, name="blow up")
     with pytest.raises(tx.IntegrationError, match=r"^phase 1, 'blow up': "):
-        tx.integrate_phases([first, second], START, rtol=1e-9)
-    late = tx.Phase(ball(), duration=0.2, event=GROUND, name="late")
+        tx.integrate_phases([first, second], {"h": 5.0, "v": 0.0}, rtol=1e-9)
+    late = tx.Phase(point(), duration=0.2, event=GROUND, name="late")
     with pytest.raises(tx.IntegrationError, match=r"^phase 1, 'late': no event was met up to t = 0\.5 s"):
-        tx.integrate_phases([first, late, late], START, rtol=1e-9)
-    found = tx.integrate_phases([first, late, late], START, rtol=1e-9, throw=False)
+        tx.integrate_phases([first, late, late], {"h": 5.0, "v": 0.0}, rtol=1e-9)
+    found = tx.integrate_phases([first, late, late], {"h": 5.0, "v": 0.0}, rtol=1e-9, throw=False)
     assert found.result is tx.Result.NO_EVENT
     assert found.names == ("drop", "late")
     np.testing.assert_allclose(found.xs["h"], [5.0 - 0.5 * 9.81 * 0.25])

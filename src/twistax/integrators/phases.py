@@ -42,6 +42,9 @@ class Phase:
         u: the controls of this phase, in place of those of the whole; times of tables are those of the whole.
         jumps, dt, steps, rtol, atol, method, control: as for `tx.integrate`, in place of those of the whole.
         name: what results and messages call it; "phase 0", "phase 1", ... unless given.
+
+    Raises:
+        InputError, ModelError: for what makes no sense, by `integrate_phases`, with the phase in front.
     """
 
     dynamics: Dynamics
