@@ -71,6 +71,22 @@ def _at(file: str, *entries: tuple[str, str, str, str]) -> list[Mutation]:
 
 
 MUTATIONS: list[Mutation] = [
+    # ---- joined phases -----------------------------------------------------------------------------------------------
+    *_at(
+        "integrators/phases.py",
+        (
+            "a phase begins when the one before would have ended at the latest",
+            "t, end = solution.ts[-1], {",
+            "t, end = limit, {",
+            "integrators/test_phases_joined.py::test_a_ball_bounces_at_known_times_on_known_arcs",
+        ),
+        (
+            "an event that was not met is no failure",
+            "if not missed:",
+            "if True:",
+            "integrators/test_phases_joined.py::test_a_phase_that_fails_is_named",
+        ),
+    ),
     # ---- progress ----------------------------------------------------------------------------------------------------
     *_at(
         "integrators/meter.py",

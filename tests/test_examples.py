@@ -14,8 +14,16 @@ EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
 BRIEF = {"small_matrices.py": ["--repeat", "1", "--issue", "26145"]}
 
 #: Scripts that the default tier runs as far as their first solve or integration: its arguments are checked. What these
-#: compile takes most of the time, and the pages, the demo and the scenes compile the same.
-STATED = ["four_bar.py", "landing.py", "payload.py", "quadruped.py", "receding_horizon.py", "switching_times.py"]
+#: compile takes most of the time, which the slow test, run in CI too, does to the end.
+STATED = [
+    "four_bar.py",
+    "landing.py",
+    "payload.py",
+    "quadruped.py",
+    "receding_horizon.py",
+    "staged_rocket.py",
+    "switching_times.py",
+]
 
 #: Runs one script with its arguments after the other, each with JAX's own precision at its start.
 RUN = """
@@ -33,12 +41,13 @@ def reached(function):
         raise Reached
     return call
 
-whole = tx.integrate, tx.trajectory.Problem.solve
+whole = tx.integrate, tx.integrate_phases, tx.trajectory.Problem.solve
 runs, stated = json.loads(sys.argv[1])
 for words in runs:
     script, *_ = sys.argv = words
     short = os.path.basename(script) in stated
-    tx.integrate, tx.trajectory.Problem.solve = map(reached, whole) if short else whole
+    short_or_whole = map(reached, whole) if short else whole
+    tx.integrate, tx.integrate_phases, tx.trajectory.Problem.solve = short_or_whole
     jax.config.update("jax_enable_x64", False)
     said = io.StringIO()
     try:
