@@ -22,6 +22,7 @@ EXTRAS = {
     "tables": ("pandas",),
     "report": ("matplotlib", "jinja2"),
     "docs": ("sphinx", "myst-parser", "furo"),
+    "view": ("viser",),
 }
 
 
