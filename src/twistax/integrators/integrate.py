@@ -172,9 +172,12 @@ def integrate(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
         taken = fixed_steps(t0, t1, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch)
-    told = asked_for(progress)
-    with metered(None if traced or is_tracing() else told) as meter:
-        found = rollout(taken if meter is None else dataclasses.replace(taken, meter=meter), stepper, x)
+    told = None if progress is None else asked_for(progress)
+    if told is None or traced or is_tracing():
+        found = rollout(taken, stepper, x)
+    else:
+        with metered(told) as meter:
+            found = rollout(dataclasses.replace(taken, meter=meter), stepper, x)
     times = [t1] if save_at is None else save_at
     ts = (jnp if is_traced(times) else np).asarray(times, dtype)
     if is_traced((t0, t1, save_at)):

@@ -67,7 +67,7 @@ class Meter:
 
 def asked_for(progress: Any) -> Told | None:
     """What `progress` of `integrate` asks for. Raises InputError."""
-    if progress is None or progress is False:
+    if progress is False:
         return None
     if progress is True:
         return Progress("integrate").reached
@@ -79,11 +79,8 @@ def asked_for(progress: Any) -> Told | None:
 
 
 @contextlib.contextmanager
-def metered(told: Told | None) -> Iterator[Meter | None]:
+def metered(told: Told) -> Iterator[Meter]:
     """A meter for the loops inside. What the function raised is raised at the end."""
-    if told is None:
-        yield None
-        return
     number, raised = next(_NUMBERS), list[Exception]()
     _ASKED[number] = told, raised
     try:

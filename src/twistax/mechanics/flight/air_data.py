@@ -131,8 +131,9 @@ def drag(air: AirData, area: ExprLike) -> Expr:
     Raises: ShapeError; ModelError for a number below 0.
     """
     of_kind("drag", "air", air, AirData)
-    _not_negative("drag: area", area)
-    return -0.5 * of_shape("drag", "area", area, (), unit=metres**2) * air.density * air.airspeed * air.velocity
+    S = of_shape("drag", "area", area, (), unit=metres**2)
+    _not_negative("drag: area", S)
+    return -0.5 * S * air.density * air.airspeed * air.velocity
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
