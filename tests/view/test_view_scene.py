@@ -23,7 +23,7 @@ AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
 
 
 def turned(t: np.ndarray) -> Rotation:
-    """A turn by 1.3 rad/s about a fixed axis, from an attitude that is none of the simple ones."""
+    """A turn by 1.3 rad/s about a fixed axis, from an attitude with three angles."""
     return Rotation.from_rotvec(1.3 * np.multiply.outer(t, AXIS)) * Rotation.from_euler("xyz", [0.3, -0.4, 0.5])
 
 

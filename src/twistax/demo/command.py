@@ -143,7 +143,7 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent
 
 
 def _animated(path: Path, dense: Descent, vehicle: scene.Vehicle) -> str:
-    """Write the flight in three dimensions; its file, or why there is none."""
+    """Write the solution in three dimensions; its file, or why it was not written."""
     plume = -ENLARGED * PLUME / vehicle.max_thrust
     try:
         shown(

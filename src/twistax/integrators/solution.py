@@ -217,7 +217,7 @@ class Solution:
         Returns:
             the scene, a `tx.view.Scene`, which can be saved, served and looked at as numbers.
         Raises:
-            InputError: names that are not there; shapes, arrows and bodies that are none; one saved time alone; a
+            InputError: names that are not there; shapes, arrows or bodies of another kind; one saved time alone; a
                 solution that is traced or of a batch; a path that cannot be written.
             ModelError: viser, the extra `view`, is not installed.
         """

@@ -29,7 +29,7 @@ def optional_number(element: Element, attribute: str) -> float | None:
 
 
 def limits_of(element: Element, least: str, most: str) -> tuple[float | None, float | None]:
-    """Two attributes that limit a value, None where there is none. Raises ModelError where the first is higher."""
+    """Two attributes that limit a value, None for one that is absent. Raises ModelError where the first is higher."""
     lower, upper = optional_number(element, least), optional_number(element, most)
     if lower is not None and upper is not None and lower > upper:
         raise element.wrong(f"{least} {lower:g} is above {most} {upper:g}")
