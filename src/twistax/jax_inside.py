@@ -56,10 +56,10 @@ def jax_versions() -> tuple[str, str]:
 
 
 def say_once(message: str) -> None:
-    """A RuntimeWarning, once for a process."""
+    """A RuntimeWarning, once for a process; again and again where a filter of warnings makes it an error."""
     if message not in _SAID:
-        _SAID.add(message)
         warnings.warn(message, RuntimeWarning, stacklevel=3)
+        _SAID.add(message)
 
 
 # ---- equations -------------------------------------------------------------------------------------------------------

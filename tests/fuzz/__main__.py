@@ -15,8 +15,8 @@ import time
 import warnings
 
 import jax
+from check import check
 from grow import drawn
-from paths import check
 from shrink import smallest
 
 #: Programs that JAX keeps are dropped after so many cases.
@@ -32,6 +32,7 @@ def main() -> int:
     parser.add_argument("--unshrunk", action="store_true", help="print wrong cases as they were drawn")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_traceback_in_locations_limit", 0)  # where operations were written nobody reads
     warnings.simplefilter("ignore")
     begin = time.process_time()
     end, number, found, terms = begin + arguments.seconds, arguments.case or 0, 0, 0

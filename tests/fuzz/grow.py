@@ -7,10 +7,18 @@ from functools import cache
 from random import Random
 from typing import Any
 
+import elementwise
+import groups_of_motion
+import matrices
+import movement
 import numpy as np
-import users_nodes  # noqa: F401 - makers too
-from operations import MAKERS, Graded, Maker, Operand, Plan, extremes
+import tabulated
+import users_nodes
+from plans import MAKERS, Graded, Maker, Operand, Plan
 from term import Case, Shape, Term
+
+#: Where operations are: importing them fills `MAKERS`.
+AREAS = (elementwise, matrices, movement, tabulated, groups_of_motion, users_nodes)
 
 SHAPES: list[Shape] = [
     (),
@@ -42,7 +50,10 @@ TOGETHER, TREES = 20, 8
 #: Cases before the first trees.
 FIRST = 36
 #: How many operations of one maker come in a round, and after how many draws without a new one it has no more.
-MOST, DRAWS = 50, 60
+MOST, DRAWS = 100, 60
+#: Sets of values of the leaves for the programs of one case: to call them again takes little. And the share of leaves
+#: of the others that hold numbers at which things go wrong.
+POINTS, OTHERS = 4, 0.25
 
 
 def drawn(seed: int, number: int) -> Case:
@@ -72,7 +83,7 @@ def _dealt(deck: str, seed: int, rounds: int) -> list[list[tuple[Plan, Shape]]]:
     """The hands of a round, in which each operation comes once."""
     source = Random(f"{deck}:{seed}:{rounds}")
     makers = dict.fromkeys(MAKERS)
-    cards = extremes((6,)) if deck == "extremes" else [card for own in makers for card in made(source, own)]
+    cards = elementwise.extremes((6,)) if deck == "extremes" else [card for own in makers for card in made(source, own)]
     source.shuffle(cards)
     count = -(-len(cards) // TOGETHER)
     return [cards[k::count] for k in range(count)]
@@ -103,6 +114,7 @@ class Grower:
         self.special = special
         self.numbers: tuple[float, ...] = SPECIAL
         self.leaves: dict[str, np.ndarray] = {}
+        self.wanted: dict[str, Shape | Graded] = {}
         self.made: dict[Shape, list[Term]] = {}
 
     def trees(self, depth: int) -> Case:
@@ -125,7 +137,7 @@ class Grower:
         exact = whole or narrow
         return Case(
             terms, self.leaves, baked, batched and not whole, single, differentiated and not exact, whole, narrow,
-            called=called or whole,
+            called=called or whole, more=self.more(baked),
         )  # fmt: skip
 
     def extremes(self, hand: list[tuple[Plan, Shape]]) -> Case:
@@ -133,7 +145,21 @@ class Grower:
         single = self.source.random() < 0.3
         self.numbers, self.special = (ENDS_SINGLE if single else ENDS), 1.0
         terms = tuple(self.planned(plan, shape, 0) for plan, shape in hand)
-        return Case(terms, self.leaves, batched=self.source.random() < 0.4, single=single, extreme=True)
+        return Case(
+            terms, self.leaves, batched=self.source.random() < 0.4, single=single, extreme=True, more=self.more()
+        )
+
+    def more(self, baked: tuple[str, ...] = ()) -> tuple[dict[str, np.ndarray], ...]:
+        """Other values of the leaves, but for those that are baked."""
+        first, special = self.leaves, self.special
+        self.special, found = max(special, OTHERS), []
+        for _ in range(POINTS - 1):
+            self.leaves = {}
+            for name, wanted in self.wanted.items():
+                self.leaves[name] = first[name] if name in baked else self.drawn(wanted)
+            found.append(self.leaves)
+        self.leaves, self.special = first, special
+        return tuple(found)
 
     def term(self, shape: Shape, depth: int) -> Term:
         older = self.made.setdefault(shape, [])
@@ -156,20 +182,24 @@ class Grower:
         args: list[Term] = []
         for arg in plan.args:
             args.append(self.operand(arg, args, depth))
-        return Term(plan.code, plan.numpy, tuple(args), shape, setup=plan.setup)
+        return Term(plan.code, plan.numpy, tuple(args), shape, setup=plan.setup, rounding=plan.rounding)
 
     def operand(self, wanted: Operand, before: list[Term], depth: int) -> Term:
         if isinstance(wanted, Plan):
-            return Term(wanted.code, wanted.numpy, tuple(before), wanted.shape)
+            return Term(wanted.code, wanted.numpy, tuple(before), wanted.shape, rounding=wanted.rounding)
         if isinstance(wanted, Graded):
-            return self.leaf((wanted.n, wanted.n), wanted)
+            return self.leaf(wanted)
         return self.term(wanted, depth) if depth > 0 else self.leaf(wanted)
 
-    def leaf(self, shape: Shape, graded: Graded | None = None) -> Term:
+    def leaf(self, wanted: Shape | Graded) -> Term:
+        shape = (wanted.n, wanted.n) if isinstance(wanted, Graded) else wanted
         kind = self.source.choice(KINDS)
         name = f"{kind[0].lower()}{len(self.leaves)}"
-        self.leaves[name] = self.array(shape) if graded is None else graded.matrix(self.source)
+        self.wanted[name], self.leaves[name] = wanted, self.drawn(wanted)
         return Term(f'tx.{kind}("{name}", shape={shape})', np.asarray, (), shape, leaf=name)
+
+    def drawn(self, wanted: Shape | Graded) -> np.ndarray:
+        return wanted.matrix(self.source) if isinstance(wanted, Graded) else self.array(wanted)
 
     def constant(self, shape: Shape) -> Term:
         n = shape[0] if shape else 1

@@ -21,7 +21,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from mutations import ROOT, Mutation, copy_to
 
 #: XLA optimises nothing: it takes half of the time, and the errors are none of its own.
-QUICK = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+QUICK = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_parallel_codegen_split_count=1"
+)
 
 ADJUGATE = """n = A.shape[-1]
     if n == 3:

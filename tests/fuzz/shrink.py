@@ -31,6 +31,8 @@ def smaller_terms(term: Term) -> Iterator[Term]:
 
 
 def simpler_cases(case: Case) -> Iterator[Case]:
+    if case.more:
+        yield from case.points()
     half = len(case.terms) // 2
     if half > 1:
         yield replace(case, terms=case.terms[:half])
@@ -54,7 +56,7 @@ def simpler_cases(case: Case) -> Iterator[Case]:
 
 def weight(case: Case) -> tuple[int, int, int, int]:
     digits = sum(len(repr(value.tolist())) for value in case.used().values())
-    return len(case.terms), sum(1 for _ in case.walk()), len(case.baked) + len(case.settings), digits
+    return len(case.terms), sum(1 for _ in case.walk()), len(case.baked) + len(case.settings) + len(case.more), digits
 
 
 def path_of(said: str) -> str:

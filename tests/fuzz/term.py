@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +28,7 @@ class Term:
         shape: of the value.
         leaf: the name, where this is a state, a control or a parameter.
         setup: statements that the code needs before it, such as a class of the user's.
+        rounding: of the operands' values, as that of a plan.
     """
 
     code: str
@@ -36,6 +37,7 @@ class Term:
     shape: Shape
     leaf: str = ""
     setup: str = ""
+    rounding: Callable[..., Any] | None = None
 
     def walk(self) -> Iterator[Term]:
         """Operands before what is made of them, each one once."""
@@ -53,16 +55,22 @@ class Term:
     def size(self) -> int:
         return sum(1 for _ in self.walk())
 
-    def value(
-        self, leaves: Mapping[str, Any], noise: Callable[[Any], Any] = lambda value: value
-    ) -> tuple[Any, list[Any]]:
-        """By NumPy: the value, and all that was met on the way. `noise` is put on each result."""
+    def value(self, leaves: Mapping[str, Any], noise: Callable[[Any, Any], Any] | None = None) -> tuple[Any, list[Any]]:
+        """By NumPy: the value, and all that was met on the way.
+
+        Args:
+            noise: put on each result: of its value, and of how far rounding may move it beyond a few last places.
+        """
         values: dict[int, Any] = {}
         for term in self.walk():
             if term.leaf:
                 values[id(term)] = np.asarray(leaves[term.leaf])
-            else:
-                values[id(term)] = noise(term.numpy(*(values[id(arg)] for arg in term.args)))
+                continue
+            operands = [values[id(arg)] for arg in term.args]
+            values[id(term)] = term.numpy(*operands)
+            if noise is not None:
+                far = 0.0 if term.rounding is None else term.rounding(*operands)
+                values[id(term)] = noise(values[id(term)], far)
         return values[id(self)], list(values.values())
 
     def replaced(self, old: Term, new: Term) -> Term:
@@ -71,13 +79,7 @@ class Term:
         for term in self.walk():
             args = tuple(made[id(arg)] for arg in term.args)
             same = all(a is b for a, b in zip(args, term.args, strict=True))
-            made[id(term)] = (
-                new
-                if term is old
-                else term
-                if same
-                else Term(term.code, term.numpy, args, term.shape, term.leaf, term.setup)
-            )
+            made[id(term)] = new if term is old else term if same else replace(term, args=args)
         return made[id(self)]
 
 
@@ -96,6 +98,7 @@ class Case:
         narrow: whether JAX works in 32 bits.
         extreme: whether results count at the ends of the range and at NaN too.
         called: whether each path is called as users do; else all of them are in one jitted function.
+        more: other values of the leaves, for which the same programs are called.
     """
 
     terms: tuple[Term, ...]
@@ -108,6 +111,11 @@ class Case:
     narrow: bool = False
     extreme: bool = False
     called: bool = False
+    more: tuple[dict[str, np.ndarray], ...] = ()
+
+    def points(self) -> list[Case]:
+        """The case for each set of values by itself."""
+        return [replace(self, leaves=leaves, more=()) for leaves in (self.leaves, *self.more)]
 
     def walk(self) -> Iterator[Term]:
         """All terms, each once, operands first."""
@@ -132,7 +140,8 @@ class Case:
         value = self.leaves[name]
         if self.whole and np.all(np.isfinite(value)) and np.array_equal(value, np.round(value)):
             return value.astype(np.int64).tolist()
-        return value.astype(self.dtype)
+        with np.errstate(over="ignore"):  # infinite in single precision
+            return value.astype(self.dtype)
 
     def lines(self) -> list[str]:
         """The code: a line for each operation; the last one, `e`, is a tuple of all terms."""
@@ -157,11 +166,12 @@ class Case:
         """A script that builds the expressions and prints their values."""
         lines = ["import jax", "import jax.numpy as jnp", "import numpy as np", "import twistax as tx"]
         lines += [f'jax.config.update("jax_enable_x64", {not self.narrow})', *self.lines()]
-        for kind in "scp":  # states, controls, parameters
-            own = {name: np.asarray(self.given(name)).tolist() for name in self.used() if name[0] == kind}
-            entries = re.sub(r"\b(nan|inf)\b", r"np.\1", repr(own))
-            lines.append(f"{kind} = {entries}")
-        lines.append("print(*tx.lower(tuple(map(tx.expr.to_expr, e)))(0.0, s, c, p))")
+        for point in self.points():
+            for kind in "scp":  # states, controls, parameters
+                own = {name: np.asarray(point.given(name)).tolist() for name in point.used() if name[0] == kind}
+                entries = re.sub(r"\b(nan|inf)\b", r"np.\1", repr(own))
+                lines.append(f"{kind} = {entries}")
+            lines.append("print(*tx.lower(tuple(map(tx.expr.to_expr, e)))(0.0, s, c, p))")
         how = [f"baked: {', '.join(self.baked)}"] * bool(self.baked) + list(self.settings)
         return "\n".join([*lines, f"# {'; '.join(how)}" if how else "# as it is"])
 

@@ -10,9 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from check import check
 from grow import drawn
-from operations import MAKERS
-from paths import check, oracle
+from matrices import inverting
+from oracle import oracle
+from plans import MAKERS
 from put_back import TABLE
 from shrink import smallest
 from term import Case, Term
@@ -93,6 +95,38 @@ def test_ends_of_the_range_count_for_single_operations() -> None:
     assert check(one(Term("tx.Abs({0})", np.abs, (LEAF,), (3,)), leaves, extreme=True)) == ""
     wrong = one(Term("tx.Sqrt({0} * {0})", np.abs, (LEAF,), (3,)), leaves, extreme=True)
     assert check(wrong).startswith("tx.lower")
+
+
+def test_an_inverse_may_lose_what_elimination_loses() -> None:
+    """In a product with a right-hand side of which most cancels; and no more than that."""
+    left, right = np.linalg.qr(np.random.default_rng(1).normal(size=(2, 3, 3)))[0]
+    A = (left * np.geomspace(1.0, 1e-4, 3)) @ right
+    leaves = {"s0": A, "s1": A @ np.ones(3)}
+    nodes = [Term(f'tx.State("{name}", shape={a.shape})', np.asarray, (), a.shape, name) for name, a in leaves.items()]
+
+    def said(off: float, rounding: Callable[..., Any] | None = inverting) -> str:
+        """Of an inverse that is off by so much of what may be."""
+        far = off * np.finfo(float).eps * inverting(A)
+        inverse = Term("tx.linalg.Inv({0})", lambda a: np.linalg.inv(a) + far, (nodes[0],), (3, 3), rounding=rounding)
+        return check(one(Term("({0} @ {1})", np.matmul, (inverse, nodes[1]), (3,)), leaves))
+
+    assert said(0.4) == ""
+    assert said(10.0).startswith("tx.lower")
+    assert said(0.4, rounding=None).startswith("tx.lower")
+
+
+def test_values_beside_the_first_are_seen() -> None:
+    """Of a batch, and of calls one by one; and shrinking keeps the one that is wrong."""
+    wrong = Term("tx.Sin({0})", lambda a: np.where(a > 2.0, 0.0, np.sin(a)), (LEAF,), (3,))
+    more = tuple({"s0": np.array([0.5, k, -2.0])} for k in (1.0, 2.5))
+    for settings in ({}, {"batched": True}, {"called": True}):
+        case = one(wrong, {"s0": [0.5, 1.25, -2.0]}, **settings)
+        assert check(case) == ""
+        said = check(replace(case, more=more))
+        assert said.startswith("tx.lower")
+    small, _ = smallest(replace(case, more=more), check, said)
+    assert not small.more
+    assert small.leaves["s0"][1] == 2.5
 
 
 def test_a_wrong_case_is_shrunk_to_its_core() -> None:

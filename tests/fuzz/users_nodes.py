@@ -9,7 +9,8 @@ from random import Random
 import jax
 import jax.numpy as jnp
 import numpy as np
-from operations import Plan, maker, positive
+from matrices import positive
+from plans import Plan, maker
 from term import Shape
 
 #: Of an array of any shape, one a line.

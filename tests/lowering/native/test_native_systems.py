@@ -170,6 +170,11 @@ def test_too_large_written_out() -> None:
 
 def test_llvm_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Module, "text", lambda self: "this is no program")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(2):  # not once alone, where a filter makes it an error
+            with pytest.raises(RuntimeWarning, match="LLVM refuses it"):
+                tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)
     with pytest.warns(RuntimeWarning, match="LLVM refuses it"):
         rates = tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
