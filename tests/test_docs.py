@@ -6,12 +6,15 @@ import re
 import sys
 import traceback
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 import twistax as tx
+from twistax.errors import PAGES as PAGES_OF_PARTS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -75,14 +78,31 @@ def test_errors_name_pages_that_are_there() -> None:
     waiting = [tx.TwistaxError]
     for error in waiting:
         waiting += error.__subclasses__()
-        name, _, place = error.page.partition("#")
+    for page in [error.page for error in waiting] + list(PAGES_OF_PARTS.values()):
+        name, _, place = page.partition("#")
         headings = re.findall(r"^#+ (.*)$", (ROOT / name).read_text(), re.MULTILINE)
-        assert not place or place in [heading.lower().replace(" ", "-") for heading in headings], error
+        assert not place or place in [heading.lower().replace(" ", "-") for heading in headings], page
     assert len(waiting) > 8
     told = tx.ShapeError("no", hint="yes")
     assert str(told) == "no\n  fix: yes"
     assert traceback.format_exception(told)[-1] == "  see: docs/writing_a_system.md#expressions\n"
     assert pickle.loads(pickle.dumps(tx.ModelError("no"))).__notes__ == ["  see: docs/writing_a_system.md"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "page"),
+    [
+        (lambda: tx.view.Sphere(-1.0), "docs/howto/show.md"),
+        (lambda: tx.mechanics.load("nowhere.urdf"), "docs/howto/mechanism_from_a_file.md"),
+        (lambda: tx.mechanics.SpatialInertia(mass=-1.0, inertia=np.eye(3)), "docs/mechanics.md"),
+        (lambda: tx.StepControl(max_steps=-1), "docs/integrating.md"),
+        (lambda: tx.System(rates={}), "docs/writing_a_system.md"),
+    ],
+)
+def test_the_part_that_refuses_something_says_its_page(wrong: Callable[[], object], page: str, unchecked: None) -> None:
+    with pytest.raises(tx.TwistaxError) as caught:
+        wrong()
+    assert caught.value.__notes__ == [f"  see: {page}"]
 
 
 def test_every_page_is_in_the_site() -> None:

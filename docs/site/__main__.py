@@ -1,4 +1,7 @@
-"""`python docs/site`: the documentation site into out/site, warnings as errors, and every link inside it followed."""
+"""`python docs/site`: the documentation site into out/site, warnings as errors, every link inside it followed.
+
+Animations are written meanwhile, by the code that pages show.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import animations
 from sphinx.cmd.build import build_main
 
 SITE = Path(__file__).parent
@@ -35,7 +39,9 @@ class _Page(HTMLParser):
 def dead_links(folder: Path) -> list[str]:
     """Links between the pages of a built site that lead nowhere."""
     folder = folder.resolve()
-    pages = {path.resolve(): _Page(path) for path in sorted(folder.rglob("*.html"))}
+    drawn = folder / animations.FOLDER
+    files = [path for path in sorted(folder.rglob("*.html")) if path.parent != drawn]
+    pages = {path.resolve(): _Page(path) for path in files}
     dead = []
     for path, page in pages.items():
         for target in page.links:
@@ -60,9 +66,12 @@ def main() -> int:
     options = ["-q", "-W", "-n", "-j", "auto", "-b", builder, "-c", str(SITE), "-d", str(given.out / ".trees")]
     if (given.out / ".trees").exists():
         shutil.rmtree(given.out)  # of an earlier build: pages and entries may be gone
+    written = [] if given.external else animations.begin(SITE.parent, given.out)
     failed = build_main([*options, str(SITE.parent), str(given.out)])
-    if failed or given.external:
-        return failed
+    wrong = animations.end(written)
+    print(*wrong, sep="\n", end="\n" if wrong else "", file=sys.stderr)
+    if failed or wrong or given.external:
+        return failed or len(wrong)
     dead = dead_links(given.out)
     for link in dead:
         print(f"leads nowhere: {link}", file=sys.stderr)

@@ -3,19 +3,55 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Iterator
+from types import FrameType
 from typing import ClassVar
+
+#: The page that explains an input or a model that a part of the package refuses, by the beginning of its name; parts of
+#: parts come first.
+PAGES = {
+    "twistax.view": "docs/howto/show.md",
+    "twistax.plots": "docs/integrating.md#results",
+    "twistax.monte_carlo": "docs/monte_carlo.md",
+    "twistax.trajectory.trim": "docs/trim.md",
+    "twistax.trajectory": "docs/trajectory.md",
+    "twistax.mechanics.models.daveml": "docs/daveml.md",
+    "twistax.mechanics.models": "docs/howto/mechanism_from_a_file.md",
+    "twistax.mechanics.flight": "docs/flight.md",
+    "twistax.mechanics": "docs/mechanics.md",
+    "twistax.integrators.columns": "docs/integrating.md#results",
+    "twistax.integrators": "docs/integrating.md",
+    "twistax.scenes": "docs/scenes.md",
+    "twistax.lowering.export": "docs/exporting.md",
+    "twistax.lowering.fast": "docs/fast.md",
+}
+#: What serves all parts: those who call it are asked.
+_EVERYWHERE = ("twistax.errors", "twistax.checks", "twistax.mechanics.arguments", "twistax.expr.fields")
 
 
 class TwistaxError(Exception):
-    """Base of every error raised by this package on purpose. A traceback ends with the page that explains its kind."""
+    """Base of every error raised by this package on purpose. A traceback ends with the page that explains it."""
 
     #: That page. It is a note and no part of the message.
     page: ClassVar[str] = "docs/reference/errors.md"
+    #: Whether the part that raises it says more of it than its kind: then its page in `PAGES` stands in place of that.
+    by_part: ClassVar[bool] = False
 
     def __init__(self, *arguments: object) -> None:
         super().__init__(*arguments)
-        self.add_note(f"  see: {self.page}")
+        self.add_note(f"  see: {(self.by_part and _page_of_caller()) or self.page}")
+
+
+def _page_of_caller() -> str | None:
+    """The page of the part that makes an error: of the innermost frame that belongs to one."""
+    frame: FrameType | None = sys._getframe(2)
+    while frame is not None:
+        module = frame.f_globals.get("__name__", "")
+        if module.startswith("twistax.") and not module.startswith(_EVERYWHERE):
+            return next((page for part, page in PAGES.items() if module.startswith(part)), None)
+        frame = frame.f_back
+    return None
 
 
 class ShapeError(TwistaxError, ValueError):
@@ -46,18 +82,21 @@ class ModelError(TwistaxError, ValueError):
     """A system, problem or leaf is declared in a way that has no meaning."""
 
     page = "docs/writing_a_system.md"
+    by_part = True
 
 
 class OrderError(ModelError):
     """A [v; w] quantity meets a [w; v] quantity without a Reorder between them."""
 
     page = "docs/conventions.md#the-operators-in-both-orders"
+    by_part = False
 
 
 class InputError(TwistaxError, ValueError):
     """Values given at call time do not fit what was declared."""
 
     page = "docs/writing_a_system.md#simulating-it"
+    by_part = True
 
 
 class ImmutableError(TwistaxError, AttributeError):
@@ -89,7 +128,7 @@ def in_phase(name: str) -> Iterator[None]:
     """Errors with the phase's name in front."""
     try:
         yield
-    except ShapeError as error:
-        raise ShapeError(f"{name}: {error}") from None
     except TwistaxError as error:
-        raise type(error)(f"{name}: {error}") from None
+        told = type(error)(f"{name}: {error}")
+        told.__notes__ = list(error.__notes__)
+        raise told from None

@@ -41,7 +41,7 @@ def test_limits_friction_and_notes_of_a_file() -> None:
     np.testing.assert_array_equal(arm.qd.max, [np.inf, 3.0, 0.5])
     drive = arm.segment_of("shoulder").link.drive
     assert (drive.damping, drive.friction) == (0.2, 0.05)
-    assert arm.notes == ("<visual> of <link>, 1 times",)
+    assert arm.notes == ()
     assert arm.frame("tool").segment == 2
     (tau,) = arm.system().controls
     np.testing.assert_array_equal(tau.max, [np.inf, 40.0, 100.0])

@@ -166,6 +166,7 @@ def test_what_is_not_used_is_said() -> None:
         "actuators of tendons, sites and bodies: 1",
         "geoms of meshes and height fields: 1",
         "sensors: 1",
+        "geoms that are not drawn, meshes and planes: 1",
         "an actuator of joint 'turn', whose force is no linear function of control and motion",
         "contacts of geoms: 6",
         "dry friction of joints is smooth here, see Drive",

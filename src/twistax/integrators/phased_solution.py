@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,9 @@ from ..plots import chosen, draw, group_of, panels
 from .columns import Column, columns_of, frame_of, write_csv
 from .solution import Solution, Stats
 from .steps import Result
+
+if TYPE_CHECKING:
+    from ..view import Scene
 
 
 @jax.tree_util.register_dataclass
@@ -134,6 +137,23 @@ class PhasedSolution:
             found += panels(name, group_of(pieces[0][1]), pieces, (units or {}).get(name, ""))
         return draw(found)
 
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """All phases one after the other in three dimensions: what all of them have; see `Solution.show`.
+
+        Raises:
+            InputError: as `Solution.show`; no saved times.
+            ModelError: viser, the extra `view`, is not installed.
+        """
+        from ..view.motion import Motion, joined, shown
+
+        parts = self._reached("show")
+        if self.save_at is None:
+            raise InputError("show: ends of phases are no motion.\n  fix: tx.integrate_phases(..., save_at=times)")
+        others = [lambda of=of: joined([of(part) for part in parts]) for of in (_controls, _outputs)]
+        params = {name: value for p in parts if p.stepper is not None for name, value in p.stepper.params.items()}
+        ts = np.concatenate([np.asarray(part.ts) for part in parts])
+        return shown(Motion(ts, joined([part.xs for part in parts]), others, params), path, **choices)
+
     def to_csv(self, path: Any, layout: Any = None) -> None:
         """Write a table of the rows of all phases: time, number of the phase, and the columns that all phases have.
 
@@ -215,6 +235,14 @@ class PhasedSolution:
                 before = jnp.where(jnp.isnan(end), before, times < end)
             found = jnp.where(_wide((times >= begin[..., None]) & before, found), value[cut], found)
         return found
+
+
+def _controls(part: Solution) -> Arrays:
+    return part.us
+
+
+def _outputs(part: Solution) -> Arrays:
+    return part.outputs
 
 
 def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:

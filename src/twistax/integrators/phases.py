@@ -19,6 +19,7 @@ from ..system import free_name
 from .integrate import integrate
 from .interpolant import Between
 from .links import Link, check_link, linked
+from .meter import Told, asked_for
 from .method import Method
 from .phased_solution import PhasedSolution
 from .solution import Solution
@@ -82,6 +83,7 @@ def integrate_phases(
     between: Between = Between.STEP,
     dense: bool = False,
     throw: bool = True,
+    progress: Any = None,
 ) -> PhasedSolution:
     """Integrate phases one after another: a stage burns out and is dropped, a ball bounces, a chute opens.
 
@@ -103,6 +105,7 @@ def integrate_phases(
             ends of phases alone.
         throw: raise when a phase ends early or does not meet its event. Otherwise the phases up to there are returned,
             with `result`.
+        progress: as for `tx.integrate`; each phase is an equal share of the way.
 
     Returns:
         `PhasedSolution`: a `Solution` for each phase, and what they have in common as one. Where something is traced,
@@ -122,6 +125,7 @@ def integrate_phases(
         check_saves(save_at, (first, max(first, float(np.max(save_at, initial=first)))) if known else None)
         # Which rows a phase has is known only where its times are.
         on_grid = is_tracing()
+    told = None if progress is None else asked_for(progress)
     t, x = t0, x0
     done: list[Solution] = []
     begun: list[Any] = []
@@ -153,6 +157,7 @@ def integrate_phases(
                 dense=dense,
                 event=phase.event,
                 throw=throw,
+                progress=None if told is None else _share(told, index, len(phases)),
             )
             if phase.event is not None:
                 solution = _met(solution, limit, throw)
@@ -169,6 +174,8 @@ def integrate_phases(
                 else:
                     t = t if is_traced(t) else np.asarray(t)
                 x = linked(f"links[{index}]", joins[index], phase.dynamics, phases[index + 1].dynamics, t, end, own)
+    if told is not None and not is_traced(done[-1].ts):
+        told(float(done[-1].ts[-1]), 1.0)
     times = tuple(jnp.asarray(time, done[0].ts.dtype) for time in begun)
     asked = None if save_at is None else jnp.asarray(save_at, done[0].ts.dtype)
     begins = tuple({name: jnp.asarray(value) for name, value in start.items()} for start in starts)
@@ -177,6 +184,11 @@ def integrate_phases(
 
 def _first(own: Any, shared: Any) -> Any:
     return shared if own is None else own
+
+
+def _share(told: Told, index: int, count: int) -> Told:
+    """What tells how far a phase is, of the whole."""
+    return lambda t, share: told(t, (index + share) / count)
 
 
 def _went_well(code: Any) -> Any:

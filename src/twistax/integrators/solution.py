@@ -211,6 +211,7 @@ class Solution:
                     `{"T": tx.view.Arrow("g", at=engine)}`.
                 shapes: what stands still: obstacles, cones, a ground.
                 trails: names of bodies and frames whose path is drawn; those of poses unless given.
+                axes: names of those whose axes are drawn, x red, y green, z blue; of states unless given.
                 up: (3,) the direction that is drawn upwards; z unless given.
                 seconds: how long the animation takes; real time, from 2 to 20 s, unless given.
                 live: serve it to a browser of this machine, too, with a slider; needs no file.

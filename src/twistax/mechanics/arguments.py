@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..checks import short
 from ..errors import ModelError, ShapeError
 from ..expr import Expr, to_expr
@@ -51,4 +53,11 @@ def pose(owner: str, name: str, value: ExprLike) -> Expr:
     """
     T = of_shape(owner, name, value, (4, 4))
     check_element(owner, name, T)
+    return T
+
+
+def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """T (4, 4) of a rotation and a position, as numbers."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
     return T

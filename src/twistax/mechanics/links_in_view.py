@@ -41,7 +41,8 @@ def links_in_view(mechanism: Mechanism, xs: Mapping[str, Any], params: Mapping[s
     found = jax.jit(jax.vmap(lambda x: function(0.0, x, params=own), axis_size=count))(
         {name: np.asarray(value) for name, value in x.items()}
     )
-    shapes = {link.name: link.shapes or _of_inertia(link, params) for link in mechanism.links}
+    shapes = {link.name: tuple(link.shapes) or _of_inertia(link, params) for link in mechanism.links}
+    shapes[mechanism.base] = mechanism.shapes
     return [Body(n, np.asarray(found[n]), shapes.get(n, ()), axes=False, trail=False) for n in frames]
 
 

@@ -16,11 +16,11 @@ from ..expr.lie import AdjointAction, Compose, Inverse
 from .arguments import of_shape
 from .bodies import SpatialInertia
 from .loops import Loop
-from .tree import Frame, Link, Segment, segments_of, sorted_links
+from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 
 if TYPE_CHECKING:
     from ..system import System
-    from ..view import Body
+    from ..view import Body, Shape
 
 #: Positions: a vector, or a mapping with a vector "q" and an element for each joint on a group.
 Positions = ExprLike | Mapping[str, ExprLike]
@@ -45,8 +45,10 @@ class Mechanism:
         notes: what else there is to say about the model, such as what a file has and nobody uses.
         loops: closures of frames beyond the tree, see `loops`; they act in `forward_dynamics` and in `system`.
         driven: names of the joints that motors drive; all but the free ones unless given. A follower has no motor.
+        shapes: what the base looks like in its frame, for `solution.show`; what else stands still, such as a table.
     Attributes:
-        links, gravity, driven, loops: as given, the links each after its parent; gravity as an expression.
+        links, gravity, driven, loops, base, shapes: as given, the links each after its parent; gravity as an
+            expression.
         segments: what is left after merging; see `Segment`.
         frames: the names of all frames, with the segment each is fixed to.
         dofs: n.
@@ -66,6 +68,7 @@ class Mechanism:
         notes: Iterable[str] = (),
         driven: Collection[str] | None = None,
         loops: Iterable[Loop] = (),
+        shapes: Iterable[Shape] = (),
     ) -> None:
         name = type(self).__name__
         try:
@@ -77,6 +80,7 @@ class Mechanism:
         if isinstance(self.gravity, Constant) and not np.isfinite(self.gravity.value).all():
             raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
         self._notes = tuple(notes)
+        self.base, self.shapes = base, shapes_of(name, shapes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.link.joint.dofs < 6 and s.link.mimic is None]

@@ -75,7 +75,7 @@ class Link:
     name: str = ""
     drive: Drive = dataclasses.field(default_factory=Drive)
     mimic: Mimic | None = None
-    shapes: tuple[Shape, ...] = ()
+    shapes: Iterable[Shape] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.joint, Joint):
@@ -88,9 +88,7 @@ class Link:
             raise ModelError(
                 f"Link expects mimic to be a Mimic, of a joint with one freedom, got {self.mimic!r} of {self.joint!r}"
             )
-        wrong = [shape for shape in self.shapes if not isinstance(shape, Shape)]
-        if wrong:
-            raise ModelError(f"Link expects shapes, such as tx.view.Sphere(0.1), got {wrong[0]!r}")
+        object.__setattr__(self, "shapes", shapes_of("Link", self.shapes))
         object.__setattr__(self, "mount", pose("Link", "mount", self.mount))
         object.__setattr__(self, "name", self.name or self.joint.name)
 
@@ -99,6 +97,15 @@ class Link:
         R, _ = parts_of_pose(self.mount)
         turn, shift = parts_of_pose(self.joint.placement(position))
         return Pose(Compose(R, turn), Act(self.mount, shift))
+
+
+def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
+    """Shapes, or one, as a tuple. Raises ModelError for something else."""
+    found = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
+    wrong = [shape for shape in found if not isinstance(shape, Shape)]
+    if wrong:
+        raise ModelError(f"{owner} expects shapes, such as tx.view.Sphere(0.1), got {wrong[0]!r}")
+    return found
 
 
 @dataclasses.dataclass(frozen=True)

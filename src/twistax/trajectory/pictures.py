@@ -43,14 +43,9 @@ def drawn(
 
 def animated(parts: Sequence[Trajectory], path: Any, choices: Mapping[str, Any]) -> Scene:
     """The scene of one trajectory, or of several that follow each other; see `Trajectory.show`."""
-    from ..view.motion import Motion, shown
+    from ..view.motion import Motion, joined, shown
 
-    found = [_motion(part) for part in parts]
-
-    def joined(some: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-        return {n: np.concatenate([own[n] for own in some]) for n in some[0] if all(n in own for own in some)}
-
-    ts, xs, us = zip(*found)
+    ts, xs, us = zip(*(_motion(part) for part in parts))
     return shown(Motion(np.concatenate(ts), joined(xs), (lambda: joined(us),), parts[0].params), path, **choices)
 
 

@@ -4,6 +4,6 @@ Nothing here needs more than NumPy and SciPy but `Scene.save` and `Scene.live`, 
 """
 
 from .scene import Arrow, Body, Scene
-from .shapes import Box, Cone, Cylinder, Ellipsoid, Shape, Sphere
+from .shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 
-__all__ = ["Arrow", "Body", "Box", "Cone", "Cylinder", "Ellipsoid", "Scene", "Shape", "Sphere"]
+__all__ = ["Arrow", "Body", "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "Scene", "Shape", "Sphere"]

@@ -50,6 +50,13 @@ class Motion:
         raise InputError(f"show: there is no {name!r} to draw as an arrow; there are: {listed(known, name)}")
 
 
+def joined(parts: Sequence[Values]) -> dict[str, Array]:
+    """Values of motions that follow each other as those of one: what all of them have."""
+    found = {name: [np.asarray(own[name]) for own in parts if name in own] for name in parts[0]}
+    everywhere = [n for n, own in found.items() if len(own) == len(parts) and len({v.shape[1:] for v in own}) == 1]
+    return {name: np.concatenate(found[name]) for name in everywhere}
+
+
 def shown(
     motion: Motion,
     path: Any = None,
@@ -58,6 +65,7 @@ def shown(
     arrows: Mapping[str, Any] | None = None,
     shapes: Any = (),
     trails: Iterable[str] | None = None,
+    axes: Iterable[str] | None = None,
     up: Any = (0.0, 0.0, 1.0),
     seconds: float | None = None,
     live: bool = False,
@@ -69,7 +77,7 @@ def shown(
     if upwards.shape != (3,) or not np.isfinite(upwards).all() or not upwards.any():
         raise InputError(f"show expects up to be a direction (3,), got {short(up)}")
     motion = _reached(motion)
-    found = _trailed(_bodies(motion, bodies), trails)
+    found = _drawn(_bodies(motion, bodies), trails, axes)
     vectors = [vector for name, looks in (arrows or {}).items() for vector in _vectors(motion, found, name, looks)]
     scene = Scene(motion.ts, found, tuple(vectors), _shapes("shapes", shapes), upwards, seconds)
     if path is not None:
@@ -161,13 +169,23 @@ def _shapes(place: str, shapes: Any) -> tuple[Shape, ...]:
     return found
 
 
-def _trailed(bodies: tuple[Body, ...], trails: Iterable[str] | None) -> tuple[Body, ...]:
-    if trails is None:
-        return bodies
-    wanted = {trails} if isinstance(trails, str) else set(trails)
-    for name in wanted:
-        _named(bodies, name)
-    return tuple(dataclasses.replace(body, trail=body.name in wanted) for body in bodies)
+def _drawn(bodies: tuple[Body, ...], trails: Iterable[str] | None, axes: Iterable[str] | None) -> tuple[Body, ...]:
+    """The bodies with the trails and axes that are asked for; those they have where nothing is."""
+    with_trail, with_axes = _names(bodies, trails), _names(bodies, axes)
+    return tuple(
+        dataclasses.replace(
+            body,
+            trail=body.trail if with_trail is None else body.name in with_trail,
+            axes=body.axes if with_axes is None else body.name in with_axes,
+        )
+        for body in bodies
+    )
+
+
+def _names(bodies: tuple[Body, ...], names: Iterable[str] | None) -> set[str] | None:
+    if names is None:
+        return None
+    return {_named(bodies, name).name for name in ([names] if isinstance(names, str) else names)}
 
 
 def _named(bodies: tuple[Body, ...], name: Any) -> Body:

@@ -92,6 +92,14 @@ class Vector:
         return np.stack([start, start + scale * along], axis=1)
 
 
+def _ends(shape: Shape) -> Array:
+    """The corners (8, 3) of the box about a shape, in the axes of its body."""
+    corners = shape.mesh()[0]
+    sides = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    box = np.array([[sides[i, 0], sides[j, 1], sides[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    return box @ shape.at[:3, :3].T + shape.at[:3, 3]
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
     """What `show` gives back: a scene over time. A notebook shows it.
@@ -121,10 +129,10 @@ class Scene:
         """The least and largest coordinates (2, 3) of all that is drawn but arrows, m."""
         low, high = [], []
         for body in self.bodies:
-            p = body.poses[:, :3, 3]
-            around = max((np.linalg.norm(shape.corners(), axis=1).max() for shape in body.shapes), default=0.0)
-            low.append(p.min(axis=0) - around)
-            high.append(p.max(axis=0) + around)
+            ends = np.concatenate([np.zeros((1, 3)), *(_ends(shape) for shape in body.shapes)])
+            along = body.poses[:, None, :3, 3] + np.einsum("nij,kj->nki", body.poses[:, :3, :3], ends)
+            low.append(along.min(axis=(0, 1)))
+            high.append(along.max(axis=(0, 1)))
         for shape in self.shapes:
             low.append(shape.corners().min(axis=0))
             high.append(shape.corners().max(axis=0))

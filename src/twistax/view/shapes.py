@@ -149,6 +149,26 @@ class Cylinder(Shape):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Capsule(Shape):
+    """A cylinder about its place, along z, with half a ball on each end: two numbers, radius and length in m.
+
+    The length is that of the cylinder, between the centres of the balls.
+    """
+
+    radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _sizes(self, radius=self.radius, length=self.length)
+
+    def mesh(self) -> tuple[Array, Array]:
+        up = np.linspace(0.0, 0.5 * np.pi, _ROUND // 4 + 1)
+        r, z = self.radius * np.cos(up), 0.5 * self.length + self.radius * np.sin(up)
+        return _turned(np.concatenate([r[::-1], r]), np.concatenate([-z[::-1], z]))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Cone(Shape):
     """A cone, its tip at its place, opening along z: two numbers, height in m, `half_angle` from its axis in rad."""
 

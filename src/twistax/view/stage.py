@@ -13,12 +13,12 @@ from numpy import ndarray as Array
 
 from ..errors import ModelError
 from .scene import RATE, Body, Scene
-from .shapes import Ellipsoid, Shape, Sphere
+from .shapes import Capsule, Ellipsoid, Shape, Sphere
 
 #: The scene is drawn this large, whatever its size: GPUs have single precision, cameras a nearest distance.
 _DRAWN = 10.0
 _TRAIL = (31, 95, 153)
-_CAMERA = np.array([0.55, -1.05, 0.5])
+_CAMERA = np.array([0.4, -0.78, 0.33])
 
 
 def page(scene: Scene) -> str:
@@ -97,7 +97,7 @@ class _Stage:
             self._solid(f"/shapes/{i}", shape, self.center)
         self.arrows = [self._arrow(f"/arrows/{vector.name}", vector.color) for vector in scene.vectors]
         self.ends = [self._drawn(vector.ends(scene.scale_of(vector))) for vector in scene.vectors]
-        self.label = self.nodes.add_label("/time", "", position=tuple(self.turn @ [0.0, 0.0, 0.5 * _DRAWN]))
+        self.label = self.nodes.add_label("/time", "", position=tuple(self.turn @ [0.0, 0.0, 0.45 * _DRAWN]))
         self.digits = max(0, int(np.ceil(-np.log10((scene.ts[-1] - scene.ts[0]) / len(scene.ts)))))
         self.draw(0)
 
@@ -131,7 +131,7 @@ class _Stage:
             faces.astype(np.uint32),
             color=shape.color,
             opacity=None if shape.opacity == 1.0 else shape.opacity,
-            flat_shading=not isinstance(shape, (Ellipsoid, Sphere)),
+            flat_shading=not isinstance(shape, (Capsule, Ellipsoid, Sphere)),
             side="front" if shape.opacity == 1.0 else "double",
             cast_shadow=shape.opacity == 1.0,
             wxyz=tuple(quaternions(shape.at[None, :3, :3])[0]),

@@ -28,9 +28,10 @@ def load(
 ) -> Mechanism:
     """The mechanism that a file describes, in URDF or in MJCF; its root element says which.
 
-    MJCF is compiled by MuJoCo (`pip install twistax[models]`). `mechanism.notes` says what the file has that is not
-    used. Nothing in a file is run. Of URDF no other file is opened, of MJCF included files and the meshes that a mass
-    follows from, and only in the file's folder or below.
+    MJCF is compiled by MuJoCo (`pip install twistax[models]`). Boxes, cylinders, balls and capsules are what
+    `solution.show` draws. `mechanism.notes` says what the file has that is not used, such as meshes. Nothing in a file
+    is run. Of URDF no other file is opened, of MJCF included files and the meshes that a mass follows from, and only in
+    the file's folder or below.
 
     Args:
         path: of the file.
@@ -58,6 +59,7 @@ def load(
             keep=keep,
             notes=[*choices.notes, *model.notes],
             driven=model.driven,
+            shapes=model.shapes,
         )
     except ModelError as error:
         placed = re.match(r"load|.*, line \d+, <", str(error))

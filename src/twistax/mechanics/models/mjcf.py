@@ -22,10 +22,13 @@ from numpy.typing import NDArray
 from ...expr import Expr
 from ...expr.lie import Compose, Pose
 from ...system import free_name
+from ...view import Shape
+from ..arguments import matrix
 from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Prismatic, Revolute, Spherical
 from ..tree import Link
 from .choices import Choices
+from .looks import looks_of_mjcf
 from .mjcf_file import Compiled, compiler
 from .xml_file import Element
 
@@ -52,7 +55,7 @@ class Mjcf:
         choices: which numbers become Parameters.
         quarter_turns: rotations this near to ones by quarter turns, in each entry, are taken as those.
     Attributes:
-        links, base, gravity, driven, notes: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
@@ -62,7 +65,10 @@ class Mjcf:
         file = Compiled(root)
         self.model = file.model
         self.notes = [f"{kind}: {count}" for kind, count in sorted(file.left_out.items())]
-        self.base = self._name("body", 0)
+        self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation)
+        if not_drawn:
+            self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")
+        self.base, self.shapes = self._name("body", 0), self._looks[0]
         self.gravity = np.array(self.model.opt.gravity) * self._switched_on("GRAVITY")
         if not self.model.njnt:
             raise root.wrong("there is no joint, so nothing moves")
@@ -106,16 +112,18 @@ class Mjcf:
             last = j == joints[-1] and not (after - _UNIT).any()
             own = name if last else free_name(joint.name, self._taken)
             self._taken.add(own)
-            self.links.append(Link(joint, body if last else None, mount, parent=parent, name=own, drive=self._drive(j)))
+            mass, looks = (body, self._looks[i]) if last else (None, ())
+            link = Link(joint, mass, mount, parent=parent, name=own, drive=self._drive(j), shapes=looks)
+            self.links.append(link)
             if last:
                 return
             mount, parent = after, own
-        self._add_fixed(name, body, mount, parent)
+        self._add_fixed(name, body, mount, parent, self._looks[i])
 
-    def _add_fixed(self, name: str, body: Any, mount: Any, parent: str | None) -> None:
+    def _add_fixed(self, name: str, body: Any, mount: Any, parent: str | None, shapes: tuple[Shape, ...] = ()) -> None:
         joint = free_name(f"{name} fixed", self._fixed)
         self._fixed.add(joint)
-        self.links.append(Link(Fixed(joint), body, mount, parent=parent, name=name))
+        self.links.append(Link(Fixed(joint), body, mount, parent=parent, name=name, shapes=shapes))
 
     def _add_site(self, i: int) -> None:
         model = self.model
@@ -124,13 +132,13 @@ class Mjcf:
         at = int(model.site_bodyid[i])
         name = free_name(model.site(i).name, self._taken)
         self._taken.add(name)
-        T = _pose(self._rotation(model.site_quat[i]), model.site_pos[i])
+        T = matrix(self._rotation(model.site_quat[i]), model.site_pos[i])
         self._add_fixed(name, None, T, None if at == 0 else self._name("body", at))
 
     def _origin(self, i: int, name: str) -> Any:
         R, p = self._rotation(self.model.body_quat[i]), np.array(self.model.body_pos[i]) + 0.0
         position = self.choices.of(name, "origin", p)
-        return Pose(R, position) if position is not p else _pose(R, p)
+        return Pose(R, position) if position is not p else matrix(R, p)
 
     def _rotation(self, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
         R = np.zeros(9)
@@ -156,7 +164,7 @@ class Mjcf:
             return Prismatic(name, chosen), _shift(-reference * axis), _UNIT
         quaternion = np.zeros(4)
         self.mujoco.mju_axisAngle2Quat(quaternion, axis, -reference)
-        back = _pose(self._rotation(quaternion), np.zeros(3))
+        back = matrix(self._rotation(quaternion), np.zeros(3))
         return Revolute(name, chosen), _shift(anchor) @ back, _shift(-anchor)
 
     def _single(self, j: int) -> bool:
@@ -296,14 +304,8 @@ class Mjcf:
         self.notes += [f"{what} {self._name('joint', j)!r}" for j in joints]
 
 
-def _pose(R: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, p
-    return T
-
-
 def _shift(p: NDArray[np.float64]) -> NDArray[np.float64]:
-    return _pose(np.eye(3), p)
+    return matrix(np.eye(3), p)
 
 
 def _after(mount: Any, before: NDArray[np.float64]) -> Any:

@@ -144,6 +144,9 @@ class Compiled:
             elif mesh.file:
                 self._inside(self._about(mesh.file), mesh.file, spec.meshdir or "")
         for named in [*spec.geoms, *spec.sites]:
+            material = spec.material(named.material) if named.material else None
+            if material is not None:  # it is gone when geoms are drawn
+                named.rgba = material.rgba
             named.material = ""
         for each in [*spec.materials, *spec.textures, *spec.hfields]:
             spec.delete(each)

@@ -15,16 +15,18 @@ from numpy.typing import NDArray
 
 from ...errors import TwistaxError
 from ...expr.lie import Pose
+from ..arguments import matrix
 from ..bodies import SpatialInertia
 from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute
 from ..tree import Link, Mimic
 from .choices import Choices
+from .looks import UrdfLooks
 from .xml_file import Element
 
 _USED = {
-    "robot": {"link", "joint"},
-    "link": {"inertial"},
+    "robot": {"link", "joint", "material"},
+    "link": {"inertial", "visual"},
     "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"},
 }
 
@@ -38,7 +40,7 @@ class Urdf:
         floating: the root is on a `Free` joint, "root".
         quarter_turns: an angle this near to a multiple of a quarter turn, in rad, is taken as that.
     Attributes:
-        links, base, gravity, driven, notes: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
@@ -62,10 +64,15 @@ class Urdf:
             raise robot.wrong(
                 "there is no joint, so nothing moves.\n  fix: floating=True, if the link is free in space"
             )
+        self._looks = UrdfLooks(robot, self._placed)
         self.base = "world" if floating else roots[0]
+        self.shapes = () if floating else self._looks.of(elements[roots[0]])
         self.links = list[Link]()
         if floating:
-            self.links.append(Link(Free("root"), self._body(elements[roots[0]]), np.eye(4), name=roots[0]))
+            root = elements[roots[0]]
+            self.links.append(
+                Link(Free("root"), self._body(root), np.eye(4), name=roots[0], shapes=self._looks.of(root))
+            )
         elif self._body(elements[roots[0]]) is not None:
             self.notes.append(f"the mass of {roots[0]!r}, which does not move")
         for joint in joints:
@@ -76,7 +83,7 @@ class Urdf:
             for child in element.children
             if element.tag in _USED and child.tag not in _USED[element.tag]
         )
-        self.notes += [f"{what}, {count} times" for what, count in sorted(unused.items())]
+        self.notes += [f"{what}, {count} times" for what, count in sorted(unused.items())] + self._looks.notes
 
     @staticmethod
     def _end(joint: Element, which: str) -> str:
@@ -97,6 +104,7 @@ class Urdf:
                 name=child.text("name"),
                 drive=self._drive(element),
                 mimic=self._mimic(element) if joint.dofs else None,
+                shapes=self._looks.of(child),
             )
         except TwistaxError as error:
             raise error if element.path.name in str(error) else element.wrong(str(error)) from None
@@ -108,7 +116,7 @@ class Urdf:
         plane = f"{link.name} in its plane"
         return [
             Link(joint, None, link.mount @ C, parent=link.parent, name=plane, drive=link.drive),
-            Link(Fixed(plane), link.body, C.T, parent=plane, name=link.name),
+            Link(Fixed(plane), link.body, C.T, parent=plane, name=link.name, shapes=link.shapes),
         ]
 
     def _joint(self, element: Element) -> tuple[Joint, NDArray[np.float64] | None]:
@@ -136,7 +144,7 @@ class Urdf:
         origin = element.first("origin")
         R, p = self._placed(origin)
         position = self.choices.of(name, "origin", p)
-        return Pose(R, position) if position is not p else _matrix(R, p)
+        return Pose(R, position) if position is not p else matrix(R, p)
 
     def _placed(self, origin: Element | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if origin is None:
@@ -195,9 +203,3 @@ class Urdf:
         if mimic is None:
             return None
         return Mimic(mimic.text("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
-
-
-def _matrix(R: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, p
-    return T

@@ -1,0 +1,137 @@
+"""What links look like, from a file's boxes, cylinders, balls and capsules. What cannot be drawn ends in a note.
+
+Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readthedocs.io, body/geom.
+"""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import TwistaxError
+from ...view import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from ...view.shapes import STEEL, Color
+from ..arguments import matrix
+from .xml_file import Element
+
+#: Of MuJoCo's groups of geoms those that its viewer draws unless asked for more.
+_SHOWN = 2
+
+
+class UrdfLooks:
+    """The shapes of the links of a robot: those of <visual>, where none of them can be drawn those of <collision>.
+
+    Args:
+        robot: the root element; its materials are known by name.
+        placed: the rotation and position that an <origin> says.
+    Attributes:
+        notes: what of <visual> is not drawn.
+    """
+
+    def __init__(
+        self, robot: Element, placed: Callable[[Element | None], tuple[NDArray[np.float64], NDArray[np.float64]]]
+    ) -> None:
+        self._placed, self._left_out = placed, collections.Counter[str]()
+        visuals = [visual for link in robot.all("link") for visual in link.all("visual")]
+        self._colors = dict[str, tuple[Color, float]]()
+        for material in [m for place in (robot, *visuals) for m in place.all("material")]:
+            color = material.first("color")
+            if color is not None and "name" in material.attributes:
+                self._colors[material.text("name")] = _color_of(color)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is not drawn, and how often."""
+        return [f"{what}, {count} times" for what, count in sorted(self._left_out.items())]
+
+    def of(self, link: Element) -> tuple[Shape, ...]:
+        """The shapes in the axes of the link."""
+        shown = [shape for visual in link.all("visual") for shape in self._shape(visual)]
+        # Where looks are meshes, what a link touches with is often simple.
+        return tuple(shown or [shape for solid in link.all("collision") for shape in self._shape(solid)])
+
+    def _shape(self, element: Element) -> list[Shape]:
+        """One, or none and a note."""
+        geometry = element.first("geometry")
+        solid = geometry.children[0] if geometry is not None and geometry.children else element
+        try:
+            R, p = self._placed(element.first("origin"))
+            color, opacity = self._looks(element.first("material"))
+            looks: dict[str, Any] = {"at": matrix(R, p), "color": color, "opacity": opacity}
+            if solid.tag == "box":
+                return [Box(solid.numbers("size", 3), **looks)]
+            if solid.tag == "sphere":
+                return [Sphere(solid.number("radius"), **looks)]
+            if solid.tag in ("cylinder", "capsule"):
+                kind = Cylinder if solid.tag == "cylinder" else Capsule
+                return [kind(solid.number("radius"), solid.number("length"), **looks)]
+            why = f"<{solid.tag}> of <{element.tag}>"
+        except TwistaxError as error:
+            what = str(error).splitlines()[0].removeprefix(f"{solid.place}: ")
+            why = f"<{element.tag}> in line {element.line}: {what}"
+        if element.tag == "visual":
+            self._left_out[f"not drawn: {why}"] += 1
+        return []
+
+    def _looks(self, material: Element | None) -> tuple[Color, float]:
+        color = None if material is None else material.first("color")
+        if color is not None:
+            return _color_of(color)
+        return self._colors.get("" if material is None else material.attributes.get("name", ""), (STEEL, 1.0))
+
+
+def _color_of(color: Element) -> tuple[Color, float]:
+    try:
+        return _painted(color.numbers("rgba", 4))
+    except TwistaxError:  # what a file's colours are not shall not keep anybody from its masses
+        return STEEL, 1.0
+
+
+def _painted(rgba: Any) -> tuple[Color, float]:
+    red, green, blue, opacity = (float(x) for x in np.clip(rgba, 0.0, 1.0))
+    return (round(255 * red), round(255 * green), round(255 * blue)), opacity
+
+
+def looks_of_mjcf(
+    model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]]
+) -> tuple[dict[int, tuple[Shape, ...]], int]:
+    """By the number of a body the shapes in its axes, those that MuJoCo draws, else its others.
+
+    Args:
+        model: a `mujoco.MjModel`.
+        rotation: the matrix of a quaternion.
+    Returns:
+        the shapes, and how many geoms have none: meshes, planes and height fields.
+    """
+    kinds, left_out = mujoco.mjtGeom, 0
+    shown: dict[int, list[Shape]] = collections.defaultdict(list)
+    others: dict[int, list[Shape]] = collections.defaultdict(list)
+    for i in range(model.ngeom):
+        color, opacity = _painted(model.geom_rgba[i])
+        if opacity == 0.0:
+            continue
+        looks: dict[str, Any] = {
+            "at": matrix(rotation(model.geom_quat[i]), np.array(model.geom_pos[i])),
+            "color": color,
+            "opacity": opacity,
+        }
+        a, b, c = (float(x) for x in model.geom_size[i])
+        kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
+        found = (others if model.geom_group[i] > _SHOWN else shown)[body]
+        if kind == int(kinds.mjGEOM_BOX):
+            found.append(Box((2.0 * a, 2.0 * b, 2.0 * c), **looks))
+        elif kind == int(kinds.mjGEOM_SPHERE):
+            found.append(Sphere(a, **looks))
+        elif kind == int(kinds.mjGEOM_ELLIPSOID):
+            found.append(Ellipsoid((a, b, c), **looks))
+        elif kind == int(kinds.mjGEOM_CYLINDER):
+            found.append(Cylinder(a, 2.0 * b, **looks))
+        elif kind == int(kinds.mjGEOM_CAPSULE):
+            found.append(Capsule(a, 2.0 * b, **looks))
+        else:
+            left_out += 1
+    return {i: tuple(shown[i] or others[i]) for i in range(model.nbody)}, left_out
