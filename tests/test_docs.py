@@ -56,6 +56,20 @@ def test_the_tutorial_is_all_there() -> None:
     assert {*TUTORIAL, DOCS / "tutorial" / "index.md"} == set((DOCS / "tutorial").glob("*.md"))
 
 
+def test_pages_with_animations_write_them_when_the_site_is_built() -> None:
+    """Each by code of the page that names its file; `python docs/site` runs it."""
+    animations = module_of_site("animations")
+    shown = {page.stem: animations.FENCE.findall(page.read_text()) for page in DOCS.rglob("*.md")}
+    assert {page: [file for file, _ in found] for page, found in shown.items() if found} == {
+        "landing": ["landing.html"],
+        "mechanism_from_a_file": ["pendulum.html"],
+        "show": ["flight.html"],
+    }
+    for page in DOCS.rglob("*.md"):
+        compile(animations.program(page.read_text()), str(page), "exec")
+    assert all(f'"{file}"' in code for found in shown.values() for file, code in found)
+
+
 def test_links_lead_somewhere() -> None:
     links = [(page, target) for page in PAGES for target in re.findall(r"\]\(([^)#]+)\)", page.read_text())]
     inside = [(page, target) for page, target in links if "://" not in target]

@@ -3,6 +3,7 @@
 import functools
 import itertools
 import sys
+from html import escape
 from xml.etree import ElementTree
 
 import jax
@@ -119,7 +120,16 @@ def test_a_tree_as_svg() -> None:
 def test_the_equations_of_a_system() -> None:
     g, V = tx.State("g", group=tx.SE3), tx.State("V_body", shape=(6,))
     u = tx.Control("u", shape=(6,))
-    text = tx.System(rates={g: V, V: u - V}, outputs={"size": tx.linalg.Norm(V)}, constraints=[u <= 1.0])._repr_latex_()
+    system = tx.System(rates={g: V, V: u - V}, outputs={"size": tx.linalg.Norm(V)}, constraints=[u <= 1.0])
+    text, page = system._repr_latex_(), ElementTree.fromstring(f"<div>{system._repr_html_()}</div>")
+    assert [["".join(cell.itertext()) for cell in row] for row in page[0]][1:] == [
+        ["g", "state", "(4, 4)", "SpecialEuclidean"],
+        ["V_body", "state", "(6,)", ""],
+        ["u", "control", "(6,)", ""],
+    ]
+    assert "".join(page[1].itertext()).startswith("g˙=g(Vbody)∧Vbody˙=u−Vbodysize=‖Vbody‖")
+    picture = system.svg()
+    assert [name for name in ("g' = State V_body", "V_body' = Sub", "size = Norm") if escape(name) not in picture] == []
     assert r"\dot{g} &= g \left(V_{\mathrm{body}}\right)^{\wedge}" in text
     assert r"\dot{V_{\mathrm{body}}} &= u - V_{\mathrm{body}}" in text
     assert r"\mathrm{size} &=" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Container, Iterable, Mapping, Sequence
+from html import escape
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -35,7 +36,9 @@ from .expr import (
     to_expr,
 )
 from .expr.fields import ExprLike, freeze
+from .expr.mathml import mathml
 from .expr.packing import pack, unpack
+from .expr.picture import Picture, svg
 from .expr.printing import name_latex
 from .expr.vmap import no_elements
 from .groups import Euclidean, Product
@@ -140,8 +143,26 @@ class System:
         lines += [rf"& {constraint.latex()}" for constraint in self.constraints.values()]
         return r"\begin{aligned} " + r" \\ ".join(lines) + r" \end{aligned}"
 
+    def svg(self) -> Picture:
+        """The graphs of rates and outputs as one picture, the text of an SVG file, which notebooks show.
+
+        Raises: ModelError for more than 300 nodes.
+        """
+        return svg({**{f"{name}'": rate for name, rate in self.rates.items()}, **self.outputs})
+
     def _repr_latex_(self) -> str:
         return f"${self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        kinds = (("state", self.states), ("control", self.controls), ("parameter", self.parameters))
+        rows = [("name", "kind", "shape", "group")]
+        for kind, leaves in kinds:
+            for leaf in leaves:
+                group = getattr(leaf, "group", None)
+                flat = group is None or isinstance(group, Euclidean)
+                rows.append((leaf.name, kind, str(leaf.shape), "" if flat else type(group).__name__))
+        lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        return f"<table>{lines}</table>{mathml(self.latex())}"
 
     def __getstate__(self) -> Any:
         return pack(self.__dict__)

@@ -37,10 +37,14 @@ def bounces(count: int, dynamics: tx.Dynamics) -> tuple[list[tx.Phase], list[dic
     return [tx.Phase(dynamics, duration=10.0, event=GROUND)] * count, [BOUNCE] * (count - 1)
 
 
+TOLD: list[tuple[float, float]] = []
+
+
 @functools.cache
 def flown() -> tx.PhasedSolution:
     phases, links = bounces(3, ball())
-    return tx.integrate_phases(phases, START, links, rtol=1e-9, save_at=TIMES)
+    told = lambda t, share: TOLD.append((t, share))  # noqa: E731
+    return tx.integrate_phases(phases, START, links, rtol=1e-9, save_at=TIMES, progress=told)
 
 
 def arcs(times: np.ndarray, height: float, pull: float, kept: float, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -205,6 +209,15 @@ def test_a_phase_that_fails_is_named() -> None:
     assert found.result is tx.Result.NO_EVENT
     assert found.names == ("drop", "late")
     np.testing.assert_allclose(found.xs["h"], [5.0 - 0.5 * 9.81 * 0.25])
+
+
+def test_how_far_phases_are_is_told_as_a_share_of_all() -> None:
+    end = float(flown().ts[-1]), float(flown().phases[-1].ts[-1])
+    times, shares = np.array(TOLD).T
+    assert (np.diff(times) >= 0.0).all()
+    assert (np.diff(shares) >= 0.0).all()
+    assert (times[-1], shares[-1]) == (end[1], 1.0)
+    assert 0.0 < shares[0] <= 1.0 / 3.0
 
 
 def test_tables_and_pictures_have_the_rows_of_all_phases(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Scenes as numbers: where bodies are, which way arrows point, when; and what is refused."""
 
+import dataclasses
 import functools
 import importlib.util
 import webbrowser
@@ -97,6 +98,7 @@ SOLIDS = {
     "ball": (tx.view.Sphere(2.0), 4.0 / 3.0 * np.pi * 8.0),
     "ellipsoid": (tx.view.Ellipsoid((1.0, 2.0, 3.0)), 8.0 * np.pi),
     "cylinder": (tx.view.Cylinder(2.0, 3.0), 12.0 * np.pi),
+    "capsule": (tx.view.Capsule(2.0, 3.0), 12.0 * np.pi + 4.0 / 3.0 * np.pi * 8.0),
 }
 
 
@@ -158,6 +160,26 @@ def test_a_solution_shows_itself() -> None:
         jax.tree.map(lambda a: a[:1], solution).show(bodies={"g": ()})
 
 
+def test_phases_are_shown_one_after_the_other() -> None:
+    """What all of them have; of a join what comes after the jump."""
+    ts = (TIMES[:3], TIMES[2:])
+    later = poses(TIMES[2:])
+    later[:, 2, 3] += 5.0
+    xs = ({"g": jnp.asarray(poses(ts[0]))}, {"g": jnp.asarray(later), "m": jnp.ones(2)})
+    parts = tuple(
+        tx.Solution(ts=jnp.asarray(t), xs=x, stats=Stats(*np.ones((4, 1))), code=np.zeros(1)) for t, x in zip(ts, xs)
+    )
+    begins, saved = (jnp.zeros(()), jnp.ones(())), jnp.asarray(TIMES)
+    flight = tx.PhasedSolution(parts, ({}, {}), begins, np.zeros(()), saved, ("a", "b"), False)
+    scene = flight.show(trails=[], axes=["g"])
+    (body,) = scene.bodies
+    np.testing.assert_array_equal(scene.ts, TIMES)
+    np.testing.assert_allclose(body.poses[:, 2, 3], [2.0, 2.0, 7.0, 7.0])
+    assert (body.trail, body.axes) == (False, True)
+    with pytest.raises(tx.InputError, match="no motion"):
+        dataclasses.replace(flight, save_at=None).show()
+
+
 @pytest.mark.parametrize(
     ("choices", "said"),
     [
@@ -170,6 +192,7 @@ def test_a_solution_shows_itself() -> None:
         ({"arrows": {"m": tx.view.Arrow()}}, "3 entries"),
         ({"arrows": {"F": 1.0}}, "tx.view.Arrow"),
         ({"trails": ["h"]}, "no body 'h'"),
+        ({"axes": ["h"]}, "no body 'h'"),
         ({"up": (0.0, 0.0, 0.0)}, "direction"),
         ({"seconds": -1.0}, "positive time"),
         ({"shapes": [1.0]}, "as shapes"),
@@ -186,6 +209,7 @@ def test_what_is_refused(choices: dict, said: str) -> None:
         lambda: tx.view.Box((1.0, -1.0, 1.0)),
         lambda: tx.view.Sphere(0.0),
         lambda: tx.view.Cylinder(1.0, np.inf),
+        lambda: tx.view.Capsule(1.0, 0.0),
         lambda: tx.view.Cone(1.0, 2.0),
         lambda: tx.view.Sphere(1.0, at=(1.0, 2.0)),
         lambda: tx.view.Sphere(1.0, at=2.0 * np.eye(4)),

@@ -389,6 +389,11 @@ class Expr(Operators):
     def _repr_latex_(self) -> str:
         return f"${self.latex()}$"
 
+    def _repr_html_(self) -> str:
+        from .mathml import mathml
+
+        return mathml(self.latex())
+
     def latex(self) -> str:
         """The formula in LaTeX, without dollar signs."""
         return printing.render(self, "to_latex", r"\cdots")
@@ -404,7 +409,7 @@ class Expr(Operators):
         """
         from .picture import svg
 
-        return svg(self)
+        return svg({"": self})
 
 
 def to_expr(value: Any) -> Expr:

@@ -1,7 +1,8 @@
-"""A graph of nodes as a picture in SVG. Shared parts are drawn once, with a line from each place that reads them."""
+"""Graphs of nodes as a picture in SVG. Shared parts are drawn once, with a line from each place that reads them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -24,16 +25,17 @@ class Picture(str):
         return str(self)
 
 
-def svg(root: Expr) -> Picture:
-    """The graph from its root down; see `Expr.svg`."""
-    nodes = postorder(root)
+def svg(roots: Mapping[str, Expr]) -> Picture:
+    """The graphs from their roots down, each root with its name; see `Expr.svg` and `System.svg`."""
+    nodes = postorder(*roots.values())
     if len(nodes) > _MOST:
         raise ModelError(f"svg: {len(nodes):,} nodes are too many for a picture, {_MOST} are the most.\n  fix: tree()")
-    depth = {id(root): 0}
+    depth = {id(root): 0 for root in roots.values()}
     for node in reversed(nodes):  # parents before children
         for child in node.children():
             depth[id(child)] = max(depth.get(id(child), 0), depth[id(node)] + 1)
-    texts = {id(node): _texts(node) for node in nodes}
+    names = {id(root): ", ".join(n for n, own in roots.items() if own is root and n) for root in roots.values()}
+    texts = {id(node): _texts(node, names.get(id(node), "")) for node in nodes}
     width = {key: max(map(len, lines)) * _CHARACTER + 14 for key, lines in texts.items()}
     x = _places(nodes, depth, width)
     y = {key: _ROW * row + 4 for key, row in depth.items()}
@@ -62,9 +64,13 @@ def svg(root: Expr) -> Picture:
     return Picture("\n".join([*lines, "</svg>"]))
 
 
-def _texts(node: Expr) -> tuple[str, str]:
+def _texts(node: Expr, given: str) -> tuple[str, str]:
     name = type(node).__name__ if node.children() else f"{type(node).__name__} {node.to_text()}"
-    return name if len(name) <= 28 else f"{name[:27]}…", str(node.check_shape())
+    return _short(f"{given} = {name}" if given else name), str(node.check_shape())
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 28 else f"{text[:27]}…"
 
 
 def _places(nodes: list[Expr], depth: dict[int, int], width: dict[int, float]) -> dict[int, float]:
