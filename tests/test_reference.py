@@ -49,7 +49,7 @@ NO_ERRORS = {
         JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient tables.BSpline tables.Clamped
         tables.Extrapolated tables.Linear tables.MonotoneCubic tables.Refused""",
     "a base, whose subclasses say it": "Expr Leaf Variable Constraint Example charts.Chart columns.Layout",
-    "the base class says it": "view.Box view.Cone view.Cylinder view.Ellipsoid view.Sphere",
+    "the base class says it": "view.Box view.Capsule view.Cone view.Cylinder view.Ellipsoid view.Sphere",
     "it takes every shape": """
         Neg linalg.Sum linalg.Transpose mechanics.environment.atmosphere.Pressure
         mechanics.environment.atmosphere.Temperature""",
@@ -79,7 +79,7 @@ NO_ARGUMENTS = {
         Order Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
     "the base class says it": """
-        Maximize Minimize charts.SplitExponential view.Box view.Cone view.Cylinder view.Ellipsoid view.Sphere""",
+        Maximize Minimize charts.SplitExponential view.Box view.Capsule view.Cone view.Cylinder view.Ellipsoid view.Sphere""",
     "one argument, which the first line is about": "Product units.Quantity",
 }
 

@@ -21,7 +21,7 @@ EXTRAS = {
     "control": ("control",),
     "tables": ("pandas",),
     "report": ("matplotlib", "jinja2"),
-    "docs": ("sphinx", "myst-parser", "furo", "viser"),
+    "docs": ("sphinx", "myst-parser", "furo"),
     "view": ("viser",),
 }
 
