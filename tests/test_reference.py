@@ -79,7 +79,8 @@ NO_ARGUMENTS = {
         Order Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
     "the base class says it": """
-        Maximize Minimize charts.SplitExponential view.Box view.Capsule view.Cone view.Cylinder view.Ellipsoid view.Sphere""",
+        Maximize Minimize charts.SplitExponential view.Box view.Capsule view.Cone view.Cylinder view.Ellipsoid
+        view.Sphere""",
     "one argument, which the first line is about": "Product units.Quantity",
 }
 
