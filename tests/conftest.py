@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 import threading
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -127,40 +128,17 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
-#: Quick tests that touch every package: the smoke tier. Files, or tests of a file.
-SMOKE = (
-    "view/test_view_scene.py::test_arrows_turn_with_their_body_or_do_not",
-    "test_jax_inside.py",
-    "test_system.py",
-    "test_docs.py::test_code_blocks_run[README.md]",
-    "demo/test_arguments.py",
-    "expr/test_elimination.py::test_as_accurate_as_lapack",
-    "expr/test_kinks.py",
-    "expr/test_vmap.py",
-    "groups/test_se3_forms.py",
-    "integrators/test_controls.py::test_an_array_is_held",
-    "integrators/test_events.py::test_without_an_event_on_the_way_the_end_is_reached",
-    "integrators/test_implicit.py::test_one_step_takes_a_fast_transient_away",
-    "integrators/test_kernel_steps.py::test_single_precision_stays_single",
-    "integrators/test_lie_solver.py::test_rotations_stay_in_their_group",
-    "integrators/test_magnus.py::test_precision_follows_the_start",
-    "integrators/test_small_call.py::test_the_attribute_reaches_the_compiled_program",
-    "lowering/export/test_casadi_function.py::test_values_names_and_shapes",
-    "lowering/export/test_saved.py::test_a_system_comes_back",
-    "lowering/native/test_native_systems.py::test_as_in_arrays",
-    "lowering/test_scalar_graph.py",
-    "mechanics/test_two_bodies.py",
-    "scenes/test_scene.py",
-    "trajectory/test_discretize.py::test_euclidean_states_reduce_to_the_matrix_exponential",
-    "trajectory/test_known_answers.py::test_least_energy_of_a_double_integrator",
-)
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the smoke tier. Names that are gone are told by test_architecture.py."""
+    """Marks the tiers that tiers.toml names. Names that are gone are told by test_architecture.py."""
+    tiers = tomllib.loads((Path(__file__).parent / "tiers.toml").read_text())
     for item in items:
-        if item.nodeid.removeprefix("tests/").startswith(SMOKE) and not item.get_closest_marker("slow"):
-            item.add_marker("smoke")
+        name = item.nodeid.removeprefix("tests/")
+        names = {name, name.partition("[")[0], name.partition("::")[0]}
+        if item.get_closest_marker("slow"):
+            continue
+        for tier in ("thorough", "smoke"):
+            if names & set(tiers[tier]["tests"]):
+                item.add_marker(tier)
 
 
 def pytest_collection_finish() -> None:
