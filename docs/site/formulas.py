@@ -1,7 +1,8 @@
 """Formulas of docstrings, written as one types them, `$ad*_xi(mu) = -ad_xi^T mu$`, as LaTeX.
 
-Names are one letter or a word: Greek ones become their letters, sum its sign, qd and qdd rates of q, others upright.
-`x` between two factors is the cross product, `.` the dot product, `[a, b; c, d]` a matrix; `^` and `_` take the next.
+Names are one letter or a word: Greek ones become their letters, sum and integral their signs, qd and qdd rates of q,
+others upright. `x` between two factors is the cross product, `[w]x` its matrix, `.` the dot product, `[a, b; c, d]` a
+matrix, `x (+) d` a move along the group; `^` and `_` take the next name, or what stands in parentheses.
 """
 
 from __future__ import annotations
@@ -9,10 +10,16 @@ from __future__ import annotations
 import re
 
 GREEK = re.compile("alpha|beta|gamma|delta|epsilon|theta|lambda|mu|nu|xi|eta|rho|sigma|tau|phi|psi|omega|Omega|pi|sum")
-RATES = {"qd": r"\dot q", "qdd": r"\ddot q"}
-SIGNS = {"<=": r"\le", ">=": r"\ge", "->": r"\to", ".": r"\cdot", "*": r"\,", "{": r"\{", "}": r"\}"}
+DUALS = {"ad": r"\mathrm{ad}^*", "Ad": r"\mathrm{Ad}^*", "h": "{h^*}", "Hbar": r"{\bar H^*}"}
+RATES = {"qd": r"\dot q", "qdd": r"\ddot q", "integral": r"\int"}
+SIGNS = {"<=": r"\le", ">=": r"\ge", "->": r"\to", ".": r"\cdot", "*": r"\,", "{": r"\{", "}": r"\}"} | {
+    "(+)": r"\oplus",
+    "...": r"\ldots",
+}
 COLUMN = r"\end{bmatrix}"
-_TOKEN = re.compile(r"\s*(?:(\d+(?:\.\d+)?)|(sqrt)\(|([A-Za-z]+\d*)(\*?)|(\^|_)(-?\w+)|(<=|>=|->|\S))")
+_TOKEN = re.compile(
+    r"\s*(?:(\d+(?:\.\d+)?)|(sqrt)\(|([A-Za-z]+\d*)(\*?)|(\^|_)(-?\w+|\()|(\(\+\)|\.\.\.|\]x(?!\w)|<=|>=|->|\S))"
+)
 
 
 def to_latex(text: str) -> str:
@@ -32,10 +39,13 @@ def to_latex(text: str) -> str:
             closing.append("}")
         elif word:
             # The star of Ad* is part of the name, that of a * b a product.
-            dual = star and word in ("ad", "Ad")
-            crossed = word == "x" and text[: token.start(3)].endswith(" ") and text[at : at + 1] == " "
-            written.append(r"\times" if crossed else name(word) + ("^*" if dual else ""))
+            dual = star and word in DUALS
+            crossed = word == "x" and _between(text[: token.start(3)], text[at:])
+            written.append(r"\times" if crossed else DUALS[word] if dual else name(word))
             at -= bool(star) and not dual
+        elif script and scripted == "(":
+            written.append(f"{script}{{")
+            closing.append("}")
         elif script:
             minus = "-" if scripted.startswith("-") else ""
             written.append(f"{script}{{{minus}{name(scripted.lstrip('-'))}}}")
@@ -43,10 +53,10 @@ def to_latex(text: str) -> str:
             column = sign == "[" and ";" in inside(text, at)
             written.append(r"\begin{bmatrix}" if column else sign)
             closing.append(COLUMN if column else {"(": ")", "[": "]"}[sign])
-        elif sign in ")]":
+        elif sign in (")", "]", "]x"):
             if not closing:
                 raise ValueError(f"the formula {text!r} has a bracket too many")
-            written.append(closing.pop())
+            written.append(closing.pop() + (r"_{\times}" if sign == "]x" else ""))
         elif sign == ";":
             written.append(r"\\")
         elif sign == "," and closing[-1:] == [COLUMN]:
@@ -56,6 +66,12 @@ def to_latex(text: str) -> str:
     if closing:
         raise ValueError(f"the formula {text!r} has a bracket that is not closed")
     return " ".join(written)
+
+
+def _between(before: str, after: str) -> bool:
+    """Whether an x with spaces around it stands between two factors, and is no factor itself."""
+    spaced = before.endswith(" ") and after.startswith(" ") and not after.lstrip().startswith("(+)")
+    return spaced and bool(re.search(r"[\w)\]'|]\s*$", before) and re.match(r"\s*[\w(\[|]", after))
 
 
 def inside(text: str, at: int) -> str:

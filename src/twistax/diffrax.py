@@ -39,7 +39,7 @@ class AmbientTerm(diffrax.ODETerm):
 
 
 def ambient_term(dynamics: Dynamics, quaternion: bool = True) -> AmbientTerm:
-    """The system as a plain ODE y' = f(t, y, args) with args = (u, params), as `tx.integrate` takes them, or None.
+    """The system as a plain ODE $y' = f(t, y, args)$ with args = (u, params), as `tx.integrate` takes them, or None.
 
         term = tx.diffrax.ambient_term(dynamics)
         sol = diffrax.diffeqsolve(term, diffrax.Dopri8(), 0.0, 10.0, 0.01, term.to_ambient(x0), args=(u, params))

@@ -51,7 +51,7 @@ _PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
 
 class System:
-    """Dynamics x' = f(t, x, u, p) on a product of Lie groups, with outputs and constraints.
+    """Dynamics $x' = f(t, x, u, p)$ on a product of Lie groups, with outputs and constraints.
 
     Args:
         rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.

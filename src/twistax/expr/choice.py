@@ -79,7 +79,7 @@ class Min(Extremum, init=False):
 
 
 class LogSumExp(Extremum, init=False):
-    """log(e^a + e^b + ...), entry by entry with broadcasting: a smooth maximum, above it by at most log(number).
+    """$log(e^a + e^b + ...)$, entry by entry with broadcasting: a smooth maximum, above it by at most log(number).
 
     It does not overflow for large operands.
 

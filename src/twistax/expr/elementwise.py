@@ -42,7 +42,7 @@ def absolute(x: jax.Array) -> jax.Array:
 
 
 class Square(Entrywise):
-    """x^2, entry by entry; the unit of x squared."""
+    """$x^2$, entry by entry; the unit of x squared."""
 
     x: Operand
     formula = r"\left(<0>\right)^{2}"
@@ -67,7 +67,7 @@ class Sqrt(Function):
 
 
 class Exp(Function):
-    """Exponential e^x, entry by entry; x without unit. Of a twist: `tx.lie.SE3Exp`."""
+    """Exponential $e^x$, entry by entry; x without unit. Of a twist: `tx.lie.SE3Exp`."""
 
     function = jnp.exp
     latex_name = r"\exp"
@@ -231,7 +231,7 @@ class PositivePart(Entrywise):
 
 
 class Huber(Entrywise):
-    """Huber's penalty, entry by entry: x^2 / 2 for |x| <= delta, delta (|x| - delta / 2) beyond.
+    """Huber's penalty, entry by entry: $x^2 / 2$ for $|x| <= delta$, $delta (|x| - delta / 2)$ beyond.
 
     Attributes:
         delta: where it turns from a parabola into a line, positive, in the unit of x.
@@ -253,9 +253,9 @@ class Huber(Entrywise):
 
 
 class SmoothReLU(Entrywise):
-    """sqrt(max(x, 0)^2 + c^2) - c, entry by entry: max(x, 0) with the kink rounded off.
+    """$sqrt(max(x, 0)^2 + c^2) - c$, entry by entry: max(x, 0) with the kink rounded off.
 
-    Computed as p^2 / (sqrt(p^2 + c^2) + c), p = max(x, 0), which loses no digits when x is small. Squares are
+    Computed as $p^2 / (sqrt(p^2 + c^2) + c)$, $p = max(x, 0)$, which loses no digits when x is small. Squares are
     of numbers of size one, so that they do not overflow.
 
     Attributes:

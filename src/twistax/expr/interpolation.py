@@ -25,9 +25,9 @@ class Interp(Variadic, init=False):
     """Interpolation of a table of numbers over a grid of any number of axes, entry by entry.
 
     Shapes: d coordinates that broadcast to s, axes of n_1, ..., n_d points, values (n_1, ..., n_d, *k) -> (*s, *k).
-    It loads from constants, in kernels, in C and in CasADi too: the cost grows with the axes, 2^d loads where it is
-    linear and 4^d where it is cubic, and hardly with the points. An axis of about equal steps is searched by a product,
-    another one by halving.
+    It loads from constants, in kernels, in C and in CasADi too: the cost grows with the axes, $2^d$ loads where it is
+    linear and $4^d$ where it is cubic, and hardly with the points. An axis of about equal steps is searched by a
+    product, another one by halving.
 
     Attributes:
         at: the coordinates, one or more, in the units of their axes.
@@ -199,7 +199,7 @@ class Cinterp(Expr):
     """Piecewise cubic interpolation of a fixed table (xp, fp) at x. Outside the table the end cubics are continued.
 
     Shapes: x of any shape s, xp (n,), fp (n, *k) -> (*s, *k). In interval i the value is
-    c_0i + c_1i t + c_2i t^2 + c_3i t^3 with t = x - xp_i.
+    $c_0i + c_1i t + c_2i t^2 + c_3i t^3$ with $t = x - xp_i$.
 
     Attributes:
         x: where to look, in the unit of xp.

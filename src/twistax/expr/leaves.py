@@ -157,7 +157,7 @@ class State(Variable):
     Args:
         name: unique among the states of a system.
         shape: shape of the value; () if left out. A group brings its own.
-        group: `tx.SO3` or `tx.SE3`; None for R^m.
+        group: `tx.SO3` or `tx.SE3`; None for $R^m$.
         order: order of the twists of a pose; `tx.LINEAR_FIRST` unless given.
         min, max: bounds, Euclidean states only.
         initial, final: boundary values; None (or a None entry) leaves free.

@@ -146,8 +146,8 @@ class Norm(Expr):
 
     Attributes:
         ord: "fro", the default, the root of the sum of squares for any shape. For vectors also "inf" (largest |x_i|),
-            "-inf" (smallest), or a number p >= 1 for (sum |x_i|^p)^(1/p). For matrices also "inf" (largest row sum of
-            |a_ij|), 1 (largest column sum) or 2 (largest singular value).
+            "-inf" (smallest), or a number p >= 1 for $(sum_i |x_i|^p)^(1/p)$. For matrices also "inf" (largest row sum
+            of |a_ij|), 1 (largest column sum) or 2 (largest singular value).
     Raises:
         ModelError: an unknown order.
         ShapeError: the order is not defined for the operand's rank.
@@ -201,7 +201,7 @@ class Norm(Expr):
 
 
 class Dot(Expr):
-    """Scalar product a . b of two vectors. Shapes: (n,), (n,) -> ().
+    """Scalar product $a . b$ of two vectors. Shapes: (n,), (n,) -> ().
 
     Raises: ShapeError for no vectors, or of different length.
     """
@@ -232,7 +232,7 @@ def cross_columns(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 class Cross(Expr):
-    """Vector product a x b. Shapes: (3,), (3,) -> (3,); the unit is the product of both.
+    """Vector product $a x b$. Shapes: (3,), (3,) -> (3,); the unit is the product of both.
 
     With k columns on the right, a x b_i column by column: (3,), (3, k) -> (3, k).
 
@@ -268,7 +268,7 @@ class Cross(Expr):
 
 
 class Outer(Expr):
-    """The matrix a b^T of all products. Shapes: (m,), (n,) -> (m, n).
+    """The matrix $a b^T$ of all products. Shapes: (m,), (n,) -> (m, n).
 
     Raises: ShapeError if an operand is no vector.
     """

@@ -102,7 +102,7 @@ def _well_conditioned(n: int) -> np.ndarray:
 
 
 class Inv(Expr):
-    """Inverse A^-1. Shapes: (..., n, n) -> the same. To solve A x = b use Solve, which is cheaper and more accurate.
+    """Inverse $A^-1$. Shapes: (..., n, n) -> the same. To solve A x = b use Solve, which is cheaper and more accurate.
 
     A singular matrix gives inf or NaN.
 
@@ -135,7 +135,7 @@ class Inv(Expr):
 
 
 class LinearSystem(Expr):
-    """The x with A x = b. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
+    """The x with $A x = b$. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
 
     Attributes:
         A: the matrix, an inertia for example.
@@ -163,7 +163,7 @@ class LinearSystem(Expr):
 
 
 class Solve(LinearSystem):
-    """The x with A x = b. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
+    """The x with $A x = b$. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
 
     A singular matrix gives inf or NaN.
 

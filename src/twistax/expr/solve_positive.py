@@ -42,7 +42,7 @@ def inverse_positive(A: jax.Array) -> jax.Array:
 
 
 class SolvePositive(LinearSystem):
-    """The x with A x = b, A symmetric positive definite. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k).
+    """The x with $A x = b$, A symmetric positive definite. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k).
 
     Only the lower half of A is read. A matrix that is not positive definite gives inexact numbers, inf or NaN.
 
@@ -63,7 +63,7 @@ class SolvePositive(LinearSystem):
 
 
 class InversePositive(Expr):
-    """A^-1 of a symmetric positive definite matrix. Shape: (n, n) -> (n, n). To solve A x = b use SolvePositive.
+    """$A^-1$ of a symmetric positive definite matrix. Shape: (n, n) -> (n, n). To solve A x = b use SolvePositive.
 
     Raises: ShapeError if the operand is no square matrix.
     """

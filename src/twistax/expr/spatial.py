@@ -18,7 +18,7 @@ _HINT = "a quaternion is w, x, y, z"
 class QDCM(Expr):
     """Rotation matrix R(q) of a quaternion q = (w, x, y, z), scalar first. Shapes: (4,) -> (3, 3).
 
-    q need not have length 1: it is normalised. R(q) v = q v q^-1, so that for the attitude of a body
+    q need not have length 1: it is normalised. $R(q) v = q v q^-1$, so that for the attitude of a body
     R maps body coordinates to world coordinates. A zero quaternion gives NaN.
 
     Raises: ShapeError if q is not of shape (4,).
@@ -40,9 +40,9 @@ class QDCM(Expr):
 
 
 class SSM(Expr):
-    """The skew-symmetric matrix [w]x with [w]x v = w x v. Shapes: (3,) -> (3, 3); the unit of w.
+    """The skew-symmetric matrix $[w]x$ with $[w]x v = w x v$. Shapes: (3,) -> (3, 3); the unit of w.
 
-    [w]x = [[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]]
+    $[w]x = [0, -w_z, w_y; w_z, 0, -w_x; -w_y, w_x, 0]$
 
     Raises: ShapeError if w is not of shape (3,).
     """
@@ -55,11 +55,11 @@ class SSM(Expr):
 
 
 class SSMP(Expr):
-    """The matrix of quaternion kinematics, q' = SSMP(w) q / 2 with q = (w, x, y, z), scalar first.
+    """The matrix of quaternion kinematics, $q' = SSMP(w) q / 2$ with q = (w, x, y, z), scalar first.
 
-    Shapes: (3,) -> (4, 4). w is the body angular velocity in rad/s; SSMP(w) q = q (0, w), the Hamilton product.
+    Shapes: (3,) -> (4, 4). w is the body angular velocity in rad/s; $SSMP(w) q = q (0, w)$, the Hamilton product.
 
-    SSMP(w) = [[0, -wx, -wy, -wz], [wx, 0, wz, -wy], [wy, -wz, 0, wx], [wz, wy, -wx, 0]]
+    $SSMP(w) = [0, -w_x, -w_y, -w_z; w_x, 0, w_z, -w_y; w_y, -w_z, 0, w_x; w_z, w_y, -w_x, 0]$
 
     Raises: ShapeError if w is not of shape (3,).
     """
@@ -76,7 +76,7 @@ class SSMP(Expr):
 
 
 class QuaternionProduct(Expr):
-    """Hamilton product p q of quaternions (w, x, y, z). Shapes: (4,), (4,) -> (4,). R(p q) = R(p) R(q).
+    """Hamilton product p q of quaternions (w, x, y, z). Shapes: (4,), (4,) -> (4,). $R(p q) = R(p) R(q)$.
 
     Raises: ShapeError if an operand is not of shape (4,).
     """

@@ -113,7 +113,7 @@ class Group(ABC):
         return self.compose(g, self.exp(d))
 
     def difference(self, g: Any, h: Any) -> Float[Array, "n"]:
-        """The d with g (+) d = h: Log(g^-1 h)."""
+        """The d with $g (+) d = h$: $Log(g^-1 h)$."""
         return self.log(self.compose(self.inverse(g), h))
 
 
@@ -121,7 +121,7 @@ class Group(ABC):
 class Euclidean(Group):
     """Arrays of one shape under addition; () and matrices too. The tangent is the array read row by row, (size,).
 
-    `Euclidean(3)` is `Euclidean((3,))`, that is R^3. Raises ModelError for anything but a size or a shape.
+    `Euclidean(3)` is `Euclidean((3,))`, that is $R^3$. Raises ModelError for anything but a size or a shape.
     """
 
     shape: tuple[int, ...] = ()
@@ -193,7 +193,7 @@ class Euclidean(Group):
 
 
 class Product(Group):
-    """A direct product of named groups, SE(3)^N x SO(3)^K x R^m and the like.
+    """A direct product of named groups, $SE(3)^N x SO(3)^K x R^m$ and the like.
 
     An element is a dict name -> element, a tangent one flat vector whose parts follow the order of declaration (not
     the sorted keys JAX uses for dicts). Factors may be products themselves. Two products are equal when names, groups

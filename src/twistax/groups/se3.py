@@ -75,7 +75,7 @@ def exp(xi: Input) -> Float[Array, "4 4"]:
 
 
 def log(T: Input) -> Float[Array, "6"]:
-    """xi = [v; w] with Exp(xi) = T and |w| <= pi; of the nearest pose where the rotation has drifted.
+    """xi = [v; w] with $Exp(xi) = T$ and $|w| <= pi$; of the nearest pose where the rotation has drifted.
 
     At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
     of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError; InputError for what is no
@@ -120,7 +120,7 @@ def inverse(T: Input) -> Float[Array, "4 4"]:
 
 
 def between(T: Input, S: Input) -> Float[Array, "4 4"]:
-    """T^-1 S, with the positions subtracted first so that large common positions cost no digits.
+    """$T^-1 S$, with the positions subtracted first so that large common positions cost no digits.
 
     Shapes: (4, 4), (4, 4) -> (4, 4). Raises ShapeError.
     """
@@ -206,7 +206,7 @@ def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
 def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
     """$J_l(xi)^-1 = [D, E; 0, D]$, $D = I - W/2 + d W^2$, E its derivative in the direction v; singular at |w| = 2 pi.
 
-    d = (1 - (t/2) cot(t/2)) / t^2, t = |w|. Shapes: (6,) -> (6, 6). Raises ShapeError.
+    $d = (1 - (t/2) cot(t/2)) / t^2$, $t = |w|$. Shapes: (6,) -> (6, 6). Raises ShapeError.
     """
     (xi,) = of_shape("se3.left_jacobian_inv", {"xi": (6,)}, xi)
     v, w = _halves(xi)
@@ -221,10 +221,10 @@ def right_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
 
 
 def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:
-    """J_r(eta)^-1 Omega by cross products, with no 6x6 matrix.
+    """$J_r(eta)^-1 Omega$ by cross products, with no 6x6 matrix.
 
-    For g' = g hat(Omega) and g = g_0 Exp(eta) this is eta'. With b = w x u the angular part is u + b/2 + d w x b;
-    the linear part is its derivative in the direction of the linear parts.
+    For $g' = g hat(Omega)$ and $g = g_0 Exp(eta)$ this is $eta'$. With $b = w x u$ the angular part is
+    $u + b/2 + d w x b$; the linear part is its derivative in the direction of the linear parts.
     Shapes: (6,), (6,) -> (6,). Raises ShapeError.
     """
     eta, omega = of_shape("se3.right_jacobian_inv_apply", {"eta": (6,), "omega": (6,)}, eta, omega)

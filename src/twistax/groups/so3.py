@@ -69,7 +69,7 @@ def _log_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Arra
 
 
 def log(R: Input) -> Float[Array, "3"]:
-    """The rotation vector w with Exp(w) = R and |w| <= pi, in rad; of the rotation nearest to R where R has drifted.
+    """The rotation vector w with $Exp(w) = R$, $|w| <= pi$, in rad; of the rotation nearest to R where R has drifted.
 
     At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
     of the map on the group, finite at a half turn. Shapes: (3, 3) -> (3,). Raises ShapeError; InputError for what is no
@@ -80,7 +80,7 @@ def log(R: Input) -> Float[Array, "3"]:
 
 
 def hat(w: Input) -> Float[Array, "3 3"]:
-    """W with W u = w x u. Shapes: (3,) -> (3, 3). Raises ShapeError."""
+    """W with $W u = w x u$. Shapes: (3,) -> (3, 3). Raises ShapeError."""
     (w,) = of_shape("so3.hat", {"w": (3,)}, w)
     x, y, z = unpack(w)
     o = jnp.zeros_like(x)
@@ -100,7 +100,7 @@ def compose(R: Input, S: Input) -> Float[Array, "3 3"]:
 
 
 def inverse(R: Input) -> Float[Array, "3 3"]:
-    """R^T. Shapes: (3, 3) -> (3, 3). Raises ShapeError."""
+    """$R^T$. Shapes: (3, 3) -> (3, 3). Raises ShapeError."""
     (R,) = of_shape("so3.inverse", {"R": (3, 3)}, R)
     return R.T
 
@@ -115,22 +115,22 @@ def act(R: Input, points: Input) -> Float[Array, "*points"]:
 
 
 def ad(w: Input) -> Float[Array, "3 3"]:
-    """The matrix of u -> [w, u] = w x u, which is hat(w). Shapes: (3,) -> (3, 3). Raises ShapeError."""
+    """The matrix of $u -> [w, u] = w x u$, which is hat(w). Shapes: (3,) -> (3, 3). Raises ShapeError."""
     return hat(w)
 
 
 def ad_dual(w: Input) -> Float[Array, "3 3"]:
-    """ad*_w = -ad_w^T, which is hat(w) again. Shapes: (3,) -> (3, 3). Raises ShapeError."""
+    """$ad*_w = -ad_w^T$, which is hat(w) again. Shapes: (3,) -> (3, 3). Raises ShapeError."""
     return hat(w)
 
 
 def Ad(R: Input) -> Float[Array, "3 3"]:
-    """The matrix of w -> (R W R^T)^v, which is R. Shapes: (3, 3) -> (3, 3). Raises ShapeError."""
+    """The matrix of $w -> vee(R W R^T)$, which is R. Shapes: (3, 3) -> (3, 3). Raises ShapeError."""
     return of_shape("so3.Ad", {"R": (3, 3)}, R)[0]
 
 
 def Ad_dual(R: Input) -> Float[Array, "3 3"]:
-    """Ad(R)^-T, which is R again. Shapes: (3, 3) -> (3, 3). Raises ShapeError."""
+    """$Ad_R^(-T)$, which is R again. Shapes: (3, 3) -> (3, 3). Raises ShapeError."""
     return of_shape("so3.Ad_dual", {"R": (3, 3)}, R)[0]
 
 
@@ -183,7 +183,7 @@ def right_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
 def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
     """$J_r(w)^-1 u = u + w x u / 2 + d w x (w x u)$, by cross products.
 
-    For R' = R hat(u) and R = R_0 Exp(w) this is w'. Shapes: (3,), (3,) -> (3,). Raises ShapeError.
+    For $R' = R hat(u)$ and $R = R_0 Exp(w)$ this is $w'$. Shapes: (3,), (3,) -> (3,). Raises ShapeError.
     """
     w, u = of_shape("so3.right_jacobian_inv_apply", {"w": (3,), "u": (3,)}, w, u)
     a = unpack(w)

@@ -199,7 +199,7 @@ SE3 = SpecialEuclidean()
 
 
 def tangent_grad(fn: Callable[..., Any], group: Group = SE3, argnums: int = 0) -> Callable[..., jax.Array]:
-    """The gradient of a scalar function of a group element: d/dd fn(g Exp(d)) at d = 0, in reverse mode.
+    """The gradient of a scalar function of a group element: $d/dd fn(g Exp(d))$ at $d = 0$, in reverse mode.
 
     The ambient gradient of a pose is a 4x4 array with directions that leave the group; this one has the group's
     dimension: (6,) for SE3, in the order of the group, (3,) for SO3. With a Product, g is a dict and the gradient one

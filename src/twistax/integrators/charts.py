@@ -330,7 +330,7 @@ class Chart(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class Ambient(Chart):
-    """Quaternion and position as plain numbers, q' = q (0, w) / 2 and p' = R(q) v; q is put to length one once a step.
+    """Quaternion and position as plain numbers, $q' = q (0, w) / 2$, $p' = R(q) v$; q is put to length one once a step.
 
     The cheapest chart, and as accurate as the others where nothing is stiff. Between the start of a step and its end
     the quaternion leaves the sphere by the error of the stages. No turn is too far for it to notice: a step that is too
@@ -348,10 +348,10 @@ class Ambient(Chart):
 
 @dataclasses.dataclass(frozen=True)
 class Exponential(Chart):
-    """Exponential coordinates: g = g_0 Exp(eta) with eta' = J_r(eta)^-1 Omega, on SO(3) and on SE(3).
+    """Exponential coordinates: $g = g_0 Exp(eta)$ with $eta' = J_r(eta)^-1 Omega$, on SO(3) and on SE(3).
 
     Attributes:
-        commutators: the powers of ad kept in J_r(eta)^-1 = I + ad/2 + ad^2/12 - ad^4/720 + ...; then everything is a
+        commutators: the powers of ad kept in $J_r(eta)^-1 = I + ad/2 + ad^2/12 - ad^4/720 + ...$; then everything is a
             polynomial, and a step that turns by more than half a turn fails. None: closed forms, and a step fails that
             turns by more than a full turn.
     A method of order p needs p - 2 commutators; `RKMK` asks for that many unless it is given a chart.
@@ -380,7 +380,7 @@ class Exponential(Chart):
 
 @dataclasses.dataclass(frozen=True)
 class SplitExponential(Exponential):
-    """Exponential coordinates of the rotation alone; positions are added to: SO(3) x R^3 in place of SE(3).
+    """Exponential coordinates of the rotation alone; positions are added to: $SO(3) x R^3$ in place of SE(3).
 
     Attributes and errors as for `Exponential`.
     """

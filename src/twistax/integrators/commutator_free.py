@@ -24,10 +24,10 @@ Exponentials: TypeAlias = tuple[tuple[float, ...], ...]
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class CommutatorFreeTableau(Coefficients):
-    """The coefficients of an explicit commutator-free method with s stages, for body velocities, g' = g Omega^.
+    """The coefficients of an explicit commutator-free method with s stages, for body velocities, $g' = g hat(Omega)$.
 
-        g_i = g_0 Exp(h sum_j a_i1j k_j) Exp(h sum_j a_i2j k_j) ...,   k_i = Omega(t + c_i h, g_i),
-        g(t + h) = g_0 Exp(h sum_j b_1j k_j) Exp(h sum_j b_2j k_j) ...
+        $g_i = g_0 Exp(h sum_j a_i1j k_j) Exp(h sum_j a_i2j k_j) ..., k_i = Omega(t + c_i h, g_i),
+        g(t + h) = g_0 Exp(h sum_j b_1j k_j) Exp(h sum_j b_2j k_j) ...$
 
     What acts first stands on the left; for right-trivialised equations, as in most papers, the order is the reverse.
 

@@ -33,10 +33,10 @@ class StepControl:
 
     With e_n the error of step n in units of what is allowed and k the power of h with which it falls,
 
-        h_(n+1) = h_n safety e_n^(-(p + i + d)/k) e_(n-1)^((p + 2 d)/k) e_(n-2)^(-d/k)
+        $h_(n+1) = h_n safety e_n^(-(p + i + d)/k) e_(n-1)^((p + 2 d)/k) e_(n-2)^(-d/k)$
 
     for a step that is taken, within the factors allowed; a step that is taken back is repeated with
-    h safety e_n^(-1/k).
+    $h safety e_n^(-1/k)$.
 
     Attributes:
         pcoeff, icoeff, dcoeff: p, i and d. Zero, one and zero is the plain controller.

@@ -79,7 +79,7 @@ class Rows(NamedTuple):
 class ButcherTableau(Coefficients):
     """The coefficients of an explicit Runge-Kutta method with s stages. Arrays are read-only.
 
-    For y' = f(t, y):  k_i = f(t + c_i h, y + h sum_j a_ij k_j),  y_1 = y + h sum_i b_i k_i.
+    For $y' = f(t, y)$: $k_i = f(t + c_i h, y + h sum_j a_ij k_j)$, $y_1 = y + h sum_i b_i k_i$.
 
     Attributes:
         name: how tables call it.
@@ -150,7 +150,7 @@ class ButcherTableau(Coefficients):
     def error_order(self) -> int:
         """The power of the step with which the estimated error of one step falls.
 
-        With two embedded solutions the estimate is e1^2 / sqrt(e1^2 + e2^2 / 100), as in the program DOP853.
+        With two embedded solutions the estimate is $e1^2 / sqrt(e1^2 + e2^2 / 100)$, as in the program DOP853.
 
         Raises:
             ModelError: the method has no embedded solution.
@@ -183,15 +183,15 @@ def lower_triangle(rows: Sequence[Any]) -> NDArray[Any]:
 class CollocationTableau(Coefficients):
     """The coefficients of an implicit Runge-Kutta method with s stages by collocation. Arrays are read-only.
 
-    For y' = f(t, y) the increments z_i of the stages solve  z_i = h sum_j a_ij f(t + c_j h, y + z_j),  and
-    y_1 = y + h sum_i b_i f(t + c_i h, y + z_i): the polynomial through y whose slope is that of the equation at all
+    For $y' = f(t, y)$ the increments z_i of the stages solve $z_i = h sum_j a_ij f(t + c_j h, y + z_j)$, and
+    $y_1 = y + h sum_i b_i f(t + c_i h, y + z_i)$: the polynomial through y whose slope is that of the equation at all
     nodes c, at the end of the step.
 
     Attributes:
         name: how tables call it.
         order: the order of convergence.
-        a: (s, s), not singular; sum_j a_ij c_j^(k-1) = c_i^k / k for k up to s.
-        b, c: (s,); sum_i b_i c_i^(k-1) = 1 / k for k up to the order; c grows.
+        a: (s, s), not singular; $sum_j a_ij c_j^(k-1) = c_i^k / k$ for k up to s.
+        b, c: (s,); $sum_i b_i c_i^(k-1) = 1 / k$ for k up to the order; c grows.
 
     Raises:
         ModelError: a wrong shape, a value that is not finite, nodes that do not grow from above 0 to at most 1, a sum

@@ -115,7 +115,7 @@ class Dynamics:
         the columns of `jacobian`. Entry (j, k) is the derivative of sum_i w_i . f_i(x (+) d, u + du, p + dp) by the
         tangents j and k at zero, in exponential coordinates. With E_j the derivative along x Exp(s e_j) it is
 
-            H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2,
+            $H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2$,
 
         so symmetric: both entries are one number. It computes one of them, and nothing that is structurally zero. Other
         values of the weights compile nothing. Traceable, batched by vmap and differentiable. Functions that the graph
@@ -129,7 +129,7 @@ class Dynamics:
             InputError: as a call of the dynamics; an unknown entry in wrt; a weight of nothing that the system has, of
                 two things at once, or of another shape.
 
-        Source: the Taylor series f(x Exp(d)) = sum_n (sum_j d_j E_j)^n f / n!; Helgason, Differential Geometry, Lie
+        Source: the Taylor series $f(x Exp(d)) = sum_n (sum_j d_j E_j)^n f / n!$; Helgason, Differential Geometry, Lie
         Groups, and Symmetric Spaces (1978), ch. II.
         """
         names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
@@ -162,12 +162,12 @@ class Dynamics:
         return project(self._functions, t, x, u, params)
 
     def retract(self, x: Values, d: Any) -> Arrays:
-        """x (+) d = x Exp(d), state by state; d is a tangent vector (n,) in the order of declaration."""
+        """$x (+) d = x Exp(d)$, state by state; d is a tangent vector (n,) in the order of declaration."""
         inputs = self._functions.prepare(0.0, x, reads=())
         return self.group.retract(inputs.x, jnp.asarray(real_array("retract: d", d), inputs.dtype))
 
     def difference(self, x: Values, y: Values) -> jax.Array:
-        """The tangent vector d with retract(x, d) = y, shape (n,): Log(x^-1 y)."""
+        """The tangent vector d with retract(x, d) = y, shape (n,): $Log(x^-1 y)$."""
         inputs = self._functions.prepare(0.0, x, reads=())
         other = {
             name: value.astype(inputs.dtype) for name, value in self._functions.prepare(0.0, y, reads=()).x.items()

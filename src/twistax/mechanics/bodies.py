@@ -60,7 +60,7 @@ class SpatialInertia:
 
     @classmethod
     def about_origin(cls, *, mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> SpatialInertia:
-        """The body whose `inertia` (3, 3) is given about the frame's ORIGIN, in its axes: I_c = I_o + m [c]x [c]x.
+        """The body whose `inertia` (3, 3) is given about the frame's ORIGIN, in its axes: $I_c = I_o + m [c]x [c]x$.
 
         Raises:
             ShapeError, ModelError: as the constructor; a tensor too small for the mass at its distance is unphysical.
@@ -79,25 +79,28 @@ class SpatialInertia:
 
     @property
     def matrix(self) -> Expr:
-        """M = [m I, -m [c]x; m [c]x, I_c - m [c]x [c]x] (6, 6)."""
+        """$M = [m I, -m [c]x; m [c]x, I_c - m [c]x [c]x]$ (6, 6)."""
         moment = Hat(self.mass * self.center_of_mass)
         about_origin = self.inertia + _steiner(self.mass, self.center_of_mass)
         return Block([[self.mass * np.eye(3), -moment], [moment, about_origin]])
 
     def momentum(self, V: ExprLike) -> Expr:
-        """M V = [p; L] (6,) of a twist V (6,): p = m (v + w x c), L = I_c w + c x p; N s, N m s. Raises ShapeError."""
+        """$M V = [p; L]$ (6,) of a twist V (6,): $p = m (v + w x c)$, $L = I_c w + c x p$; N s, N m s.
+
+        Raises: ShapeError for an argument of another shape.
+        """
         v, w = _velocities("momentum", V)
         p = self.mass * self._velocity_of_center(v, w)
         return wrench(force=p, torque=self._with_arm(self.inertia @ w, p))
 
     def kinetic_energy(self, V: ExprLike) -> Expr:
-        """(m |v + w x c|^2 + w . I_c w) / 2 () of a twist V (6,), J. Raises ShapeError."""
+        """$(m |v + w x c|^2 + w . I_c w) / 2$ () of a twist V (6,), J. Raises ShapeError."""
         v, w = _velocities("kinetic_energy", V)
         u = self._velocity_of_center(v, w)
         return 0.5 * (self.mass * Dot(u, u) + Dot(w, self.inertia @ w))
 
     def weight(self, T: ExprLike, gravity: ExprLike) -> Expr:
-        """The wrench [m R^T a; c x m R^T a] (6,) of a uniform gravity a, at the body's origin in its axes.
+        """The wrench $[m R^T a; c x m R^T a]$ (6,) of a uniform gravity a, at the body's origin in its axes.
 
         Args:
             T: the body's pose in the world, (4, 4).
@@ -111,10 +114,10 @@ class SpatialInertia:
         return wrench(force=force, torque=self._with_arm(Constant(np.zeros(3)), force))
 
     def acceleration(self, V: ExprLike, F: ExprLike) -> Expr:
-        """V' = M^-1 (F - ad*_V(M V)) (6,), Newton and Euler about the centre of mass; no 6x6 matrix is built.
+        """$V' = M^-1 (F - ad*_V(M V))$ (6,), Newton and Euler about the centre of mass; no 6x6 matrix is built.
 
-        w' = I_c^-1 (tau - c x f - w x I_c w) and v' = f/m - w x (v + w x c) - w' x c. Where the mass burns, F contains
-        the thrust, which is what the leaving gas takes along.
+        $w' = I_c^-1 (tau - c x f - w x I_c w)$ and $v' = f/m - w x (v + w x c) - w' x c$. Where the mass burns, F
+        contains the thrust, which is what the leaving gas takes along.
 
         Args:
             V: the body's twist (6,).
@@ -138,7 +141,7 @@ class SpatialInertia:
         return join(linear=self._velocity_of_center(moving, -turning), angular=turning)
 
     def in_frame(self, T: ExprLike) -> SpatialInertia:
-        """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: M_a = Ad*_T M Ad_T^-1.
+        """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: $M_a = Ad*_T M Ad_T^-1$.
 
         T must be constant while the body moves: frame a is fixed to the body, too.
 

@@ -67,9 +67,9 @@ def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float)
 class Ground:
     """A soft, level ground: a smooth force on every point below it, and almost none above.
 
-    With the depth d of a point and s(d) = (d + sqrt(d^2 + sharpness^2)) / 2, which is smooth and about max(d, 0), the
-    normal force is n = stiffness s(d) g(1 + damping d'), g a smooth max(., 0), and friction is
-    -mu n v / sqrt(|v|^2 + slip^2) along the ground. It is stiff: fly it by `tx.ImplicitRKMK` with Radau.
+    With the depth d of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, which is smooth and about max(d, 0), the
+    normal force is $n = stiffness s(d) g(1 + damping d')$, g a smooth max(., 0), and friction is
+    $-mu n v / sqrt(|v|^2 + slip^2)$ along the ground. It is stiff: fly it by `tx.ImplicitRKMK` with Radau.
 
     Attributes:
         stiffness: N/m, positive.

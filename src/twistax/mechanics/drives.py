@@ -24,10 +24,10 @@ class Drive:
 
     The generalised force on a freedom with position q, velocity v and control u is
 
-        gear u - damping v - friction tanh(v / friction_speed) - stiffness (q - rest).
+        $gear u - damping v - friction tanh(v / speed) - stiffness (q - rest)$.
 
     Attributes:
-        armature: inertia of the rotor as the joint feels it, gear^2 times its own: kg m2 about an axis, kg along one.
+        armature: inertia of the rotor as the joint feels it, $gear^2$ times its own: kg m2 about an axis, kg along one.
         damping: N m s/rad or N s/m.
         friction: what dry friction comes to when sliding, N m or N; at rest the force is smooth.
         friction_speed: where it has come to 76 % of that, rad/s or m/s, positive.

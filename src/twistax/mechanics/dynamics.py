@@ -38,7 +38,7 @@ def inverse_dynamics(
 
     The recursive Newton-Euler algorithm (RNEA). From base to tips the motion, from tips to base
 
-        F = M B + ad*_W(M W) - wrenches + the sum of Ad*_T F over the segments that sit on it,    tau = H' F.
+        $F = M B + ad*_W(M W) - F_given + sum Ad*_T F_after, tau = H^T F$
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5.
 
@@ -187,7 +187,7 @@ def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     """The inertia M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, forces of the joints $M qdd + b(q, qd)$.
 
     The composite-rigid-body algorithm (CRBA). From tips to base I_c, the inertia of a segment with all that hangs on it
-    as if it were rigid; M_ij = H_j' Ad* I_c H_i for every j between the base and i. Rotors add to the diagonal.
+    as if it were rigid; $M_ij = H_j^T Ad* I_c H_i$ for every j between the base and i. Rotors add to the diagonal.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 6.
 

@@ -41,7 +41,7 @@ class Joint(Subspaces, ABC):
     Args:
         name: begins the names of the states, `<name>_position` and `<name>_velocity`.
         motion: H (6, k), or (6,) for one freedom, in the child's joint frame.
-        actuation_basis: h* (6, k) with h*^T H = I; H (H^T H)^-1 unless given. Give it where H mixes m and rad.
+        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ unless given. Give it where H mixes m and rad.
 
     Attributes:
         name: as given.
@@ -51,7 +51,7 @@ class Joint(Subspaces, ABC):
         motion_subspace, actuation_basis, constraint_basis: H, h* and H-bar* in the child's joint frame; see `Screws`.
 
     Raises:
-        ModelError: no name; H or h* no numbers; H not finite or with dependent columns; h*^T H is not I; a group of
+        ModelError: no name; H or h* no numbers; H not finite or with dependent columns; $h*^T H$ is not I; a group of
             another dimension.
         ShapeError: H or h* of another shape.
     """
@@ -120,7 +120,7 @@ class Joint(Subspaces, ABC):
 
     @abstractmethod
     def placement(self, position: Expr) -> Expr:
-        """T_pc (4, 4) of the position, of shape (0,) without one; its rate must be T_pc (H velocity)^."""
+        """T_pc (4, 4) of the position, of shape (0,) without one; its rate must be $T_pc hat(H velocity)$."""
 
     def rate(self, position: Expr, velocity: Expr) -> Expr:
         """The rate of the position: the velocity, unless a subclass says otherwise."""
@@ -198,7 +198,7 @@ def _across(a: Expr) -> Expr:
 
 
 class Fixed(Joint):
-    """No motion: H has shape (6, 0), T_pc = I, and the bearing carries every wrench. There are no states.
+    """No motion: H has shape (6, 0), $T_pc = I$, and the bearing carries every wrench. There are no states.
 
     Args:
         name: of the joint.
@@ -213,7 +213,7 @@ class Fixed(Joint):
 
 
 class Revolute(Joint):
-    """One turn about a fixed axis a through the joint's origin: H = [0; a], T_pc = [Rot(a, q) 0; 0 1], q in rad.
+    """One turn about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
 
     Args:
         name: of the joint.
@@ -236,7 +236,7 @@ class Revolute(Joint):
 
 
 class Prismatic(Joint):
-    """One translation along a fixed axis a: H = [a; 0], T_pc = [I q a; 0 1], q in m.
+    """One translation along a fixed axis a: $H = [a; 0]$, $T_pc = [I, q a; 0, 1]$, q in m.
 
     Args:
         name, axis: as for `Revolute`.
@@ -255,7 +255,7 @@ class Prismatic(Joint):
 
 
 class Helical(Joint):
-    """A screw: a turn about a fixed axis a with a translation along it, H = [h a; a], q in rad.
+    """A screw: a turn about a fixed axis a with a translation along it, $H = [h a; a]$, q in rad.
 
     The motor is a torque about the axis: h* = [0; a].
 
@@ -278,7 +278,7 @@ class Helical(Joint):
 
 
 class Cylindrical(Joint):
-    """A slide along a fixed axis a and a turn about it: H = [a 0; 0 a], q = [way in m, angle in rad].
+    """A slide along a fixed axis a and a turn about it: $H = [a, 0; 0, a]$, q = [way in m, angle in rad].
 
     Args:
         name, axis: as for `Revolute`.
@@ -321,9 +321,9 @@ class Planar(Joint):
 
 
 class Spherical(Joint):
-    """All turns about the joint's origin: H = [0; I], T_pc = [R 0; 0 1].
+    """All turns about the joint's origin: $H = [0; I]$, $T_pc = [R, 0; 0, 1]$.
 
-    The position is R (3, 3) on SO(3), the velocity the body rate w (3,) in rad/s, R' = R [w]x.
+    The position is R (3, 3) on SO(3), the velocity the body rate w (3,) in rad/s, $R' = R [w]x$.
 
     Args:
         name: of the joint.
@@ -344,7 +344,7 @@ class Spherical(Joint):
 
 
 class Free(Joint):
-    """All motions: H = I, T_pc is the position itself, on SE(3); the velocity is the body twist [v; w] (6,).
+    """All motions: $H = I$, T_pc is the position itself, on SE(3); the velocity is the body twist [v; w] (6,).
 
     There are no constraint wrenches: H-bar* has shape (6, 0).
 

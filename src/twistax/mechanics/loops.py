@@ -75,7 +75,7 @@ class Point(Loop):
 class Axis(Loop):
     """The origins stay together and an axis of one frame along that of the other, a hinge.
 
-    With U (3, 2) two directions across the axis a, the gap is [R'p; U'(R'a x a)] (5,).
+    With U (3, 2) two directions across the axis a, the gap is $[R^T p; U^T (R^T a x a)]$ (5,).
 
     Args:
         name, frame, other: as for `Loop`.

@@ -273,7 +273,7 @@ class Mechanism:
         return found
 
     def twists(self, q: Positions | None = None, qd: ExprLike | None = None) -> list[Expr]:
-        """V (6,) of each segment, in its frame: V_i = Ad_T^-1 V_before + H qd_i. Raises ShapeError."""
+        """V (6,) of each segment, in its frame: $V_i = Ad_T^-1 V_before + H qd_i$. Raises ShapeError."""
         rates = self.coordinates(f"{type(self).__name__}.twists", "qd", qd)
         found: list[Expr] = []
         for segment, T in zip(self.segments, self.transforms(q), strict=True):

@@ -30,7 +30,7 @@ class Subspaces:
     constraint_basis: Expr
 
     def actuation(self, F: ExprLike) -> Expr:
-        """H^T F (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
+        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
 
         Raises: ShapeError if F is not of shape (6,).
         """
@@ -45,7 +45,7 @@ class Subspaces:
         return self.actuation_basis @ of_shape("wrench of a joint", "the generalised force tau", tau, (freedoms,))
 
     def reaction(self, F: ExprLike) -> Expr:
-        """F - h* (H^T F) (6,): the part of a wrench F (6,) that the bearing carries; in the span of H-bar*.
+        """$F - h* (H^T F)$ (6,): the part of a wrench F (6,) that the bearing carries; in the span of $Hbar*$.
 
         Raises: ShapeError if F is not of shape (6,).
         """
@@ -59,8 +59,8 @@ class Screws(Subspaces):
 
     Attributes:
         motion_subspace: H (6, k); the twist of the child relative to the parent is H @ velocity.
-        actuation_basis: h* (6, k), the wrench of a unit actuator on the child; h*^T H = I.
-        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; H^T H-bar* = 0.
+        actuation_basis: h* (6, k), the wrench of a unit actuator on the child; $h*^T H = I$.
+        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; $H^T Hbar* = 0$.
     """
 
     motion_subspace: Expr
@@ -68,7 +68,7 @@ class Screws(Subspaces):
     constraint_basis: Expr
 
     def in_frame(self, T: ExprLike) -> Screws:
-        """The same joint seen in frame a: Ad_T H, Ad*_T h*, Ad*_T H-bar* with T = T_ab (4, 4), b the frame of these.
+        """The same joint seen in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from frame b of these to a.
 
         Raises:
             ShapeError: T is not of shape (4, 4).

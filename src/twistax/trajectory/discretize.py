@@ -52,7 +52,7 @@ class Controls:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Discretization:
-    """x1 (+) d1 is the end of an interval that started at x (+) d: d1 = A d + B du + h_derivative dh + t_derivative dt.
+    """$x1 (+) d1$ is the end of an interval that started at $x (+) d$: $d1 = A d + B du + D_h dh + D_t dt$.
 
     Attributes:
         x1: the end of the interval, by state name.
@@ -94,15 +94,15 @@ def discretize(
 ) -> Discretization:
     """The end of an interval of length h under held controls, and its derivatives in the tangent space.
 
-    With eta(d, u) the increment of an RKMK step from x Exp(d), the step is x Exp(d) Exp(eta) and
+    With $eta(d, u)$ the increment of an RKMK step from $x Exp(d)$, the step is $x Exp(d) Exp(eta)$ and
 
-        A = Ad(Exp(-eta)) + J_r(eta) d eta/dd,   B = J_r(eta) d eta/du,
+        $A = Ad(Exp(-eta)) + J_r(eta) d eta/dd, B = J_r(eta) d eta/du$,
 
     in closed form, no logarithm; J_r is the right Jacobian. On a Euclidean part Ad and J_r are identities. Several
     substeps multiply by the chain rule. Traceable: jit, vmap and further derivatives apply.
 
     With weights, value, Jacobian and Hessian are one program on the graph of scalars, of any explicit method:
-    d1 = Log(x1^-1 end) is differentiated as `Dynamics.hessian` does it, exponential coordinates at both ends. Other
+    $d1 = Log(x1^-1 end)$ is differentiated as `Dynamics.hessian` does it, exponential coordinates at both ends. Other
     weights compile nothing. What the graph does not hold is differentiated by JAX.
 
     Args:

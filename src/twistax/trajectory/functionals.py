@@ -87,7 +87,7 @@ class Extreme(Functional):
 class Maximum(Extreme):
     """The largest value along the path of an expression of states, controls, parameters and time; of all its entries.
 
-    A bound s with operand <= s where constraints along the path are asked, so it has to be pushed down: minimised, or
+    A bound s with $operand <= s$ where constraints along the path are asked, so it has to be pushed down: minimised, or
     at most something in `final=`. Shape ().
 
     Raises: ModelError if the operand is a condition.

@@ -24,7 +24,7 @@ from .named import entry, labels, positions, tangent_shapes
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Linearization:
-    """d' = A d + B du, dy = C d + D du to first order, with x(t) (+) d the neighbour of the trajectory.
+    """$d' = A d + B du$, $dy = C d + D du$ to first order, with $x(t) (+) d$ the neighbour of the trajectory.
 
     Attributes:
         rate: the rates as one tangent vector, (n,).
@@ -114,11 +114,11 @@ def linearize(
 ) -> Linearization:
     """The error dynamics of a system around a point, with right perturbations x (+) d.
 
-    With the body velocity xi(t, x, u) of all states stacked, the neighbour x Exp(d) obeys to first order
+    With the body velocity $xi(t, x, u)$ of all states stacked, the neighbour $x Exp(d)$ obeys to first order
 
-        d' = (D xi - ad_xi) d + D_u xi du,
+        $d' = (D xi - ad_xi) d + D_u xi du$,
 
-    where D xi = d xi(x Exp(d)) / dd at 0 and ad of a Euclidean part is zero. Units are those of the states a second.
+    where $D xi = d xi(x Exp(d)) / dd$ at 0 and ad of a Euclidean part is zero. Units are those of the states a second.
     Source: Sola, Deray, Atchuthan, A micro Lie theory for state estimation in robotics (2018), sections on
     perturbations and on Jacobians of group actions; the ad term is the transport of d along the flow.
 

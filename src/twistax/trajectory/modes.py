@@ -15,7 +15,7 @@ from ..errors import ModelError
 
 @dataclasses.dataclass(frozen=True)
 class Mode:
-    """A motion d(t) = Re(shape e^(eigenvalue t)).
+    """A motion $d(t) = Re(shape e^(eigenvalue t))$.
 
     Attributes:
         eigenvalue: in 1/s; of a conjugate pair the one with Im > 0.

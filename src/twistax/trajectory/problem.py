@@ -40,7 +40,7 @@ from .warm import other_problem
 class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     """Find controls, states and final time that optimise an objective under a system's constraints.
 
-    minimise J subject to x' = f(t, x, u), the system's constraints and the boxes of its leaves along the path,
+    minimise J subject to $x' = f(t, x, u)$, the system's constraints and the boxes of its leaves along the path,
     conditions at both ends, and limits of the final time. Controls are held over each of nodes - 1 intervals.
     Constraints on states are asked at the nodes and at the ends of the substeps between them.
 

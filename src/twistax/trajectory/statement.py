@@ -28,7 +28,7 @@ from .cones import NormControls, without_norms
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Objective:
-    """J = phi(T, x(T)) + integral of l(t, x, u) dt, to be minimised or maximised.
+    """$J = phi(T, x(T)) + integral l(t, x, u) dt$, to be minimised or maximised.
 
     Args:
         final: phi, a scalar expression of states, parameters and `tx.Time()` (which is the final time there).

@@ -113,7 +113,7 @@ def trim(
         fixed: outputs with the values that they shall have, {"airspeed": 120.0}, and states with rates; as a list
             of names, or with None, what they are at the start.
         zero: states whose rates vanish, and outputs that vanish.
-        steady: outputs that do not change along the motion, controls held: d/dt y(t, x(t), u, params) = 0.
+        steady: outputs that do not change along the motion, controls held: $d/dt y(t, x(t), u, p) = 0$.
         t: the time, s.
         tolerance: of `measure`.
         throw: raise where the conditions cannot be met; False returns the best point.

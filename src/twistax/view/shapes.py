@@ -95,8 +95,8 @@ class Ellipsoid(Shape):
     def of_inertia(cls, mass: Any, center_of_mass: Any, inertia: Any, **looks: Any) -> Ellipsoid:
         """The solid, homogeneous ellipsoid of a mass, kg, and an inertia tensor (3, 3) about its centre, kg m2.
 
-        Its principal moments are I_1 = m (b^2 + c^2) / 5 and so on, so that a^2 = 5 (I_2 + I_3 - I_1) / (2 m). What is
-        flat or a line is given a hundredth of its largest semi-axis. Raises InputError where all of it is zero.
+        Its principal moments are $I_1 = m (b^2 + c^2) / 5$ and so on, so that $a^2 = 5 (I_2 + I_3 - I_1) / (2 m)$. What
+        is flat or a line is given a hundredth of its largest semi-axis. Raises InputError where all of it is zero.
 
         Args:
             center_of_mass: (3,), m, in the axes of the tensor.

@@ -124,7 +124,7 @@ class _FrameMatrix(TwistNode):
 
 
 class SE3Adjoint(_FrameMatrix):
-    """Ad_T, the 6x6 matrix that maps twists of frame b to frame a: $xi_a = Ad_T xi_b$, (Ad_T xi)^ = T xi^ T^-1.
+    """Ad_T, the 6x6 matrix that maps twists of frame b to frame a: $xi_a = Ad_T xi_b$, $hat(Ad_T xi) = T hat(xi) T^-1$.
 
     For [v; w]: $Ad_T = [R, [p]R; 0, R]$. Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed
     without the matrix.
@@ -148,7 +148,7 @@ class SE3Adjoint(_FrameMatrix):
 
 
 class SE3AdjointDual(_FrameMatrix):
-    """Ad*_T = Ad_T^-T, the 6x6 matrix that maps wrenches and momenta of frame b to frame a: $F_a = Ad*_T F_b$.
+    """$Ad*_T = Ad_T^(-T)$, the 6x6 matrix that maps wrenches and momenta of frame b to frame a: $F_a = Ad*_T F_b$.
 
     Power is the same in both frames: $F_a . xi_a = F_b . xi_b$. For [f; tau]: $Ad*_T = [R, 0; [p]R, R]$.
     Shapes: (4, 4) -> (6, 6). A product with a vector or with columns is computed without the matrix.
@@ -284,16 +284,16 @@ def _cases(vector: str) -> list[dict[str, Any]]:
 
 
 class AdjointAction(_Action):
-    """Ad_T xi without the matrix: [R v + p x R w; R w]. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
+    """$Ad_T xi$ without the matrix: $[R v + p x R w; R w]$. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
 
-    `canonicalize` makes it of `SE3Adjoint(T) @ xi`. Written with inverse=True it is Ad_(T^-1) xi =
-    [R'(v - p x w); R' w], which needs no T^-1.
+    `canonicalize` makes it of `SE3Adjoint(T) @ xi`. Written with inverse=True it is
+    $Ad_(T^-1) xi = [R^T (v - p x w); R^T w]$, which needs no $T^-1$.
 
     Attributes:
         transform: T_ab (4, 4), a pose.
         twist: in frame b (with inverse=True in frame a), (6,), or k of them as columns.
         order: order of the twist and the result.
-        inverse: whether T^-1 acts.
+        inverse: whether $T^-1$ acts.
     Raises: ShapeError for an operand of another shape.
     """
 
@@ -306,16 +306,16 @@ class AdjointAction(_Action):
 
 
 class CoadjointAction(_Action):
-    """Ad*_T F without the matrix: [R f; R tau + p x R f]. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
+    """$Ad*_T F$ without the matrix: $[R f; R tau + p x R f]$. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
 
-    `canonicalize` makes it of `SE3AdjointDual(T) @ F`. Written with inverse=True it is Ad*_(T^-1) F =
-    [R' f; R'(tau - p x f)], which needs no T^-1.
+    `canonicalize` makes it of `SE3AdjointDual(T) @ F`. Written with inverse=True it is
+    $Ad*_(T^-1) F = [R^T f; R^T (tau - p x f)]$, which needs no $T^-1$.
 
     Attributes:
         transform: T_ab (4, 4), a pose.
         wrench: in frame b (with inverse=True in frame a), (6,), or k of them as columns.
         order: order of the wrench and the result.
-        inverse: whether T^-1 acts.
+        inverse: whether $T^-1$ acts.
     Raises: ShapeError for an operand of another shape.
     """
 

@@ -110,7 +110,7 @@ def pose(
         rotation: (3, 3), orthonormal, determinant +1.
         quaternion: (w, x, y, z), not zero, normalised here.
         euler: three angles in rad, in the order of the sequence: roll, pitch, yaw if none is given.
-        rotation_vector: (3,) in rad, R = Exp(it).
+        rotation_vector: (3,) in rad, $R = Exp(it)$.
         sequence: of the axes of `euler`: small letters for fixed axes, "xyz", R = Rz Ry Rx, capital ones for the body's
             own, "ZYX" with yaw, pitch, roll.
     Raises:

@@ -41,7 +41,7 @@ from .base import (
 
 
 class SO3Exp(Expr):
-    """Exp: rotation vector (3,) in rad -> rotation (3, 3), R = I + sin t / t W + (1 - cos t) / t^2 W^2, t = |w|.
+    """Exp: rotation vector (3,) in rad -> rotation (3, 3), $R = I + sin(t) / t W + (1 - cos(t)) / t^2 W^2$, t = |w|.
 
     Attributes:
         omega: the rotation vector.
@@ -111,7 +111,7 @@ class SE3Exp(TwistNode):
 
 
 class SE3Log(TwistNode):
-    """Log: pose (4, 4) -> twist (6,), rotation angle at most pi; [V(w)^-1 p; w] with w = Log(R).
+    """Log: pose (4, 4) -> twist (6,), rotation angle at most pi; $[V(w)^-1 p; w]$ with $w = Log(R)$.
 
     At exactly a half turn the axis whose first non-zero component is positive is taken; gradients are finite there.
     Log(Exp(xi)) is xi only within a half turn, so no rewrite removes it.
@@ -147,7 +147,7 @@ class _Jacobian(TwistNode):
 
 
 class LeftJacobian(_Jacobian):
-    """J_l with Exp(xi + d) = Exp(J_l(xi) d) Exp(xi) to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
+    """J_l with $Exp(xi + d) = Exp(J_l(xi) d) Exp(xi)$ to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
 
     Attributes:
         tangent: xi, rad and m.
@@ -159,7 +159,7 @@ class LeftJacobian(_Jacobian):
 
 
 class RightJacobian(_Jacobian):
-    """J_r with Exp(xi + d) = Exp(xi) Exp(J_r(xi) d) to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
+    """J_r with $Exp(xi + d) = Exp(xi) Exp(J_r(xi) d)$ to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
 
     Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
     """
@@ -179,7 +179,7 @@ class LeftJacobianInverse(_Jacobian):
 class RightJacobianInverse(_Jacobian):
     """The inverse of J_r, for angles below a full turn. Shapes: (n,) -> (n, n), n = 3 or 6.
 
-    With g = g_n Exp(eta) and a body twist Omega: eta' = J_r(eta)^-1 Omega.
+    With $g = g_n Exp(eta)$ and a body twist Omega: $eta' = J_r(eta)^-1 Omega$.
 
     Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
     """
@@ -188,7 +188,7 @@ class RightJacobianInverse(_Jacobian):
 
 
 class Compose(Expr):
-    """The product of two rotations or two poses, T_ac = T_ab T_bc. Shapes: (n, n), (n, n) -> (n, n), n = 3 or 4.
+    """The product of two rotations or two poses, $T_ac = T_ab T_bc$. Shapes: (n, n), (n, n) -> (n, n), n = 3 or 4.
 
     Attributes:
         left, right: both rotations (3, 3) or both poses (4, 4).
@@ -408,7 +408,7 @@ class Vee(TwistNode):
 
 
 class AxisRotation(Expr):
-    """R = a a^T + sin q [a]x + cos q (I - a a^T): the turn by q about a fixed unit axis a. Shapes: () -> (3, 3).
+    """$R = a a^T + sin q [a]x + cos q (I - a a^T)$: the turn by q about a fixed unit axis a. Shapes: () -> (3, 3).
 
     The same as SO3Exp(q a) for one sine and one cosine (Rodrigues).
 

@@ -68,9 +68,9 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         control = tx.diffrax.controller(rtol=1e-9, atol=1e-9)
         sol = diffrax.diffeqsolve(term, solver, 0.0, 10.0, None, x0, args=(u, params), stepsize_controller=control)
 
-    y is the state as `tx.integrate` takes it: a dict, poses as (4, 4), rotations as (3, 3). With g = g_0 Exp(eta) the
-    wrapped solver integrates eta' = J_r(eta)^-1 Omega, so poses stay in their group to round-off, between steps and in
-    dense output too. SaveAt, Event, progress meters and all adjoints but BacksolveAdjoint work.
+    y is the state as `tx.integrate` takes it: a dict, poses as (4, 4), rotations as (3, 3). With $g = g_0 Exp(eta)$ the
+    wrapped solver integrates $eta' = J_r(eta)^-1 Omega$, so poses stay in their group to round-off, between steps and
+    in dense output too. SaveAt, Event, progress meters and all adjoints but BacksolveAdjoint work.
 
     Explicit solvers lend their tableau, and a step is compiled as one small function where that is known to work.
     Implicit ones solve their equations in the coordinates. KenCarp and Sil3, which treat one part implicitly, take

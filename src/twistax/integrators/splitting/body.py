@@ -86,7 +86,7 @@ def name_of(leaf: Any) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class FreeParticle(FreeMotion):
-    """A point, or anything else with p' = v: two states without a group, of one shape. Free, it goes straight ahead.
+    """A point, or anything else with $p' = v$: two states without a group, of one shape. Free, it goes straight ahead.
 
     The rate of v is the acceleration; no mass is needed.
 
@@ -151,9 +151,9 @@ class _ParticleFlows(Flows):
 class FreeBody(FreeMotion):
     """A rigid body: an attitude on SO(3) or a pose on SE(3), and its velocity or momentum in body axes.
 
-    Free, it keeps its momenta in the world: R' = R [w]x and J w' = (J w) x w, or g' = g V^ and
-    M V' = -ad*_V (M V). An attitude turns about the origin of its frame, a pose also moves; its centre of mass may sit
-    anywhere. Equal where states and inertia are.
+    Free, it keeps its momenta in the world: $R' = R [w]x$ and $J w' = (J w) x w$, or $g' = g hat(V)$ and
+    $M V' = -ad*_V (M V)$. An attitude turns about the origin of its frame, a pose also moves; its centre of mass may
+    sit anywhere. Equal where states and inertia are.
 
     Args:
         pose: the attitude or the pose, a state or its name.

@@ -21,8 +21,8 @@ __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 class LayeredAtmosphere:
     """An atmosphere given by its temperature, linear in geopotential altitude within each layer.
 
-    With H = r z / (r + z) the geopotential altitude of geometric altitude z, T = T_i + L_i (H - H_i) in layer i and
-    p = p_i exp(-g M / R* integral dH / T), so that dp/dz = -rho g (r / (r + z))^2.
+    With $H = r z / (r + z)$ the geopotential altitude of geometric altitude z, $T = T_i + L_i (H - H_i)$ in layer i and
+    $p = p_i exp(-g M / R_u integral dH / T)$, so that $dp/dz = -rho g (r / (r + z))^2$.
 
     The first layer is continued below its base, the last one above it without end.
 
@@ -107,7 +107,7 @@ class LayeredAtmosphere:
         return self.pressure(altitude) / (self.specific_gas_constant * self.temperature(altitude))
 
     def speed_of_sound(self, altitude: ExprLike) -> Expr:
-        """Speed of sound sqrt(gamma R* T / M) in m/s at geometric altitudes in m, entry by entry."""
+        """Speed of sound $sqrt(gamma R_u T / M)$ in m/s at geometric altitudes in m, entry by entry."""
         return Sqrt(self.heat_ratio * self.specific_gas_constant * self.temperature(altitude))
 
 

@@ -44,7 +44,7 @@ class Ellipsoid:
 
     Attributes:
         radius: the equatorial radius a, m.
-        flattening: f = (a - b) / a, with b the distance of the poles from the centre.
+        flattening: $f = (a - b) / a$, with b the distance of the poles from the centre.
         rate: rate of rotation about z, rad/s.
     Raises: ModelError if the radius is not positive, the flattening not in [0, 1), or the rate not finite.
     """
@@ -66,7 +66,7 @@ class Ellipsoid:
 
     @property
     def eccentricity_squared(self) -> float:
-        """e^2 = f (2 - f)."""
+        """$e^2 = f (2 - f)$."""
         return self.flattening * (2.0 - self.flattening)
 
     def geodetic(self, position: ExprLike) -> Geodetic:
@@ -90,7 +90,7 @@ class Ellipsoid:
     def radii(self, latitude: ExprLike) -> tuple[Expr, Expr]:
         """Radii of curvature at a geodetic latitude (), of the meridian and of the normal section across it, m.
 
-        M = a (1 - e^2) / (1 - e^2 sin^2)^(3/2) and N = a / (1 - e^2 sin^2)^(1/2). Raises ShapeError.
+        $M = a (1 - e^2) / (1 - e^2 s^2)^(3/2)$, $N = a / (1 - e^2 s^2)^(1/2)$, s the sine. Raises ShapeError.
         """
         e2 = self.eccentricity_squared
         rest = 1.0 - e2 * Sin(_angle("radii", "latitude", latitude)) ** 2
@@ -102,7 +102,7 @@ class Ellipsoid:
         return AxisRotation(self.rate * of_shape("to_inertial", "t", t, ()), (0.0, 0.0, 1.0))
 
     def air_velocity(self, position: ExprLike, velocity: ExprLike) -> Expr:
-        """Velocity (3,) relative to air at rest on the turning Earth, v - W x p, from inertial position and velocity.
+        """Velocity (3,) relative to air at rest on the turning Earth, $v - W x p$, from inertial position and velocity.
 
         Raises ShapeError.
         """

@@ -32,7 +32,7 @@ class PointMass:
         positive(self, "gm", self.gm)
 
     def acceleration(self, position: ExprLike) -> Expr:
-        """-GM p / |p|^3, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError."""
+        """$-GM p / |p|^3$, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError."""
         p = _position(position)
         square = Dot(p, p)
         return (-self.gm / (square * Sqrt(square))) * p
@@ -42,8 +42,8 @@ class PointMass:
 class J2:
     """Gravity of an oblate planet: a point mass and the second zonal harmonic.
 
-    The potential is U = GM/r (1 - J2 (R/r)^2 (3 (z/r)^2 - 1)/2), with z along the axis of rotation. It does not depend
-    on the longitude, so the position may be given in axes that turn with the planet or do not.
+    The potential is $U = GM/r (1 - J2 (R/r)^2 (3 (z/r)^2 - 1)/2)$, with z along the axis of rotation. It does not
+    depend on the longitude, so the position may be given in axes that turn with the planet or do not.
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.
@@ -67,7 +67,8 @@ class J2:
     def acceleration(self, position: ExprLike) -> Expr:
         """The gradient of U, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError.
 
-        -GM/r^3 p * (1 + k (1 - s), 1 + k (1 - s), 1 + k (3 - s)), k = 3/2 J2 (R/r)^2, s = 5 (z/r)^2.
+        $-GM/r^3 [1 + k (1 - s); 1 + k (1 - s); 1 + k (3 - s)] p$, entry by entry;
+        $k = 3/2 J2 (R/r)^2$, $s = 5 (z/r)^2$.
         """
         p = _position(position)
         inverse = 1.0 / Dot(p, p)
@@ -77,7 +78,7 @@ class J2:
 
 
 def gradient_torque(gm: float, position: ExprLike, inertia: ExprLike) -> Expr:
-    """3 GM / r^5 p x I p (3,), N m: what the pull of a point mass exerts on a body about its centre of mass.
+    """$3 GM / r^5 p x I p$ (3,), N m: what the pull of a point mass exerts on a body about its centre of mass.
 
     To first order in the size of the body over its distance.
 

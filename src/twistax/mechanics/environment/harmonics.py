@@ -22,7 +22,7 @@ __all__ = ["EGM2008", "HarmonicPull", "Harmonics"]
 
 @dataclasses.dataclass(frozen=True)
 class Harmonics:
-    """Gravity of the potential U = GM/r sum_nm (R/r)^n P_nm(sin(phi)) (C_nm cos(m lambda) + S_nm sin(m lambda)).
+    """Gravity of the potential $U = GM/r sum_nm (R/r)^n P_nm(sin(phi)) (C_nm cos(m lambda) + S_nm sin(m lambda))$.
 
     phi and lambda are the geocentric latitude and the longitude, P_nm the fully normalised associated Legendre
     functions and C_00 = 1. What is not in `terms` is zero.
@@ -88,7 +88,7 @@ class Harmonics:
 class HarmonicPull(Expr):
     """The gradient of the potential of `Harmonics`. Shapes: (3,) -> (3,), m -> m/s2.
 
-    By the recursions of V_nm and W_nm, which are (R/r)^(n+1) P_nm times the cosine and sine; they have no singularity
+    By the recursions of V_nm and W_nm, which are $(R/r)^(n+1) P_nm$ times the cosine and sine; they have no singularity
     at the poles. P_nm is fully normalised: without that, single precision overflows at degree 30. A term of degree n
     takes some 20 operations.
 

@@ -43,7 +43,7 @@ class UpperAtmosphere:
         return self._joined(altitude, self.below.density(altitude), 3)
 
     def speed_of_sound(self, altitude: ExprLike) -> Expr:
-        """sqrt(gamma p / rho) in m/s at geometric altitudes in m; the standard has none above 86 km."""
+        """$sqrt(gamma p / rho)$ in m/s at geometric altitudes in m; the standard has none above 86 km."""
         return Sqrt(self.below.heat_ratio * self.pressure(altitude) / self.density(altitude))
 
     def _joined(self, altitude: ExprLike, low: Expr, column: int) -> Expr:

@@ -52,7 +52,7 @@ class AirData:
 
     @cached_property
     def beta(self) -> Expr:
-        """Angle of sideslip asin(v / V), (), rad, as atan2(v, |(u, w)|); 0 at rest."""
+        """Angle of sideslip $asin(v / V)$, (), rad, as atan2(v, |(u, w)|); 0 at rest."""
         u, v, w = self.velocity[0], self.velocity[1], self.velocity[2]
         return Atan2(v, Norm(Concat(u, w)))
 
@@ -73,22 +73,22 @@ class AirData:
 
     @cached_property
     def mach(self) -> Expr:
-        """V / a, ()."""
+        """$V / a$, ()."""
         return self.airspeed / self.speed_of_sound
 
     @cached_property
     def dynamic_pressure(self) -> Expr:
-        """rho V^2 / 2, (), Pa."""
+        """$rho V^2 / 2$, (), Pa."""
         return 0.5 * self.density * Dot(self.velocity, self.velocity)
 
     @cached_property
     def equivalent_airspeed(self) -> Expr:
-        """V sqrt(rho / rho_0), rho_0 the density at altitude 0, (), m/s."""
+        """$V sqrt(rho / rho_0)$, rho_0 the density at altitude 0, (), m/s."""
         return self.airspeed * Sqrt(self.density / self.air.density(0.0))
 
     @cached_property
     def impact_pressure(self) -> Expr:
-        """What a pitot tube reads over p, (), Pa: p ((1 + M^2 / 5)^(7/2) - 1), behind a shock by Rayleigh's formula.
+        """What a pitot tube reads over p, (), Pa: $p ((1 + M^2 / 5)^(7/2) - 1)$, behind a shock by Rayleigh's formula.
 
         Source: NACA Report 1135, Equations, tables and charts for compressible flow (1953), eqs. (44) and (100).
         """
@@ -126,7 +126,7 @@ def _not_negative(place: str, value: ExprLike) -> None:
 
 
 def drag(air: AirData, area: ExprLike) -> Expr:
-    """-rho V C_D S u / 2 (3,) in body axes, N, of C_D S = area (), m2; smooth at rest.
+    """$-rho V C_D S u / 2$ (3,) in body axes, N, of C_D S = area (), m2; smooth at rest.
 
     Raises: ShapeError; ModelError for a number below 0.
     """

@@ -58,7 +58,7 @@ class Engine:
 
     @property
     def wrench(self) -> Expr:
-        """[f; p x f] (6,) of the thrust f."""
+        """$[f; p x f]$ (6,) of the thrust f."""
         force = self.thrust * of_shape("Engine", "direction", self.direction, (3,))
         return wrench(force=force, torque=Cross(self.position, force))
 
@@ -73,7 +73,7 @@ def rocket(
     position: ExprLike = (0.0, 0.0, 0.0),
     direction: ExprLike = (1.0, 0.0, 0.0),
 ) -> Engine:
-    """A rocket engine: thrust = throttle T - p A, mass flow = throttle T / (g_0 I).
+    """A rocket engine: its thrust is $s T - p A$, its mass flow $s T / (g_0 I)$, s the throttle.
 
     Args:
         throttle: (), 0 to 1; at 0 the pressure term stays, so switch a dead engine off by `tx.Where`.
@@ -103,12 +103,12 @@ def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprL
     With w the body's rate, f the flow, c and J the centre and the inertia about the origin of what a kilogram takes
     from the body, and r the outlet,
 
-        force = -2 f w x (r - c),    moment = f (J w - r x (w x r) - w x (c x r)).
+        $force = -2 f w x (r - c), moment = f (J w - r x (w x r) - w x (c x r))$
 
-    It makes M V' = F - ad*_V(M V), with F the sum of all wrenches and M that of the mass there is, the balance of
+    It makes $M V' = F - ad*_V(M V)$, with F the sum of all wrenches and M that of the mass there is, the balance of
     momentum of a body with a steady flow along a line from c to r. Left out is what a changing flow exerts, f' (r - c)
-    and f' (c x r). Along an axis of symmetry, about the centre of mass, the moment is -(I' + f l^2) w, the jet damping
-    of textbooks.
+    and $f' (c x r)$. Along an axis of symmetry, about the centre of mass, the moment is $-(I' + f l^2) w$, the jet
+    damping of textbooks.
 
     Args:
         V: the body's twist (6,).

@@ -53,7 +53,7 @@ class Imu:
         check_element("Imu", "mounting", of_shape("Imu", "mounting", self.mounting, (3, 3)))
 
     def read(self, V: ExprLike, acceleration: ExprLike, gravitation: ExprLike) -> ImuReading:
-        """What it reads: v' + w x v + w' x r + w x (w x r) - a_g, and w, in its axes, with biases.
+        """What it reads: $v' + w x v + w' x r + w x (w x r) - a_g$, and w, in its axes, with biases.
 
         Args:
             V: the body's twist (6,).
@@ -71,7 +71,7 @@ class Imu:
 
 
 def probe(air: AirData, position: ExprLike) -> AirData:
-    """The air data at a position in the body (3,), m, such as a boom with vanes: there the body's rate adds w x r.
+    """The air data at a position in the body (3,), m, such as a boom with vanes: there the body's rate adds $w x r$.
 
     Raises: ShapeError.
     """

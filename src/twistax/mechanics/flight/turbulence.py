@@ -32,7 +32,7 @@ class Gust(NamedTuple):
 
 
 def even_turbulence(lengths: Any, intensities: Any) -> Scales:
-    """The same at all heights, as above 2000 ft: L_u, L_v, L_w = 1750 ft.
+    """The same at all heights, as above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
 
     Args:
         lengths: (L_u, L_v, L_w), m, positive.
@@ -49,8 +49,8 @@ def even_turbulence(lengths: Any, intensities: Any) -> Scales:
 def low_altitude_turbulence(wind: Any) -> Scales:
     """Between 10 and 1000 ft over the ground, where the wind 20 ft above it is given; outside the values at the ends.
 
-    With h in ft: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, sigma_w = 0.1 u_20 and
-    sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4.
+    With h in ft: $L_w = h$, $L_u = L_v = h / (0.177 + 0.000823 h)^(1.2)$, $sigma_w = 0.1 u_20$ and
+    $sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^(0.4)$.
 
     Args:
         wind: u_20, m/s.
@@ -72,7 +72,7 @@ class Dryden:
     """Gusts along and about body axes, as frozen patterns that the vehicle flies through.
 
     The state (8,) starts at zero; the noise is a control (4,). The air's rates follow from the gradients of its
-    velocity: q = -dw/dx and r = dv/dx, filtered by the span.
+    velocity: $q = -dw/dx$ and $r = dv/dx$, filtered by the span.
 
     Attributes:
         scales: `low_altitude_turbulence(...)`, `even_turbulence(...)`, or a function of the height.

@@ -83,7 +83,9 @@ class Profile:
 
 @dataclasses.dataclass(frozen=True)
 class LogarithmicShear:
-    """The wind near the ground, u(h) = u_20 ln(h / z_0) / ln(20 ft / z_0) from a direction; zero below h = z_0.
+    """The wind near the ground, $u(h) = u_20 ln(h / z_0) / ln(h_20 / z_0)$ from a direction; zero below z_0.
+
+    h_20 is 20 ft.
 
     Attributes:
         speed: u_20, 20 ft above the ground, m/s.
