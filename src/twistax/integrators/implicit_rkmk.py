@@ -64,8 +64,8 @@ class ImplicitRKMK(ChartMethod):
 
     With z_i the coordinates of stage i around the start of the step, $z_i = h sum_j a_ij k_j$, k_j the slope of the
     chart at stage j, and the step ends at $sum_i d_i z_i$, $d = b a^-1$. The equations are solved by Newton's method
-    with the Jacobian at the start of the step, one real and one complex inverse a step in the size of the tangent, from the
-    polynomial of the step before carried on.
+    with the Jacobian at the start of the step, one real and one complex inverse a step in the size of the tangent, from
+    the polynomial of the step before carried on.
 
     - `tx.tableaus.RADAU_IIA5`, `RADAU_IIA9` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm.
       They take fixed steps, or choose their own.
