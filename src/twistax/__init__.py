@@ -38,7 +38,7 @@ from .system import System
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, columns, compositions, diffrax, mechanics, tableaus, trajectory, units, view
     from .integrators import RKMK, CommutatorFree, Event, Magnus, StepControl, integrate
-    from .integrators.controls import FirstOrderHold, ZeroOrderHold
+    from .integrators.controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
     from .integrators.interpolant import Between
     from .integrators.phased_solution import PhasedSolution
@@ -57,8 +57,8 @@ __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "Between", "CommutatorFree", "Dynamics",
     "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
     "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
-    "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "Product", "Result", "ShapeError",
-    "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim",
+    "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "PiecewisePolynomial", "Product", "Result",
+    "ShapeError", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim",
     "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions", "diffrax", "fast", "integrate",
     "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial", "sweep", "tableaus",
     "tables", "tangent_grad", "trajectory", "trim", "units", "view",
@@ -70,7 +70,7 @@ __all__ += expr.__all__
 _LATER = {
     "": ("charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units", "view"),
     ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
-    ".integrators.controls": ("FirstOrderHold", "ZeroOrderHold"),
+    ".integrators.controls": ("FirstOrderHold", "PiecewisePolynomial", "ZeroOrderHold"),
     ".integrators.interpolant": ("Between",),
     ".integrators.phased_solution": ("PhasedSolution",),
     ".integrators.phases": ("Phase", "integrate_phases"),

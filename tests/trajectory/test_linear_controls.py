@@ -117,7 +117,7 @@ def test_what_is_no_way_of_a_control() -> None:
 
     with pytest.raises(tx.ModelError, match="controls names 'w'; the controls are: 'u'"):
         problem({"w": Linear()})
-    with pytest.raises(tx.ModelError, match=r"tx.trajectory.Held\(\) or Linear\(\)"):
+    with pytest.raises(tx.ModelError, match=r"tx.trajectory.Held\(\), Linear\(\) or Spline"):
         problem("linear")
     with pytest.raises(tx.ModelError, match="reads 'rate of u'"):
         problem(Held(), running=Rate(u) ** 2)

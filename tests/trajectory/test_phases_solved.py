@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -12,7 +14,7 @@ from trajectory_systems import HEUN
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, TrajectoryError
-from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem
+from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem, refine
 
 WALL, NODES = -0.03, 6
 STEP = 1.0 / (NODES - 1)
@@ -110,6 +112,28 @@ def test_limits_between_nodes() -> None:
     assert lowest(held) > WALL - 1e-6
     assert held.between_nodes["a: wall"] < 1e-6
     assert held.cost > solved().cost
+
+
+def test_a_finer_mesh_begins_where_the_coarse_one_ended() -> None:
+    """Halves of intervals have the same controls, so the dynamics hold; each phase has nodes of its own."""
+    result = solved()
+    errors = refine.interval_errors(result)
+    assert [own.shape for own in errors] == [(NODES - 1,)] * 2
+    assert np.max(errors) < 1e-9
+    finer, warm = refine._finer(result, errors, 1e-3, rests=False) or (None, None)
+    assert finer is not None
+    assert all(part.nodes > NODES for part in finer.parts)
+    values = jax.jit(finer.shooting.values)(warm.point, finer.started().given)
+    np.testing.assert_allclose(values.defects, 0.0, atol=1e-9)
+    assert values.cost == pytest.approx(result.cost, rel=1e-9)
+    again = dataclasses.replace(result, problem=finer, warm=warm)
+    for old, new in zip(result.phases, refine._trajectories(again)):
+        np.testing.assert_allclose(np.interp(old.ts, new.ts, new.xs["v"]), old.xs["v"], atol=1e-9)
+    # What the ends of the whole are worth.
+    rows = [
+        s.rows_of(s.segments[1], r) for s, r in ((finer.shooting, warm.rows), (problem().shooting, result.warm.rows))
+    ]
+    np.testing.assert_array_equal(rows[0][-3:], rows[1][-3:])
 
 
 def refused(kind: type[Exception], word: str, **options: Any) -> None:

@@ -1,7 +1,7 @@
 """Integration on groups: methods, controls, events, solutions. Tableaus are `tx.tableaus`, charts `tx.charts`."""
 
 from .commutator_free import CommutatorFree
-from .controls import FirstOrderHold, ZeroOrderHold
+from .controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from .events import Event
 from .implicit_rkmk import ImplicitRKMK
 from .integrate import integrate

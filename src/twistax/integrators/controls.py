@@ -162,6 +162,46 @@ class ZeroOrderHold(Table):
         return self.values[self._row(inner)]
 
 
+class PiecewisePolynomial(Table):
+    """Polynomials: from ts[i] until ts[i + 1] sum_k values[i, k] (t - ts[i])^k / k!, the last from its time on.
+
+    So values[i] has the value at ts[i] and its derivatives from there on. Before ts[0] there is no value.
+
+    Args:
+        ts: (n,) times in s, increasing.
+        values: (n, degree + 1, *shape) the value, then its derivatives, in the control's unit per s^k.
+    Raises:
+        ShapeError: another number of rows, or rows without an axis of derivatives.
+        InputError: times that do not increase, or a value that is not finite.
+    """
+
+    rows = 1
+    holds_on = True
+
+    def __init__(self, ts: Any, values: Any) -> None:
+        super().__init__(ts, values)
+        if self.values.ndim < 2 or not self.values.shape[1]:
+            raise ShapeError(
+                f"PiecewisePolynomial expects values with shape (n, degree + 1, ...), got {self.values.shape}"
+            )
+
+    @property
+    def first(self) -> Any:
+        return super().first[0]
+
+    @property
+    def jumps(self) -> Any:
+        return self.times[1:]
+
+    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
+        row = self._row(inner)
+        own, since = self.values[row], time - self.ts[row]
+        found = own[-1]
+        for order in range(self.values.shape[1] - 1, 0, -1):
+            found = own[order - 1] + since / order * found
+        return found
+
+
 class FirstOrderHold(Table):
     """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration.
 

@@ -2,7 +2,7 @@
 
 from ..progress import Progress
 from .cases import PhasedResults, TrajectoryResults
-from .controls import Held, Linear, Rate
+from .controls import Held, Linear, Rate, Spline
 from .discretize import Discretization, discretize
 from .external import IPOPT, Fatrop
 from .found import Optimality
@@ -49,6 +49,7 @@ __all__ = [
     "Problem",
     "Progress",
     "Solution",
+    "Spline",
     "Status",
     "TrajectoryResult",
     "TrajectoryResults",

@@ -113,8 +113,8 @@ def _explained(result: Any) -> str:
         f"misses of a finer rollout at the end: {missed}",
         "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
     ]
-    meshes = getattr(result, "meshes", ())
-    lines += [f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}" for m in meshes]
+    for m in result.meshes:
+        lines.append(f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}")
     return "\n".join(lines)
 
 

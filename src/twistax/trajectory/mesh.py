@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import reals, short, whole
 from ..errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from .transcription import Collocation, MultipleShooting
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,3 +85,20 @@ def _limits(free: Any) -> tuple[float, float] | None:
 def mesh_of(nodes: Any) -> Mesh:
     """The mesh that was given, or that of so many nodes, or with nodes at these shares."""
     return nodes if isinstance(nodes, Mesh) else Mesh(nodes)
+
+
+class Remeshed(NamedTuple):
+    """What a problem of one phase, or a phase, has on another mesh; `numbers` are the new ones of its nodes."""
+
+    mesh: Mesh
+    transcription: MultipleShooting | Collocation
+    numbers: Array
+
+    def stated(self, at: Mapping[int, Any] | None) -> dict[str, Any]:
+        """What it is stated with, given conditions at inner nodes; without a guess."""
+        return {
+            "nodes": self.mesh,
+            "transcription": self.transcription,
+            "at": None if at is None else {int(self.numbers[k]): asked for k, asked in at.items()},
+            **dict.fromkeys(("method", "substeps", "guess")),
+        }

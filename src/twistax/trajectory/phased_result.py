@@ -21,6 +21,7 @@ from .transcribed import Segment, Values
 if TYPE_CHECKING:
     from ..view import Scene
     from .phases import PhasedProblem
+    from .refine import Meshed
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -32,11 +33,13 @@ class PhasedResult(Found):
     Attributes:
         phases: the trajectory of each, with `xs`, `us`, `ts`, `replay()`; times go on from phase to phase.
         durations: how long each phase takes, s.
+        meshes: of `solve(refine=...)` the meshes it went through, a `Meshed` each.
     """
 
     problem: PhasedProblem
     phases: tuple[Trajectory, ...]
     durations: dict[str, float]
+    meshes: tuple[Meshed, ...] = ()
 
     @functools.cached_property
     def between_nodes(self) -> dict[str, float]:

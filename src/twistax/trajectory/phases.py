@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,6 +24,7 @@ from .found import Tried
 from .functionals import Initial
 from .guess import resample
 from .joined import Join, Joined, told_before
+from .mesh import Remeshed
 from .phase import Phase, as_dict, asked, names_read
 from .phased_result import PhasedResult, best_of_phases
 from .problem import Problem
@@ -64,6 +66,8 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         if strangers or not phases:
             got = short(strangers[0]) if strangers else "none"
             raise ModelError(f"Problem expects a compiled system, or a list of tx.trajectory.Phase(...), got {got}")
+        #: What it was stated with.
+        self._phases, self._stated = list(phases), {"links": links, "params": params, "free": free}
         self.names: list[str] = []
         for index, phase in enumerate(phases):
             self.names.append(free_name(phase.name or f"phase {index}", self.names))
@@ -213,6 +217,10 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         self.build()
 
     # ---- what a solve starts from, and what it gives ----------------------------------------------------------------
+
+    def on(self, meshes: Sequence[Remeshed]) -> PhasedProblem:
+        found = [dataclasses.replace(p, **own.stated(p.at)) for p, own in zip(self._phases, meshes, strict=True)]
+        return PhasedProblem(found, **self._stated)
 
     @property
     def parts(self) -> Sequence[Problem]:

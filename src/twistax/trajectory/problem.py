@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -24,16 +24,15 @@ from .conditions import Ends, at_nodes, conditions, ends_of, split
 from .cones import norm_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
-from .mesh import Mesh, mesh_of
+from .mesh import Remeshed, mesh_of
 from .reduction import InPhase, Reduction
-from .refine import refined
 from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
 from .transcribed import Given, Point
-from .transcription import Collocation, MultipleShooting, transcription_of
+from .transcription import transcription_of
 from .warm import other_problem
 
 
@@ -59,11 +58,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         params: values of the parameters by leaf or name, the objective's too; those left out take their own.
         free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
             of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
-        controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out) or `tx.trajectory.Linear()`,
-            for all of them, or a dict by leaf or name.
-        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, linear controls) or
-            interval (held controls). A free parameter starts here, else at its value, or at the point of its box
-            nearest to that.
+        controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out), `tx.trajectory.Linear()` or
+            `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
+        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, continuous
+            controls) or interval (held controls). A free parameter starts here, else at its value, or at the point of
+            its box nearest to that.
         final_time_guess: where a free final time starts; the middle of its limits unless given.
         transcription: how an interval is integrated, in exponential coordinates about its first node:
             `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
@@ -172,16 +171,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.params = self._prepared(params)
         self._build()
 
-    def on(self, mesh: Mesh, transcription: MultipleShooting | Collocation, numbers: Array) -> Problem:
-        """The same problem on another mesh, without a guess; `numbers` are the new ones of its nodes."""
-        at = self._stated["at"]
-        own = {
-            "nodes": mesh,
-            "transcription": transcription,
-            "at": None if at is None else {int(numbers[k]): asked for k, asked in at.items()},
-            **dict.fromkeys(("method", "substeps", "guess")),
-        }
-        return Problem(**self._stated | own)
+    def on(self, meshes: Sequence[Remeshed]) -> Problem:
+        (mesh,) = meshes
+        return Problem(**self._stated | mesh.stated(self._stated["at"]))
 
     def as_phase(self, number: int, border: Border) -> None:
         """Make it a phase of a problem with these durations and free parameters."""
@@ -273,11 +265,6 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def result(self, tried: Tried) -> TrajectoryResult:
         return best_result(self, tried)
-
-    def refined(
-        self, result: TrajectoryResult, tolerance: float, solve: Callable[[Any, Any], TrajectoryResult]
-    ) -> TrajectoryResult:
-        return refined(result, tolerance, solve)
 
     def results(self, tried: Sequence[Tried]) -> TrajectoryResults:
         return trajectory_results(self, tried)

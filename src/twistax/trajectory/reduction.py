@@ -37,7 +37,7 @@ from ..groups import Euclidean
 from ..lowering import Dynamics, compile
 from ..system import System, free_name, name_of
 from .cones import Term, is_norm, linear_terms, sum_of
-from .controls import Linear, Rate
+from .controls import Linear, Spline, is_rate
 from .functionals import Extreme, Functional, Initial, Integral
 from .statement import Objective, check_leaves
 
@@ -150,9 +150,8 @@ class Reduction:
             self._add(dynamics, part)
         before = len(self.bounds)
         operand = self._put(self._bounded(leaf) if leaf.key() in self._low else leaf.operand)
-        rates = {Rate(c).key() for c in dynamics.controls}
         for read in leaves_of(leaf.operand):
-            known = isinstance(read, Functional) or read.key() in rates
+            known = isinstance(read, Functional) or is_rate(read, dynamics.controls)
             if not known and (self._within.first or not isinstance(leaf, Initial)):
                 check_leaves(dynamics, repr(leaf), read, controls=True)
         front = f"{self._within.name}: " if self._within.name and isinstance(leaf, Extreme) else ""
@@ -212,7 +211,7 @@ class Reduction:
         found = dict(controls)
         for name, part in self.bounds.items():
             linear = [ways[e.name] for e in leaves_of(part) if isinstance(e, Control) and e.name in ways]
-            if any(isinstance(way, Linear) for way in linear):
+            if any(isinstance(way, Spline) for way in linear):
                 found[name] = Linear()
         return found
 

@@ -5,13 +5,14 @@ far its end is from the planned one, in scales of the states, is its error. Inte
 and those whose controls change most, as these cost most. Where the objective has come to rest before the errors have,
 substeps are doubled. It ends when all errors are within the tolerance, and the objective moved by less than that since
 the mesh before.
+Of several phases each is marked by itself.
 Source of the marking: Dorfler, SIAM J. Numer. Anal. 33 (1996), here for squared changes of controls.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -22,15 +23,15 @@ from numpy import ndarray as Array
 from ..integrators.method import VectorField
 from ..precision import in_double
 from .layout import Layout
-from .mesh import Mesh
+from .mesh import Mesh, Remeshed
 from .replay import held_of
-from .transcribed import Point
+from .result import Trajectory, trajectory_at
+from .transcribed import Point, Segment
 from .warm import WarmStart
 from .watch import Status
 
 if TYPE_CHECKING:
     from .problem import Problem
-    from .result import Trajectory, TrajectoryResult
 
 #: The most meshes, nodes and substeps; what is split at least of all squared changes of controls, and of all intervals.
 _MESHES, _NODES, _SUBSTEPS, _SHARE, _LEAST = 12, 1000, 8, 0.9, 0.5
@@ -41,7 +42,7 @@ class Meshed:
     """One mesh of a refinement.
 
     Attributes:
-        nodes, substeps: how many; substeps are those of an interval.
+        nodes, substeps: how many; of all phases the sum of nodes, and the most substeps of an interval.
         error: the largest error of an interval, in scales of the states.
         cost: the objective as stated.
         status: of its solve.
@@ -56,8 +57,8 @@ class Meshed:
     seconds: float
 
 
-def refined(first: TrajectoryResult, tolerance: float, solve: Callable[..., TrajectoryResult]) -> TrajectoryResult:
-    """The result on a mesh that is fine enough, or the last one with status COARSE; its `meshes` tell the history.
+def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
+    """The result on meshes that are fine enough, or the last one with status COARSE; its `meshes` tell the history.
 
     Args:
         first: the result on the mesh as stated; the refinement ends with it unless it is SOLVED.
@@ -66,10 +67,10 @@ def refined(first: TrajectoryResult, tolerance: float, solve: Callable[..., Traj
     result, meshes, change = first, [], np.inf
     while True:
         errors = interval_errors(result)
-        largest = float(errors.max())
+        largest = float(np.concatenate(errors).max())
         seconds = result.compile_seconds + result.solve_seconds
-        problem = result.problem
-        count = problem.nodes, problem.transcription.substeps
+        parts = result.problem.parts
+        count = sum(part.nodes for part in parts), max(part.transcription.substeps for part in parts)
         meshes.append(Meshed(*count, largest, result.cost, result.status, seconds))
         if result.status is not Status.SOLVED:
             return dataclasses.replace(result, meshes=tuple(meshes))
@@ -86,26 +87,41 @@ def refined(first: TrajectoryResult, tolerance: float, solve: Callable[..., Traj
         change = abs(result.cost - before)
 
 
-def interval_errors(result: TrajectoryResult) -> Array:
-    """(intervals,) how far each interval, integrated closely from its planned start, ends from its planned end.
+def interval_errors(result: Any) -> list[Array]:
+    """Of each phase (intervals,) how far each, integrated closely from its planned start, ends from its planned end.
 
     In scales of the states, the largest over the tangents.
     """
-    problem = result.problem
-    ends = _ends(result, result.warm.point.xs)
-    group = problem.dynamics.group
-    with in_double():
-        planned = {name: np.asarray(a)[1:] for name, a in result.warm.point.xs.items()}
-        gaps = np.asarray(jax.jit(jax.vmap(group.difference))(planned, ends))
-    return np.asarray(np.abs(gaps / result.warm.scales.d[1:]).max(axis=1, initial=0.0))
+    found, scales = [], np.asarray(result.warm.scales.d)
+    for trajectory, segment in zip(_trajectories(result), result.problem.shooting.segments):
+        group, ends = trajectory.problem.dynamics.group, _ends(trajectory)
+        with in_double():
+            planned = {name: a[1:] for name, a in _states(trajectory).items()}
+            gaps = np.asarray(jax.jit(jax.vmap(group.difference))(planned, ends))
+        own = scales[segment.nodes, : gaps.shape[1]]
+        found.append(np.asarray(np.abs(gaps / own[1:]).max(axis=1, initial=0.0)))
+    return found
 
 
-def _ends(result: Trajectory, xs: dict[str, Array], share: float = 1.0) -> dict[str, Array]:
+def _trajectories(result: Any) -> list[Trajectory]:
+    """Of each phase, as it is solved."""
+    problem, point = result.problem, result.warm.point
+    pairs = zip(problem.parts, problem.shooting.segments, strict=True)
+    return [Trajectory(**trajectory_at(part, segment.of(point), result.params)) for part, segment in pairs]
+
+
+def _states(trajectory: Trajectory) -> dict[str, Array]:
+    """All states at the nodes."""
+    return trajectory.xs | trajectory.added
+
+
+def _ends(trajectory: Trajectory, share: float = 1.0) -> dict[str, Array]:
     """The states a share of each interval after its start, by a close integration."""
-    problem = result.problem
+    problem = trajectory.problem
     dynamics, method = problem.dynamics, problem.transcription.closer
     steps = 2 * problem.transcription.substeps
-    params = {p.name: jnp.asarray(result.params[p.name]) for p in dynamics.parameters if p.name in result.params}
+    known = trajectory.params
+    params = {p.name: jnp.asarray(known[p.name]) for p in dynamics.parameters if p.name in known}
     stored = method.stored(dynamics, params)
 
     def one(interval: Any) -> Any:
@@ -115,83 +131,97 @@ def _ends(result: Trajectory, xs: dict[str, Array], share: float = 1.0) -> dict[
         return stored.value(jax.lax.fori_loop(0, steps, advance, stored.enter(x)))
 
     with in_double():
-        starts = {name: jnp.asarray(a)[:-1] for name, a in xs.items()}
-        lengths = share * np.diff(result.ts) / steps
-        held = jax.tree.map(jnp.asarray, held_of(result))
-        found = jax.jit(lambda *own: jax.lax.map(one, own))(starts, held, jnp.asarray(result.ts[:-1]), lengths)
+        starts = {name: jnp.asarray(a)[:-1] for name, a in _states(trajectory).items()}
+        lengths = share * np.diff(trajectory.ts) / steps
+        held = jax.tree.map(jnp.asarray, held_of(trajectory))
+        found = jax.jit(lambda *own: jax.lax.map(one, own))(starts, held, jnp.asarray(trajectory.ts[:-1]), lengths)
     return {name: np.asarray(a) for name, a in found.items()}
 
 
-def _finer(result: TrajectoryResult, errors: Array, tolerance: float, rests: bool) -> tuple[Problem, WarmStart] | None:
-    """The problem on the next mesh with a start for it; None where that would be too large."""
-    problem, none = result.problem, np.zeros(len(errors), bool)
-    transcription, mesh = problem.transcription, problem.mesh
-    if rests and transcription.substeps < _SUBSTEPS:
-        finer = dataclasses.replace(transcription, substeps=2 * transcription.substeps)
-        again = problem.on(mesh, finer, np.arange(problem.nodes))
-        return again, _start(again, result, none)
-    split = ~(errors <= tolerance) | _marked(_changes(result))
-    if problem.nodes + split.sum() > _NODES:
+def _finer(result: Any, errors: Sequence[Array], tolerance: float, rests: bool) -> tuple[Any, WarmStart] | None:
+    """The problem on the next meshes with a start for it; None where these would be too large."""
+    problem, segments = result.problem, result.problem.shooting.segments
+    meshes, splits = [], []
+    for trajectory, segment, own in zip(_trajectories(result), segments, errors):
+        part = trajectory.problem
+        transcription, mesh = part.transcription, part.mesh
+        wrong = ~(own <= tolerance)
+        split = np.zeros(len(own), bool)
+        if rests and wrong.any() and transcription.substeps < _SUBSTEPS:
+            transcription = dataclasses.replace(transcription, substeps=2 * transcription.substeps)
+        elif not rests or wrong.any():
+            split = wrong | _marked(trajectory, segment.of(result.warm.point))
+        middles = (mesh.shares[:-1] + 0.5 * mesh.widths)[split]
+        shares = np.sort(np.concatenate([mesh.shares, middles]))
+        numbers = np.arange(part.nodes) + np.append(0, np.cumsum(split))
+        meshes.append(Remeshed(Mesh(shares, free=mesh.free or False), transcription, numbers))
+        splits.append(split)
+    if sum(own.mesh.nodes for own in meshes) > _NODES:
         return None
-    middles = (mesh.shares[:-1] + 0.5 * mesh.widths)[split]
-    finer_mesh = Mesh(np.sort(np.concatenate([mesh.shares, middles])), free=mesh.free or False)
-    again = problem.on(finer_mesh, transcription, np.arange(problem.nodes) + np.append(0, np.cumsum(split)))
-    return again, _start(again, result, split)
+    again = problem.on(meshes)
+    return again, _start(again, result, splits)
 
 
-def _changes(result: TrajectoryResult) -> Array:
+def _changes(part: Problem, us: Array, ts: Array) -> Array:
     """(intervals,) by how much, squared, controls change about an interval, in their scales, times its length.
 
-    Of linear controls their rates are held; these count times the length once more.
+    Of continuous controls a rate is held, their k-th derivative; it counts times the length k times more.
     """
-    problem, us = result.problem, np.asarray(result.warm.point.us)
-    lengths = np.diff(result.ts) / (result.ts[-1] - result.ts[0])
+    lengths = np.diff(ts) / (ts[-1] - ts[0])
     found = np.zeros(len(us))
-    for name, part in problem.shooting.local.controls.slices.items():
-        if name == problem.restated.pace:
+    for name, place in part.shooting.local.controls.slices.items():
+        if name == part.restated.pace:
             continue
-        jumps = np.pad(np.abs(np.diff(us[:, part], axis=0)), ((1, 1), (0, 0)))
-        change = np.maximum(jumps[:-1], jumps[1:])
-        if name in problem.restated.rates:
-            change = change * lengths[:, None]
+        jumps = np.pad(np.abs(np.diff(us[:, place], axis=0)), ((1, 1), (0, 0)))
+        change = np.maximum(jumps[:-1], jumps[1:]) * lengths[:, None] ** part.restated.rates.get(name, 0)
         most = change.max(axis=0)
         found += ((change / np.where(most > 0.0, most, 1.0)) ** 2).sum(axis=1) * lengths
     return found
 
 
-def _marked(changes: Array) -> Array:
-    """The fewest intervals that have a share of all changes, and no less than half of all intervals."""
+def _marked(trajectory: Trajectory, point: Point) -> Array:
+    """The fewest intervals that have a share of all changes, and no less than half of all intervals.
+
+    None of a phase without controls.
+    """
+    changes = _changes(trajectory.problem, np.asarray(point.us), trajectory.ts)
     order, found = np.argsort(-changes), np.zeros(len(changes), bool)
-    total = np.cumsum(changes[order])
-    count = int(np.searchsorted(total, _SHARE * total[-1])) + 1
-    found[order[: max(count, int(np.ceil(_LEAST * len(changes))))]] = True
+    if trajectory.problem.shooting.m:
+        total = np.cumsum(changes[order])
+        count = int(np.searchsorted(total, _SHARE * total[-1])) + 1
+        found[order[: max(count, int(np.ceil(_LEAST * len(changes))))]] = True
     return found
 
 
-def _start(problem: Problem, result: TrajectoryResult, split: Array) -> WarmStart:
+def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
     """What was found as a start on the next mesh: half of an interval has its controls, and half of its multipliers."""
-    warm = result.warm
+    warm, scales = result.warm, result.warm.scales
     old, new = result.problem.shooting, problem.shooting
+    split = np.zeros(old.intervals, bool)
+    xs, rows, sizes = [], [], []
+    pairs = zip(old.segments, new.segments, _trajectories(result), splits, strict=True)
+    for before, after, trajectory, own in pairs:
+        split[before.stages] = own
+        states = _states(trajectory)
+        if own.any():
+            middle, at = _ends(trajectory, 0.5), np.flatnonzero(own)
+            states = {name: np.insert(a, at + 1, middle[name][at], axis=0) for name, a in states.items()}
+        xs.append(states)
+        moved = _Moved(before, after, own)
+        rows.append(moved.of(old.rows_of(before, np.asarray(warm.rows)), 0.5))
+        sizes.append(moved.of(old.rows_of(before, np.asarray(scales.rows))))
     parent = np.repeat(np.arange(old.intervals), 1 + split)
-    xs = {name: np.asarray(a) for name, a in warm.point.xs.items()}
-    if split.any():
-        middle, at = _ends(result, xs, 0.5), np.flatnonzero(split)
-        xs = {name: np.insert(a, at + 1, middle[name][at], axis=0) for name, a in xs.items()}
-    before, own = (np.asarray(a)[: old.intervals * old.rows_per_interval] for a in (warm.rows, warm.scales.rows))
-    source, same = _columns(old.layout, new.layout, old.substeps, new.substeps)
-    halves = np.where(split[parent], 0.5, 1.0)[:, None]
-    rows = before.reshape(old.intervals, -1)[parent][:, source] * np.where(same, halves, 0.0)
-    sizes = own.reshape(old.intervals, -1)[parent][:, source]
-    scales = warm.scales
+    whole = new.whole_rows(sizes)
+    alone = old.segments[0].alone
     return WarmStart(
         problem,
-        Point(xs, np.asarray(warm.point.us)[parent], np.asarray(warm.point.border)),
+        Point(xs[0] if alone else tuple(xs), np.asarray(warm.point.us)[parent], np.asarray(warm.point.border)),
         _costates(warm.dynamics, split),
-        np.concatenate([rows.ravel(), warm.rows[before.size :]]),
+        new.whole_rows(rows),
         scales._replace(
             d=np.asarray(scales.d)[np.append(0, parent + 1)],
             u=np.asarray(scales.u)[parent],
-            rows=np.concatenate([sizes.ravel(), np.asarray(scales.rows)[before.size :]]),
+            rows=np.where(whole > 0.0, whole, 1.0),
         ),
         warm.params,
     )
@@ -202,6 +232,27 @@ def _costates(dynamics: Array, split: Array) -> Array:
     at = np.flatnonzero(split)
     before = dynamics[np.maximum(at - 1, 0)]
     return np.insert(dynamics, at, 0.5 * (before + dynamics[at]), axis=0)
+
+
+class _Moved:
+    """Numbers of the rows of a phase, brought to its next mesh."""
+
+    def __init__(self, old: Segment, new: Segment, split: Array) -> None:
+        self._old, self._split = old.shooting, split
+        self._parent = np.repeat(np.arange(self._old.intervals), 1 + split)
+        layouts = self._old.layout, new.shooting.layout
+        self._source, self._same = _columns(*layouts, self._old.substeps, new.shooting.substeps)
+
+    def of(self, rows: Array, share: float | None = None) -> Array:
+        """Each half of an interval gets a share of what the whole has; where nothing was asked it gets nothing.
+
+        Without a share each has what the whole has, or what the row before it has.
+        """
+        inner, end = np.split(rows, [self._old.intervals * self._old.rows_per_interval])
+        found = inner.reshape(self._old.intervals, -1)[self._parent][:, self._source]
+        if share is not None:
+            found = found * np.where(self._same, np.where(self._split[self._parent], share, 1.0)[:, None], 0.0)
+        return np.concatenate([found.ravel(), end])
 
 
 def _columns(old: Layout, new: Layout, substeps: int, finer: int) -> tuple[Array, Array]:

@@ -1,8 +1,9 @@
-"""A statement with linear controls and free node times, restated with held controls and nodes at given shares.
+"""A statement with continuous controls and free node times, restated with held controls and nodes at given shares.
 
-A linear control becomes a state with a held rate. With free node times, interval k is s_k times as long as its share of
-the final time says: a held control, the pace s, multiplies all rates and the running cost, and time becomes a state
-with rate 1, which ends at the final time. So both keep the problem in stages.
+A linear control becomes a state with a held rate, a spline a chain of states with a held last derivative. With free
+node times, interval k is s_k times as long as its share of the final time says: a held control, the pace s, multiplies
+all rates and the running cost, and time becomes a state with rate 1, which ends at the final time. So all of them keep
+the problem in stages.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from numpy import ndarray as Array
 
 from ..expr import Constraint, Control, Expr, Norm, State, Time, leaves_of
 from ..expr.graph import substitute
+from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..lowering import Dynamics, compile
 from ..system import System
 from .cones import norm_controls
-from .controls import Linear, Rate, linear_controls
+from .controls import Linear, Spline, continuous_controls, rates_among
 from .mesh import Mesh
 from .statement import Objective
 
@@ -39,11 +41,12 @@ class Restated:
         dynamics, objective: restated.
         controls: those of the system as stated, without rates.
         straight: names of the states that are linear over each interval.
+        rates: name of a held derivative of a continuous control -> of which order it is.
         at_end: constraints on the last node that come with free node times.
         at_join: state -> what it begins as after another phase, of the end of that.
 
     Raises:
-        ModelError: see `linear_controls`.
+        ModelError: see `continuous_controls`.
     """
 
     def __init__(
@@ -55,36 +58,36 @@ class Restated:
         first: bool,
         added: Collection[str] = (),
     ) -> None:
-        linear = linear_controls(controls, dynamics.controls)
-        rates = {Rate(c).name for c in dynamics.controls}
+        ways = continuous_controls(controls, dynamics.controls)
+        rates = rates_among(dynamics.controls)
         self.controls = [c for c in dynamics.controls if c.name not in rates]
         self._added = frozenset(added)
-        self._mesh, self._linear = mesh, {c.name: c for c in self.controls if c.name in linear}
+        self._mesh, self._smooth = mesh, {c.name: c for c in self.controls if c.name in ways}
         self.dynamics, self.objective = dynamics, objective
         self.at_end: dict[str, Constraint] = {}
         self.at_join: dict[str, Expr] = {}
-        self._states: dict[str, State] = {}
-        self._rates: dict[str, Control] = {}
-        #: Names of the held controls that are rates of linear ones.
-        self.rates: set[str] = set()
+        #: Of every continuous control itself and its derivatives, the last one held.
+        self._chains: dict[str, tuple[list[State], Control]] = {}
+        self.rates: dict[str, int] = {}
         self._exchange: dict[str, Expr] = {}
         rows: dict[str, Constraint] = {}
-        if linear:
-            running, bounds = _with_bounds(objective, set(linear))
-            self._linear |= {s.name: s for s, _ in bounds}
+        if ways:
+            running, bounds = _with_bounds(objective, set(ways))
+            self._smooth |= {s.name: s for s, _ in bounds}
             rows = {s.name: Norm(a) <= s for s, a in bounds}
             self.objective = type(objective)(objective.final, running=running)
-            for name, leaf in self._linear.items():
-                self._add(leaf, linear.get(name, Linear()))
+            for name, leaf in self._smooth.items():
+                self._add(leaf, ways.get(name, Linear()))
         clock = State(_CLOCK, initial=0.0 if first else None)
         if mesh.free is not None:
             self._exchange[Time().key()] = clock
             self.at_end = {"the last node is at the final time": clock == Time()}
             self.at_join = {_CLOCK: Time()}
-        self.straight = set(self._linear)
+        self.straight = {name for name, (states, _) in self._chains.items() if len(states) == 1}
         #: States that the system as stated does not have.
-        self.hidden = self.straight | ({_CLOCK} if mesh.free is not None else set())
-        if self._states or mesh.free is not None:
+        self.hidden = {s.name for states, _ in self._chains.values() for s in states}
+        self.hidden |= {_CLOCK} if mesh.free is not None else set()
+        if self._chains or mesh.free is not None:
             final, running = self.objective.final, self.objective.running
             self.objective = type(objective)(
                 None if final is None else self._put(final, last=True),
@@ -92,13 +95,12 @@ class Restated:
             )
             self.dynamics = self._compiled(dynamics, rows, clock)
 
-    def _add(self, leaf: Control, way: Linear) -> None:
-        """A linear control as a state."""
-        state = State(leaf.name, leaf.shape, min=leaf.min, max=leaf.max, guess=leaf.guess, scale=leaf.scale)
-        rate = way.rate_control(leaf)
-        self._states[leaf.name], self._rates[leaf.name] = state, rate
-        self.rates.add(rate.name)
-        self._exchange |= {leaf.key(): state, rate.key(): rate}
+    def _add(self, leaf: Control, way: Spline) -> None:
+        """A continuous control as states."""
+        states, held = self._chains[leaf.name] = way.leaves(leaf)
+        self.rates[held.name] = len(states)
+        self._exchange |= {leaf.key(): states[0], held.key(): held}
+        self._exchange |= {Control(s.name, s.shape).key(): s for s in states[1:]}
 
     def _put(self, expr: Expr, last: bool = False) -> Expr:
         """The same expression, restated. At the last node time is the final time."""
@@ -115,9 +117,10 @@ class Restated:
         """The system restated, compiled as it was."""
         system, functions = dynamics.system, dynamics._functions
         rates: dict[State | str, Any] = {state: self._put(system.rates[state.name]) for state in system.states}
-        rates |= {self._states[name]: rate for name, rate in self._rates.items()}
-        kept = {rate.name for rate in self._rates.values()} | set(self._linear)
-        controls = [c for c in dynamics.controls if c.name not in kept] + list(self._rates.values())
+        for states, held in self._chains.values():
+            rates |= zip(states, [*states[1:], held])
+        kept = set(self.rates) | self.hidden
+        controls = [c for c in dynamics.controls if c.name not in kept] + [held for _, held in self._chains.values()]
         if self._mesh.free is not None:
             low, high = self._mesh.free
             rates[clock] = 1.0
@@ -148,40 +151,55 @@ class Restated:
         return shares if self.pace is None else xs[_CLOCK]
 
     def us(self, xs: Mapping[str, Any], held: Mapping[str, Any]) -> dict[str, Any]:
-        """The controls that users see: linear ones at the nodes, the others over the intervals."""
+        """The controls that users see: continuous ones at the nodes, the others over the intervals."""
         seen = [c.name for c in self.controls if c.name not in self._added]
-        return {name: xs[name] if name in self._linear else held[name] for name in seen}
+        return {name: xs[name] if name in self._smooth else held[name] for name in seen}
 
     def held(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Array]:
         """The held controls of the restated system, from what users see and all states at the nodes."""
-        found = {name: values for name, values in us.items() if name not in self._linear}
+        found = {name: values for name, values in us.items() if name not in self._smooth}
         steps = np.diff(ts)
-        for name, rate in self._rates.items():
-            moves = np.diff(xs[name], axis=0)
-            found[rate.name] = moves / steps.reshape(-1, *[1] * (moves.ndim - 1))
+        for states, held in self._chains.values():
+            moves = np.diff(xs[states[-1].name], axis=0)
+            found[held.name] = moves / steps.reshape(-1, *[1] * (moves.ndim - 1))
         if self.pace is not None:
             found[_PACE] = steps / ((ts[-1] - ts[0]) * self._mesh.widths)
+        return found
+
+    def over_time(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Any]:
+        """The controls that users see as tables over time, from them and all states at the nodes."""
+        found: dict[str, Any] = {}
+        held = self.held(ts, us, xs)
+        for name, values in us.items():
+            states, last = self._chains.get(name, ([], None))
+            if last is None:
+                found[name] = ZeroOrderHold(ts[:-1], values)
+            elif len(states) == 1:
+                found[name] = FirstOrderHold(ts, values)
+            else:
+                rows = [values[:-1], *(xs[s.name][:-1] for s in states[1:]), held[last.name]]
+                found[name] = PiecewisePolynomial(ts[:-1], np.stack(rows, axis=1))
         return found
 
     def started(
         self, xs: dict[str, Array], us: dict[str, Array], ts: Array
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        """A guess made whole: states and held controls that fit its linear controls and times."""
+        """A guess made whole: states and held controls that fit its continuous controls and times."""
         if self.pace is not None:
             xs = xs | {_CLOCK: ts}
         return xs, us | self.held(ts, {}, xs)
 
     def at_rest(self, held: dict[str, Any]) -> dict[str, Any]:
-        """Held controls under which linear ones stay as they are."""
+        """Held controls under which linear ones stay as they are, and splines go on as their derivatives say."""
         return {name: 0.0 * values if name in self.rates else values for name, values in held.items()}
 
 
-def _with_bounds(objective: Objective, linear: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:
-    """The running cost with a bound, a linear control of its own, in place of each norm of linear controls."""
+def _with_bounds(objective: Objective, smooth: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:
+    """The running cost with a bound, a linear control of its own, in place of each norm of continuous controls."""
     found = norm_controls(objective.running, objective.sign)
     bounds, back = [], {}
     for bound, operand in zip(found.controls, found.operands):
-        if any(isinstance(leaf, Control) and leaf.name in linear for leaf in leaves_of(operand)):
+        if any(isinstance(leaf, Control) and leaf.name in smooth for leaf in leaves_of(operand)):
             bounds.append((bound, operand))
         else:
             back[bound.key()] = Norm(operand)

@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from ..checks import whole
 from ..errors import TrajectoryError
-from ..integrators import RKMK, FirstOrderHold, ZeroOrderHold
+from ..integrators import RKMK, FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..integrators.tableaus import RK4
 from ..precision import in_double
 from .found import Found, Tried, found_params
@@ -35,7 +35,7 @@ class Trajectory:
 
     Attributes:
         xs: states by name, leading axis the nodes.
-        us: controls by name, leading axis the intervals for held ones, the nodes for linear ones.
+        us: controls by name, leading axis the intervals for held ones, the nodes for continuous ones.
         ts: (nodes,) times in s.
         final_time: the last of them.
         params: the parameters it was solved for, and those that were found.
@@ -51,14 +51,9 @@ class Trajectory:
     added: dict[str, Array]
 
     @property
-    def controls(self) -> dict[str, ZeroOrderHold | FirstOrderHold]:
+    def controls(self) -> dict[str, ZeroOrderHold | FirstOrderHold | PiecewisePolynomial]:
         """The controls over time, as `tx.integrate(u=...)` takes them."""
-        return {
-            name: FirstOrderHold(self.ts, values)
-            if len(values) == len(self.ts)
-            else ZeroOrderHold(self.ts[:-1], values)
-            for name, values in self.us.items()
-        }
+        return self.problem.restated.over_time(self.ts, self.us, self.us | self.added)
 
     @property
     def integrals(self) -> dict[str, Array]:

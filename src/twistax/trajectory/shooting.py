@@ -285,7 +285,7 @@ class Shooting(Transcribed):
         """The path rows, and the running cost times T."""
         eta, u, begin, length, params = self._parts(q, params)
         rows, density = self.local.point(begin + share * length, eta, u, base, params)
-        return jnp.append(rows, length * self._pace(u) * density)
+        return jnp.concatenate([rows, (length * self._pace(u) * density)[None]])
 
     def _pace(self, u: jax.Array) -> Any:
         """How long the interval is over what its share says."""
@@ -327,7 +327,9 @@ class Shooting(Transcribed):
         last = self._here(-1, point)
         at = self._place(-1, d)
         end = self._end.slopes(at, last, given)
-        end_hessian = self._end.bends(jnp.append(w[split:], 1.0), at, last, given)
+        # No `jnp.append`: XLA loses what says how kernels are called where a called function is given an empty array.
+        pushes = jnp.concatenate([w[split:], jnp.ones(1, w.dtype)])
+        end_hessian = self._end.bends(pushes, at, last, given)
         return Derivatives(defects, rows, end[:-1], gradient, end[-1], hessian, end_hessian)
 
     def _node_derivatives(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
@@ -22,7 +22,9 @@ from .cases import Cases, prepared
 from .external import SolvedBy
 from .found import Tried
 from .many import LANES, Lanes, solve_all
+from .mesh import Remeshed
 from .pinned import stirred
+from .refine import refined
 from .solver import Callback, Outcome, Solver
 from .transcribed import Given, Point, Step, Transcribed
 from .warm import WarmStart, warm_start, with_ends
@@ -96,9 +98,9 @@ class Solvable(ABC, Generic[One, Many]):
     def result(self, tried: Tried) -> One:
         """The best of several tries."""
 
-    def refined(self, result: One, tolerance: float, solve: Callable[[Any, Any], One]) -> One:
-        """The result on finer meshes; `solve` solves a problem warm."""
-        raise TrajectoryError("solve: problems of phases are not refined.\n  fix: leave out refine")
+    @abstractmethod
+    def on(self, meshes: Sequence[Remeshed]) -> Any:
+        """The same problem on other meshes, one for each phase, without a guess."""
 
     @abstractmethod
     def results(self, tried: Sequence[Tried]) -> Many:
@@ -163,7 +165,8 @@ class Solvable(ABC, Generic[One, Many]):
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
                 `result.meshes` has all of them. Every mesh compiles. The status is COARSE where a thousand nodes are
-                not enough. Of problems of one phase.
+                not enough.
+
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
             TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
@@ -222,7 +225,7 @@ class Solvable(ABC, Generic[One, Many]):
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback}
-        finest: Any = self.refined(result, refine, lambda problem, warm: problem.solve(warm=warm, **asked))
+        finest: Any = refined(result, refine, lambda problem, warm: problem.solve(warm=warm, **asked))
         if between is None or not finest.solved:
             return finest
         return dataclasses.replace(finest.problem.solve(warm=finest, between=between, **asked), meshes=finest.meshes)
