@@ -40,6 +40,11 @@ try:
 except ImportError:
     _nothing_traced = None  # type: ignore[assignment]
 
+try:
+    from jax._src.config import _check_vma as _varying_checked
+except ImportError:
+    _varying_checked = None  # type: ignore[assignment]
+
 T = TypeVar("T")
 
 #: Messages that were given, each once for a process.
@@ -215,6 +220,27 @@ def weakly_kept(cls: type[T]) -> type[T]:
     return cls
 
 
+def spread(value: Any) -> bool:
+    """Whether the type of an array says how it lies on a mesh: on manual axes of `shard_map`, or on explicit ones."""
+    aval = getattr(value, "aval", None)
+    return isinstance(aval, jax.core.ShapedArray) and (bool(aval.mat.varying) or _explicit(aval.sharding.mesh))
+
+
+def _explicit(mesh: Any) -> bool:
+    return jax.sharding.AxisType.Explicit in (mesh.axis_types or ())
+
+
+@contextlib.contextmanager
+def of_one_device() -> Iterator[None]:
+    """What is traced inside is a function of plain arrays: loops and branches ask there for nothing that meshes add."""
+    with contextlib.ExitStack() as settings:
+        if _varying_checked is not None:
+            settings.enter_context(_varying_checked(False))
+        if _explicit(jax.sharding.get_abstract_mesh()):
+            settings.enter_context(jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())))
+        yield
+
+
 def varying_alike(arguments: Sequence[Any]) -> list[Any]:
     """Arguments of one equation: inside of `shard_map` those that all devices share vary as the others do."""
     axes = [jax.typeof(a).mat.varying for a in arguments]
@@ -225,12 +251,19 @@ def varying_alike(arguments: Sequence[Any]) -> list[Any]:
     ]
 
 
-def varying_as(aval: Any, arguments: Sequence[Any]) -> Any:
-    """The abstract value of a result, varying between devices as the arguments do."""
-    if not arguments or not arguments[0].mat.varying:
+def placed_as(aval: Any, depth: int, shared: Collection[int], arguments: Sequence[Any]) -> Any:
+    """The abstract value of a result on the mesh of the arguments: its first `depth` axes lie as theirs do.
+
+    Args:
+        shared: the arguments that do not have these axes.
+    """
+    like = next((a for a in arguments if a.mat.varying or _explicit(a.sharding.mesh)), None)
+    if like is None:
         return aval
-    sharding = arguments[0].sharding.update(spec=jax.sharding.PartitionSpec(*(None for _ in aval.shape)))
-    return arguments[0].update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=sharding)
+    given = [a.sharding.spec[:depth] for k, a in enumerate(arguments) if k not in shared and a.sharding.spec]
+    batch = [next((axis for axis in own if axis is not None), None) for own in zip(*given, strict=True)]
+    spec = jax.sharding.PartitionSpec(*batch, *(None for _ in aval.shape[len(batch) :]))
+    return like.update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=like.sharding.update(spec=spec))
 
 
 def by_one_device(context: Any) -> Any:
@@ -240,6 +273,35 @@ def by_one_device(context: Any) -> Any:
         return [shaped_array(a.shape, a.dtype) if isinstance(a, jax.core.ShapedArray) else a for a in avals]
 
     return context.replace(avals_in=plain(context.avals_in), avals_out=plain(context.avals_out))
+
+
+def on_axes(function: Callable[..., list[Any]], depth: int, whole: Collection[int], context: Any) -> Any:
+    """A function of batches that lie on explicit axes of a mesh, for the lowering of it: each device has its members.
+
+    None where they do not.
+
+    Args:
+        function: the first `depth` axes of its results are those of the batch.
+        depth: how many axes are of the batch.
+        whole: the arguments that do not begin with these axes.
+    """
+    mesh, spec = context.avals_out[0].sharding.mesh, jax.sharding.PartitionSpec
+    batch = spec(*context.avals_out[0].sharding.spec[:depth])
+    if not _explicit(mesh) or all(axis is None for axis in batch):
+        return None
+    ins = [spec() if k in whole else batch for k in range(len(context.avals_in))]
+    outs = [batch for _ in context.avals_out]
+    mapped = jax.shard_map(function, mesh=mesh, in_specs=tuple(ins), out_specs=outs, check_vma=False)
+
+    def run(*arguments: Any) -> list[Any]:
+        places = [
+            jax.sharding.NamedSharding(mesh, spec(*own, *(None for _ in a.shape[len(own) :])))
+            for a, own in zip(arguments, ins, strict=True)
+        ]
+        found: list[Any] = mapped(*(jax.sharding.reshard(a, place) for a, place in zip(arguments, places, strict=True)))
+        return found
+
+    return run
 
 
 def is_shared_out(context: Any) -> bool:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .jax_inside import Primitive, ad, batching, jet, mlir, shaped_array, varying_as
+from .jax_inside import Primitive, ad, batching, jet, mlir
 
 
 class Table:
@@ -77,7 +77,7 @@ def _batched(arguments: Any, axes: Any, **own: Any) -> Any:
 
 
 _load_p.def_impl(functools.partial(jax.jit, static_argnames=("table", "offset", "dtype"))(_taken))
-_load_p.def_abstract_eval(lambda place, table, offset, dtype: varying_as(shaped_array(place.shape, dtype), [place]))
+_load_p.def_abstract_eval(lambda place, table, offset, dtype: place.update(dtype=dtype, weak_type=False))
 batching.primitive_batchers[_load_p] = _batched
 ad.primitive_jvps[_load_p] = _zero_jvp
 mlir.register_lowering(_load_p, mlir.lower_fun(_taken, multiple_results=False))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import callable_with, real_array, short
 from ..errors import InputError, ShapeError
-from ..jax_inside import is_traced
+from ..jax_inside import is_traced, of_one_device
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite, read_values
@@ -278,7 +278,8 @@ class OfTime:
 
     def opened(self, t: jax.Array) -> OfTime:
         """The same function, the traced values it closes over made inputs, so that derivatives find them."""
-        function, inputs = jax.closure_convert(self.function, t)
+        with of_one_device():
+            function, inputs = jax.closure_convert(self.function, t)
         return OfTime(function, inputs) if inputs else self
 
     def prepared(self, held: Mapping[str, Any], dtype: Any) -> OfTime:

@@ -22,8 +22,9 @@ from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
 from ..groups.arrays import element_defect
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
-from ..lowering.dynamics import need_compiled
+from ..lowering.dynamics import Arrays, need_compiled
 from ..lowering.inputs import is_finite, precision
+from ..lowering.written import on_any_mesh
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
@@ -245,6 +246,12 @@ def _or_nan(good: jax.Array, value: jax.Array) -> jax.Array:
     return jnp.where(good, value, jnp.nan)
 
 
+def _and_end(array: Any, ts: Any, xs: Arrays, t: Any, end: Arrays) -> tuple[Any, Arrays]:
+    """Times and states, and the end behind them."""
+    joined = {name: array.concatenate([value, array.asarray(end[name])[None]]) for name, value in xs.items()}
+    return array.append(ts, t), joined
+
+
 def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
     outcome, watching, known = found.outcome, steps.watch is not None, not is_traced(found.outcome)
@@ -271,11 +278,10 @@ def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only:
             kept = int(np.cumprod(np.asarray(found.reached)[:kept]).sum())
         ts, xs = ts[:kept], {name: array.asarray(value)[:kept] for name, value in xs.items()}
         if watching:
-            end = {name: array.asarray(value)[None] for name, value in found.end.items()}
+            end = found.end
             if not known:
                 end = {name: _or_nan(_ended_well(outcome.code), value) for name, value in end.items()}
-            ts = array.append(ts, outcome.t)
-            xs = {name: array.concatenate([value, end[name]]) for name, value in xs.items()}
+            ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, outcome.t, end)
         xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)
     return Solution(

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from ..errors import ModelError
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
+from ..lowering.written import on_any_mesh
 from .charts import Blocks, StateCoordinates, StoredState, coordinates_of
 from .controls import Signals
 from .tolerances import Tolerances
@@ -284,4 +285,4 @@ def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any)
         # Where jit is disabled arrays of NumPy would come in as they are.
         return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, map(jnp.asarray, leaves))))
 
-    return functions.loops.get((make, structure), flat)(*leaves)
+    return on_any_mesh(functions.loops.get((make, structure), flat), *leaves)

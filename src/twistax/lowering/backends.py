@@ -21,6 +21,7 @@ from .scalar.primitive import Derived, Rows, call_program
 from .scalar.program import ScalarProgram, emitted_form, scalarize
 from .scalar.table import entry_of
 from .small_call import is_key, known_inside
+from .written import on_any_mesh
 
 #: A step of arrays to arrays, and what it takes.
 Step: TypeAlias = Callable[..., list[jax.Array]]
@@ -242,4 +243,4 @@ def as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
             )
     run = jaxpr_as_fun(closed)
     # An output that is a number in the jaxpr comes back as NumPy's.
-    return lambda *leaves: [jnp.asarray(value) for value in run(*leaves)]
+    return lambda *leaves: [jnp.asarray(value) for value in on_any_mesh(run, *leaves)]

@@ -9,11 +9,13 @@ from typing import Any, Generic, Literal, ParamSpec, TypeVar
 import jax
 
 from ..errors import ModelError
-from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, opened
+from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, of_one_device, opened
 from .backends import XLA, Backend, chosen
+from .closures import closed_over, replaced
 from .native.backend import Native, installed
 from .scalar.primitive import call_program
 from .whole import Whole, has_loops
+from .written import on_any_mesh
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -62,28 +64,29 @@ class Fast(Generic[P, R]):
         """The results for traced arguments, and how they came about."""
         leaves, structure = jax.tree.flatten((args, kwargs))
         places = [i for i, leaf in enumerate(leaves) if is_traced(leaf)]
+        over = closed_over(self._function)
+        if not places and not over:
+            return self._function(*args, **kwargs), ["as written: no argument is an array"]
         shapes: list[Any] = []
 
         def flat(*values: Any) -> list[Any]:
-            own = list(leaves)
-            for i, value in zip(places, values, strict=True):
+            inside, own = dict(zip(map(id, over), values, strict=False)), list(leaves)
+            for i, value in zip(places, values[len(over) :], strict=True):
                 own[i] = value
             args, kwargs = jax.tree.unflatten(structure, own)
-            results, shape = jax.tree.flatten(self._function(*args, **kwargs))
+            with replaced(self._function, lambda value: inside.get(id(value), value)) as function:
+                results, shape = jax.tree.flatten(function(*args, **kwargs))
             shapes.append(shape)
             return results
 
-        if not places:
-            return self._function(*args, **kwargs), ["as written: no argument is an array"]
-        values = [leaves[i] for i in places]
-        # Within `shard_map` values say what they vary over, which the loops inside would have to repeat.
+        values = [*over, *(leaves[i] for i in places)]
         plain = [jax.ShapeDtypeStruct(v.shape, v.dtype, weak_type=v.weak_type) for v in map(jax.typeof, values)]
-        closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
-        run, held = opened(closed)
-        if held:
-            closed = jax.make_jaxpr(run)(
-                *(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, held)), *plain
-            )
+        with of_one_device():
+            closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
+            run, held = opened(closed)
+            if held:
+                others = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, held)]
+                closed = jax.make_jaxpr(run)(*others, *plain)
         function, reasons = _compiled(closed, self._backend)
         found: R = jax.tree.unflatten(shapes[0], function(*held, *values))
         return found, reasons
@@ -93,7 +96,8 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     """A function of arrays, and how its parts run."""
     variables = [*closed.jaxpr.invars, *(v for eqn in all_equations(closed.jaxpr) for v in eqn.outvars)]
     if closed.effects or any(map(is_key, variables)):
-        return jaxpr_as_fun(closed), ["arrays, as written: it has effects or random keys"]
+        run = functools.partial(on_any_mesh, jaxpr_as_fun(closed))
+        return run, ["arrays, as written: it has effects or random keys"]
     if not has_loops(closed):
         emission = backend.emit(closed)
         return emission.function, [emission.reason]

@@ -14,7 +14,6 @@ import numpy as np
 from ..jax_inside import (
     ClosedJaxpr,
     Literal,
-    Primitive,
     Unread,
     all_equations,
     alone,
@@ -29,9 +28,10 @@ from ..jax_inside import (
 )
 from .backends import Backend, array_operations
 from .scalar.loops import Looped, Ring, loop
-from .scalar.primitive import Bodies, Differentiable, Rows, Shapes, differentiable
+from .scalar.primitive import Bodies
 from .scalar.table import say_unread
 from .small_call import small_call
+from .written import Written, is_written
 
 #: Loops of fewer operations on scalars, all iterations together, are unrolled.
 _UNROLLED = 2000
@@ -59,7 +59,7 @@ class Part:
 
 
 @weakly_kept
-class Whole(Differentiable):
+class Whole(Written):
     """A function of arrays, run in parts. Its derivatives are taken before it is parted.
 
     Args:
@@ -68,73 +68,19 @@ class Whole(Differentiable):
     """
 
     def __init__(self, program: ClosedJaxpr, backend: Backend) -> None:
-        super().__init__()
-        self.program = program
+        super().__init__(program)
         self.backend = backend
-
-    @property
-    def results(self) -> Shapes:
-        return [(v.aval.shape, np.dtype(v.aval.dtype)) for v in self.program.jaxpr.outvars]
-
-    @property
-    def real(self) -> list[int]:
-        """Complex results too: the derivatives are JAX's own."""
-        return [k for k, (_, dtype) in enumerate(self.results) if jnp.issubdtype(dtype, jnp.inexact)]
-
-    @functools.cached_property
-    def function(self) -> Callable[..., list[jax.Array]]:
-        """As JAX has it."""
-        run = jaxpr_as_fun(self.program)
-        return lambda *a: [jnp.asarray(value) for value in run(*a)]
 
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
         """What runs on the CPU, and how it came about."""
         return emit_whole(self.program, self.backend)
 
-    def primitive(self, inside: bool) -> Primitive:
-        return _whole_p
-
-    def kernel(self, rows: int) -> Rows | None:
-        return None
-
     def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
         return bodies.each(self.parts[0], arguments)
 
-    def _tangent(self, active: tuple[int, ...]) -> Whole:
-        def tangent(given: list[Any], moved: list[Any]) -> list[Any]:
-            return list(jax.jvp(self._of(active, given), [given[k] for k in active], moved)[1])
-
-        return self._made(tangent, [self.program.jaxpr.invars[k].aval for k in active])
-
-    def _cotangent(self, active: tuple[int, ...]) -> Whole:
-        def cotangent(given: list[Any], back: list[Any]) -> list[Any]:
-            return list(jax.vjp(self._of(active, given), *(given[k] for k in active))[1](back))
-
-        return self._made(cotangent, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
-
-    def _of(self, active: tuple[int, ...], given: Sequence[Any]) -> Callable[..., list[jax.Array]]:
-        """The real results as a function of some of the arguments."""
-
-        def function(*own: jax.Array) -> list[jax.Array]:
-            values = list(given)
-            for k, value in zip(active, own, strict=True):
-                values[k] = value
-            found = self.function(*values)
-            return [found[k] for k in self.real]
-
-        return function
-
-    def _made(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> Whole:
-        own: list[Any] = [v.aval for v in self.program.jaxpr.invars]
-        count = len(own)
-        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*own, *more]]
-        closed = jax.make_jaxpr(lambda *values: derivative(list(values[:count]), list(values[count:])))(*shapes)
-        return Whole(closed, self.backend)
-
-
-_whole_p = Primitive("whole_function")
-differentiable(_whole_p)
+    def made(self, program: ClosedJaxpr) -> Whole:
+        return Whole(program, self.backend)
 
 
 # ---- parting ---------------------------------------------------------------------------------------------------------
@@ -181,7 +127,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if name == _whole_p.name and not eqn.params["bodies"].depth:
+        if is_written(eqn) and not eqn.params["bodies"].depth:
             inside: ClosedJaxpr | None = eqn.params["program"].program
         else:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
@@ -197,8 +143,8 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
 def _loops(eqn: Any) -> bool:
     """Whether an equation is a loop that is not unrolled, or has one in its branches."""
-    inside = [each.primitive.name for inner in inner_jaxprs(eqn) for each in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or {"while", _whole_p.name} & set(inside):
+    inside = [each for inner in inner_jaxprs(eqn) for each in all_equations(inner.jaxpr)]
+    if eqn.primitive.name == "while" or any(is_written(each) or each.primitive.name == "while" for each in inside):
         return eqn.primitive.name in (*_LOOPS, "cond")
     if eqn.primitive.name == "cond":
         return any(_loops(each) for inner in inner_jaxprs(eqn) for each in inner.jaxpr.eqns)

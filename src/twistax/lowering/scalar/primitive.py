@@ -22,10 +22,12 @@ from ...jax_inside import (
     jet,
     mlir,
     needs_devices,
+    of_one_device,
+    on_axes,
+    placed_as,
     shaped_array,
     shared_out,
     varying_alike,
-    varying_as,
     weakly_kept,
 )
 from ..small_call import apart, inside_small_call, small_call
@@ -294,9 +296,9 @@ def _elsewhere(*arguments: Any, program: Computed, bodies: Bodies, inside: bool)
 
 
 def _abstract(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[Any]:
+    batch, depth, shared = bodies.shape(arguments), bodies.depth, bodies.shared
     return [
-        varying_as(shaped_array((*bodies.shape(arguments), *shape), dtype), arguments)
-        for shape, dtype in program.results
+        placed_as(shaped_array((*batch, *shape), dtype), depth, shared, arguments) for shape, dtype in program.results
     ]
 
 
@@ -360,10 +362,12 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
             def once(*a: Any) -> list[jax.Array]:
                 return function(*a, **own)
 
-            bodies = own["bodies"]
-            run = shared_out(once, bodies.depth, bodies.shared) if bodies.depth and is_shared_out(context) else once
-            here = mlir.lower_fun(lambda *a: run(*a), multiple_results=True)
-            return here(by_one_device(context), *arguments)
+            depth, shared = own["bodies"].depth, own["bodies"].shared
+            run = on_axes(once, depth, shared, context) if depth else None
+            if run is None:
+                run = shared_out(once, depth, shared) if depth and is_shared_out(context) else once
+                context = by_one_device(context)
+            return mlir.lower_fun(lambda *a: run(*a), multiple_results=True)(context, *arguments)
 
         return lowered
 

@@ -1,0 +1,60 @@
+"""The traced values that a function closes over: found, and for a while replaced by others."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import types
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+
+
+def closed_over(function: Callable[..., Any]) -> list[Any]:
+    """The traced values in the variables of enclosing functions, in defaults, partial functions and owners of methods.
+
+    Also those within pytrees, and within functions, that stand there. Attributes of other objects are not looked at.
+    """
+    found: dict[int, Any] = {}
+    with replaced(function, lambda value: found.setdefault(id(value), value)):
+        return list(found.values())
+
+
+@contextlib.contextmanager
+def replaced(function: Callable[..., Any], by: Callable[[Any], Any]) -> Iterator[Callable[..., Any]]:
+    """The function with `by(value)` in place of each of these values, as long as this lasts."""
+    with contextlib.ExitStack() as after:
+        yield _changed(function, by, set(), after)
+
+
+def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contextlib.ExitStack) -> Any:
+    """A value with others in place of traced ones; itself where it holds none, and functions, whose variables change.
+
+    Args:
+        seen: functions that were met: they may hold one another.
+        after: what puts their variables back.
+    """
+    if isinstance(value, jax.core.Tracer):
+        return by(value)
+    inner = functools.partial(_changed, by=by, seen=seen, after=after)
+    if isinstance(value, types.FunctionType):
+        if id(value) not in seen:
+            seen.add(id(value))
+            filled = [(cell, "cell_contents") for cell in value.__closure__ or () if hasattr(cell, "cell_contents")]
+            for place, name in [(value, "__defaults__"), (value, "__kwdefaults__"), *filled]:
+                old = getattr(place, name)
+                new = inner(old)
+                if new is not old:
+                    after.callback(setattr, place, name, old)
+                    setattr(place, name, new)
+        return value
+    if isinstance(value, types.MethodType):
+        owner = inner(value.__self__)
+        return value if owner is value.__self__ else types.MethodType(value.__func__, owner)
+    if type(value) is functools.partial:
+        return functools.partial(inner(value.func), *map(inner, value.args), **inner(value.keywords))
+    leaves, structure = jax.tree.flatten(value)
+    own = [leaf if leaf is value else inner(leaf) for leaf in leaves]
+    same = all(a is b for a, b in zip(leaves, own, strict=True))
+    return value if same else jax.tree.unflatten(structure, own)
