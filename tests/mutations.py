@@ -1422,6 +1422,28 @@ MUTATIONS: list[Mutation] = [
         ("the wrong branch", "jax.lax.switch(index, ", "jax.lax.switch(1 - index, ", "lowering/test_fast.py"),
     ),
     *_at(
+        "jax_inside.py",
+        (
+            "results on explicit axes that lie on every device",
+            "next((axis for axis in own if axis is not None), None) for own in zip(*given, strict=True)",
+            "None for own in zip(*given, strict=True)",
+            "lowering/test_sharding.py",
+        ),
+        (
+            "types say what varies, also inside",
+            "settings.enter_context(_varying_checked(False))",
+            "pass",
+            "lowering/test_sharding.py",
+        ),
+    ),
+    Mutation(
+        "traced values in defaults are not found",
+        "lowering/closures.py",
+        '(value, "__defaults__"), (value, "__kwdefaults__"), ',
+        "",
+        ("lowering/test_sharding.py",),
+    ),
+    *_at(
         "monte_carlo.py",
         ("moments without what is between chunks", "apart**2 * self.count * share", "0.0 * share", "test_sweep.py"),
         (

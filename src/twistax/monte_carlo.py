@@ -199,6 +199,7 @@ class _Plan:
         if len(devices) > 1:
             each = PartitionSpec("members")
             mesh = Mesh(np.array(devices), ("members",))
+            # Unchecked, for the loops of users: these would have to say what varies between devices.
             mapped = jax.shard_map(mapped, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
         self._compiled = jax.jit(mapped)
 

@@ -1,4 +1,7 @@
-"""On 8 simulated devices: programs, loops and integrations of arrays that are sharded. Prints what is wrong."""
+"""On 8 simulated devices: programs, loops and integrations of arrays that are sharded. Prints what is wrong.
+
+With --all also events, steps chosen by tolerances, and controls that are functions of time.
+"""
 
 import os
 
@@ -6,6 +9,7 @@ os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=8 --xla_backen
 
 import functools
 import re
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +23,8 @@ import twistax as tx
 
 jax.config.update("jax_enable_x64", True)
 
+#: What takes longer too.
+ALL = "--all" in sys.argv
 P = PartitionSpec
 MESH, EXPLICIT = (
     jax.make_mesh((4, 2), ("d", "e"), axis_types=(kind,) * 2)
@@ -110,41 +116,41 @@ check("ten of sixteen", lambda x, a: ten(x[:10], a), jax.vmap(until, (0, None))(
 # ---- integrations ----------------------------------------------------------------------------------------------------
 
 dynamics = tx.compile(SYSTEM)
-FIXED: Any = {"dt": 0.05}
-ADAPTIVE: Any = {"rtol": 1e-6, "save_at": np.array([0.1, 0.5]), "event": tx.Event(s[0] - 0.9)}
+FIXED: Any = {"dt": 0.1, "method": tx.RKMK(tx.tableaus.HEUN)}
+EVENT: Any = FIXED | {"event": tx.Event(s[0] - 0.9), "save_at": np.array([0.1, 0.5])}
+ADAPTIVE: Any = {"rtol": 1e-4, "method": tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3)}
 
 
 def end(x: jax.Array, a: jax.Array, options: Any = FIXED) -> jax.Array:
     return jax.vmap(lambda x: tx.integrate(dynamics, {"s": x}, t1=0.5, params={"p": a}, **options).xs["s"][-1])(x)
 
 
-def to_event(x: jax.Array, a: jax.Array) -> jax.Array:
-    return end(x, a, ADAPTIVE)
-
-
-def by_device(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+def by_device(function: Callable[..., Any]) -> Callable[..., Any]:
     return jax.shard_map(function, mesh=MESH, in_specs=(P("d"), P()), out_specs=P("d"))
 
 
 check("an integration", end, end(X, A), P("d"))
-for function in (end, to_event, slopes(end)):
-    name, expected = getattr(function, "__name__", ""), function(X, A)
-    if function in (end, to_event):
-        check(f"{name} in shard_map", by_device(function), expected, P("d"))
-    else:
-        check("derivatives of an integration in shard_map", slopes(by_device(end)), expected, P("d"))
-    check(f"{name} on explicit axes", function, expected, P("d"), mesh=EXPLICIT)
+for options in (FIXED, EVENT, ADAPTIVE) if ALL else (FIXED,):
+    own = functools.partial(end, options=options)
+    expected = own(X, A)
+    check(f"an integration in shard_map, {options}", by_device(own), expected, P("d"))
+    check(f"an integration on explicit axes, {options}", own, expected, P("d"), mesh=EXPLICIT)
+expected = slopes(end)(X, A)
+check("derivatives of an integration in shard_map", slopes(by_device(end)), expected, P("d"))
+if ALL:
+    check("derivatives of an integration on explicit axes", slopes(end), expected, P("d"), mesh=EXPLICIT)
 
-held, torque = tx.Control("held", (3,)), tx.compile(tx.System(rates={s: tx.Cos(s) + tx.Control("held", (3,))}))
+torque = tx.compile(tx.System(rates={s: tx.Cos(s) + tx.Control("held", (3,))}))
 
 
 def driven(x: jax.Array, a: jax.Array) -> jax.Array:
     """By a function of time that closes over what varies."""
     u = lambda x: lambda t: {"held": jnp.sin(t) * (a @ x)}  # noqa: E731
-    return jax.vmap(lambda x: tx.integrate(torque, {"s": x}, t1=0.5, dt=0.1, u=u(x)).xs["s"][-1])(x)
+    return jax.vmap(lambda x: tx.integrate(torque, {"s": x}, t1=0.5, u=u(x), **FIXED).xs["s"][-1])(x)
 
 
-check("controls that close over what varies", by_device(driven), driven(X, A), P("d"))
+if ALL:
+    check("controls that close over what varies", by_device(driven), driven(X, A), P("d"))
 
 # ---- a function that closes over traced values -----------------------------------------------------------------------
 
@@ -168,7 +174,9 @@ check("what closes over traced values, on explicit axes", closing, expected, P("
 
 # ---- exported --------------------------------------------------------------------------------------------------------
 
-shapes = [jax.ShapeDtypeStruct(a.shape, float, sharding=NamedSharding(EXPLICIT, own)) for a, own in ((X, P("d")), (A, P()))]
+shapes = [
+    jax.ShapeDtypeStruct(a.shape, float, sharding=NamedSharding(EXPLICIT, own)) for a, own in ((X, P("d")), (A, P()))
+]
 names = set(re.findall("twistax_[0-9a-f]{32}", jax.jit(end).lower(*shapes).as_text()))
 assert names
 checks = [jax.export.DisabledSafetyCheck.custom_call(name) for name in names]

@@ -10,6 +10,8 @@ from typing import Any
 
 import jax
 
+from ..jax_inside import is_traced
+
 
 def closed_over(function: Callable[..., Any]) -> list[Any]:
     """The traced values in the variables of enclosing functions, in defaults, partial functions and owners of methods.
@@ -35,8 +37,6 @@ def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contex
         seen: functions that were met: they may hold one another.
         after: what puts their variables back.
     """
-    if isinstance(value, jax.core.Tracer):
-        return by(value)
     inner = functools.partial(_changed, by=by, seen=seen, after=after)
     if isinstance(value, types.FunctionType):
         if id(value) not in seen:
@@ -55,6 +55,8 @@ def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contex
     if type(value) is functools.partial:
         return functools.partial(inner(value.func), *map(inner, value.args), **inner(value.keywords))
     leaves, structure = jax.tree.flatten(value)
-    own = [leaf if leaf is value else inner(leaf) for leaf in leaves]
+    if leaves and leaves[0] is value:
+        return by(value) if is_traced(value) else value
+    own = list(map(inner, leaves))
     same = all(a is b for a, b in zip(leaves, own, strict=True))
     return value if same else jax.tree.unflatten(structure, own)

@@ -22,7 +22,6 @@ from ...jax_inside import (
     jet,
     mlir,
     needs_devices,
-    of_one_device,
     on_axes,
     placed_as,
     shaped_array,
