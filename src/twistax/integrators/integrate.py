@@ -22,7 +22,7 @@ from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
 from ..groups.arrays import element_defect
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays, need_compiled
+from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import is_finite, precision
 from ..lowering.written import on_any_mesh
 from .adaptive import AdaptiveSteps, Stops
@@ -246,8 +246,8 @@ def _or_nan(good: jax.Array, value: jax.Array) -> jax.Array:
     return jnp.where(good, value, jnp.nan)
 
 
-def _and_end(array: Any, ts: Any, xs: Arrays, t: Any, end: Arrays) -> tuple[Any, Arrays]:
-    """Times and states, and the end behind them."""
+def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
+    """Times and states by name, and the end behind them."""
     joined = {name: array.concatenate([value, array.asarray(end[name])[None]]) for name, value in xs.items()}
     return array.append(ts, t), joined
 
