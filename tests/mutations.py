@@ -1429,18 +1429,19 @@ MUTATIONS: list[Mutation] = [
             "None for own in zip(*given, strict=True)",
             "lowering/test_sharding.py",
         ),
-        (
-            "types say what varies, also inside",
-            "settings.enter_context(_varying_checked(False))",
-            "pass",
-            "lowering/test_sharding.py",
-        ),
     ),
     Mutation(
-        "traced values in defaults are not found",
+        "loops see what varies between devices",
+        "lowering/written.py",
+        "if not any(map(spread, leaves)):",
+        "if True:",
+        ("lowering/test_sharding.py",),
+    ),
+    Mutation(
+        "traced values in enclosing functions are not found",
         "lowering/closures.py",
-        '(value, "__defaults__"), (value, "__kwdefaults__"), ',
-        "",
+        '(value, "__kwdefaults__"), *filled]',
+        '(value, "__kwdefaults__")]',
         ("lowering/test_sharding.py",),
     ),
     *_at(

@@ -15,6 +15,7 @@ def test_programs_of_sharded_arrays(more: list[str]) -> None:
     """In a process of its own, with 8 devices: values, where the results are, and that nothing is gathered."""
     script = Path(__file__).with_name("sharded_programs.py")
     environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
-    ran = subprocess.run([sys.executable, str(script), *more], env=environment, capture_output=True, text=True, check=False)
+    command = [sys.executable, str(script), *more]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr[-3000:]
     assert ran.stdout.endswith("all agree\n")
