@@ -220,10 +220,11 @@ def weakly_kept(cls: type[T]) -> type[T]:
     return cls
 
 
-def spread(value: Any) -> bool:
-    """Whether the type of an array says how it lies on a mesh: on manual axes of `shard_map`, or on explicit ones."""
-    aval = getattr(value, "aval", None)
-    return isinstance(aval, jax.core.ShapedArray) and (bool(aval.mat.varying) or _explicit(aval.sharding.mesh))
+def spread(values: Sequence[Any]) -> bool:
+    """Whether the type of any array says how it lies on a mesh: on manual axes of `shard_map`, or on explicit ones."""
+    avals = [getattr(value, "aval", None) for value in values]
+    arrays = [aval for aval in avals if isinstance(aval, jax.core.ShapedArray)]
+    return any(aval.mat.varying or _explicit(aval.sharding.mesh) for aval in arrays)
 
 
 def _explicit(mesh: Any) -> bool:

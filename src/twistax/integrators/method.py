@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..errors import ModelError
+from ..jax_inside import spread
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.written import on_any_mesh
@@ -285,4 +286,5 @@ def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any)
         # Where jit is disabled arrays of NumPy would come in as they are.
         return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, map(jnp.asarray, leaves))))
 
-    return on_any_mesh(functions.loops.get((make, structure), flat), *leaves)
+    run = functions.loops.get((make, structure), flat)
+    return on_any_mesh(run, *leaves) if spread(leaves) else run(*leaves)

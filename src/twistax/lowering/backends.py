@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from ..checks import instance, whole
 from ..errors import ModelError
-from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun
+from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun, spread
 from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.loops import Repeated, Ring
 from .scalar.primitive import Derived, Rows, call_program
@@ -242,5 +242,9 @@ def as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
                 "  fix: write what repeats as a node of your own whose evaluate is a jax.lax.scan"
             )
     run = jaxpr_as_fun(closed)
-    # An output that is a number in the jaxpr comes back as NumPy's.
-    return lambda *leaves: [jnp.asarray(value) for value in on_any_mesh(run, *leaves)]
+
+    def as_it_is(*leaves: jax.Array) -> list[jax.Array]:
+        # An output that is a number in the jaxpr comes back as NumPy's.
+        return [jnp.asarray(value) for value in (on_any_mesh(run, *leaves) if spread(leaves) else run(*leaves))]
+
+    return as_it_is

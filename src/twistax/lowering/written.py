@@ -105,7 +105,7 @@ def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
     Arguments and result are pytrees of arrays.
     """
     leaves, structure = jax.tree.flatten(arguments)
-    if not any(map(spread, leaves)):
+    if not spread(leaves):
         return function(*arguments)
     shapes: list[Any] = []
 
