@@ -1,6 +1,7 @@
 """Problems whose optimum is known."""
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,10 +49,12 @@ def test_least_energy_of_a_double_integrator() -> None:
     assert rollout.ts.shape == (31,)
 
 
-def test_a_ball_turns_about_one_axis() -> None:
-    """A spherical body turns rest to rest along the geodesic, timed like the double integrator."""
+def test_a_ball_turns_about_one_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spherical body turns rest to rest along the geodesic, timed like the double integrator; and is shown so."""
     axis, angle = np.array([2.0, -1.0, 2.0]) / 3.0, 2.2
-    dynamics = tx.compile(spinning_ball())
+    ball = spinning_ball()
+    R, w = ball.states
+    dynamics = tx.compile(tx.System(ball.rates, outputs={"spin": R @ w}))
     start = np.asarray(tx.SO3.exp(np.array([0.4, 1.0, -0.3])))
     problem = Problem(
         dynamics,
@@ -65,6 +68,11 @@ def test_a_ball_turns_about_one_axis() -> None:
     result = problem.solve(seed=3)
     assert result.solved
     np.testing.assert_allclose(result.us["u"], angle * least_norm(8, 1.0)[:, None] * axis, atol=2e-3)
+    monkeypatch.setattr(tx.view.Scene, "save", lambda scene, path: path)
+    spin = tx.view.Arrow(world=True)
+    (vector,) = result.show(tmp_path / "turn.html", bodies={"R": tx.view.Sphere(1.0)}, arrows={"spin": spin}).vectors
+    fastest = vector.values[np.linalg.norm(vector.values, axis=1).argmax()]
+    np.testing.assert_allclose(fastest / np.linalg.norm(fastest), start @ axis, atol=1e-3)
 
 
 def test_a_pose_is_reached_through_almost_a_half_turn() -> None:

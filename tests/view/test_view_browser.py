@@ -21,6 +21,15 @@ pytestmark = [
 ]
 
 
+PENDULUM = """
+<robot name="pendulum"><link name="wall"/><link name="rod">
+  <inertial><origin xyz="0 0 -0.5"/><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.01"/></inertial>
+  <visual><origin xyz="0 0 -0.5"/><geometry><cylinder radius="0.1" length="1"/></geometry>
+    <material name="red"><color rgba="0.9 0.1 0.1 1"/></material></visual>
+</link><joint name="hinge" type="continuous"><parent link="wall"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>
+"""
+
+
 def picture(page: Path, milliseconds: int) -> tuple[np.ndarray, str]:
     """The page after so much time, and what its console says."""
     from matplotlib.image import imread
@@ -33,6 +42,22 @@ def picture(page: Path, milliseconds: int) -> tuple[np.ndarray, str]:
     said = subprocess.run(command, capture_output=True, text=True, timeout=120).stderr
     console = "\n".join(line for line in said.splitlines() if "CONSOLE" in line)
     return imread(file)[200:550, :, :3], console
+
+
+def test_a_mechanism_of_a_file_is_drawn_in_a_browser(tmp_path: Path) -> None:
+    """Its rod is red as the file says, the trail and the keep-out sphere are there, and nothing is said to be wrong."""
+    path = tmp_path / "pendulum.urdf"
+    path.write_text(PENDULUM)
+    robot = tx.mechanics.load(path)
+    t = np.linspace(0.0, 4.0, 41)
+    xs = {"q": 2.0 * np.cos(t)[:, None], "qd": -2.0 * np.sin(t)[:, None]}
+    page = tmp_path / "pendulum.html"
+    shapes = [tx.view.Sphere(0.3, at=(0.0, 1.0, 0.0), color=(0, 160, 60))]
+    shown(Motion(t, xs), page, bodies=robot, axes=["rod"], trails=["rod"], shapes=shapes)
+    image, said = picture(page, 1500)
+    assert not [line for line in said.splitlines() if "ERROR" in line or "rror:" in line]
+    assert np.sum((image[..., 0] > 0.5) & (image[..., 1] < 0.35)) > 200
+    assert np.sum((image[..., 1] > 1.3 * image[..., 0]) & (image[..., 1] > 1.3 * image[..., 2])) > 200
 
 
 def test_a_scene_plays_in_a_browser(tmp_path: Path) -> None:

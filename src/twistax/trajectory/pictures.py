@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import IntegrationError
 from ..expr import Control, State
 from ..plots import Panel, chosen, draw, panels
+from ..precision import in_double
 
 if TYPE_CHECKING:
     from ..view import Scene
@@ -45,8 +47,14 @@ def animated(parts: Sequence[Trajectory], path: Any, choices: Mapping[str, Any])
     """The scene of one trajectory, or of several that follow each other; see `Trajectory.show`."""
     from ..view.motion import Motion, joined, shown
 
-    ts, xs, us = zip(*(_motion(part) for part in parts))
-    return shown(Motion(np.concatenate(ts), joined(xs), (lambda: joined(us),), parts[0].params), path, **choices)
+    found = [_motion(part) for part in parts]
+    ts, xs, us = zip(*found)
+
+    def outputs() -> dict[str, Array]:
+        return joined([_outputs(part, *own) for part, own in zip(parts, found, strict=True)])
+
+    params = {name: value for part in parts for name, value in part.params.items()}
+    return shown(Motion(np.concatenate(ts), joined(xs), (lambda: joined(us), outputs), params), path, **choices)
 
 
 def _motion(part: Trajectory) -> tuple[Array, Mapping[str, Array], Mapping[str, Array]]:
@@ -57,6 +65,15 @@ def _motion(part: Trajectory) -> tuple[Array, Mapping[str, Array], Mapping[str, 
         count = len(part.ts)
         return part.ts, part.xs, {n: np.concatenate([us, us[-1:]])[:count] for n, us in part.us.items()}
     return along.ts, along.xs, along.us
+
+
+def _outputs(part: Trajectory, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array]) -> Mapping[str, Array]:
+    """The outputs of the system as it was given, along a motion."""
+    dynamics = part.problem._stated["dynamics"]
+    params = {leaf.name: part.params[leaf.name] for leaf in dynamics.parameters if leaf.name in part.params}
+    with in_double():
+        found = jax.vmap(lambda t, x, u: dynamics.outputs(t, x, u, params))(ts, dict(xs), dict(us))
+    return {name: np.asarray(value) for name, value in found.items()}
 
 
 def _panels(parts: Sequence[Trajectory], leaf: State | Control, unit: str) -> list[Panel]:

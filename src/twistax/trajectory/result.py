@@ -100,7 +100,7 @@ class Trajectory:
         return drawn([self], names, units)
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
-        """The dense rollout in three dimensions, with the choices of `Solution.show`; arrows of states and controls.
+        """The dense rollout in three dimensions, with the choices of `Solution.show`.
 
         Where the rollout does not reach its end, the nodes and straight lines between them.
         """

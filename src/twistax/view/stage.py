@@ -42,16 +42,18 @@ def served(scene: Scene, port: int) -> Any:
     slider = server.gui.add_slider("picture", 0, last, 1, 0)
     slider.on_update(lambda _: stage.draw(int(slider.value)))
 
-    stopped, stop = threading.Event(), server.stop
+    stopped, stop, turn = threading.Event(), server.stop, threading.Lock()
 
     def stop_both() -> None:
-        stopped.set()
+        with turn:
+            stopped.set()
         stop()
 
     def play() -> None:
         while not stopped.wait(1.0 / RATE):
-            if playing.value:
-                slider.value = (int(slider.value) + 1) % (last + 1)
+            with turn:
+                if playing.value and not stopped.is_set():
+                    slider.value = (int(slider.value) + 1) % (last + 1)
 
     server.stop = stop_both
     threading.Thread(target=play, daemon=True).start()
