@@ -37,7 +37,7 @@ class Subspaces:
         return self.motion_subspace.T @ of_shape("actuation of a joint", "the wrench F", F, (6,))
 
     def wrench(self, tau: ExprLike) -> Expr:
-        """h* tau (6,): the wrench on the child of an actuator with the generalised force tau (k,).
+        """$h* tau$ (6,): the wrench on the child of an actuator with the generalised force tau (k,).
 
         Raises: ShapeError if tau is not of shape (k,).
         """
