@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import threading
 import types
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,6 +12,9 @@ from typing import Any
 import jax
 
 from ..jax_inside import is_traced
+
+#: Variables of functions are changed for a while.
+_LOCK = threading.RLock()
 
 
 def closed_over(function: Callable[..., Any]) -> list[Any]:
@@ -25,8 +29,8 @@ def closed_over(function: Callable[..., Any]) -> list[Any]:
 
 @contextlib.contextmanager
 def replaced(function: Callable[..., Any], by: Callable[[Any], Any]) -> Iterator[Callable[..., Any]]:
-    """The function with `by(value)` in place of each of these values, as long as this lasts."""
-    with contextlib.ExitStack() as after:
+    """The function with `by(value)` for each of these values, as long as this lasts: for one thread at a time."""
+    with _LOCK, contextlib.ExitStack() as after:
         yield _changed(function, by, set(), after)
 
 

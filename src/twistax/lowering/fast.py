@@ -9,7 +9,7 @@ from typing import Any, Generic, Literal, ParamSpec, TypeVar
 import jax
 
 from ..errors import ModelError
-from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, of_one_device, opened
+from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, of_one_device, opened, spread
 from .backends import XLA, Backend, chosen
 from .closures import closed_over, replaced
 from .native.backend import Native, installed
@@ -67,6 +67,8 @@ class Fast(Generic[P, R]):
         over = closed_over(self._function)
         if not places and not over:
             return self._function(*args, **kwargs), ["as written: no argument is an array"]
+        # Elsewhere JAX itself makes inputs of what a function closes over.
+        over = over if spread([*over, *leaves]) else []
         shapes: list[Any] = []
 
         def flat(*values: Any) -> list[Any]:
