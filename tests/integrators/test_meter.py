@@ -10,6 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.integrators import meter
+from twistax.integrators.meter import metered
 
 FIXED, CHOSEN = {"dt": 5e-3}, {"rtol": 1e-10}
 START = {"x": np.array([1.0, 0.0])}
@@ -83,4 +84,8 @@ def test_a_line_shows_it() -> None:
     progress.reached(200.0, 1.0)
     assert "flight" in line.getvalue()
     assert "t           50 s    25.0 %" in line.getvalue()
+    assert line.getvalue().endswith("\r\033[K")
+    progress.reached(50.0, 0.25)
+    with metered(progress.reached):  # ends on the way, by an event
+        pass
     assert line.getvalue().endswith("\r\033[K")

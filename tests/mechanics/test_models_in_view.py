@@ -33,6 +33,21 @@ URDF = """
 </robot>
 """.replace("{inertial}", '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>')
 
+SOLID = """
+  <inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+  <visual><origin xyz="0.1 0.2 -0.5" rpy="0.3 -0.2 0.5"/><geometry><cylinder radius="0.05" length="1"/></geometry>
+  </visual>
+"""
+PLACED = f"""
+<robot name="arm"><link name="wall"/>
+  <link name="rod">{SOLID}</link><link name="tool">{SOLID}</link><link name="end">{SOLID}</link>
+  <joint name="hinge" type="continuous"><parent link="wall"/><child link="rod"/><axis xyz="0 0.6 0.8"/></joint>
+  <joint name="weld" type="fixed"><parent link="rod"/><child link="tool"/><origin xyz="1 0 -1" rpy="0.7 0 0.4"/></joint>
+  <joint name="slide" type="prismatic"><parent link="tool"/><child link="end"/>
+    <origin rpy="0 0.3 0"/><axis xyz="1 0 0"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
 MJCF = """
 <mujoco><asset><material name="green" rgba="0 1 0 1"/></asset><worldbody>
   <geom name="floor" type="plane" size="1 1 0.1"/><geom type="box" size="1 2 3" pos="0 0 -3"/>
@@ -86,6 +101,28 @@ def test_a_urdf_file_is_drawn_as_it_says(tmp_path: Path) -> None:
         "not drawn: <mesh> of <visual>, 2 times",
         "not drawn: <visual> in line 15: expected 3 finite numbers in size, got '1 2', 1 times",
     )
+
+
+@pytest.mark.filterwarnings("ignore")  # of what is compiled into Pinocchio
+def test_looks_are_where_pinocchio_has_them(tmp_path: Path) -> None:
+    """In the world, of a link beyond a fixed joint too, in a posture with all joints moved."""
+    pin = pytest.importorskip("pinocchio")
+    path = written(tmp_path, PLACED, "arm.urdf")
+    found = in_view(path, hinge=0.5, slide=0.3)
+    model = pin.buildModelFromUrdf(str(path))
+    shapes = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.VISUAL)
+    data, placed = model.createData(), shapes.createData()
+    q = pin.neutral(model)
+    for name, value in (("hinge", [np.cos(0.5), np.sin(0.5)]), ("slide", [0.3])):
+        at = model.joints[model.getJointId(name)].idx_q
+        q[at : at + len(value)] = value
+    pin.updateGeometryPlacements(model, data, shapes, placed, q)
+    assert [shape.name for shape in shapes.geometryObjects] == ["rod_0", "tool_0", "end_0"]
+    for shape, place in zip(shapes.geometryObjects, placed.oMg):
+        body = found[shape.name.removesuffix("_0")]
+        (own,) = body.shapes
+        np.testing.assert_allclose(body.poses[0] @ own.at, place.homogeneous, atol=1e-6)
+        assert (own.radius, own.length) == pytest.approx((shape.geometry.radius, 2.0 * shape.geometry.halfLength))
 
 
 def test_a_floating_root_has_its_own_looks(tmp_path: Path) -> None:

@@ -88,5 +88,8 @@ def metered(told: Told) -> Iterator[Meter]:
         jax.effects_barrier()
     finally:
         del _ASKED[number]
+        line = getattr(told, "__self__", None)
+        if isinstance(line, Progress):  # an event may have ended it on the way
+            line.close()
     if raised:
         raise raised[0]
