@@ -27,6 +27,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to look, in processor time")
     parser.add_argument("--seed", type=int, default=0, help="another one draws other cases")
+    parser.add_argument("--first", type=int, default=0, help="begin with this case: a long run in parts")
     parser.add_argument("--case", type=int, help="this case of the seed alone")
     parser.add_argument("--most", type=int, default=20, help="stop after so many wrong cases")
     parser.add_argument("--unshrunk", action="store_true", help="print wrong cases as they were drawn")
@@ -35,8 +36,8 @@ def main() -> int:
     jax.config.update("jax_traceback_in_locations_limit", 0)  # where operations were written nobody reads
     warnings.simplefilter("ignore")
     begin = time.process_time()
-    end, number, found, terms = begin + arguments.seconds, arguments.case or 0, 0, 0
-    first, shown = number, 0.0
+    first = arguments.first if arguments.case is None else arguments.case
+    end, number, found, terms, shown = begin + arguments.seconds, first, 0, 0, 0.0
     while time.process_time() < end and found < arguments.most:
         case = drawn(arguments.seed, number)
         if wrong := check(case):
@@ -58,7 +59,7 @@ def main() -> int:
             )
         if arguments.case is not None:
             break
-    print(f"{number - first} cases, {terms} terms of seed {arguments.seed}, {found} wrong")
+    print(f"cases {first} to {number - 1}, {terms} terms of seed {arguments.seed}, {found} wrong")
     return 1 if found else 0
 
 

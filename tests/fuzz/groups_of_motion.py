@@ -2,24 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from random import Random
 from typing import Any
 
 import numpy as np
 import scipy.linalg
-from plans import MAKERS, Plan, maker
+from plans import MAKERS, Plan, maker, summed
 from scipy.spatial.transform import Rotation
 from term import Shape
 
 
+def _skew(w: Any) -> Any:
+    return np.cross(np.eye(3), w)
+
+
 def _hat(xi: Any) -> Any:
     v, w = xi[:3], xi[3:]
-    return np.block([[np.cross(np.eye(3), w), v[:, None]], [np.zeros((1, 4))]])
+    return np.block([[_skew(w), v[:, None]], [np.zeros((1, 4))]])
 
 
 def _adjoint(xi: Any) -> Any:
-    v, w = np.cross(np.eye(3), xi[:3]), np.cross(np.eye(3), xi[3:])
+    v, w = _skew(xi[:3]), _skew(xi[3:])
     return np.block([[w, v], [np.zeros((3, 3)), w]])
+
+
+def _dual(xi: Any) -> Any:
+    return -_adjoint(xi).T
+
+
+def bracket(code: str, matrix: Callable[[Any], Any], *shapes: Shape) -> Plan:
+    """Of two vectors: linear in the second one by a matrix of the first."""
+    args = (*shapes, (6,), (6,))[:2]
+    return Plan(code, lambda a, b: matrix(a) @ b, args, rounding=lambda a, b: summed(np.matmul)(matrix(a), b))
 
 
 def _exp(xi: Any) -> Any:
@@ -44,8 +59,8 @@ def lie(source: Random, shape: Shape) -> Plan | None:
     tanh = np.tanh
     found: dict[Shape, list[Plan]] = {
         (6,): [
-            Plan("tx.lie.Adjoint({0}, {1})", lambda a, b: _adjoint(a) @ b, ((6,), (6,))),
-            Plan("tx.lie.AdjointDual({0}, {1})", lambda a, b: -_adjoint(a).T @ b, ((6,), (6,))),
+            bracket("tx.lie.Adjoint({0}, {1})", _adjoint),
+            bracket("tx.lie.AdjointDual({0}, {1})", _dual),
             Plan(
                 f"(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})) @ {{1}})",
                 lambda a, b: _big_adjoint(tanh(a)) @ b,
@@ -58,24 +73,21 @@ def lie(source: Random, shape: Shape) -> Plan | None:
             ),
             Plan(f"tx.lie.SE3Log(tx.lie.SE3Exp({small}))", lambda a: tanh(a), ((6,),)),
             *(
-                Plan(
+                bracket(
                     f"tx.lie.{name}(tx.lie.twist(linear=np.zeros(3), angular={{0}}, order={order}), "
                     f"{{1}}, order={order})",
-                    lambda a, b, matrix=matrix, roll=roll: np.roll(
-                        matrix(np.append(np.zeros(3), a)) @ np.roll(b, roll), roll
-                    ),
-                    ((3,), (6,)),
+                    lambda a, matrix=matrix, roll=roll: np.roll(matrix(np.append(np.zeros(3), a)), roll, (0, 1)),
+                    (3,),
                 )
-                for name, matrix in (("Adjoint", _adjoint), ("AdjointDual", lambda a: -_adjoint(a).T))
+                for name, matrix in (("Adjoint", _adjoint), ("AdjointDual", _dual))
                 for order, roll in (("tx.LINEAR_FIRST", 0), ("tx.ANGULAR_FIRST", 3))
             ),
             *(
-                Plan(
+                bracket(
                     f"tx.lie.{name}({{0}}, {{1}}, order=tx.ANGULAR_FIRST)",
-                    lambda a, b, matrix=matrix: np.roll(matrix(np.roll(a, 3)) @ np.roll(b, 3), 3),
-                    ((6,), (6,)),
+                    lambda a, matrix=matrix: np.roll(matrix(np.roll(a, 3)), 3, (0, 1)),
                 )
-                for name, matrix in (("Adjoint", _adjoint), ("AdjointDual", lambda a: -_adjoint(a).T))
+                for name, matrix in (("Adjoint", _adjoint), ("AdjointDual", _dual))
             ),
             Plan(
                 f"tx.linalg.Solve(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})), {{1}})",
@@ -85,8 +97,8 @@ def lie(source: Random, shape: Shape) -> Plan | None:
             Plan("tx.lie.twist(linear={0}, angular={1})", lambda a, b: np.concatenate([a, b]), ((3,), (3,))),
         ],
         (3,): [
-            Plan("tx.linalg.Cross({0}, {1})", np.cross, ((3,), (3,))),
-            Plan("np.cross({0}, {1})", np.cross, ((3,), (3,))),
+            bracket("tx.linalg.Cross({0}, {1})", _skew, (3,), (3,)),
+            bracket("np.cross({0}, {1})", _skew, (3,), (3,)),
             Plan(
                 f"tx.lie.Act(tx.lie.SE3Exp({small}), {{1}})",
                 lambda a, b: _exp(tanh(a))[:3, :3] @ b + _exp(tanh(a))[:3, 3],

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from plans import Graded, Plan, maker, refused
+from plans import Graded, Plan, maker, refused, summed
 from term import Shape
 
 
@@ -50,20 +50,23 @@ def reduction(source: Random, shape: Shape) -> Plan | None:
     return Plan(code, numpy, (arg,))
 
 
+def products(code: str, numpy: Callable[..., Any], *args: Shape) -> Plan:
+    return Plan(code, numpy, args, rounding=summed(numpy))
+
+
 @maker
 def product(source: Random, shape: Shape) -> Plan | None:
     n = source.choice([2, 3, 4])
     if shape == ():
         code = source.choice(["{0} @ {1}", "tx.linalg.Dot({0}, {1})", "np.dot({0}, {1})"])
-        return Plan(f"({code})", np.dot, ((n,), (n,)))
+        return products(f"({code})", np.dot, (n,), (n,))
     if len(shape) == 1:
-        sides = [("({0} @ {1})", (*shape, n), (n,)), ("({0} @ {1})", (n,), (n, *shape))]
-        code, a, b = source.choice(sides)
-        return Plan(source.choice([code, "np.dot({0}, {1})"]), np.matmul, (a, b))
+        a, b = source.choice([((*shape, n), (n,)), ((n,), (n, *shape))])
+        return products(source.choice(["({0} @ {1})", "np.dot({0}, {1})"]), np.matmul, a, b)
     if len(shape) == 2:
         found = [
-            Plan("({0} @ {1})", np.matmul, ((shape[0], n), (n, shape[1]))),
-            Plan("np.dot({0}, {1})", np.dot, ((shape[0], n), (n, shape[1]))),
+            products("({0} @ {1})", np.matmul, (shape[0], n), (n, shape[1])),
+            products("np.dot({0}, {1})", np.dot, (shape[0], n), (n, shape[1])),
             Plan("tx.linalg.Outer({0}, {1})", np.outer, ((shape[0],), (shape[1],))),
             Plan("{0}.T", np.transpose, ((shape[1], shape[0]),)),
             Plan("np.transpose({0})", np.transpose, ((shape[1], shape[0]),)),
@@ -73,7 +76,7 @@ def product(source: Random, shape: Shape) -> Plan | None:
         if shape[0] == shape[1]:
             found.append(Plan("tx.linalg.Diag({0})", np.diag, ((shape[0],),)))
         return source.choice(found)
-    return Plan("({0} @ {1})", np.matmul, ((*shape[:-1], n), (*shape[:-2], n, shape[-1])))
+    return products("({0} @ {1})", np.matmul, (*shape[:-1], n), (*shape[:-2], n, shape[-1]))
 
 
 @maker
@@ -120,7 +123,7 @@ def solve(source: Random, shape: Shape) -> Plan | None:
     graded = Graded(n)
     if n < 5:
         # A right-hand side of a solution of size one: there the error of an algorithm shows.
-        right = Plan("({0} @ {1})", np.matmul, (), shape=shape)
+        right = Plan("({0} @ {1})", np.matmul, (), shape=shape, rounding=summed(np.matmul))
         found += 2 * [Plan("tx.linalg.Solve({0}, {2})", lambda a, x, b: np.linalg.solve(a, b), (graded, shape, right))]
         if shape == (n,):
             of_first = {"numpy": lambda a, *_: np.linalg.inv(a), "rounding": lambda a, *_: inverting(a)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from random import Random
 
 import numpy as np
+from matrices import products
 from plans import Plan, maker
 from term import Shape
 
@@ -114,14 +115,14 @@ def batch(source: Random, shape: Shape) -> Plan | None:
     if not shape:
         return None
     n = source.choice([2, 3])
-    found = [Plan("tx.Vmap(lambda row: row * row + {1}, batch={0})", lambda a, b: a * a + b, (shape, ()))]
+    found = [products("tx.Vmap(lambda row: row * row + {1}, batch={0})", lambda a, b: a * a + b, shape, ())]
     if len(shape) == 1:
         m = shape[0]
         found += [
             Plan("tx.Vmap(lambda row: tx.linalg.Sum(row), batch={0})", lambda a: a.sum(axis=-1), ((*shape, n),)),
-            Plan("tx.Vmap(lambda c: c @ {1}, batch={0}, axis=1)", lambda a, b: a.T @ b, ((n, m), (n,))),
+            products("tx.Vmap(lambda c: c @ {1}, batch={0}, axis=1)", lambda a, b: a.T @ b, (n, m), (n,)),
             Plan("tx.Vmap(lambda c: c[0] - c[1], batch={0}, axis=1)", lambda a: a[0] - a[1], ((max(m, 2), m),)),
-            Plan("tx.Vmap(lambda a, b: a @ b, batch=[{0}, {1}])", lambda a, b: np.sum(a * b, axis=1), ((m, n), (m, n))),
+            products("tx.Vmap(lambda a, b: a @ b, batch=[{0}, {1}])", lambda a, b: np.sum(a * b, 1), *2 * [(m, n)]),
             Plan("tx.Vmap(lambda a: tx.Linterp(a, [-1, 0.5, 3], [2.0, -1, 0.5]), batch={0})",
                  lambda a: np.interp(a, [-1, 0.5, 3], [2, -1, 0.5]), (shape,)),
         ]  # fmt: skip

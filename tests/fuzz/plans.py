@@ -62,6 +62,15 @@ def smaller(source: Random, shape: Shape) -> Shape:
     return source.choice([shape, shape, shape, (), shape[1:], tuple(1 if source.random() < 0.3 else n for n in shape)])
 
 
+def summed(products: Callable[..., Any]) -> Callable[..., Any]:
+    """The rounding of a sum of products, by the sum of their sizes: one of them may be rounded and the other not.
+
+    n eps sum |a_i b_i| for n terms, of which there are at most six here, and one more for the product.
+    Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), section 3.1.
+    """
+    return lambda *operands: 7.0 * products(*map(np.abs, operands))
+
+
 @cache
 def refused(code: str, shapes: tuple[Shape, ...]) -> bool:
     """Whether no such expression can be built."""

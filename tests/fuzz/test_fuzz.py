@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from check import check
+from groups_of_motion import bracket
 from grow import drawn
 from matrices import inverting
 from oracle import oracle
@@ -113,6 +114,17 @@ def test_an_inverse_may_lose_what_elimination_loses() -> None:
     assert said(0.4) == ""
     assert said(10.0).startswith("tx.lower")
     assert said(0.4, rounding=None).startswith("tx.lower")
+
+
+def test_products_of_a_sum_may_be_rounded_or_not() -> None:
+    """In one instruction a b - c d is what the rounding of c d leaves, where NumPy has zero."""
+    a, b = [-1.0, 16777217.0, 398600441800000.0], [-2.0, 16777217.0, 398600441800000.0]
+    other = Term('tx.State("s1", shape=(3,))', np.asarray, (), (3,), leaf="s1")
+    plan = bracket("tx.linalg.Cross({0}, {1})", lambda a: np.cross(np.eye(3), a), (3,), (3,))
+    for off, right in ((1.5e5, True), (1e9, False)):
+        cross = lambda a, b, off=off: np.cross(a, b) + [off, 0.0, 0.0]  # noqa: E731
+        term = Term(plan.code, cross, (LEAF, other), (3,), rounding=plan.rounding)
+        assert (check(one(term, {"s0": a, "s1": b})) == "") is right
 
 
 def test_values_beside_the_first_are_seen() -> None:

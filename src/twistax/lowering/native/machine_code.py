@@ -115,7 +115,8 @@ def compiled(text: str, processor: Processor, level: int = 2) -> bytes:
     with _LOCK:
         machine = _target_machine(processor, level)
         try:
-            parsed = llvm.parse_assembly(text)
+            # A context of its own: what it keeps, each number of a text, goes with it.
+            parsed = llvm.parse_assembly(text, llvm.create_context())
             parsed.verify()
             found: bytes = machine.emit_object(parsed)
         except RuntimeError as error:
