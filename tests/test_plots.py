@@ -55,7 +55,7 @@ def test_a_solution_in_one_line() -> None:
 def test_a_solution_chooses_and_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(panels(solution().plot(["m"]))) == ["m"]
     for wrong in ({"names": ["n"]}, {"units": {"n": "m"}}):
-        with pytest.raises(tx.InputError, match=r"'n'.*g, v, A, m"):
+        with pytest.raises(tx.InputError, match=r"'n'.*'g', 'v', 'A', 'm'"):
             solution().plot(**wrong)
     with pytest.raises(tx.InputError, match="save_at"):
         solution(ts=TIMES[:1]).plot()

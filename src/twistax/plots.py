@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
+from .checks import listed
 from .errors import InputError, ModelError
 from .groups import SE3, SO3, Group, SpecialEuclidean, SpecialOrthogonal, euler
 
@@ -86,7 +87,7 @@ def chosen(names: Sequence[str] | None, there: Sequence[str], units: Mapping[str
     """The names to draw, all unless given. Raises InputError for one that is not there."""
     wrong = [name for name in [*(names or ()), *(units or {})] if name not in there]
     if wrong:
-        raise InputError(f"plot: unknown name {wrong[0]!r}; there are: {', '.join(there)}")
+        raise InputError(f"plot: unknown name {wrong[0]!r}; there are: {listed(there, wrong[0])}")
     return list(there if names is None else names)
 
 

@@ -66,7 +66,17 @@ def judge(row: Bad) -> Verdict:
     return Verdict("slow" if seconds > SLOWEST else "ours", text if seconds <= SLOWEST else f"{seconds:.1f} s: {text}")
 
 
-AREAS = ("language", "systems", "integration", "lie_maps", "mechanisms", "flights", "optimisation", "commands")
+AREAS = (
+    "language",
+    "systems",
+    "integration",
+    "lie_maps",
+    "mechanisms",
+    "flights",
+    "optimisation",
+    "pictures",
+    "commands",
+)
 
 
 def tables() -> dict[str, list[Bad]]:

@@ -225,10 +225,10 @@ class Solution:
         from ..view.motion import Motion, shown
 
         self._single("show")
-        params = self.stepper.params if self.stepper is not None else {}
-        return shown(
-            Motion(np.asarray(self.ts), self.xs, (lambda: self.us, lambda: self.outputs), params), path, **choices
-        )
+        if self.stepper is None:  # of a solution that was put together by hand, states are all that is known
+            return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
+        others = (lambda: self.us, lambda: self.outputs)
+        return shown(Motion(np.asarray(self.ts), self.xs, others, self.stepper.params), path, **choices)
 
     def _single(self, what: str) -> None:
         """Raise InputError for a solution that is traced or a batch."""

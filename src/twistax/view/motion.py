@@ -209,7 +209,9 @@ def _vectors(motion: Motion, bodies: tuple[Body, ...], name: str, looks: Any) ->
     body = bodies[0] if looks.on is None else _named(bodies, looks.on)
     values = motion.value(name)
     if values.shape[1:] not in ((3,), (6,)):
-        raise InputError(f"show: an arrow has 3 entries, or a wrench 6; {name!r} has shape {values.shape[1:]}")
+        raise InputError(
+            f"show expects arrows of vectors (3,) or of wrenches (6,), {name!r} has shape {values.shape[1:]}"
+        )
     values = np.nan_to_num(values)  # of a control that is not known after its last time
     if values.shape[1] == 3:
         return [Vector(name, body, values, looks, looks.color)]
