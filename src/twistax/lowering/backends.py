@@ -33,6 +33,9 @@ _LARGEST_STEP = 10_000
 _MOST_CONSTANTS = 1000
 #: XLA recurses into operations that wait for each other; at three times as many its stack overflows.
 _LONGEST_CHAIN = 30_000
+#: Matrices are mostly zeros where scalars take at most such a part of the operations of arrays. Where those are more
+#: than so many times the most scalars it is not tried.
+_MOSTLY, _MOST_WORK = 0.25, 10
 #: A step has derivatives of any order, and nothing else to fall back on.
 ANY_SIZE = 10**9
 
@@ -114,7 +117,8 @@ class XLA(Backend):
         least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
             them XLA finds as much by itself.
         largest: functions of more scalars run as arrays: the compiler would take long.
-        widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it.
+        widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it. Of
+            arrays between arguments and results that is so where they are not mostly zeros.
 
     Raises:
         ModelError: least, largest or widest is no whole number from 0 on.
@@ -170,9 +174,16 @@ class XLA(Backend):
         """
         if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in closed.jaxpr.outvars):
             raise TooLarge("one of the results is complex")
-        if max((v.aval.size for v in _variables(closed.jaxpr)), default=0) > self.widest:
-            raise TooLarge(f"one of the arrays has more than {self.widest} entries")
-        return self.scalars(closed, self.largest, limits)
+        ends = max((v.aval.size for v in [*closed.jaxpr.invars, *closed.jaxpr.outvars]), default=0)
+        widest = max((v.aval.size for v in _variables(closed.jaxpr)), default=0)
+        work = array_operations(closed.jaxpr).total() if widest > self.widest else 0
+        wide = TooLarge(f"one of the arrays has more than {self.widest} entries")
+        if ends > self.widest or work > _MOST_WORK * self.largest:
+            raise wide
+        program = self.scalars(closed, self.largest, limits)
+        if work and program.operations > _MOSTLY * work:
+            raise wide
+        return program
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
         """A jaxpr as a scalar program, of at most so many scalars, derivatives included."""

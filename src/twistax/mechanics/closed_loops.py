@@ -47,6 +47,7 @@ from ..expr import (
 from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, SE3AdjointDual
 from .dynamics import Wrenches, bias_forces, checked, mass_matrix
+from .inertia_frames import mirrored
 from .jacobians import frame_jacobian
 from .loops import Loop
 from .mechanism import Mechanism, Positions
@@ -54,7 +55,7 @@ from .mechanism import Mechanism, Positions
 #: What is added to the diagonal of A, whose entries there are one, and the rounds in which its share is taken out.
 _SOFT, _ROUNDS = 1e-8, 3
 #: Systems of more unknowns are LAPACK's.
-_SMALL = 8
+_SMALL = 48
 #: A row that moves nothing is scaled as one that moves so little, against the mean of all.
 _LEAST = 1e-12
 
@@ -151,7 +152,7 @@ class ClosedLoops:
 
     def _shortest(self, felt: Expr, r: Expr) -> Expr:
         """The shortest solution of G felt x = r, r (m,) or (m, k)."""
-        A = self.jacobian @ felt
+        A = mirrored(self.jacobian @ felt)
         m = A.shape[0]
         least = (_LEAST / m) * Trace(A)
         scale = Concat(*(1.0 / Sqrt(A[i, i] + least) for i in range(m)))

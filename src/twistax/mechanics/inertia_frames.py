@@ -10,8 +10,6 @@ from ..expr.lie import AxisRotation, CoadjointAction, translation
 from ..expr.lie.elements import parts_of_pose
 from .screws import complement
 
-#: The entries on and above the diagonal of a 6x6 matrix.
-_UPPER = np.triu(np.ones((6, 6), dtype=bool))
 #: Factors of the entries of 3x3 matrices.
 _REFLECTED = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 _ACROSS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -21,8 +19,8 @@ _LAST_ROW = _LAST_COLUMN.T
 
 
 def mirrored(I: Expr) -> Expr:
-    """A symmetric matrix (6, 6) of the entries on and above the diagonal of I."""
-    return Where(Constant(_UPPER), I, I.T)
+    """A symmetric matrix (n, n) of the entries on and above the diagonal of I."""
+    return Where(Constant(np.triu(np.ones(I.shape, dtype=bool))), I, I.T)
 
 
 def in_frame(T: Expr, I: Expr) -> Expr:

@@ -56,7 +56,7 @@ class Moving:
         if self.segment.body is None:
             return _NO_WRENCH
         W = twist(linear=ZERO, angular=self.w)
-        return AdjointDual(W, self.segment.body.momentum(W))
+        return AdjointDual(W, self.inertia @ W)
 
     def carried(self, B_before: Expr) -> Expr:
         """The acceleration (6,) of the segment while its joint has none."""

@@ -32,6 +32,8 @@ from .tile import NATIVE_LIMITS, Iterations, Straight, Tile, native_form
 KERNEL_EVENT = "/twistax/kernel"
 
 _XLA = XLA()
+#: Operations of functions that XLA compiles for many seconds.
+_LONG = 3000
 _MISSING = "llvmlite is not installed"
 
 
@@ -84,7 +86,7 @@ class Native(Backend):
         return self._kernels(program)[0] or Derived(program)
 
     def in_loops(self) -> Backend:
-        return self.scalars
+        return _InLoops(self.scalars, self.threads, self.least)
 
     def repeated(self, step: Step, shapes: Shapes, state: int) -> Repeated | None:
         program = self._whole_step(step, shapes)
@@ -152,6 +154,8 @@ class Native(Backend):
 
     # ---- the runner ----------------------------------------------------------------------------------------------
 
+    alone = False
+
     def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
         """The kernel of a program, for one body or for batches; None where it has no native form."""
         try:
@@ -171,6 +175,22 @@ class Native(Backend):
             return None
         jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
         return kernel
+
+
+@dataclasses.dataclass(frozen=True)
+class _InLoops(Native):
+    """In loops: `scalars`, and kernels for what it takes long to compile. Beside so much work a call is nothing."""
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        found = self.scalars.emit(closed, fixed)
+        if found.program is None or found.program.operations < _LONG or not installed():
+            return found
+        return self._native(found.program, lambda: found)
+
+    def in_loops(self) -> Backend:
+        return self
+
+    alone = True
 
 
 @dataclasses.dataclass(frozen=True)

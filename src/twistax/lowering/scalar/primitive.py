@@ -96,6 +96,10 @@ class Runner(Protocol):
     @property
     def least(self) -> int: ...
 
+    @property
+    def alone(self) -> bool:
+        """Whether it runs them also in what would be one small function without them."""
+
     def prepare(self, program: ScalarProgram, single: bool) -> Rows | None:
         """What runs the program; None: XLA does.
 
@@ -248,7 +252,8 @@ class Derived(Differentiable):
         return bodies.rows(lambda rows, *flat: small_call(every, *flat), arguments)
 
     def primitive(self, inside: bool) -> Primitive:
-        return _program_p if inside or self.runner is None else _native_p
+        joins = self.runner is None or (inside and not self.runner.alone)
+        return _program_p if joins else _native_p
 
     def _tangent(self, active: tuple[int, ...]) -> Derived:
         # Made when it runs: what is only transposed need not have a forward derivative at all.

@@ -59,6 +59,7 @@ def load(
             keep=keep,
             notes=[*choices.notes, *model.notes],
             driven=model.driven,
+            loops=model.loops,
             shapes=model.shapes,
         )
     except ModelError as error:

@@ -26,9 +26,11 @@ from ...view import Shape
 from ..arguments import matrix
 from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Prismatic, Revolute, Spherical
+from ..loops import Loop
 from ..tree import Link
 from .choices import Choices
 from .looks import looks_of_mjcf
+from .mjcf_equalities import Closure, Equalities, Place
 from .mjcf_file import Compiled, compiler
 from .xml_file import Element
 
@@ -55,7 +57,7 @@ class Mjcf:
         choices: which numbers become Parameters.
         quarter_turns: rotations this near to ones by quarter turns, in each entry, are taken as those.
     Attributes:
-        links, base, gravity, driven, notes, shapes: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
@@ -73,7 +75,9 @@ class Mjcf:
         if not self.model.njnt:
             raise root.wrong("there is no joint, so nothing moves")
         self._servos = self._actuators()
-        self.driven = [self._name("joint", j) for j in self._servos]
+        equalities = Equalities(self.mujoco, self.model, self._name, set(self._servos))
+        self._mimics = equalities.followers
+        self.driven = [self._name("joint", j) for j in self._servos if j not in self._mimics]
         self.links = list[Link]()
         self._taken = {self._name("body", i) for i in range(self.model.nbody)}
         self._fixed = {self._name("joint", j) for j in range(self.model.njnt)}
@@ -81,6 +85,8 @@ class Mjcf:
             self._add_body(i)
         for i in range(self.model.nsite):
             self._add_site(i)
+        self.loops = [self._loop(closure) for closure in equalities.closures]
+        self.notes += equalities.notes
         self._note_the_rest()
 
     def _name(self, kind: str, i: int) -> str:
@@ -113,7 +119,8 @@ class Mjcf:
             own = name if last else free_name(joint.name, self._taken)
             self._taken.add(own)
             mass, looks = (body, self._looks[i]) if last else (None, ())
-            link = Link(joint, mass, mount, parent=parent, name=own, drive=self._drive(j), shapes=looks)
+            drive, mimic = self._drive(j), self._mimics.get(j)
+            link = Link(joint, mass, mount, parent=parent, name=own, drive=drive, mimic=mimic, shapes=looks)
             self.links.append(link)
             if last:
                 return
@@ -126,14 +133,20 @@ class Mjcf:
         self.links.append(Link(Fixed(joint), body, mount, parent=parent, name=name, shapes=shapes))
 
     def _add_site(self, i: int) -> None:
-        model = self.model
-        if not model.site(i).name:
-            return
-        at = int(model.site_bodyid[i])
-        name = free_name(model.site(i).name, self._taken)
+        if self.model.site(i).name:
+            self._add_frame(self.model.site(i).name, Place.of_site(self.model, i))
+
+    def _add_frame(self, wanted: str, place: Place) -> str:
+        """A frame at a place, and its name."""
+        name = free_name(wanted, self._taken)
         self._taken.add(name)
-        T = matrix(self._rotation(model.site_quat[i]), model.site_pos[i])
-        self._add_fixed(name, None, T, None if at == 0 else self._name("body", at))
+        T = matrix(self._rotation(place.quaternion), place.position)
+        self._add_fixed(name, None, T, None if place.body == 0 else self._name("body", place.body))
+        return name
+
+    def _loop(self, closure: Closure) -> Loop:
+        ends = [self._add_frame(f"{closure.name} on {self._name('body', at.body)}", at) for at in closure.places]
+        return closure.kind(closure.name, *ends)
 
     def _origin(self, i: int, name: str) -> Any:
         R, p = self._rotation(self.model.body_quat[i]), np.array(self.model.body_pos[i]) + 0.0
@@ -284,7 +297,6 @@ class Mjcf:
         ]
         counted = (
             ("contacts of geoms", int(((model.geom_contype | model.geom_conaffinity) != 0).sum())),
-            ("equalities", model.neq),
             ("cameras", model.ncam),
             ("lights", model.nlight),
             ("bodies with compensated gravity", int((model.body_gravcomp != 0.0).sum())),

@@ -40,13 +40,13 @@ class Urdf:
         floating: the root is on a `Free` joint, "root".
         quarter_turns: an angle this near to a multiple of a quarter turn, in rad, is taken as that.
     Attributes:
-        links, base, gravity, driven, notes, shapes: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
     def __init__(self, robot: Element, choices: Choices, *, floating: bool, quarter_turns: float) -> None:
         self.choices, self.quarter_turns = choices, quarter_turns
-        self.notes, self.gravity, self.driven = list[str](), (0.0, 0.0, -9.81), None
+        self.notes, self.gravity, self.driven, self.loops = list[str](), (0.0, 0.0, -9.81), None, ()
         elements = {element.text("name"): element for element in robot.all("link")}
         joints = robot.all("joint")
         children = set[str]()

@@ -1,0 +1,125 @@
+"""The equalities of MJCF: joints that follow others, and closures of the tree.
+
+MuJoCo holds them by stiff springs (solref, solimp), here they are exact. A linear relation of two joints
+
+    q_1 - ref_1 = c_0 + c_1 (q_2 - ref_2)
+
+makes the first a follower of the second. `connect` is a `Point`, `weld` a `Pose`. What is left is noted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..loops import Loop, Point, Pose
+from ..tree import Mimic
+
+_STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """A frame on a body: where its origin is, and the quaternion of its axes."""
+
+    body: int
+    position: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+
+    @classmethod
+    def of_site(cls, model: Any, i: int) -> Place:
+        return cls(int(model.site_bodyid[i]), np.array(model.site_pos[i]), np.array(model.site_quat[i]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Closure:
+    """A closure between two places."""
+
+    name: str
+    kind: Callable[[str, str, str], Loop]
+    places: tuple[Place, Place]
+
+
+class Equalities:
+    """What the equalities of a model are here.
+
+    Args:
+        mujoco: the module.
+        model: the compiled model.
+        name: of ("joint" or "body", its number).
+        driven: the joints with actuators: they lead rather than follow.
+    Attributes:
+        followers: by joint what it follows.
+        closures: between frames of bodies that move against each other.
+        notes: those that are neither.
+    """
+
+    def __init__(self, mujoco: Any, model: Any, name: Callable[[str, int], str], driven: set[int]) -> None:
+        self._mujoco, self._model, self._name, self._driven = mujoco, model, name, driven
+        self.followers, self._leaders = dict[int, Mimic](), set[int]()
+        self.closures, self.notes = list[Closure](), list[str]()
+        off = mujoco.mjtDisableBit
+        ignored = model.opt.disableflags & (off.mjDSBL_EQUALITY | off.mjDSBL_CONSTRAINT)
+        kinds = mujoco.mjtEq
+        for e in range(model.neq):
+            what = f"equality {self._called(e)!r}"
+            if ignored or not model.eq_active0[e]:
+                self.notes.append(f"{what}, which the file switches off")
+            elif model.eq_type[e] == kinds.mjEQ_JOINT:
+                self._follow(e, what)
+            elif model.eq_type[e] in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+                self._close(e, what)
+            else:
+                self.notes.append(f"{what}: its kind is not known")
+        if self.followers or self.closures:
+            self.notes.append("equalities are exact here: solref and solimp are not used")
+
+    def _called(self, e: int) -> str:
+        return self._model.equality(e).name or f"equality_{e}"
+
+    def _follow(self, e: int, what: str) -> None:
+        model = self._model
+        first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        shift, ratio, *more = (float(c) for c in model.eq_data[e, :5])
+        if second < 0 or any(more) or not ratio:
+            self.notes.append(f"{what}, which is no linear relation of two joints")
+            return
+        place = [float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second)]
+        if not self._may_follow(first, second) and self._may_follow(second, first):
+            first, second, place = second, first, place[::-1]
+            ratio, shift = 1.0 / ratio, -shift / ratio
+        if not self._may_follow(first, second, though_driven=True):
+            self.notes.append(f"{what}, whose joints follow others or lead them")
+            return
+        if first in self._driven:
+            self.notes.append(f"{what}: the actuator of {self._name('joint', first)!r}, which follows")
+        self.followers[first] = Mimic(self._name("joint", second), ratio, place[0] + shift - ratio * place[1])
+        self._leaders.add(second)
+
+    def _may_follow(self, joint: int, leader: int, though_driven: bool = False) -> bool:
+        free = joint not in self.followers and joint not in self._leaders and leader not in self.followers
+        return free and (though_driven or joint not in self._driven)
+
+    def _close(self, e: int, what: str) -> None:
+        model, kinds = self._model, self._mujoco
+        weld = model.eq_type[e] == kinds.mjtEq.mjEQ_WELD
+        one, two = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        data = np.array(model.eq_data[e], dtype=np.float64)
+        if model.eq_objtype[e] == kinds.mjtObj.mjOBJ_SITE:
+            places = Place.of_site(model, one), Place.of_site(model, two)
+        elif weld:  # the anchor in the second body, then the second body in the first
+            places = Place(one, data[3:6], data[6:10]), Place(two, data[:3], _STRAIGHT)
+        else:
+            places = Place(one, data[:3], _STRAIGHT), Place(two, data[3:6], _STRAIGHT)
+        if self._carrier(places[0].body) == self._carrier(places[1].body):
+            self.notes.append(f"{what}, between bodies that do not move against each other")
+        else:
+            self.closures.append(Closure(self._called(e), Pose if weld else Point, places))
+
+    def _carrier(self, body: int) -> int:
+        """The body that it is fixed to."""
+        return int(self._model.body_weldid[body])
