@@ -224,3 +224,39 @@ def test_kernels_of_integrations_are_bounded() -> None:
         sol = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, rtol=1e-8, atol=1e-8, control=control)
         np.testing.assert_allclose(sol.xs["x"], np.exp(-0.5), rtol=1e-7)
     assert len(steps.values()) == 2
+
+
+@pytest.mark.parametrize(("entries", "scalars"), [(1, True), (14, False)])
+def test_wide_arrays_that_are_mostly_zeros_become_scalars(entries: int, scalars: bool) -> None:
+    """Of 14 x 14 entries; where all of them matter, arrays do as well."""
+    x = tx.State("x", shape=(14,))
+    near = np.abs(np.subtract.outer(np.arange(14), np.arange(14))) < entries
+    A = tx.Constant(14.0 * np.eye(14) + near) * (1.0 + 0.1 * tx.linalg.Outer(x, x))
+    dynamics = tx.compile(tx.System(rates={x: tx.linalg.SolvePositive(A, tx.Sin(x))}), backend=tx.XLA(least=40))
+    said = dynamics.explain().backend
+    assert said.startswith("scalars") if scalars else "more than 128 entries" in said
+    point = RNG.normal(size=14)
+    full = (14.0 * np.eye(14) + near) * (1.0 + 0.1 * np.outer(point, point))
+    np.testing.assert_allclose(dynamics(0.0, {"x": point})["x"], np.linalg.solve(full, np.sin(point)), rtol=1e-12)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("llvmlite") is None, reason="llvmlite is not installed")
+def test_long_functions_are_kernels_in_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the numbers, and the derivatives, of the loops that XLA compiles."""
+    system, x, u = case("arm")
+    plain = tx.compile(system, backend=tx.XLA())
+    monkeypatch.setattr("twistax.lowering.native.backend._LONG", 100)
+    kernels = tx.compile(system, backend=tx.Native())
+
+    def end(dynamics: tx.Dynamics, rate: Any) -> Any:
+        start = {**x, "qd": rate}
+        return tx.integrate(dynamics, start, t1=0.1, rtol=1e-8, atol=1e-8, method=PAIR, u=u).xs["q"][-1]
+
+    rate, moved = jnp.asarray(x["qd"]), jnp.asarray(RNG.normal(size=4))
+    inside = str(jax.make_jaxpr(functools.partial(end, kernels))(rate))
+    assert "native_program" in inside
+    assert "scalar_program" not in inside
+    found, along = jax.jvp(functools.partial(end, kernels), (rate,), (moved,))
+    expected, expected_along = jax.jvp(functools.partial(end, plain), (rate,), (moved,))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(along, expected_along, rtol=1e-10)

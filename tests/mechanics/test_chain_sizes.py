@@ -13,7 +13,7 @@ from twistax.lowering.scalar.program import scalarize
 from twistax.mechanics import chain_models, forward_dynamics, inverse_dynamics, mass_matrix
 
 
-@pytest.mark.parametrize(("function", "most"), [(inverse_dynamics, 909), (forward_dynamics, 1501)])
+@pytest.mark.parametrize(("function", "most"), [(inverse_dynamics, 810), (forward_dynamics, 1402)])
 def test_operations_of_the_panda(function: Any, most: int, unchecked: None) -> None:
     q, qd, x = (tx.State(name, shape=(7,)) for name in ("q", "qd", "x"))
     f = tx.lower(function(chain_models.panda(), q, qd, x))

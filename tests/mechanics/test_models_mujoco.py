@@ -13,6 +13,7 @@ import pytest
 import twistax as tx
 from twistax import mechanics
 from twistax.expr.graph import leaves_of
+from twistax.mechanics import Mechanism
 from twistax.mechanics.models.mjcf_file import Compiled
 from twistax.mechanics.models.xml_file import read_xml
 
@@ -39,7 +40,9 @@ class Pair:
         plain = mechanics.load(path)
         rubbing = [s.link.joint.name for s in plain.segments if s.link.drive.friction]
         self.friction = {f"{name}_friction": np.zeros(()) for name in rubbing}
-        self.ours = mechanics.load(path, quarter_turns=0.0, parameters=list(self.friction))
+        loaded = mechanics.load(path, quarter_turns=0.0, parameters=list(self.friction))
+        # So are equalities, which have a test of their own.
+        self.ours = Mechanism(loaded.links, loaded.gravity, base=next(iter(loaded.frames)), driven=loaded.driven)
         self.model = model = Compiled(read_xml(path)).model
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
@@ -220,6 +223,106 @@ def test_parameters_of_a_joint_are_its_own_beside_a_servo(tmp_path: Path) -> Non
     mujoco.mj_forward(model, data)
     state, other = {"q": data.qpos, "qd": data.qvel}, {"h_stiffness": 50.0, "h_damping": 5.0}
     np.testing.assert_allclose(tx.lower(rates)(0.0, state, {"tau": data.ctrl}, other), data.qacc, rtol=1e-12)
+
+
+LINKAGE = """<mujoco>
+  <option gravity="0.5 1 -9"/>
+  <worldbody>
+    <site name="post" pos="0.9 0 0.1"/>
+    <body name="crank"><joint name="a" axis="0 1 0" ref="10"/>{rod}
+      <body name="coupler" pos="0.4 0 0.1"><joint name="b" axis="0 1 0.1" pos="0 0 0.05"/>{rod}
+        <site name="pin" pos="0.5 0.1 -0.1" euler="10 20 30"/>
+      </body>
+    </body>
+    <body name="rocker" pos="1 0 0" euler="0 20 0"><joint name="c" type="ball"/>{rod}
+      <body name="wheel" pos="0 0 0.2"><joint name="d" axis="1 0 0"/>{rod}</body>
+      <body name="gear" pos="0 0.1 0.2"><joint name="e" axis="0 0 1" ref="-20"/>{rod}</body>
+    </body>
+    <body name="raft" pos="0 1 0"><freejoint name="afloat"/>{rod}</body>
+  </worldbody>
+  <equality>
+    <connect name="knuckle" body1="coupler" body2="rocker" anchor="0.5 0.1 -0.1"/>
+    <weld name="tie" body1="raft" body2="gear" anchor="0.2 0.1 0"/>
+    <connect name="post" site1="pin" site2="post" active="{active}"/>
+    <joint name="teeth" joint1="d" joint2="e" polycoef="0.1 -2 0 0 0"/>
+    <joint name="cam" joint1="a" joint2="b" polycoef="0 1 0.5 0 0"/>
+  </equality>
+  <actuator><motor joint="{driven}"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize("driven", ["d", "e"])
+def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None:
+    """At rest the accelerations are those that MuJoCo's own rows of the equalities give if they hold exactly."""
+    path = tmp_path / "model.xml"
+    path.write_text(LINKAGE.format(rod=ROD, active="false", driven=driven))
+    robot, model = mechanics.load(path), Compiled(read_xml(path)).model
+    assert [repr(loop) for loop in robot.loops] == [
+        "Point('knuckle', 'knuckle on coupler', 'knuckle on rocker')",
+        "Pose('tie', 'tie on raft', 'tie on gear')",
+    ]
+    assert robot.notes == (
+        "equality 'post', which the file switches off",
+        "equality 'cam', which is no linear relation of two joints",
+        "equalities are exact here: solref and solimp are not used",
+    )
+    data = mujoco.MjData(model)
+    lead, follow = ("e", "d") if driven == "e" else ("d", "e")
+    data.joint("e").qpos = -np.radians(20) + 0.3
+    data.joint("d").qpos = 0.1 - 2.0 * 0.3
+    data.ctrl = 1.7
+    mujoco.mj_forward(model, data)
+    # Where the loops are closed: the weld's by the place of the raft.
+    T = np.eye(4)
+    tie = lower_pose(robot, "tie on gear", {"q": place_of(robot, data, follow), "c_position": np.eye(3)})
+    T[:] = tie @ np.linalg.inv(np.asarray(robot.frame("tie on raft").T.value))
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(T[:3, :3]).reshape(-1))
+    data.joint("afloat").qpos = [*T[:3, 3], *quaternion]
+    mujoco.mj_forward(model, data)
+    x = {"q": place_of(robot, data, follow), "c_position": np.eye(3), "afloat_position": T, "qd": np.zeros(robot.dofs)}
+    kept = np.asarray(data.efc_type) == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    cam = np.asarray(data.efc_id) == 4
+    J = np.asarray(data.efc_J).reshape(-1, model.nv)[kept & ~cam]
+    assert J.shape[0] == 3 + 6 + 1
+    np.testing.assert_allclose(np.asarray(data.efc_pos)[kept & ~cam], 0.0, atol=1e-12)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    held = np.block([[M, J.T], [J, np.zeros((len(J), len(J)))]])
+    force = data.qfrc_actuator + data.qfrc_passive - data.qfrc_bias
+    expected = np.linalg.solve(held, [*force, *np.zeros(len(J))])[: model.nv]
+    found = np.asarray(tx.lower(robot.system().rates["qd"])(0.0, x, {"tau": data.ctrl}))
+    for name in ("a", "b", "c", lead, "afloat"):
+        at = model.joint(name).dofadr[0]
+        own = list(robot.segment_of(name).freedoms)
+        qacc = expected[at : at + len(own)]
+        if name == "afloat":
+            qacc = np.concatenate([T[:3, :3].T @ qacc[:3], qacc[3:]])
+        np.testing.assert_allclose(found[own], qacc, rtol=1e-7, atol=1e-7)
+
+
+def place_of(robot: Mechanism, data: Any, follower: str) -> np.ndarray:
+    """MuJoCo's angles as ours, those of followers left out."""
+    q = np.zeros(3)
+    for name in "abde".replace(follower, ""):
+        q[robot.segment_of(name).coordinates] = data.joint(name).qpos
+    return q
+
+
+def lower_pose(robot: Mechanism, frame: str, x: dict[str, np.ndarray]) -> np.ndarray:
+    return np.asarray(tx.lower(robot.pose(frame))(0.0, x))
+
+
+def test_equalities_that_say_nothing_are_noted(tmp_path: Path) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(
+        f"<mujoco><worldbody><body name='a'><joint name='h'/>{ROD}<body name='b'>{ROD}</body></body></worldbody>"
+        "<equality><weld name='w' body1='a' body2='b'/><joint name='j' joint1='h'/></equality></mujoco>"
+    )
+    assert mechanics.load(path).notes == (
+        "equality 'w', between bodies that do not move against each other",
+        "equality 'j', which is no linear relation of two joints",
+    )
 
 
 def test_sizes_take_no_memory(tmp_path: Path) -> None:

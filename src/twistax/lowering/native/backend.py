@@ -33,7 +33,7 @@ KERNEL_EVENT = "/twistax/kernel"
 
 _XLA = XLA()
 #: Operations of functions that XLA compiles for many seconds.
-_LONG = 3000
+_LONG = 5000
 _MISSING = "llvmlite is not installed"
 
 

@@ -63,15 +63,15 @@ class Equalities:
         self.followers, self._leaders = dict[int, Mimic](), set[int]()
         self.closures, self.notes = list[Closure](), list[str]()
         off = mujoco.mjtDisableBit
-        ignored = model.opt.disableflags & (off.mjDSBL_EQUALITY | off.mjDSBL_CONSTRAINT)
-        kinds = mujoco.mjtEq
+        ignored = model.opt.disableflags & (int(off.mjDSBL_EQUALITY) | int(off.mjDSBL_CONSTRAINT))
+        joint, *closures = (int(getattr(mujoco.mjtEq, f"mjEQ_{kind}")) for kind in ("JOINT", "CONNECT", "WELD"))
         for e in range(model.neq):
-            what = f"equality {self._called(e)!r}"
+            what, kind = f"equality {self._called(e)!r}", int(model.eq_type[e])
             if ignored or not model.eq_active0[e]:
                 self.notes.append(f"{what}, which the file switches off")
-            elif model.eq_type[e] == kinds.mjEQ_JOINT:
+            elif kind == joint:
                 self._follow(e, what)
-            elif model.eq_type[e] in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            elif kind in closures:
                 self._close(e, what)
             else:
                 self.notes.append(f"{what}: its kind is not known")
@@ -106,10 +106,10 @@ class Equalities:
 
     def _close(self, e: int, what: str) -> None:
         model, kinds = self._model, self._mujoco
-        weld = model.eq_type[e] == kinds.mjtEq.mjEQ_WELD
+        weld = int(model.eq_type[e]) == int(kinds.mjtEq.mjEQ_WELD)
         one, two = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         data = np.array(model.eq_data[e], dtype=np.float64)
-        if model.eq_objtype[e] == kinds.mjtObj.mjOBJ_SITE:
+        if int(model.eq_objtype[e]) == int(kinds.mjtObj.mjOBJ_SITE):
             places = Place.of_site(model, one), Place.of_site(model, two)
         elif weld:  # the anchor in the second body, then the second body in the first
             places = Place(one, data[3:6], data[6:10]), Place(two, data[:3], _STRAIGHT)
