@@ -176,14 +176,12 @@ class XLA(Backend):
             raise TooLarge("one of the results is complex")
         ends = max((v.aval.size for v in [*closed.jaxpr.invars, *closed.jaxpr.outvars]), default=0)
         widest = max((v.aval.size for v in _variables(closed.jaxpr)), default=0)
-        work = array_operations(closed.jaxpr).total() if widest > self.widest else 0
-        wide = TooLarge(f"one of the arrays has more than {self.widest} entries")
-        if ends > self.widest or work > _MOST_WORK * self.largest:
-            raise wide
-        program = self.scalars(closed, self.largest, limits)
-        if work and program.operations > _MOSTLY * work:
-            raise wide
-        return program
+        work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
+        if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
+            program = self.scalars(closed, self.largest, limits)
+            if not work or program.operations <= _MOSTLY * work:
+                return program
+        raise TooLarge(f"one of the arrays has more than {self.widest} entries")
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
         """A jaxpr as a scalar program, of at most so many scalars, derivatives included."""
