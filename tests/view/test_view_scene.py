@@ -3,6 +3,9 @@
 import dataclasses
 import functools
 import importlib.util
+import threading
+import time
+import urllib.request
 import webbrowser
 from pathlib import Path
 
@@ -242,3 +245,21 @@ def test_a_page_has_everything_in_it(tmp_path: Path) -> None:
     assert "__VISER_EMBED_DATA__" in text
     with pytest.raises(tx.InputError, match="cannot write"):
         scene(path=tmp_path / "no" / "scene.html")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_live_scene_is_served_until_it_is_stopped() -> None:
+    """Its slider goes on by itself, and nothing is left behind."""
+    before = threading.active_count()
+    server = scene(arrows={"F": tx.view.Arrow()}).live(port=18080)
+    address = f"http://127.0.0.1:{server.get_port()}"
+    with urllib.request.urlopen(address, timeout=10) as page:
+        assert page.status == 200
+    time.sleep(0.5)
+    server.stop()
+    time.sleep(0.5)
+    assert threading.active_count() <= before + 1
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(address, timeout=10)
