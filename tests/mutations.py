@@ -71,6 +71,22 @@ def _at(file: str, *entries: tuple[str, str, str, str]) -> list[Mutation]:
 
 
 MUTATIONS: list[Mutation] = [
+    # ---- simulators --------------------------------------------------------------------------------------------------
+    *_at(
+        "integrators/simulator.py",
+        (
+            "what a call leaves out is what the last one had",
+            "leaves, changed = list(self._leaves), dict",
+            "leaves, changed = self._leaves, dict",
+            "integrators/test_simulator.py",
+        ),
+        (
+            "a call's start is not checked",
+            "if not np.isfinite(known).all():",
+            "if False:",
+            "integrators/test_simulator.py",
+        ),
+    ),
     # ---- joined phases -----------------------------------------------------------------------------------------------
     *_at(
         "integrators/phases.py",
@@ -609,6 +625,27 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- flight ------------------------------------------------------------------------------------------------------
     *_at(
+        "mechanics/flight/air_data.py",
+        (
+            "drag without the half",
+            "return -0.5 * S * air.density",
+            "return -1.0 * S * air.density",
+            "mechanics/test_flight.py",
+        ),
+        (
+            "moments that forget the arm",
+            "Cross(self.reference, f)",
+            "0.0 * Cross(self.reference, f)",
+            "mechanics/test_flight.py",
+        ),
+        (
+            "lift along the wind",
+            "Block([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])",
+            "Block([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])",
+            "mechanics/test_flight.py",
+        ),
+    ),
+    *_at(
         "mechanics/flight/propulsion.py",
         ("half of the Coriolis force", "force=-2.0 * f * Cross", "force=-f * Cross", "mechanics/test_flight_parts.py"),
     ),
@@ -819,6 +856,21 @@ MUTATIONS: list[Mutation] = [
             "rising for falling",
             "(falls & (wanted <= 0)) | (rises & (wanted >= 0))",
             "(falls & (wanted >= 0)) | (rises & (wanted <= 0))",
+            "integrators/test_events.py",
+        ),
+    ),
+    *_at(
+        "integrators/adaptive.py",
+        (
+            "an event halts after its step",
+            "hit = good & watched.hits.any()",
+            "hit = good & watched.hits.any() & False",
+            "integrators/test_events.py",
+        ),
+        (
+            "a step to an event is as long as its tolerance allows",
+            "jnp.full_like(a, jnp.inf), steps.tolerances",
+            "jnp.full_like(a, 0.0), steps.tolerances",
             "integrators/test_events.py",
         ),
     ),

@@ -37,7 +37,7 @@ by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path
 #: Why some say nothing of errors.
 NO_ERRORS = {
     "users get these and do not make them": """
-        Between Dynamics Mode Order PhasedSolution Result columns.Column Solution Statistics Sweep
+        Between Dynamics Mode Order PhasedSolution Result columns.Column Simulator Solution Statistics Sweep
         Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
@@ -76,7 +76,7 @@ KNOWN = {
 #: Why some do not name what they are made with.
 NO_ARGUMENTS = {
     "users get these and do not make them": """
-        Order Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
+        Order Simulator Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
     "the base class says it": """
         Maximize Minimize charts.SplitExponential view.Box view.Capsule view.Cone view.Cylinder view.Ellipsoid

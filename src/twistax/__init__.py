@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.interpolant import Between
     from .integrators.phased_solution import PhasedSolution
     from .integrators.phases import Phase, integrate_phases
+    from .integrators.simulator import Simulator, simulator
     from .integrators.solution import Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
@@ -58,10 +59,11 @@ __all__ = [
     "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
     "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
     "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "PiecewisePolynomial", "Product", "Result",
-    "ShapeError", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim",
-    "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions", "diffrax", "fast", "integrate",
-    "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "spatial", "sweep", "tableaus",
-    "tables", "tangent_grad", "trajectory", "trim", "units", "view",
+    "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
+    "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions",
+    "diffrax", "fast", "integrate",
+    "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial", "sweep",
+    "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -74,6 +76,7 @@ _LATER = {
     ".integrators.interpolant": ("Between",),
     ".integrators.phased_solution": ("PhasedSolution",),
     ".integrators.phases": ("Phase", "integrate_phases"),
+    ".integrators.simulator": ("Simulator", "simulator"),
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.solution": ("Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),

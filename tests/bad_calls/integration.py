@@ -39,6 +39,11 @@ def adaptive(**options):
 
 
 @functools.cache
+def made():
+    return tx.simulator(decay(), DECAY, t1=1.0, dt=0.5)
+
+
+@functools.cache
 def solution():
     return decays(dense=True)
 
@@ -293,4 +298,14 @@ ROWS = [
     # under jit
     bad("a traced span with dt", lambda: jax.jit(lambda t1: decays(t1=t1).xs)(1.0), "t1", "traced", "steps"),
     bad("a traced dt", lambda: jax.jit(lambda dt: decays(dt=dt).xs)(0.1), "dt", "traced", "steps"),
+    # a simulator
+    bad("a simulator of text", lambda: tx.simulator("decay", DECAY, t1=1.0, dt=0.5), "str", "tx.compile"),
+    bad(
+        "an option no simulator has", lambda: tx.simulator(decay(), DECAY, t1=1.0, dt=0.5, progress=True), "'progress'"
+    ),
+    bad("a simulator without steps", lambda: tx.simulator(decay(), DECAY, t1=1.0), "dt", "steps"),
+    bad("a simulator's start by another name", lambda: made()({"y": 1.0}), "'y'", "x0", "made with"),
+    bad("a simulator's start of text", lambda: made()(dict.fromkeys(DECAY, "one")), "x0", "'one'"),
+    bad("a simulator's start of NaN", lambda: made()(dict.fromkeys(DECAY, np.nan)), "x0", "finite"),
+    bad("a simulator's start as a list", lambda: made()([1.0]), "x0", "dict"),
 ]

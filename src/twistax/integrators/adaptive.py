@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -30,6 +31,8 @@ from .tolerances import Tolerances
 
 #: Steps between words of how far it is, where they are asked for: a word takes as long as some twenty of them.
 _TOLD = 256
+#: So many stops are looked at in less time than a search among them takes.
+_LOOKED_AT = 8192
 #: A step that leaves less than this share of itself to the next stop goes there at once.
 _STRETCH = 0.01
 
@@ -120,7 +123,7 @@ class _Now(NamedTuple):
     accepted: jax.Array
     evaluations: jax.Array
     code: jax.Array
-    last: tuple[jax.Array, jax.Array] | _Step | None  # the last step taken, or its start
+    last: tuple[jax.Array, jax.Array] | _Step  # the last step taken, or its start
     path: _Path | None
     every: jax.Array | None
     watched: Watched | None
@@ -153,6 +156,10 @@ class AdaptiveSteps(Steps):
     @property
     def bound(self) -> int:
         return self.control.max_steps
+
+    @property
+    def finds_rows(self) -> bool:  # type: ignore[override]
+        return self.between is Between.POLYNOMIAL
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         stops, read = self.stops, ravel_pytree(y)[1]
@@ -191,38 +198,29 @@ class AdaptiveSteps(Steps):
     def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         stops = self.stops
-        begun, first = small_call(AdaptiveSteps._begin, self, stepper, y)
-        packed, read = ravel_pytree(y)
-        carry, read_carry = ravel_pytree(begun)
-        packing, zero, number = _Packing(read, read_carry), jnp.zeros((), int), jnp.zeros((), self.t0.dtype)
-        now = _Now(
-            t=self.t0,
-            h=first,
-            y=packed,
-            carry=carry,
-            errors=Errors(number, number),
-            rejected=jnp.asarray(False),
-            tried=zero,
-            accepted=zero,
-            evaluations=zero + 2,
-            code=zero,
-            last=self._no_step(stepper, y, packed, record),
-            path=rows(_Path(zero, number, number), self.bound) if record or self.dense else None,
-            every=put(rows(packed, self.bound + 1), 0, packed) if self.dense else None,
-            watched=None if self.watch is None else self.watch.begin(stepper, self.t0, first, y),
-        )
+        beside = stepper.beside_loops
+        begun, first = small_call(AdaptiveSteps._begin, self, beside, y)
+        now, packing = self._start(stepper, self.t0, y, begun, first, record)
+        (read, read_carry), zero = packing, jnp.zeros((), int)
+        if record or self.dense:
+            now = now._replace(path=rows(_Path(zero, self.t0, self.t0), self.bound))
+        if self.dense:
+            now = now._replace(every=put(rows(now.y, self.bound + 1), 0, now.y))
+        if self.watch is not None:
+            advance = functools.partial(self.advance, stepper)
+            now = now._replace(watched=self.watch.begin(advance, stepper, self.t0, first, y))
 
         def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
             t, leg = stop
             if stops.limits.size > 1:
                 # Rates may have jumped at the limit before; at saved times they do not.
                 ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
-                field = stepper.field(now.t, ahead)
+                field = beside.field(now.t, ahead)
                 resumed = stepper.method.resume(field, now.t, read(now.y), read_carry(now.carry))
                 carry = jnp.where(now.t == self._leg(leg)[0], ravel_pytree(resumed)[0], now.carry)
                 now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
             now = self._to(t, leg, stepper, packing, now)
-            if now.last is None:
+            if stops.place is None:
                 return now, None
             if isinstance(now.last, _Step):
                 return now, now.last._replace(end=now.t, y_end=now.y, visited=jnp.asarray(True))
@@ -232,24 +230,46 @@ class AdaptiveSteps(Steps):
             return now, (start, now.accepted - (~there).astype(int), now.t >= t)
 
         def beyond(k: jax.Array, now: _Now) -> jax.Array:
-            return jnp.maximum(k + 1, jnp.searchsorted(stops.ts, now.t, side="right").astype(k.dtype))
+            # To search takes a loop, whose every turn costs more than to look at all of some thousands.
+            method = "compare_all" if stops.ts.size <= _LOOKED_AT else "scan"
+            after = jnp.searchsorted(stops.ts, now.t, side="right", method=method)
+            return jnp.maximum(k + 1, after.astype(k.dtype))
 
         # Stops beyond these are ends, one of which they include.
         loop = to_stop, now, (stops.ts, stops.leg), stops.limits.size + stops.count
         if isinstance(now.last, _Step):
             return first_rows(*loop, now.last, beyond)
-        return first_rows(*loop, None if now.last is None else (now.last, zero, jnp.asarray(False)))
+        return first_rows(*loop, None if stops.place is None else (now.last, zero, jnp.asarray(False)))
 
-    def _no_step(self, stepper: Stepper, y: Blocks, packed: jax.Array, record: bool) -> Any:
-        """What stands for the last step before the first; None where no times are saved."""
-        if self.stops.place is None:
-            return None
+    def _start(
+        self, stepper: Stepper, t: jax.Array, y: Blocks, begun: Carry, h: jax.Array, record: bool
+    ) -> tuple[_Now, _Packing]:
+        """What the loop carries before its first step, of length h."""
+        packed, read = ravel_pytree(y)
+        carry, read_carry = ravel_pytree(begun)
+        zero, number = jnp.zeros((), int), jnp.zeros((), t.dtype)
+        last: Any = t, packed
         # Steps that are taken again for derivatives are so for saved times too.
-        if self.between is Between.STEP or record:
-            return self.t0, packed
-        slopes = ravel_pytree(stepper.method.no_slopes(stepper.dynamics, y))[0]
-        t = self.t0
-        return _Step(t, packed, jnp.ones_like(t), slopes, t, packed, jnp.asarray(False))
+        if self.stops.place is not None and self.between is Between.POLYNOMIAL and not record:
+            slopes = ravel_pytree(stepper.method.no_slopes(stepper.dynamics, y))[0]
+            last = _Step(t, packed, jnp.ones_like(t), slopes, t, packed, jnp.asarray(False))
+        now = _Now(
+            t=t,
+            h=h,
+            y=packed,
+            carry=carry,
+            errors=Errors(number, number),
+            rejected=jnp.asarray(False),
+            tried=zero,
+            accepted=zero,
+            evaluations=zero + 2,
+            code=zero,
+            last=last,
+            path=None,
+            every=None,
+            watched=None,
+        )
+        return now, _Packing(read, read_carry)
 
     @staticmethod
     def _taken(now: _Now, step: jax.Array, found: Attempt) -> Any:
@@ -285,26 +305,87 @@ class AdaptiveSteps(Steps):
 
     def _tries(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now, bound: Any) -> _Now:
         """The same, until so many were tried."""
+        kernel = None
+        if now.path is None and now.every is None:
+            kernel = self._kernel(t, leg, stepper, packing, now._replace(watched=None))
+        if kernel is not None and now.watched is None:
+            return kernel(now, now.tried, jnp.where(_going(now, t), bound, now.tried))
 
-        def going(now: _Now, t: jax.Array) -> jax.Array:
-            return (now.t < t) & (now.code == 0)
+        def one_try(now: _Now) -> _Now:
+            before = now._replace(watched=None)
+            if kernel is None:
+                after = self._try(stepper, packing, before, leg)
+            else:
+                after = kernel(before, now.tried, now.tried + 1)
+            if now.watched is None:
+                return after
+            return small_call(lambda *own: own[0]._watched(own[1], packing, *own[2:]), self, stepper, now, after)
+
+        return jax.lax.while_loop(lambda n: _going(n, t) & (n.tried < bound), one_try, now)
+
+    def _kernel(
+        self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now
+    ) -> Callable[[_Now, jax.Array, jax.Array], _Now] | None:
+        """Tries in a kernel: what is carried, from the first of them to the last."""
+        # Kernels count evaluations in the precision of the state.
+        most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
+        if most >= 2 ** jnp.finfo(self.t0.dtype).nmant:
+            return None
 
         def one_try(given: Any, stepper: Stepper, now: _Now) -> tuple[_Now, jax.Array]:
             steps, t, leg = given
             found = steps._try(stepper, packing, now, leg)
-            return found, going(found, t)
+            return found, _going(found, t)
 
-        # Kernels count evaluations in the precision of the state.
-        most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
-        countable = most < 2 ** jnp.finfo(self.t0.dtype).nmant
-        if now.path is None and now.every is None and now.watched is None and countable:
-            # Without the saved times: another number of them needs no other kernel.
-            own = self.stops._replace(ts=None, leg=None, place=None, count=None)
-            kernel = kernel_tries(one_try, (dataclasses.replace(self, stops=own, meter=None), t, leg), stepper, now)
-            if kernel is not None:
-                return kernel(now, now.tried, jnp.where(going(now, t), bound, now.tried))
-        return jax.lax.while_loop(
-            lambda n: going(n, t) & (n.tried < bound), lambda n: self._try(stepper, packing, n, leg), now
+        # Neither saved times nor events are part of it: others need no other kernel.
+        own = self.stops._replace(ts=None, leg=None, place=None, count=None)
+        alone = dataclasses.replace(self, stops=own, watch=None, meter=None, dense=False)
+        return kernel_tries(one_try, (alone, t, leg), stepper, now)
+
+    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        """A try of unlimited tolerance to the end of a leg of this length."""
+        packings: list[_Packing] = []
+
+        def begun(steps: AdaptiveSteps, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Any:
+            limits = jnp.full_like(steps.stops.limits, t + h)
+            anything = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), steps.tolerances)
+            rate = stepper.rate(t, y, h)
+            start = stepper.method.begin(stepper.dynamics, y, rate)
+            now, packing = steps._start(stepper, t, y, start, jnp.full_like(h, jnp.inf), record=False)
+            packings.append(packing)
+            return limits, anything, now
+
+        def kernel(limits: Any, anything: Any, now: _Now) -> Callable[..., _Now] | None:
+            steps = dataclasses.replace(self, stops=self.stops._replace(limits=limits), tolerances=anything)
+            return steps._kernel(t, none, stepper, packings[-1], now)
+
+        none, given = jnp.zeros((), int), (self, stepper.beside_loops, t, y, h)
+        like = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), jax.eval_shape(begun, *given))
+        if kernel(*like) is None:
+            return stepper.advance(t, y, h)
+        limits, anything, now = small_call(begun, *given)
+        take = kernel(limits, anything, now)
+        assert take is not None
+        moved = take(now, none, none + 1)
+        return packings[-1].state(jnp.where(moved.accepted > 0, moved.y, jnp.nan))
+
+    def _watched(self, stepper: Stepper, packing: _Packing, before: _Now, after: _Now) -> _Now:
+        """After a try, or as before it with what is known of the event that it met: the loop halts there."""
+        assert before.watched is not None
+        good, step, end = after.accepted > before.accepted, after.t - before.t, self.stops.limits[-1]
+        state, first = packing.state(after.y), before.accepted == 0
+        watched = self.watch.after(stepper, before.t, step, state, before.watched, first, after.t == end)
+        hit = good & watched.hits.any()
+        watched = watched._replace(values=jnp.where(good & ~hit, watched.values, before.watched.values))
+        kept = ("t", "y", "carry", "errors", "accepted", "last")
+        old = jax.tree.map(
+            lambda a, b: jnp.where(hit, a, b), *([getattr(now, name) for name in kept] for now in (before, after))
+        )
+        return after._replace(
+            **dict(zip(kept, old, strict=True)),
+            h=jnp.where(hit, step, after.h),
+            code=jnp.where(hit, Result.EVENT.value, after.code),
+            watched=watched,
         )
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
@@ -341,14 +422,6 @@ class AdaptiveSteps(Steps):
             trouble = jnp.where(found.solved, trouble, Result.NEWTON_FAILED.value)
         failed = ~good & ((shorter < least) | (step <= least))
         code = jnp.where(failed, trouble, now.code)
-        halted, watched = failed, None
-        if now.watched is not None:
-            ends = t == self.stops.limits[-1]
-            watched = self.watch.after(stepper, now.t, step, found.y, now.watched, now.accepted == 0, ends)
-            hit = good & watched.hits.any()
-            # The loop halts before the step with the event.
-            good, halted, code = good & ~hit, failed | hit, jnp.where(hit, Result.EVENT.value, code)
-            watched = watched._replace(values=jnp.where(good, watched.values, now.watched.values))
 
         def pick(new: Any, old: Any) -> Any:
             return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
@@ -361,7 +434,7 @@ class AdaptiveSteps(Steps):
 
         return _Now(
             t=pick(t, now.t),
-            h=jnp.where(good, longer, jnp.where(halted, step, shorter)),
+            h=jnp.where(good, longer, jnp.where(failed, step, shorter)),
             y=pick(y, now.y),
             carry=pick(carry, now.carry),
             errors=pick(errors, now.errors),
@@ -370,11 +443,11 @@ class AdaptiveSteps(Steps):
             accepted=now.accepted + good.astype(int),
             evaluations=now.evaluations + found.evaluations,
             code=code,
-            last=None if now.last is None else pick(self._taken(now, step, found), now.last),
+            last=pick(self._taken(now, step, found), now.last),
             # A step that is taken back leaves rows that a later one writes again.
             path=path,
             every=None if now.every is None else put(now.every, now.accepted + 1, y),
-            watched=watched,
+            watched=None,
         )
 
     def _error(self, stepper: Stepper, before: Blocks, after: Blocks, errors: tuple[Blocks, ...]) -> jax.Array:
@@ -416,3 +489,8 @@ class AdaptiveSteps(Steps):
         start, length = self._leg(path.leg[k])
         before = jnp.where(saved.steps == 0, self.t0, start + path.end[k] * length)
         return Part(before, ts - before)
+
+
+def _going(now: _Now, t: jax.Array) -> jax.Array:
+    """Whether the loop has not come to a stop, nor halted."""
+    return (now.t < t) & (now.code == 0)

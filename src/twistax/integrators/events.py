@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,15 @@ from ..expr.margins import margin
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from ..lowering.small_call import small_call
 from .charts import Blocks
 from .controls import Signals
 from .method import Stepper
 from .rows import put
-from .steps import Part, Result, Run, Saved, Trail, Watched
+from .steps import Part, Result, Run, Saved, Steps, Trail, Watched
+
+#: A step from a stored state: of its time, the state and a length.
+Advance: TypeAlias = Callable[[jax.Array, Blocks, jax.Array], Blocks]
 
 #: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
 #: of the one at the other end of the step.
@@ -113,16 +117,21 @@ class Watch:
         found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
 
-    def begin(self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks) -> Watched:
+    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks) -> Watched:
         """At the start of an integration whose first step is about h.
 
         The sign that counts is the one just after: where it goes on from an event, that at the start is noise.
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        now, soon = self.values(stepper, t, h, t, y), self.values(stepper, t, h, t + s, stepper.advance(t, y, s))
-        values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
-        return Watched(values, jnp.zeros(values.shape, bool), values)
+        moved = advance(t, y, s)
+
+        def seen(watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, moved: Blocks) -> Watched:
+            now, soon = watch.values(stepper, t, h, t, y), watch.values(stepper, t, h, t + s, moved)
+            values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
+            return Watched(values, jnp.zeros(values.shape, bool), values)
+
+        return small_call(seen, self, stepper, t, h, y, moved)
 
     def after(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: Any, last: Any
@@ -222,8 +231,9 @@ class Meeting(NamedTuple):
     evaluations: jax.Array  # of the right-hand side, to find it
 
 
-def locate(stepper: Stepper, watch: Watch, seen: Watched, run: Run) -> Meeting:
+def locate(steps: Steps, stepper: Stepper, seen: Watched, run: Run) -> Meeting:
     """The first root in the step that a loop halted before. Traceable, not differentiable."""
+    watch: Watch = steps.watch
     outcome = run.outcome
     t, h = outcome.t, outcome.h
     met = outcome.code == Result.EVENT.value
@@ -233,7 +243,8 @@ def locate(stepper: Stepper, watch: Watch, seen: Watched, run: Run) -> Meeting:
         number, (before, hit, after) = entry
 
         def value(s: jax.Array) -> jax.Array:
-            return watch.values(stepper, t, h, t + s, stepper.advance(t, run.end, s))[number]
+            moved = steps.advance(stepper, t, run.end, s)
+            return small_call(lambda *own: own[0].values(*own[1:])[number], watch, stepper, t, h, t + s, moved)
 
         return None, jax.lax.cond(
             met & hit,
@@ -264,10 +275,14 @@ def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Me
     return meeting._replace(s=root)
 
 
-def cut_at(stepper: Stepper, run: Run, meeting: Meeting) -> Run:
-    """A run that halted before a step, taken on to the event within it."""
+def to_event(advance: Advance, run: Run, meeting: Meeting) -> Blocks:
+    """The state at the event, or where the loop came to its end."""
+    return jax.lax.cond(meeting.met, lambda y: advance(meeting.t, y, meeting.s), lambda y: y, run.end)
+
+
+def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
+    """A run that halted before a step, taken on to the event within it, where the state is `moved`."""
     met, s, outcome = meeting.met, meeting.s, run.outcome
-    moved = jax.lax.cond(met, lambda y: stepper.advance(meeting.t, y, s), lambda y: y, run.end)
     one = met.astype(outcome.accepted.dtype)
     t = jnp.where(met, meeting.t + s, outcome.t)
     trail = run.trail
@@ -333,9 +348,11 @@ def bracketed_root(
         return apart & (jnp.abs(now.b[0] - now.a[0]) > 2.0 * finest) & (now.tries < _MOST)
 
     def narrow(now: _Bracket) -> _Bracket:
+        x = now.a[0] + now.share * (now.b[0] - now.a[0])
+        return small_call(narrower, now, x, signed(function(x)))
+
+    def narrower(now: _Bracket, x: jax.Array, fx: jax.Array) -> _Bracket:
         (a, fa), (b, fb) = now.a, now.b
-        x = a + now.share * (b - a)
-        fx = signed(function(x))
         same = jnp.sign(fx) == jnp.sign(fa)
         # What the new place replaces becomes the third one.
         c, fc = jnp.where(same, a, b), jnp.where(same, fa, fb)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +38,7 @@ from .rollout import Rollout, rollout
 from .rows import filled
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import Result, Steps, check_saves, fixed_steps, span_of
+from .steps import FixedSteps, Result, Steps, check_saves, fixed_steps, span_of
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 
@@ -121,6 +121,70 @@ def integrate(
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration ended early. Names the time, the state and the likely cause.
     """
+    plan = planned(
+        dynamics,
+        x0,
+        t0=t0,
+        t1=t1,
+        dt=dt,
+        steps=steps,
+        rtol=rtol,
+        atol=atol,
+        method=method,
+        control=control,
+        jumps=jumps,
+        u=u,
+        params=params,
+        save_at=save_at,
+        between=between,
+        dense=dense,
+        event=event,
+    )
+    _flag("throw", throw)
+    stepper, taken = plan.stepper, plan.steps
+    told = None if progress is None else asked_for(progress)
+    if told is None or plan.traced or is_tracing():
+        found = rollout(taken, stepper, plan.x)
+    else:
+        with metered(told) as meter:
+            found = rollout(dataclasses.replace(taken, meter=meter), stepper, plan.x)
+    if is_traced((t0, t1, save_at)):
+        found = _inside(found, jnp.asarray(plan.t0), jnp.asarray(t1, plan.t0.dtype), jnp.asarray(plan.ts))
+    return solution_of(stepper, taken, found, plan.ts, save_at is None, throw)
+
+
+class Plan(NamedTuple):
+    """An integration that was checked, and what takes it."""
+
+    stepper: Stepper
+    steps: AdaptiveSteps | FixedSteps
+    x: dict[str, Any]  # the prepared start
+    t0: Any
+    ts: Any  # (n,) the saved times, or the end
+    traced: bool  # whether any of it is
+
+
+def planned(
+    dynamics: Any,
+    x0: Any,
+    *,
+    t0: Any = 0.0,
+    t1: Any,
+    dt: Any = None,
+    steps: Any = None,
+    rtol: Any = None,
+    atol: Any = None,
+    method: Any = None,
+    control: Any = None,
+    jumps: Any = None,
+    u: Any = None,
+    params: Any = None,
+    save_at: Any = None,
+    between: Any = Between.STEP,
+    dense: Any = False,
+    event: Any = None,
+) -> Plan:
+    """The arguments of `integrate`, read and checked. Raises what it raises before anything is integrated."""
     need_compiled("integrate", dynamics)
     adaptive = rtol is not None or atol is not None
     if method is None:
@@ -129,9 +193,7 @@ def integrate(
     if dynamics.system.corrections:
         method = projected(method)
     method.check(dynamics)
-    for name, flag in (("dense", dense), ("throw", throw)):
-        if not isinstance(flag, (bool, np.bool_)):
-            raise InputError(f"{name} must be True or False, got {flag!r}")
+    _flag("dense", dense)
     instance("between", between, Between, "tx.Between.STEP or tx.Between.POLYNOMIAL", InputError)
     instance("control", control, StepControl | None, "tx.StepControl(...)", InputError)
     span = span_of(t0, t1, dt)
@@ -150,7 +212,7 @@ def integrate(
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(jnp.asarray(inputs.t))
     stepper = Stepper(dynamics, method, signals, dict(inputs.params), inward=jumps is not None)
-    taken: Steps
+    taken: AdaptiveSteps | FixedSteps
     saves, count = save_at, np.asarray(0)
     if save_at is not None:
         known = check_saves(save_at, span)
@@ -173,17 +235,14 @@ def integrate(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
         taken = fixed_steps(t0, t1, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch)
-    told = None if progress is None else asked_for(progress)
-    if told is None or traced or is_tracing():
-        found = rollout(taken, stepper, x)
-    else:
-        with metered(told) as meter:
-            found = rollout(dataclasses.replace(taken, meter=meter), stepper, x)
     times = [t1] if save_at is None else save_at
     ts = (jnp if is_traced(times) else np).asarray(times, dtype)
-    if is_traced((t0, t1, save_at)):
-        found = _inside(found, jnp.asarray(inputs.t), jnp.asarray(t1, dtype), jnp.asarray(ts))
-    return _solution(stepper, taken, found, ts, save_at is None, throw)
+    return Plan(stepper, taken, x, inputs.t, ts, traced)
+
+
+def _flag(name: str, value: Any) -> None:
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} must be True or False, got {value!r}")
 
 
 def _controls_now(dynamics: Dynamics, controls: Signals, t0: Any, dtype: Any) -> Mapping[str, Any]:
@@ -203,23 +262,27 @@ def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> N
         for name, value in values.items():
             if not is_finite(value):
                 raise InputError(f"{place}[{name!r}] expects finite numbers, got {np.asarray(value)}")
-    tolerance = max(1e-6, 1e3 * float(jnp.finfo(inputs.dtype).eps))
     for name, group in dynamics.group.factors.items():
-        value = inputs.x[name]
-        if isinstance(group, Euclidean) or is_traced(value):
-            continue
-        if isinstance(group, SpecialOrthogonal | SpecialEuclidean):
-            defect = element_defect(np.asarray(value))
-        else:
-            with jax.ensure_compile_time_eval():  # inside jit other states may be traced while this one is known
-                defect = float(_defect(group, value))
-        if defect > tolerance:
-            raise InputError(
-                f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed "
-                "(the rotation's R'R - I, and the last row of a pose).\n"
-                "  fix: build poses with tx.pose(...), or take the nearest element with "
-                f"tx.{group.name}.normalize(g)"
-            )
+        need_element(name, group, inputs.x[name])
+
+
+def need_element(name: str, group: Group, value: Any) -> None:
+    """Raise InputError where the start of a state is known and no element of its group."""
+    if isinstance(group, Euclidean) or is_traced(value):
+        return
+    if isinstance(group, SpecialOrthogonal | SpecialEuclidean):
+        defect = element_defect(np.asarray(value))
+    else:
+        with jax.ensure_compile_time_eval():  # inside jit other states may be traced while this one is known
+            defect = float(_defect(group, value))
+    tolerance = max(1e-6, 1e3 * float(jnp.finfo(value.dtype).eps))
+    if defect > tolerance:
+        raise InputError(
+            f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed "
+            "(the rotation's R'R - I, and the last row of a pose).\n"
+            "  fix: build poses with tx.pose(...), or take the nearest element with "
+            f"tx.{group.name}.normalize(g)"
+        )
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -252,7 +315,7 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
     return array.append(ts, t), joined
 
 
-def _solution(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
+def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
     outcome, watching, known = found.outcome, steps.watch is not None, not is_traced(found.outcome)
     counts = [outcome.tried, outcome.accepted, outcome.evaluations]

@@ -242,6 +242,11 @@ class Stepper:
         """The same, rates as arrays: for what is scalarised as a whole."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.run_by(JAX())))
 
+    @property
+    def beside_loops(self) -> Stepper:
+        """The same for what stands beside loops in kernels."""
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.beside_loops()))
+
     def field(self, t: jax.Array, h: jax.Array) -> VectorField:
         """The right-hand side within the step from t to t + h."""
         during = self.signals.during(self.dynamics, t, h)
@@ -271,7 +276,15 @@ class Stepper:
 
 
 def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any) -> Any:
-    """The function that `make` makes, of a stepper and other pytrees, jitted for the stepper's system alone.
+    """The function that `make` makes, of a stepper and other pytrees, jitted for the stepper's system alone."""
+    function, leaves, _ = flattened(make, stepper, *rest)
+    return on_any_mesh(function, *leaves) if spread(leaves) else function(*leaves)
+
+
+def flattened(
+    make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any
+) -> tuple[Callable[..., Any], list[Any], Any]:
+    """The same function of the arrays in its arguments, those arrays, and the structure they came in.
 
     JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
     with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures
@@ -286,5 +299,4 @@ def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any)
         # Where jit is disabled arrays of NumPy would come in as they are.
         return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, map(jnp.asarray, leaves))))
 
-    run = functions.loops.get((make, structure), flat)
-    return on_any_mesh(run, *leaves) if spread(leaves) else run(*leaves)
+    return functions.loops.get((make, structure), flat), leaves, structure

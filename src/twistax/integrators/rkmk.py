@@ -105,7 +105,9 @@ class RKMK(ChartMethod):
     def between(self, dynamics: Dynamics, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
         local, table = self.coordinates(dynamics), jnp.asarray(interpolant(self.tableau).weights, h.dtype)
         weights = functools.reduce(lambda sums, column: sums * share + column, reversed(table.T))
-        z = jax.tree.map(lambda k: jnp.tensordot(h * share * weights, k, 1), slopes)
+        weights = h * share * weights
+        # A sum: for many rows a product of matrices would be a call for each.
+        z = jax.tree.map(lambda k: (weights.reshape(-1, *(1,) * (k.ndim - 1)) * k).sum(0), slopes)
         return local.settle(local.move(y, z))
 
     def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:

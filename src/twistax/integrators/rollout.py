@@ -14,7 +14,7 @@ from ..jax_inside import any_of_batch, batched_branches_transpose
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
-from .events import Meeting, cut_at, locate, refined, saved_before
+from .events import Meeting, cut_at, locate, refined, saved_before, to_event
 from .kernels import advance_again
 from .method import Stepper, jitted
 from .rows import first_rows
@@ -40,11 +40,11 @@ def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
     that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
     all times are right.
     """
-    found: Rollout = jitted(_differentiable, stepper, steps, x)
+    found: Rollout = jitted(differentiable, stepper, steps, x)
     return found
 
 
-def _differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
+def differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
     @jax.custom_jvp
     def taken(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
         # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
@@ -68,23 +68,25 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     # Without a path saved times lie as the loop left them.
     run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
     seen = run.watched
-    meeting = None if seen is None else small_call(locate, stepper, steps.watch, seen, run)
-    return _to_saved_times(
-        steps,
-        stepper,
-        x,
-        run,
-        meeting,
-        lambda saved, parts: small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum()),
-    )
+    meeting = None if seen is None else small_call(locate, steps, stepper, seen, run)
+    moved = None if meeting is None else to_event(functools.partial(steps.advance, stepper), run, meeting)
+    if run.saved is None:
+        return small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
+
+    def advance_all(saved: Saved, parts: Part) -> Blocks:
+        if steps.finds_rows and meeting is None:
+            return saved.y
+        return small_call(_one_by_one, steps, stepper, saved.y, parts, saved.asked.sum())
+
+    return _to_saved_times(steps, stepper, x, run, meeting, moved, advance_all)
 
 
-def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
+def _one_by_one(steps: Steps, stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
     """The states at the ends of the first `count` parts of steps, one after the other."""
 
     def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
         y, part = entry
-        return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
+        return None, jax.lax.cond(part.h > 0.0, lambda y: steps.advance(stepper, part.t, y, part.h), lambda y: y, y)
 
     return first_rows(save, None, (ys, parts), count, jax.tree.map(lambda a: a[0], ys))[1]
 
@@ -95,19 +97,20 @@ def _to_saved_times(
     x: Arrays,
     run: Run,
     meeting: Meeting | None,
-    advance_all: Callable[[Saved, Part], Blocks],
+    moved: Blocks | None,
+    advance_all: Callable[[Saved, Part], Blocks] | None = None,
 ) -> Rollout:
     """From the states before the saved times, and before an event, on to them."""
     parts = None if run.saved is None else steps.parts(run.path, run.saved)
     saved = run.saved
-    if meeting is not None:
-        halted, run = run, cut_at(stepper, run, meeting)
+    if meeting is not None and moved is not None:
+        halted, run = run, cut_at(moved, run, meeting)
         if saved is not None and parts is not None:
             saved, parts = saved_before(saved, parts, steps.saved_times, halted, meeting)
     stored, outcome = stepper.stored, run.outcome
     end = _or_start(stored.value(run.end), outcome.accepted == 0, x)
     event = None if meeting is None else meeting.which
-    if saved is None or parts is None:
+    if saved is None or parts is None or advance_all is None:
         return Rollout(
             {name: value[None] for name, value in end.items()}, end, jnp.zeros(0, bool), outcome, run.trail, event
         )
@@ -145,7 +148,7 @@ def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
     steps, stepper, x = jax.lax.stop_gradient(primals)
     run = steps.run(stepper, stepper.stored.enter(x), record=True)
-    known = None if run.watched is None else locate(stepper, steps.watch, run.watched, run)
+    known = None if run.watched is None else locate(steps, stepper, run.watched, run)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
@@ -187,7 +190,8 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
             return jax.lax.map(lambda each: step(*each), (starts, parts))
         return jax.vmap(step)(starts, parts)
 
-    return _to_saved_times(steps, stepper, x, run, meeting, advance_all)
+    moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), run, meeting)
+    return _to_saved_times(steps, stepper, x, run, meeting, moved, advance_all)
 
 
 # ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------

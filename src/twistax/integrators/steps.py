@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import functools
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -111,6 +112,8 @@ class Steps(ABC):
     dense: bool  # whether the starts of all steps are kept
     watch: Any  # the `Watch`, the conditions that end an integration
     meter: Meter | None  # who is told how far it is
+    #: Whether `run` leaves the states at saved times behind, not those before them, up to an event.
+    finds_rows: bool = False
     #: Cause and fix, with the length h of the step: of an end that is not finite, where nothing else is known; of the
     #: equations of an implicit step that could not be solved.
     too_long: tuple[str, str]
@@ -124,6 +127,13 @@ class Steps(ABC):
     @abstractmethod
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         """Take all steps; `record` keeps the path, for a known bound. Traceable, not differentiable in reverse."""
+
+    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        """The stored state after one more step, from any state: by the kernel of the loop where it has one.
+
+        Traceable, not differentiable.
+        """
+        return stepper.advance(t, y, h)
 
     @abstractmethod
     def steps_of(self, path: Any) -> Part:
@@ -221,29 +231,35 @@ class FixedSteps(Steps):
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
-        watched = None if self.watch is None else self.watch.begin(stepper, self.t0, self.h, y)
+        watched = None
+        if self.watch is not None:
+            watched = self.watch.begin(functools.partial(self.advance, stepper), stepper, self.t0, self.h, y)
         start = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
-        kernel = None
-        if every is None and watched is None:
-            kernel = kernel_steps(stepper, self.t0, self.h, none, y, carry)
+        kernel = None if every is not None else kernel_steps(stepper, self.t0, self.h, none, y, carry)
+
+        def in_kernel(now: _Now, stop: jax.Array) -> _Now:
+            assert kernel is not None
+            y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
+            halted = steps < stop
+            tried = steps - now.steps + halted.astype(steps.dtype)
+            evaluations = now.evaluations + tried * kernel.evaluations
+            return now._replace(
+                steps=steps,
+                y=y,
+                carry=carry,
+                evaluations=evaluations,
+                code=jnp.where(halted, Result.NON_FINITE.value, now.code),
+            )
+
+        def one_step(now: _Now) -> _Now:
+            after = self._one_step(stepper, now) if kernel is None else in_kernel(now, now.steps + 1)
+            return after if now.watched is None else self._watched(stepper, now, after)
 
         def steps_to(now: _Now, stop: jax.Array) -> _Now:
-            if kernel is None:
-                now = jax.lax.while_loop(
-                    lambda n: (n.steps < stop) & (n.code == Result.SUCCESS.value),
-                    lambda n: self._one_step(stepper, n),
-                    now,
-                )
-            else:
+            if kernel is not None and now.watched is None:
                 # A loop that halted already stays as it is.
-                stop = jnp.where(now.code == Result.SUCCESS.value, stop, now.steps)
-                y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
-                halted = steps < stop
-                tried = steps - now.steps + halted.astype(steps.dtype)
-                evaluations = now.evaluations + tried * kernel.evaluations
-                code = jnp.where(halted, Result.NON_FINITE.value, now.code)
-                now = _Now(steps, y, carry, evaluations, code, None, None)
-            return now
+                return in_kernel(now, jnp.where(now.code == Result.SUCCESS.value, stop, now.steps))
+            return jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.SUCCESS.value), one_step, now)
 
         def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
             steps = jnp.where(now.code == Result.SUCCESS.value, now.steps, jnp.iinfo(now.steps.dtype).max)
@@ -263,7 +279,7 @@ class FixedSteps(Steps):
         return first_rows(to_stop, start, stops, self.at.count + 1, (y, jnp.zeros((), bool)))
 
     def _one_step(self, stepper: Stepper, now: _Now) -> _Now:
-        """The next step; the state stays where it fails or meets an event."""
+        """The next step; the state stays where it fails."""
         t = self._time(now.steps)
         found = stepper.method.follow(stepper.field(t, self.h), t, now.y, now.carry, self.h)
         good = all_finite(found.y)
@@ -271,17 +287,37 @@ class FixedSteps(Steps):
         if found.solved is not None:
             good = good & found.solved
             code = jnp.where(found.solved, code, Result.NEWTON_FAILED.value)
-        watched = None
-        if now.watched is not None:
-            first, last = now.steps == 0, now.steps + 1 == self.steps
-            watched = self.watch.after(stepper, t, self.h, found.y, now.watched, first, last)
-            hit = good & watched.hits.any()
-            watched = watched._replace(values=jnp.where(hit, now.watched.values, watched.values))
-            code, good = jnp.where(hit, Result.EVENT.value, code), good & ~hit
         kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
         steps = now.steps + good.astype(now.steps.dtype)
         every = None if now.every is None else put(now.every, steps, kept)
-        return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, watched)
+        return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, now.watched)
+
+    def _watched(self, stepper: Stepper, before: _Now, after: _Now) -> _Now:
+        """After a step, or as before it with what is known of the event that it met."""
+        assert before.watched is not None
+        first, last = before.steps == 0, before.steps + 1 == self.steps
+        t = self._time(before.steps)
+        watched = self.watch.after(stepper, t, self.h, after.y, before.watched, first, last)
+        hit = (after.steps > before.steps) & watched.hits.any()
+        watched = watched._replace(values=jnp.where(hit, before.watched.values, watched.values))
+
+        def pick(old: Any, new: Any) -> Any:
+            return jax.tree.map(lambda a, b: jnp.where(hit, a, b), old, new)
+
+        return after._replace(
+            steps=pick(before.steps, after.steps),
+            y=pick(before.y, after.y),
+            code=jnp.where(hit, Result.EVENT.value, after.code),
+            watched=watched,
+        )
+
+    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        none, carry = jnp.zeros_like(jnp.asarray(self.steps)), stepper.method.before(stepper.dynamics, y)
+        kernel = kernel_steps(stepper, t, h, none, y, carry)
+        if kernel is None:
+            return stepper.advance(t, y, h)
+        moved, _, count = kernel.run(stepper, t, h, none, none + 1, y, carry)
+        return jax.tree.map(lambda a: jnp.where(count > 0, a, jnp.nan), moved)
 
     def steps_of(self, path: None) -> Part:
         k = jnp.arange(self.bound)

@@ -52,6 +52,9 @@ class Emission:
 class Backend(ABC):
     """Turns a function of arrays into the one that runs. A value: equal where it does the same."""
 
+    #: Operations on scalars from which on a call runs as a kernel; None: never.
+    least: int | None = None
+
     def __str__(self) -> str:
         """Its name, and the options that are not the usual ones."""
         options: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(self) if dataclasses.is_dataclass(self) else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import threading
@@ -33,6 +34,7 @@ from .backends import Backend, Emission
 from .inputs import Values, prepare
 from .jacobian import Differentiated, RateJacobian, fewer
 from .scalar.primitive import call_program
+from .small_call import no_small_call
 
 Arrays = dict[str, jax.Array]
 #: What the arguments of a flat function are: ("t", "t"), then "x", "u" or "params" with a name.
@@ -105,7 +107,7 @@ class Functions:
         }
         self._constants = constants
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
-        self._made = Kept(64)
+        self._made, self._beside = Kept(64), False
         self._jit()
 
     # ---- the same functions otherwise --------------------------------------------------------------------------------
@@ -113,6 +115,10 @@ class Functions:
     def run_by(self, backend: Backend) -> Functions:
         """The same, run by another backend."""
         return self._changed(backend=backend)
+
+    def beside_loops(self) -> Functions:
+        """The same for what stands beside loops in kernels: large rates are kernels of their own there too."""
+        return self._changed(_beside=True)
 
     def twin(self) -> Functions:
         """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
@@ -200,8 +206,8 @@ class Functions:
         return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
-        """The rates; what an integrator puts into its loop."""
-        return self.evaluate("rates", t, x, u, params)
+        """The rates; what an integrator puts into its loop, or beside it."""
+        return self.evaluate("rates", t, x, u, params, in_loop=not self._beside)
 
     def evaluate(
         self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True
@@ -214,7 +220,10 @@ class Functions:
         leaves, structure = jax.tree.flatten((t, x, u, params))
         types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
         emission, shape = self.emission(family, structure, types, in_loop=in_loop)
-        return jax.tree.unflatten(shape, emission.function(*leaves))
+        least = self.backend.least if self._beside else None
+        apart = least is not None and emission.program is not None and emission.program.operations >= least
+        with no_small_call() if apart else contextlib.nullcontext():
+            return jax.tree.unflatten(shape, emission.function(*leaves))
 
     def emission(
         self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False

@@ -9,9 +9,10 @@ vmap, the function runs as it is, with the same result.
 
 from __future__ import annotations
 
+import contextlib
 import contextvars
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import jax
@@ -31,6 +32,16 @@ _INSIDE = contextvars.ContextVar("inside a small call", default=False)
 def inside_small_call() -> bool:
     """Whether what is being traced becomes part of a small function."""
     return _INSIDE.get()
+
+
+@contextlib.contextmanager
+def no_small_call() -> Iterator[None]:
+    """What is traced here becomes no part of a small function: a function that has it is none."""
+    inside = _INSIDE.set(False)
+    try:
+        yield
+    finally:
+        _INSIDE.reset(inside)
 
 
 def held(tree: Tree) -> Tree:

@@ -40,12 +40,13 @@ def _panda() -> tuple[tx.Dynamics, dict[str, Any], dict[str, Any]]:
     return tx.compile(tx.System(rates)), x0, {"t1": 2.0, "rtol": 1e-8, "atol": 1e-8, "u": {"tau": np.zeros(7)}}
 
 
-_END, _IN_JIT, _STEPS, _POLYNOMIALS = "end alone", "end alone, in jit", "rows by steps", "rows by polynomials"
+_END, _IN_JIT, _MADE = "end alone", "end alone, in jit", "of a simulator"
+_STEPS, _POLYNOMIALS = "rows by steps", "rows by polynomials"
 
 
 @functools.cache
 def called(make: Callable[[], Any]) -> dict[str, Timed]:
-    """The same rollout called in four ways, those with rows inside of `jit`; all have the same end."""
+    """The same rollout called in five ways, those with rows inside of `jit`; all have the same end."""
     dynamics, x0, options = make()
     rows = {"save_at": np.linspace(0.0, options["t1"], _ROWS)}
     more: dict[str, Any] = {_IN_JIT: {}, _STEPS: rows, _POLYNOMIALS: rows | {"between": tx.Between.POLYNOMIAL}}
@@ -54,7 +55,8 @@ def called(make: Callable[[], Any]) -> dict[str, Timed]:
         run = jax.jit(lambda x: tx.integrate(dynamics, x, **options, **own).xs)
         return Timed(lambda: run(x0))
 
-    ways = {_END: Timed(lambda: tx.integrate(dynamics, x0, **options).xs)}
+    fly = tx.simulator(dynamics, x0, **options)
+    ways = {_END: Timed(lambda: tx.integrate(dynamics, x0, **options).xs), _MADE: Timed(lambda: fly(x0).xs)}
     ways |= {name: jitted(own) for name, own in more.items()}
     return raced(ways, 1e-6, _REPEATS, lambda xs: {name: each[-1] for name, each in xs.items()})
 
@@ -66,7 +68,8 @@ def _over(way: str, other: str, make: Callable[[], Any]) -> float:
 def _of(name: str, make: Callable[[], Any]) -> list[Check]:
     return [
         slow(name, f"a call, {_IN_JIT}", between(unit="ms"), lambda: 1e3 * called(make)[_IN_JIT].seconds),
-        slow(name, "a call over the same in jit", at_most(1.3), _over, _END, _IN_JIT, make),
+        slow(name, "a call over the same in jit", between(), _over, _END, _IN_JIT, make),
+        slow(name, "a call of a simulator over the same in jit", at_most(1.3), _over, _MADE, _IN_JIT, make),
         slow(name, f"{_ROWS} {_STEPS} over none, in jit", between(), _over, _STEPS, _IN_JIT, make),
         slow(name, f"{_ROWS} {_POLYNOMIALS} over none, in jit", at_most(1.2), _over, _POLYNOMIALS, _IN_JIT, make),
     ]

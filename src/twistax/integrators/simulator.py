@@ -1,0 +1,197 @@
+"""An integration that is read, checked and compiled once, and called often: little Python stands before the steps."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import listed, short
+from ..errors import InputError
+from ..expr import Inputs
+from ..groups import Euclidean
+from ..jax_inside import is_traced
+from ..lowering import Dynamics
+from ..lowering.inputs import read_values
+from .controls import Table
+from .integrate import integrate, need_element, planned, solution_of
+from .method import flattened
+from .projected import need_start_on_manifold
+from .rollout import differentiable
+from .solution import Solution
+
+#: What a call may change, and the options of `integrate` that stay.
+_GIVEN = ("x0", "u", "params")
+_OPTIONS = tuple(name for name in inspect.signature(planned).parameters if name not in ("dynamics", *_GIVEN))
+
+
+def simulator(
+    dynamics: Dynamics, x0: Mapping[str, Any], *, u: Any = None, params: Any = None, throw: bool = True, **options: Any
+) -> Simulator:
+    """An integration made once and called often: `fly = tx.simulator(...)`, then `fly(x0)`, `fly(x0, params={...})`.
+
+    A call costs some tens of microseconds of Python beside the steps, where `tx.integrate`, which reads and checks all
+    of its arguments anew, costs some hundreds. It checks what it is given, and returns the same `Solution`.
+
+    Args:
+        dynamics: a compiled system.
+        x0, u, params: as for `tx.integrate`. A call may give others of the same names, shapes and kinds; what it leaves
+            out stays as it was given here. A function of time stays, and so do the times of tables.
+        throw: as for `tx.integrate`.
+        options: all others that `tx.integrate` takes, but for `progress`; they stay.
+    Returns:
+        the `Simulator`.
+    Raises:
+        InputError, ModelError: what `tx.integrate` raises; an option that it does not have; something traced.
+    """
+    for name in options:
+        if name not in _OPTIONS:
+            raise InputError(f"simulator has no option {name!r}; there are: {listed(_OPTIONS, name)}")
+    return Simulator(dynamics, {"x0": x0, "u": u, "params": params}, throw, options)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Slot:
+    """Where a value stands among the arrays of the compiled loop."""
+
+    leaf: Any  # the state, control or parameter
+    places: tuple[int, ...]
+    value: Any  # what it was when the simulator was made: an array, or a table
+    check: Callable[[np.ndarray], None] | None  # of a state in a group
+
+
+class Simulator:
+    """What `tx.simulator` makes: called with starts, controls and parameters, it integrates.
+
+    Attributes:
+        dynamics: the compiled system.
+    """
+
+    def __init__(self, dynamics: Dynamics, given: dict[str, Any], throw: bool, options: dict[str, Any]) -> None:
+        self.dynamics = dynamics
+        self._given, self._options, self._throw = given, options, throw
+        plan = planned(dynamics, **given, **options)
+        if plan.traced:
+            raise InputError(
+                "simulator expects numbers, got a traced JAX value.\n  fix: tx.integrate inside of jit, vmap and grad"
+            )
+        self._stepper, self._steps, self._end_only = plan.stepper, plan.steps, options.get("save_at") is None
+        self._ts, self._dtype = jax.device_put(plan.ts), plan.t0.dtype
+        self._run, leaves, structure = flattened(differentiable, plan.stepper, plan.steps, plan.x)
+        self._leaves = jax.device_put([jnp.asarray(leaf) for leaf in leaves])
+        stepper, _, x = jax.tree.unflatten(structure, range(len(leaves)))
+        held: Any = plan.stepper.signals
+        by_name = getattr(held, "values", {}), getattr(stepper.signals, "values", {})
+        found = (
+            (dynamics.states, plan.x, x),
+            (dynamics.controls, *by_name),
+            (dynamics.parameters, plan.stepper.params, stepper.params),
+        )
+        self._slots: dict[str, dict[str, _Slot]] = {
+            kind: {
+                leaf.name: _Slot(
+                    leaf, tuple(jax.tree.leaves(at[leaf.name])), values[leaf.name], self._check(kind, leaf)
+                )
+                for leaf in leaves
+                if leaf.name in at
+            }
+            for kind, (leaves, values, at) in zip(_GIVEN, found, strict=True)
+        }
+        self._start = jnp.asarray(plan.t0), plan.x
+
+    def _check(self, kind: str, leaf: Any) -> Callable[[np.ndarray], None] | None:
+        group = self.dynamics.group.factors[leaf.name] if kind == "x0" else None
+        if group is None or isinstance(group, Euclidean):
+            return None
+        return lambda value: need_element(leaf.name, group, value)
+
+    def __repr__(self) -> str:
+        return f"<Simulator of {self.dynamics!r}>"
+
+    def __call__(self, x0: Any = None, *, u: Any = None, params: Any = None) -> Solution:
+        """The solution from a start, with controls and parameters; what is left out is as it was made with.
+
+        Where something is traced this is `tx.integrate`: `jit`, `vmap` and derivatives apply.
+
+        Raises:
+            InputError: an unknown name, another shape, what is not finite or no element of its group; another table
+                than before, in its kind, length or times; a function, or anything in place of one.
+            IntegrationError: as `tx.integrate`.
+        """
+        given = {"x0": x0, "u": u, "params": params}
+        if is_traced(tuple(given.values())):
+            return self._traced(given)
+        leaves, changed = list(self._leaves), dict[str, dict[str, Any]]()
+        for kind, values in given.items():
+            if values is not None:
+                changed[kind] = self._placed(kind, values, leaves)
+        stepper = self._stepper
+        if "u" in changed:
+            signals: Any = stepper.signals
+            stepper = dataclasses.replace(stepper, signals=type(signals)(signals.values | changed["u"]))
+        if "params" in changed:
+            stepper = dataclasses.replace(stepper, params=stepper.params | changed["params"])
+        if self.dynamics.system.corrections and changed:
+            self._need_manifold(stepper, changed.get("x0", {}))
+        found = self._run(*leaves)
+        return solution_of(stepper, self._steps, found, self._ts, self._end_only, self._throw)
+
+    def _placed(self, kind: str, values: Any, leaves: list[Any]) -> dict[str, Any]:
+        """The values, checked and cast, and put in their places."""
+        slots, found = self._slots[kind], {}
+        if not isinstance(values, Mapping):
+            raise InputError(f"{kind} must be a dict from names to values, got {short(values)}")
+        for name, value in values.items():
+            slot = slots.get(name)
+            if slot is None:
+                fixed = ", and the function u stays" if kind == "u" and callable(self._given["u"]) else ""
+                raise InputError(
+                    f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
+                )
+            place = f"{kind}[{name!r}]"
+            if isinstance(slot.value, Table) or isinstance(value, Table):
+                found[name] = self._table(place, slot.value, value)
+            else:
+                found[name] = self._array(place, kind, slot, value)
+            for k, leaf in zip(slot.places, jax.tree.leaves(found[name]), strict=True):
+                leaves[k] = leaf
+        return found
+
+    def _array(self, place: str, kind: str, slot: _Slot, value: Any) -> Any:
+        as_before = isinstance(value, (np.ndarray, jax.Array)) and value.dtype == self._dtype
+        if not (as_before and value.shape == slot.leaf.shape):
+            value = read_values(kind, (slot.leaf,), {slot.leaf.name: value}, self._dtype, on_host=True)[slot.leaf.name]
+        known = np.asarray(value)
+        if not np.isfinite(known).all():
+            raise InputError(f"{place} expects finite numbers, got {known}")
+        if slot.check is not None:
+            slot.check(known)
+        return value
+
+    def _table(self, place: str, before: Any, value: Any) -> Any:
+        same = type(value) is type(before) and value.values.shape == before.values.shape
+        if not same or not np.array_equal(np.asarray(value.ts, before.ts.dtype), before.ts):
+            raise InputError(
+                f"{place} expects what the simulator was made with, {type(before).__name__} of shape "
+                f"{np.shape(getattr(before, 'values', before))} at the same times, got {short(value)}.\n"
+                "  fix: another tx.simulator for other times"
+            )
+        return value.astype(self._dtype)
+
+    def _need_manifold(self, stepper: Any, x: dict[str, Any]) -> None:
+        t0, before = self._start
+        u = stepper.signals.during(self.dynamics, t0, jnp.zeros_like(t0))(t0)
+        need_start_on_manifold(self.dynamics, Inputs(t0, {**before, **x}, u, stepper.params, self._dtype))
+
+    def _traced(self, given: dict[str, Any]) -> Solution:
+        whole = dict(self._given)
+        for kind, values in given.items():
+            if values is not None:
+                whole[kind] = {**(whole[kind] or {}), **values} if isinstance(whole[kind], Mapping | None) else values
+        x0 = whole.pop("x0")
+        return integrate(self.dynamics, x0, **whole, **self._options, throw=self._throw)
