@@ -29,7 +29,13 @@ PAGES = {
     "twistax.lowering.fast": "docs/fast.md",
 }
 #: What serves all parts: those who call it are asked.
-_EVERYWHERE = ("twistax.errors", "twistax.checks", "twistax.mechanics.arguments", "twistax.expr.fields")
+_EVERYWHERE = (
+    "twistax.errors",
+    "twistax.checks",
+    "twistax.units",
+    "twistax.mechanics.arguments",
+    "twistax.expr.fields",
+)
 
 
 class TwistaxError(Exception):
@@ -63,6 +69,7 @@ class ShapeError(TwistaxError, ValueError):
     """
 
     page = "docs/writing_a_system.md#expressions"
+    by_part = True
 
     def __init__(self, sentence: str, *, at: str | None = None, hint: str | None = None) -> None:
         self.sentence = sentence
