@@ -13,7 +13,21 @@ import numpy as np
 
 from ..checks import callable_with, real_array
 from ..errors import InputError, ModelError
-from ..expr import Constant, Expr, Inputs, Leaf, Parameter, Sub, Time, canonicalize_all, evaluate_all, leaves_of
+from ..expr import (
+    Constant,
+    Expr,
+    Inputs,
+    Leaf,
+    Max,
+    Min,
+    Neg,
+    Parameter,
+    Sub,
+    Time,
+    canonicalize_all,
+    evaluate_all,
+    leaves_of,
+)
 from ..expr.margins import margin
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
@@ -88,18 +102,21 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class _OfExpression:
-    """An expression as a condition, less a level that is an input. A value: equal where the expressions are."""
+    """An expression as a condition, whose levels are inputs. A value: equal where the expressions are."""
 
     key: Any
-    falling: bool  # whether it is the level less the expression
     expr: Expr = dataclasses.field(compare=False)
 
-    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *level: Any) -> jax.Array:
-        inputs = Inputs(t, x, u, params, t.dtype)
+    def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *levels: Any) -> jax.Array:
+        own = {_level(number): jnp.asarray(value) for number, value in enumerate(levels)}
+        inputs = Inputs(t, x, u, {**params, **own}, t.dtype)
         (value,) = evaluate_all([self.expr], lambda leaf: leaf.read(inputs))
-        for own in level:
-            value = own - value if self.falling else value - own
         return value
+
+
+def _level(number: int) -> str:
+    """What a number that a condition is compared with is called as an input."""
+    return f"level {number} of an event"
 
 
 @jax.tree_util.register_dataclass
@@ -194,7 +211,7 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
 
 
 def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, list[Any]]:
-    """An expression that the system can evaluate, and the number it is compared with: another one compiles nothing.
+    """An expression that the system can evaluate, and the numbers it is compared with: others compile nothing.
 
     Raises:
         ModelError: it reads what the system does not have.
@@ -207,15 +224,27 @@ def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, 
                 f"the event {condition!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system "
                 f"does not have{baked}"
             )
-    (expr,) = canonicalize_all([condition])
+    levels: list[Any] = []
+
+    def opened(expr: Expr) -> Expr:
+        if isinstance(expr, (Max, Min, Neg)):
+            return type(expr)(*map(opened, expr.children()))
+        if not isinstance(expr, Sub):
+            return expr
+        return Sub(*map(as_input, expr.children()))
+
+    def as_input(side: Expr) -> Expr:
+        if not isinstance(side, Constant) or side.shape != ():
+            return side
+        levels.append(side.value)
+        return Parameter(_level(len(levels) - 1))
+
     # As it is written first: of h - 0 and of (h + 5) - 0 the simplified forms have no level.
-    for form in (condition, expr):
-        left, right = form.children() if isinstance(form, Sub) else (None, None)
-        for level, other in ((left, right), (right, left)):
-            if isinstance(level, Constant) and level.shape == () and other is not None:
-                (other,) = canonicalize_all([other])
-                return _OfExpression(other.key(), level is left, other), [level.value]
-    return _OfExpression(expr.key(), False, expr), []
+    form = opened(condition)
+    if not levels:
+        form = opened(*canonicalize_all([condition]))
+    (expr,) = canonicalize_all([form])
+    return _OfExpression(expr.key(), expr), levels
 
 
 # ---- where in its last step an integration meets an event, and what becomes of it then -----------------------------

@@ -120,6 +120,14 @@ class Functions:
         """The same for what stands beside loops in kernels: large rates are kernels of their own there too."""
         return self._changed(_beside=True)
 
+    def with_outputs(self, names: Iterable[str]) -> Functions:
+        """A twin with some of the outputs alone."""
+        known, wanted = self.families["outputs"], set(names)
+        outputs = {name: own for name, own in known.items() if name in wanted}
+        found = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
+        found.__dict__.pop("reads", None)
+        return found
+
     def twin(self) -> Functions:
         """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
         return self._changed(loops=Kept(32))

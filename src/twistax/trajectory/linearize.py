@@ -18,7 +18,7 @@ from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import Values
 from .discretize import Controls, value_and_jacobian
 from .modes import Mode, modes
-from .named import entry, labels, positions, tangent_shapes
+from .named import entry, labels, needed, positions, tangent_shapes
 
 
 @jax.tree_util.register_dataclass
@@ -132,12 +132,11 @@ def linearize(
     """
     need_compiled("linearize", dynamics)
     wanted = [outputs] if isinstance(outputs, str) else list(outputs)
-    known = dynamics._functions.families["outputs"]
-    shapes = {name: own[0].shape for name, own in known.items()}
+    shapes = needed("linearize: outputs", wanted, output_shapes(dynamics))
     rows = positions("linearize: outputs", wanted, shapes)
     inputs = dynamics._functions.prepare(t, x, u, params, reads=("rates", "outputs") if wanted else ("rates",))
     n, m = dynamics.dimension, Controls(dynamics.controls).dimension
-    value, slopes = around(dynamics, bool(wanted))(inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params))
+    value, slopes = around(dynamics, tuple(shapes))(inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params))
     C = slopes[n:][np.asarray(rows, int)]
     return Linearization(
         value[:n],
@@ -151,15 +150,21 @@ def linearize(
     )
 
 
+def output_shapes(dynamics: Dynamics) -> dict[str, tuple[int, ...]]:
+    """The shapes of all outputs of a system."""
+    return {name: own[0].shape for name, own in dynamics._functions.families["outputs"].items()}
+
+
 def around(
-    dynamics: Dynamics, outputs: bool, along: bool = False, params: tuple[str, ...] = ()
+    dynamics: Dynamics, outputs: tuple[str, ...], along: bool = False, params: tuple[str, ...] = ()
 ) -> Callable[..., tuple[jax.Array, jax.Array]]:
     """Rates, outputs and what outputs change by along the motion, and their derivatives about a point.
 
     Kept with the system, compiled once for each precision.
 
     Args:
-        outputs, along: whether the outputs, and their rates along the motion with controls held, are computed too.
+        outputs: which are computed too, in the order of the system.
+        along: whether their rates along the motion are, with controls held.
         params: parameters to differentiate by.
     Returns:
         f(t, x, u, params) -> values (k,) and derivatives (k, n + m + size of params), by right perturbations of the
@@ -167,7 +172,11 @@ def around(
     """
 
     def make() -> Callable[..., tuple[jax.Array, jax.Array]]:
-        functions, group, controls = dynamics._functions.twin(), dynamics.group, Controls(dynamics.controls)
+        functions, group, controls = (
+            dynamics._functions.with_outputs(outputs),
+            dynamics.group,
+            Controls(dynamics.controls),
+        )
 
         def values(t: Any, x: Any, u: Any, p: Any) -> jax.Array:
             rates = functions.vector_field(t, x, u, p)

@@ -11,8 +11,8 @@ from ..checks import listed, reals, short
 from ..errors import InputError
 from ..expr import Inputs
 from ..lowering import Dynamics
-from .linearize import around
-from .named import entry, labels, positions, tangent_shapes
+from .linearize import around, output_shapes
+from .named import entry, labels, needed, positions, tangent_shapes
 
 
 class Conditions:
@@ -31,13 +31,12 @@ class Conditions:
         params: tuple[str, ...],
     ) -> None:
         self.dynamics = dynamics
-        outputs = {name: own[0].shape for name, own in dynamics._functions.families["outputs"].items()}
+        outputs = output_shapes(dynamics)
         rates = tangent_shapes(dynamics.group)
         both = sorted(set(rates) & set(outputs))
         if both and {name.partition("[")[0] for name in (*zero, *fixed)} & set(both):
             raise InputError(f"trim: {listed(both)} are states and outputs.\n  fix: give the outputs other names")
         values = {**rates, **outputs}
-        shapes = {**values, **{f"slope of {name}": shape for name, shape in outputs.items()}}
         wanted = [*zero, *fixed, *(f"slope of {name}" for name in steady)]
         if not wanted:
             raise InputError("trim expects a condition: zero=, fixed= or steady=")
@@ -45,10 +44,12 @@ class Conditions:
             entry("trim: steady", name, outputs)
         for name in (*zero, *fixed):
             entry("trim: zero, fixed", name, values)
+        asked = needed("trim", [*zero, *fixed, *steady], values)
+        outputs = {name: shape for name, shape in outputs.items() if name in asked}
+        shapes = {**rates, **outputs, **{f"slope of {name}": shape for name, shape in outputs.items()}}
         self._rows = np.array(positions("trim: zero, fixed, steady", wanted, shapes))
-        outer = bool((self._rows >= dynamics.dimension).any())
-        self.reads = ("rates", "outputs") if outer else ("rates",)
-        self._around = around(dynamics, outer, bool(steady), params)
+        self.reads = ("rates", "outputs") if outputs else ("rates",)
+        self._around = around(dynamics, tuple(outputs), bool(steady), params)
         names = [f"rate of {label}" for label in labels(rates)] + list(labels(outputs))
         names += [f"slope of {label}" for label in labels(outputs)]
         self.names = [names[row] for row in self._rows]

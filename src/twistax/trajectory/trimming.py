@@ -103,7 +103,7 @@ def trim(
     tangent space, in double precision, with exact derivatives. Conditions and unknowns are scaled, so that units do not
     matter: an unknown by its leaf's `scale`, else by its size, at least 1, or half the distance of its bounds if that
     is less.
-    A system is compiled for this once for rates alone, once with outputs, once with slopes of outputs; other values
+    A system is compiled for this once for the outputs that are named, with their slopes or without; other values
     compile nothing.
 
     Args:
