@@ -1101,6 +1101,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/jacobian.py",
+        (
+            "columns along tangents of the state from the left",
+            "return group.retract(values, move)",
+            "return group.retract(values, -move)",
+            "lowering/test_dynamics.py::test_a_jacobian_that_is_too_large_goes_column_by_column",
+        ),
+    ),
+    *_at(
         "lowering/backends.py",
         (
             "wide arrays become scalars whatever is in them",

@@ -431,6 +431,29 @@ def test_explain_leaves_out_a_jacobian_that_is_too_large(monkeypatch: pytest.Mon
         explanation.plot(None)
 
 
+@pytest.mark.parametrize("backend", [tx.JAX(), tx.Native()], ids=str)
+def test_a_jacobian_that_is_too_large_goes_column_by_column(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same blocks, on groups too."""
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    F, p = tx.Control("F", shape=(2, 3)), tx.Parameter("p", shape=(3,), value=[1.0, 2.0, 3.0])
+    push = tx.Concat(F[0] * p, g[:3, :3].T @ F[1] + tx.Sin(g[:3, 3]))
+    system = tx.System(rates={g: V, V: push - tx.lie.AdjointDual(V, V)})
+    rng = np.random.default_rng(0)
+    x = {"g": np.asarray(tx.lie.se3.exp(rng.normal(size=6))), "V": rng.normal(size=6)}
+    given = (0.0, x, {"F": rng.normal(size=(2, 3))}, {"p": rng.normal(size=3)})
+    kinds = ("u", "x", "params")
+    expected = tx.compile(system).jacobian(*given, wrt=kinds)
+
+    def refused(*arguments: Any) -> Any:
+        raise TooLarge("the function takes more than 200000 scalars")
+
+    monkeypatch.setattr(jacobian, "columns_of", refused)
+    found = tx.compile(system, backend=backend).jacobian(*given, wrt=kinds)
+    assert list(found) == list(expected)
+    for kind in kinds:
+        np.testing.assert_allclose(found[kind], expected[kind], rtol=1e-13, atol=1e-13)
+
+
 def test_explain_of_one_entry() -> None:
     p, v = tx.State("p", shape=(2,)), tx.State("v", shape=(2,))
     k = tx.Parameter("k", shape=(2, 2), value=np.eye(2))

@@ -32,8 +32,9 @@ from ..jax_inside import is_traced
 from ..system import System
 from .backends import Backend, Emission
 from .inputs import Values, prepare
-from .jacobian import Differentiated, RateJacobian, fewer
-from .scalar.primitive import call_program
+from .jacobian import Differentiated, RateJacobian, by_columns, fewer
+from .scalar.graph import TooLarge
+from .scalar.primitive import Derived, call_program
 from .small_call import no_small_call
 
 Arrays = dict[str, jax.Array]
@@ -280,14 +281,27 @@ class Functions:
 
     def jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> Arrays:
         """The blocks of `Dynamics.jacobian`."""
-        found, arrays = self.rate_jacobian(inputs, wrt)
+        check_kinds(wrt)
+        places, arrays = self.flat(inputs)
 
-        def make() -> tuple[Callable[..., list[jax.Array]], Any]:
-            run = functools.partial(call_program, self.backend.derived(found.program))
+        def make() -> tuple[Callable[..., dict[str, jax.Array]], Any]:
+            try:
+                found, _ = self.rate_jacobian(inputs, wrt)
+            except TooLarge:
+                run = functools.partial(self._columns, places, wrt)
+            else:
+                run = functools.partial(_by_program, list(found.blocks), self.backend.derived(found.program))
             return run, jax.jit(run)
 
-        traceable, jitted = self._made.get((self.backend, found), make)
-        return dict(zip(found.blocks, (traceable if is_traced(arrays) else jitted)(*arrays), strict=True))
+        traceable, jitted = self._made.get((self.backend, "jacobian", wrt, places, inputs.dtype), make)
+        return (traceable if is_traced(arrays) else jitted)(*arrays)
+
+    def _columns(self, places: Places, wrt: tuple[str, ...], *arrays: jax.Array) -> Arrays:
+        def rates(*given: Any) -> jax.Array:
+            found = self.evaluate("rates", *given, in_loop=False)
+            return jnp.concatenate([found[state.name].reshape(-1) for state in self.states])
+
+        return by_columns(rates, self.group, wrt, *self.by_kind(places, arrays))
 
     def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
         """The program of the Jacobian for arguments of these types, and the arguments.
@@ -346,6 +360,11 @@ class Functions:
         for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
             values[kind][name] = array
         return arrays[0], values["x"], values["u"], values["params"]
+
+
+def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
+    """The blocks of a Jacobian that is one program."""
+    return dict(zip(kinds, call_program(program, *arrays), strict=True))
 
 
 def check_kinds(wrt: tuple[str, ...]) -> None:

@@ -100,6 +100,40 @@ def fewer(plain: Differentiated, own: RateJacobian) -> RateJacobian:
     return other if other.program.operations < own.program.operations else own
 
 
+def by_columns(
+    rates: Callable[..., jax.Array],
+    group: Product,
+    wrt: Sequence[str],
+    t: jax.Array,
+    x: dict[str, jax.Array],
+    u: dict[str, jax.Array],
+    params: dict[str, jax.Array],
+) -> dict[str, jax.Array]:
+    """The blocks of a Jacobian too large for one program: the derivatives along all tangents, as a batch of bodies.
+
+    Args:
+        rates: from t, x, u and params, to one vector.
+    """
+
+    def shifted(kind: str, values: dict[str, jax.Array], move: jax.Array) -> dict[str, jax.Array]:
+        if kind == "x":
+            return group.retract(values, move)
+        parts = jnp.split(move, np.cumsum([value.size for value in values.values()])[:-1])
+        return {n: v + part.reshape(v.shape) for (n, v), part in zip(values.items(), parts, strict=True)}
+
+    given = {"x": x, "u": u, "params": params}
+
+    def moved(moves: dict[str, jax.Array]) -> jax.Array:
+        now = {kind: shifted(kind, own, moves[kind]) if kind in moves else own for kind, own in given.items()}
+        return rates(t, *now.values())
+
+    sizes = {kind: sum(value.size for value in own.values()) for kind, own in given.items()}
+    sizes["x"] = group.dimension
+    dtype = next(iter(x.values())).dtype
+    found: dict[str, jax.Array] = jax.jacfwd(moved)({kind: jnp.zeros(sizes[kind], dtype) for kind in wrt})
+    return found
+
+
 def _along(seeds: Seeds, wanted: Callable[[int], bool]) -> Seeds:
     """Some of the tangents alone."""
     found = {i: {column: node for column, node in row.items() if wanted(column)} for i, row in seeds.items()}

@@ -34,6 +34,8 @@ KERNEL_EVENT = "/twistax/kernel"
 _XLA = XLA()
 #: Operations of functions that XLA compiles for many seconds.
 _LONG = 5000
+#: The most scalars of a derivative.
+_LARGEST_DERIVATIVE = 500_000
 _MISSING = "llvmlite is not installed"
 
 
@@ -147,6 +149,8 @@ class Native(Backend):
         if derived is None:
             found = otherwise()
             return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
+        # Derivatives of what has a kernel have one, however long it takes to compile.
+        program.graph.largest = max(program.graph.largest, _LARGEST_DERIVATIVE)
         return Emission(lambda *a: call_program(derived, *a), program, reason)
 
     def _say_missing(self) -> None:
