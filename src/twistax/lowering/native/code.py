@@ -37,6 +37,9 @@ NAMES: dict[np.dtype[Any], str] = {
     np.dtype(bool): "i1",
 }
 
+#: Bits of the vectors within one body.
+_PACKED = 256
+
 #: LLVM's names of vectors in the names of functions on them.
 _SUFFIXES = {"double": "f64", "float": "f32"}
 
@@ -52,13 +55,16 @@ class Module:
         self.tables: dict[str, str] = {}
         #: How much LLVM makes of it: of long straight programs one more takes time and gains nothing.
         self.level = 2
+        #: Whether LLVM looks for operations of one body that vectors can do side by side.
+        self.packed = False
         #: Functions of the C library that are called.
         self.library: set[str] = set()
 
     def text(self) -> str:
-        bits = self.processor.bits
+        # Within one body wider vectors are seldom filled.
+        bits = min(self.processor.bits, _PACKED) if self.packed else self.processor.bits
         vectors = f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"'
-        attributes = [f"attributes #0 = {{ noinline nounwind {vectors} }}"]
+        attributes = [f'attributes #0 = {{ noinline nounwind "no-builtins" {vectors} }}']
         attributes.append('!0 = !{!"branch_weights", i32 1, i32 2000}')
         return "\n".join([*self.tables.values(), *sorted(self.declarations), *self.functions.values(), *attributes, ""])
 
@@ -93,16 +99,27 @@ class Code:
         return f"b{self.name()[1:]}"
 
     def vector(self, kind: str) -> str:
-        """The type of a vector."""
-        return f"<{self.lanes} x {kind}>"
+        """The type of a vector; of one lane that of its number."""
+        return kind if self.lanes == 1 else f"<{self.lanes} x {kind}>"
 
     def suffix(self, kind: str) -> str:
         """The same in the names of functions."""
-        return f"v{self.lanes}{_SUFFIXES.get(kind, kind)}"
+        own = _SUFFIXES.get(kind, kind)
+        return own if self.lanes == 1 else f"v{self.lanes}{own}"
 
     def constant(self, kind: str, value: Any) -> str:
         """A number in all lanes."""
-        return f"splat ({kind} {_number(kind, value)})"
+        number = _number(kind, value)
+        return number if self.lanes == 1 else f"splat ({kind} {number})"
+
+    def entry(self, kind: str, vector: str, lane: int) -> str:
+        """The number in a lane."""
+        return vector if self.lanes == 1 else self.emit(f"extractelement {self.vector(kind)} {vector}, i32 {lane}")
+
+    def put(self, kind: str, vector: str, lane: int, number: str) -> str:
+        """The vector with another number in a lane."""
+        own = self.vector(kind)
+        return number if self.lanes == 1 else self.emit(f"insertelement {own} {vector}, {kind} {number}, i32 {lane}")
 
     # ---- instructions --------------------------------------------------------------------------------------------
 
@@ -209,13 +226,13 @@ class Code:
             digits = "\\" + raw.hex("\\")
             text = f'[{len(raw)} x i8] c"{digits}", align {dtype.itemsize}'
             self.module.tables[name] = f"{name} = private unnamed_addr constant {text}"
-        found, own = "poison", self.vector(target)
+        found = "poison"
         for lane in range(self.lanes):
-            one = self.emit(f"extractelement {self.vector(kind)} {place}, i32 {lane}")
+            one = self.entry(kind, place, lane)
             there = self.emit(f"getelementptr {target}, ptr {name}, {kind} {one}")
             there = self.emit(f"getelementptr {target}, ptr {there}, i64 {offset}") if offset else there
             value = self.emit(f"load {target}, ptr {there}, align {dtype.itemsize}")
-            found = self.emit(f"insertelement {own} {found}, {target} {value}, i32 {lane}")
+            found = self.put(target, found, lane, value)
         return found
 
     # ---- the exponential ---------------------------------------------------------------------------------------------
@@ -292,6 +309,8 @@ class Code:
 
     def any(self, flags: str) -> str:
         """Whether a truth value holds in any lane."""
+        if self.lanes == 1:
+            return flags
         return self.call("i1", f"llvm.vector.reduce.or.{self.suffix('i1')}", (self.vector("i1"), flags))
 
     def polynomial(self, kind: str, x: str, coefficients: Sequence[float]) -> str:
@@ -310,9 +329,9 @@ class Code:
             self.module.library.add(symbol)
             names, inner, result = [f"%a{k}" for k in range(len(arguments))], Code(self.module, self.lanes), "poison"
             for lane in range(self.lanes):
-                given = [(kind, inner.emit(f"extractelement {own} {a}, i32 {lane}")) for a in names]
+                given = [(kind, inner.entry(kind, a, lane)) for a in names]
                 value = inner.call(kind, symbol, *given)
-                result = inner.emit(f"insertelement {own} {result}, {kind} {value}, i32 {lane}")
+                result = inner.put(kind, result, lane, value)
             head = f"internal {own} @{name}({', '.join(f'{own} {a}' for a in names)})"
             self.module.functions[name] = inner.function(head, f"ret {own} {result}")
         return self.emit(f"call {own} @{name}({', '.join(f'{own} {a}' for a in arguments)})")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,10 @@ from .rows import Array, Rows
 from .tile import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
 
 _COUNT = Array((), np.dtype(np.int32))
+#: The most operations that are put into vectors within one body: it takes LLVM twice as long.
+_PACKED = 3000
+#: How much of what goes round is computed alike where that gains: products of matrices, not steps of a rigid body.
+_MOST = 0.75
 
 
 class Loop(Tile):
@@ -39,6 +44,8 @@ class Loop(Tile):
         self._results = found[ring.state :]
         results = [*found[: ring.state], *(_long(a) for a in self._results)]
         states = range(ring.fixed + 1, ring.fixed + ring.state + 1)
+        carried = [i for nodes in program.outputs[ring.length is None :][: ring.state] for i in flat(nodes)]
+        self.packed = program.operations <= _PACKED and _alike(program, carried)
         super().__init__(program, lanes, arguments, results, {k + 1 for k in needed_by(program)} | {0, *states})
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
@@ -59,7 +66,7 @@ class Loop(Tile):
         scalars = Scalars(code, step, read)
         changing = step.depending(range(ring.fixed, len(step.inputs)))
         scalars.compute([i for i in step.live if i not in changing])
-        one = code.emit(f"extractelement {code.vector('i32')} {rows['a0'].read(0)}, i32 0")
+        one = code.entry("i32", rows["a0"].read(0), 0)
         count, k, live = code.emit(f"sext i32 {one} to i64"), code.name(), code.name()
         last = code.emit(f"sub i64 {count}, 1")
         before, loop, latch, done = (code.label() for _ in range(4))
@@ -116,6 +123,21 @@ class Loop(Tile):
             for a, own, new in zip(rows, self._results, found[ring.state :], strict=True):
                 _part(a, place, own.size)[:] = new
         return [*state, *rows]
+
+
+def _alike(program: ScalarProgram, nodes: Sequence[int]) -> bool:
+    """Whether most nodes, at least four, have the same last operations, three levels of them; sums are differences."""
+    g = program.graph
+
+    def names(i: int, levels: int) -> list[str]:
+        operation = g.operation(i)
+        if operation is None or levels == 0:
+            return []
+        own = "add" if operation.name == "sub" else operation.name
+        return sorted([own, *(name for a in g.arguments(i) for name in names(a, levels - 1))])
+
+    count = max(Counter(tuple(names(i, 3)) for i in nodes).values(), default=0)
+    return count >= max(4, _MOST * len(nodes))
 
 
 def _long(array: Array) -> Array:

@@ -101,11 +101,12 @@ def written_by(processor: Processor) -> str:
     return repr(own)
 
 
-def compiled(text: str, processor: Processor, level: int = 2) -> bytes:
+def compiled(text: str, processor: Processor, level: int = 2, packed: bool = False) -> bytes:
     """The machine code of intermediate language, as the content of an object file.
 
     Args:
         level: how much LLVM makes of it, from 0 to 3.
+        packed: have it put like operations on scalars into vectors (S. Larsen and S. Amarasinghe 2000): as long again.
     Raises:
         ImportError: llvmlite is not installed.
         BuildError: LLVM refuses the text.
@@ -118,6 +119,11 @@ def compiled(text: str, processor: Processor, level: int = 2) -> bytes:
             # A context of its own: what it keeps, each number of a text, goes with it.
             parsed = llvm.parse_assembly(text, llvm.create_context())
             parsed.verify()
+            if packed:
+                tuning = llvm.create_pipeline_tuning_options(speed_level=2)
+                tuning.slp_vectorization = True
+                passes = llvm.create_pass_builder(machine, tuning)
+                passes.getModulePassManager().run(parsed, passes)
             found: bytes = machine.emit_object(parsed)
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error

@@ -135,7 +135,7 @@ class Rows:
         own, value = code.vector(array.stored), "poison"
         for lane, place in enumerate(self._at(entry)):
             one = code.emit(f"load {array.stored}, ptr {place}, align {self._align}")
-            value = code.emit(f"insertelement {own} {value}, {array.stored} {one}, i32 {lane}")
+            value = code.put(array.stored, value, lane, one)
         return code.emit(f"icmp ne {own} {value}, zeroinitializer") if array.kind == "i1" else value
 
     def _scatter(self, entry: int, value: str) -> None:
@@ -143,7 +143,7 @@ class Rows:
         if array.kind == "i1":
             value = code.convert("zext", "i1", "i8", value)
         for lane, place in enumerate(self._at(entry)):
-            one = code.emit(f"extractelement {code.vector(array.stored)} {value}, i32 {lane}")
+            one = code.entry(array.stored, value, lane)
             code.lines.append(f"store {array.stored} {one}, ptr {place}, align {self._align}")
 
     def _at(self, entry: int) -> list[str]:

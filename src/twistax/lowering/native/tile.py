@@ -141,9 +141,10 @@ class Tile(ABC):
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
         tried: the length that long arrays have where the function is checked.
+        packed: whether LLVM is to put operations of one body into vectors.
     """
 
-    tried = 0
+    tried, packed = 0, False
 
     def __init__(
         self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
@@ -163,6 +164,7 @@ class Tile(ABC):
 
     def write(self, module: Module) -> None:
         """Adds the function, and what it calls."""
+        module.packed = self.lanes == 1 and self.packed
         code = Code(module, self.lanes)
         self.body(code, self._moved(code))
         module.functions["tile"] = code.function(f"internal void @tile(i64 %last{self._heads('ptr noalias')})")
