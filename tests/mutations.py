@@ -1495,6 +1495,12 @@ MUTATIONS: list[Mutation] = [
             "code.select(kind, going, new, new)",
             "lowering/test_fast.py",
         ),
+        (
+            "vectors where nothing is alike",
+            "count >= max(4, _MOST * len(nodes))",
+            "count >= 0",
+            "lowering/test_fast.py::test_like_operations_of_one_body_are_put_into_vectors",
+        ),
     ),
     *_at(
         "lowering/whole.py",
