@@ -410,12 +410,15 @@ def batched_branches_transpose() -> bool:
     return jax.__version_info__ >= (0, 11)
 
 
-def quick_compile() -> dict[str, bool | str]:
+def quick_compile(level: int = 1) -> dict[str, bool | str]:
     """XLA's options for programs of small arrays: half the time to compile on JAX 0.10, and as fast.
 
     What the variable XLA_FLAGS sets stays.
+
+    Args:
+        level: of optimisation; 0 takes half of that once more, for programs that run seldom or do little.
     """
-    options: dict[str, bool | str] = {"xla_backend_optimization_level": "1"}
+    options: dict[str, bool | str] = {"xla_backend_optimization_level": str(level)}
     if jax.__version_info__ < (0, 11):
         options["xla_cpu_use_fusion_emitters"] = False
     own = os.environ.get("XLA_FLAGS", "")

@@ -14,6 +14,7 @@ from ..checks import listed, reals, short
 from ..errors import ModelError, ShapeError
 from ..expr import Control, State
 from ..groups import Euclidean, Group
+from ..jax_inside import quick_compile
 from ..system import name_of
 
 
@@ -90,7 +91,7 @@ def _between(group: Group) -> Callable[..., jax.Array]:
     def one(a: jax.Array, b: jax.Array, share: jax.Array) -> jax.Array:
         return group.retract(a, share * group.difference(a, b))
 
-    return jax.jit(jax.vmap(one))
+    return jax.jit(jax.vmap(one), compiler_options=quick_compile(0))
 
 
 def _known(values: Array | None, otherwise: Any) -> Any:

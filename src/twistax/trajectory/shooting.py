@@ -23,6 +23,7 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..groups import SpecialEuclidean, SpecialOrthogonal
+from ..jax_inside import quick_compile
 from ..lowering import XLA, Dynamics
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
@@ -137,12 +138,13 @@ class Shooting(Transcribed):
         others = [stirred(np.random.default_rng(i), given.params) for i in range(2)]
         pairs = [(p, given._replace(params=own)) for p, own in zip(itertools.cycle(samples), (given.params, *others))]
         inner, zero = self.intervals * self.rows_per_interval, np.zeros(self.n + self.border.size)
-        ends = jax.jit(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1])
+        quick = functools.partial(jax.jit, compiler_options=quick_compile(0))
+        ends = quick(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1])
         self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda *own: ends(zero, *own), pairs)
         held = np.eye(self.n, self.size)[~self.free.d[0]]
         asked = self.layout.asked
         for k in sorted({0, *self._nodes}):
-            slopes = jax.jit(functools.partial(self._slopes_at_node, k))
+            slopes = quick(functools.partial(self._slopes_at_node, k))
             at_start = np.flatnonzero(asked < self._row_count)
             places = np.concatenate([at_start, len(asked) + np.arange(self.layout.counts.get(k, 0))])
             places = k * self.rows_per_interval + places

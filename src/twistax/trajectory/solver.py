@@ -73,16 +73,16 @@ class Solver:
     def __init__(self, shooting: Transcribed, tolerance: float) -> None:
         self.shooting, self.tolerance = shooting, tolerance
         method = self.method = InteriorPoint(shooting, tolerance)
-        self._move = jitted(shooting.move)
-        self._start = jitted(method.start)
-        self._warm = jitted(lambda *args: warm.begin(method, *args))
+        self._move = jitted(shooting.move, 0)
+        self._start = jitted(method.start, 0)
+        self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
         self._derivatives = jitted(method.derivatives)
-        self._measured = jitted(method.measured)
+        self._measured = jitted(method.measured, 0)
         self._step = jitted(method.step)
-        self._rescaled = jitted(method.rescaled)
-        self._begin = jitted(lambda state: feasibility.begin(method, state))
+        self._rescaled = jitted(method.rescaled, 0)
+        self._begin = jitted(lambda state: feasibility.begin(method, state), 0)
         self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
-        self._judged = jitted(self._judge)
+        self._judged = jitted(self._judge, 0)
         #: What solvers of others made of the problem, by solver.
         self.made: dict[Any, Any] = {}
 
@@ -300,5 +300,5 @@ class Solver:
         )
 
 
-def jitted(function: Callable[..., Any]) -> Any:
-    return jax.jit(function, compiler_options=quick_compile())
+def jitted(function: Callable[..., Any], level: int = 1) -> Any:
+    return jax.jit(function, compiler_options=quick_compile(level))

@@ -25,7 +25,7 @@ from .many import LANES, Lanes, solve_all
 from .mesh import Remeshed
 from .pinned import stirred
 from .refine import refined
-from .solver import Callback, Outcome, Solver
+from .solver import Callback, Outcome, Solver, jitted
 from .transcribed import Given, Point, Step, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
@@ -296,9 +296,9 @@ def check_options(max_iterations: Any, tolerance: Any) -> None:
 def _moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
     """Points whose nodes, controls, free durations and free parameters are moved at random."""
     rng, free, found = np.random.default_rng(0), shooting.free, []
-    here = np.asarray(point.us), np.asarray(point.border)
+    here, move = (np.asarray(point.us), np.asarray(point.border)), jitted(shooting.move, 0)
     for _ in range(2):
         d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
         u, border = (np.where(which, stirred(rng, a) - a, 0.0) for which, a in zip(free[1:], here))
-        found.append(jax.jit(shooting.move)(point, Step(d, u, border)))
+        found.append(move(point, Step(d, u, border)))
     return found

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, TrajectoryResult
 from ..checks import Absent, Check, Section, at_most, between, needed, slow
-from . import problems
+from . import flights, problems
 from .problems import FIVE_SWITCHES, Known
 
 #: Solves of which the fastest counts, starts tried, and the relative difference of costs of one optimum.
@@ -47,6 +47,8 @@ OPTIMA: Section = [
 
 # ---- as published ----------------------------------------------------------------------------------------------------
 
+_DELTA = "Delta III in four phases, linear: 7,529.712 kg, 29 nodes"
+
 #: Controls are held, so a mesh misses a continuous optimum by the square of its intervals.
 _HELD: dict[str, tuple[Callable[[], Any], float, float]] = {
     "brachistochrone: 1.80160 s, 51 nodes": (problems.brachistochrone, 1.80160, 1e-3),
@@ -56,6 +58,9 @@ _HELD: dict[str, tuple[Callable[[], Any], float, float]] = {
     "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": (problems.reorientation, 3.24307, 1e-3),
     "rendezvous of least fuel: 1.212619, 31 nodes": (_of(problems.rendezvous, _FORMS[0]), 1.212619, 1e-5),
     "landing of the demo: 27,260 kg, 25 nodes": (problems.landing, 27_260.0, 1e-4),
+    _DELTA: (flights.delta_iii, 7529.712, 1e-5),
+    "quadrotor past three spheres: 1.489138 s, 31 nodes": (flights.quadrotor, 1.489138, 1e-5),
+    "Panda from shelf to shelf: 0.860227 s, 41 nodes": (flights.panda, 0.860227, 1e-5),
 }
 PROBLEMS = {name: Known(*each, {"guesses": _STARTS}) for name, each in _HELD.items()}
 
@@ -97,6 +102,7 @@ KNOWN: dict[str, Known] = {
     "cart-pole of Kelly, linear: 58.8077": _refined(problems.cart_pole, 58.8077, nodes=26, controls=Linear()),
     _TURN: _refined(problems.reorientation, _ARCS, more={"guesses": _STARTS}, **_FREE),
     "hypersensitive, linear: 1.330807": _refined(problems.hypersensitive, 1.3308069049430025),
+    _DELTA: _refined(flights.delta_iii, 7529.712, 1e-6),
     _LANDING: _refined(problems.landing, 27_260.0, 1e-3, {"refine": 1e-5, "between": 1e-4}),
 }
 
