@@ -2,11 +2,11 @@
 
 from .expr.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
 from .expr.solve import Inv, Solve
-from .expr.solve_positive import InversePositive, SolvePositive
+from .expr.solve_positive import InverseFactor, InversePositive, SolvePositive
 
 # fmt: off
 __all__ = [
-    "Cross", "Diag", "Dot", "Inv", "InversePositive", "Norm", "Outer", "Solve", "SolvePositive", "Sum", "Trace",
-    "Transpose",
+    "Cross", "Diag", "Dot", "Inv", "InverseFactor", "InversePositive", "Norm", "Outer", "Solve", "SolvePositive", "Sum",
+    "Trace", "Transpose",
 ]
 # fmt: on

@@ -29,6 +29,7 @@ _OPERATIONS: Mapping[str, Any] = {
     "mul": np.multiply,
     "div": np.divide,
     "neg": np.negative,
+    "sqrt": np.sqrt,
     "sin": np.sin,
     "cos": np.cos,
 }

@@ -46,7 +46,7 @@ from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
 from .node import Example, Expr, all_nodes, to_expr
 from .orders import check_orders
 from .solve import Inv, Solve
-from .solve_positive import InversePositive, SolvePositive
+from .solve_positive import InverseFactor, InversePositive, SolvePositive
 from .spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
 from .vmap import Vmap
 

@@ -35,9 +35,27 @@ def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.stack(found)
 
 
+def inverse_factor(A: jax.Array) -> jax.Array:
+    """V (n, n), lower triangular, with A^-1 = V V'; above its diagonal A is not read.
+
+    Of A = L' D L it is L^-1 D^(-1/2): a row has entries where that of L has, for the freedoms before it in a tree.
+    """
+    left, factors = A, list[tuple[jax.Array, jax.Array]]()
+    for k in reversed(range(A.shape[-1])):
+        pivot = 1.0 / left[k, k]
+        factors.append((left[k, :k] * pivot, jnp.sqrt(pivot)))
+        left = left[:k, :k] - factors[-1][0][:, None] * left[None, k, :k]
+    V = jnp.zeros((0, 0), A.dtype)
+    for factor, root in reversed(factors):
+        own = jnp.concatenate([-(factor @ V), root[None]])
+        V = jnp.concatenate([jnp.pad(V, ((0, 0), (0, 1))), own[None]])
+    return V
+
+
 def inverse_positive(A: jax.Array) -> jax.Array:
     """A^-1, symmetric to the last bit: the half below the diagonal is not computed."""
-    above = solve_positive(A, jnp.eye(A.shape[-1], dtype=A.dtype))
+    V = inverse_factor(A)
+    above = V @ V.T
     return jnp.where(np.tri(A.shape[-1], dtype=bool), above.T, above)
 
 
@@ -62,19 +80,37 @@ class SolvePositive(LinearSystem):
         return solve_positive(A, b[:, None])[:, 0] if b.ndim == 1 else solve_positive(A, b)
 
 
-class InversePositive(Expr):
-    """$A^-1$ of a symmetric positive definite matrix. Shape: (n, n) -> (n, n). To solve A x = b use SolvePositive.
+class _OfPositive(Expr):
+    """Of a symmetric positive definite matrix. Shape: (n, n) -> (n, n)."""
 
-    Raises: ShapeError if the operand is no square matrix.
-    """
-
+    abstract = True
     of_numbers = True
     operand: Operand
-    function = inverse_positive
-    formula = "{<0:60>}^{-1}"
     cases = ({"operand": [[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]]},)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (A,) = shapes
         expect_square(self, "the operand", A)
         return A
+
+
+class InversePositive(_OfPositive):
+    """$A^-1$ of a symmetric positive definite matrix. Shape: (n, n) -> (n, n). To solve A x = b use SolvePositive.
+
+    Raises: ShapeError if the operand is no square matrix.
+    """
+
+    function = inverse_positive
+    formula = "{<0:60>}^{-1}"
+
+
+class InverseFactor(_OfPositive):
+    """V, lower triangular, with $A^-1 = V V'$ of a symmetric positive definite A. Shape: (n, n) -> (n, n).
+
+    For many right-hand sides with zeros: x = V (V' b) leaves out what is structurally zero on the way.
+
+    Raises: ShapeError if the operand is no square matrix.
+    """
+
+    function = inverse_factor
+    formula = "{<0:60>}^{-1/2}"

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ModelError
-from ..expr import Concat, Constant, Cross, Expr, Hstack, InversePositive, SolvePositive, Stack, Where
+from ..expr import Concat, Constant, Cross, Expr, Hstack, InverseFactor, InversePositive, Stack, Where
 from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
 from .dynamics import Wrenches, checked, forward_dynamics, outside
@@ -110,7 +110,8 @@ def forward_dynamics_derivatives(
     moved, hastened = found.free_root(found.moved), found.free_root(found.hastened)
     if moved is None or hastened is None:
         by_q, by_qd = by_q + found.by_acceleration(found.moved), by_qd + found.by_acceleration(found.hastened)
-    both = -SolvePositive(M, Hstack(by_q, by_qd))
+    V = InverseFactor(M)
+    both = -(V @ (V.T @ Hstack(by_q, by_qd)))
     own_q, own_qd = both[:, :n], both[:, n:]
     if moved is not None and hastened is not None:
         own_q, own_qd = own_q - moved, own_qd - hastened

@@ -8,6 +8,7 @@ import importlib.metadata
 import importlib.util
 import math
 import time
+import weakref
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -36,6 +37,8 @@ _XLA = XLA()
 _LONG = 5000
 #: The most scalars of a derivative.
 _LARGEST_DERIVATIVE = 500_000
+#: What kernels are written from, between the time when that was looked at and the first kernel.
+_FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
 
 
@@ -141,6 +144,8 @@ class Native(Backend):
             form = native_form(program)
         except NotNative as error:
             return None, str(error)
+        if form is not program:  # which would hold itself
+            _FORMS[program] = form
         size = f"{form.operations} operations"
         return Derived(program, None, self), f"native: {size}; as XLA has them where a call has fewer than {self.least}"
 
@@ -162,8 +167,9 @@ class Native(Backend):
 
     def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
         """The kernel of a program, for one body or for batches; None where it has no native form."""
+        known = _FORMS.pop(program, program)
         try:
-            return self._built(Straight, native_form(program), single)
+            return self._built(Straight, native_form(program) if known is program else known, single)
         except NotNative:
             return None
 

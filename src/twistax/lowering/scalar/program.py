@@ -311,7 +311,8 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     Args:
         limits: up to which size parts are unrolled; larger for emitters that cannot call a library.
     """
-    expanded = _rebuilt(program, set(), whole=False, limits=limits)
+    unrolled = program.calls or any(o.pair for i in program.live if (o := program.graph.operation(i)) is not None)
+    expanded = _rebuilt(program, set(), whole=False, limits=limits) if unrolled else program
     if program.graph.checked:
         return expanded
     g = expanded.graph
