@@ -228,3 +228,14 @@ def test_bad_arguments_are_named(tmp_path: Path) -> None:
         load(OWN / "arm.urdf", parameters=["tool_mas"])
     with pytest.raises(tx.ModelError, match="parameters=True or a list of names, got 'tool_mass'"):
         load(OWN / "arm.urdf", parameters="tool_mass")
+
+
+def test_the_panda_of_the_examples_is_that_of_the_chain_models() -> None:
+    """To the last bit."""
+    file = mechanics.load(Path(__file__).parents[2] / "examples" / "panda.urdf")
+    for own, other in zip(file.segments, mechanics.chain_models.panda().segments, strict=True):
+        pairs: list[Any] = [(own.link.mount, other.link.mount)]
+        pairs += [(getattr(own.body, n), getattr(other.body, n)) for n in ("mass", "center_of_mass", "inertia")]
+        for a, b in pairs:
+            np.testing.assert_array_equal(a.value, b.value)
+    assert file.notes == ()
