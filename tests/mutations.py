@@ -1260,9 +1260,30 @@ MUTATIONS: list[Mutation] = [
             "steps, method = problem.transcription.substeps, problem.transcription.method",
             "trajectory/test_refine.py",
         ),
+        (
+            "halves of intervals of the first phase for those of another",
+            "split[before.stages] = own",
+            "split[: len(own)] = own",
+            "trajectory/test_phases_solved.py",
+        ),
+    ),
+    *_at(
+        "integrators/controls.py",
+        (
+            "polynomials without factorials",
+            "since / order * found",
+            "since * found",
+            "trajectory/test_splines.py",
+        ),
     ),
     *_at(
         "trajectory/restated.py",
+        (
+            "all derivatives of a spline are the last one",
+            "[*states[1:], held]",
+            "[held] * len(states)",
+            "trajectory/test_splines.py",
+        ),
         (
             "time at the shares of free nodes",
             "self._exchange[Time().key()] = clock",

@@ -174,9 +174,9 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
         for _ in range(len(sizes)):
             before = sizes
             rows = sizes[:n, None]
-            back = np.divide(rows, reach, out=np.full_like(reach, np.inf), where=(reach > 0.0) & (rows > 0.0)).min(
-                axis=0
-            )
+            with np.errstate(over="ignore"):  # it is infinite then
+                back = np.divide(rows, reach, out=np.full_like(reach, np.inf), where=(reach > 0.0) & (rows > 0.0))
+            back = back.min(axis=0)
             sizes = np.where((sizes > 0.0) | ~np.isfinite(back), sizes, back)
             ahead = (reach * sizes).max(axis=1)
             sizes = np.concatenate([np.where(sizes[:n] > 0.0, sizes[:n], ahead), sizes[n:]])
