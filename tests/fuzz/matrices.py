@@ -94,6 +94,21 @@ def refusable(source: Random, shape: Shape) -> Plan | None:
     return None if refused(code, args) else Plan(code, numpy, args)
 
 
+def solved(A: Any, b: Any) -> Any:
+    """Of finite numbers: of infinite ones eliminations give this or that."""
+    return np.linalg.solve(_finite(A), b)
+
+
+def inverted(A: Any) -> Any:
+    return np.linalg.inv(_finite(A))
+
+
+def _finite(A: Any) -> Any:
+    if not np.all(np.isfinite(A)):
+        raise np.linalg.LinAlgError("not finite")
+    return A
+
+
 def inverting(A: Any) -> Any:
     """How far apart two inverses may be by rounding, in units of eps, entry by entry.
 
@@ -116,22 +131,19 @@ def solve(source: Random, shape: Shape) -> Plan | None:
     # Operands of their own, so that noise is put on them: the error of LAPACK itself is that of its matrix.
     square = ((n, n), Plan(POSITIVE % n, positive, (), shape=(n, n)))
     rough = ((n, n), Plan(f"({{0}} + 0.25 * np.eye({n}))", lambda a: a + 0.25 * np.eye(n), (), shape=(n, n)))
-    found = [
-        Plan("tx.linalg.Solve({1}, {2})", lambda a, m, b: np.linalg.solve(m, b), (*own, shape))
-        for own in (square, rough)
-    ]
+    found = [Plan("tx.linalg.Solve({1}, {2})", lambda a, m, b: solved(m, b), (*own, shape)) for own in (square, rough)]
     graded = Graded(n)
     if n < 5:
         # A right-hand side of a solution of size one: there the error of an algorithm shows.
         right = Plan("({0} @ {1})", np.matmul, (), shape=shape, rounding=summed(np.matmul))
-        found += 2 * [Plan("tx.linalg.Solve({0}, {2})", lambda a, x, b: np.linalg.solve(a, b), (graded, shape, right))]
+        found += 2 * [Plan("tx.linalg.Solve({0}, {2})", lambda a, x, b: solved(a, b), (graded, shape, right))]
         if shape == (n,):
-            of_first = {"numpy": lambda a, *_: np.linalg.inv(a), "rounding": lambda a, *_: inverting(a)}
+            of_first = {"numpy": lambda a, *_: inverted(a), "rounding": lambda a, *_: inverting(a)}
             inverse = Plan("tx.linalg.Inv({0})", args=(), shape=(n, n), **of_first)
             found.append(Plan("({3} @ {2})", lambda a, x, b, own: own @ b, (graded, shape, right, inverse)))
         if shape == (n, n):
-            found.append(Plan("tx.linalg.Inv({0})", np.linalg.inv, (graded,), rounding=inverting))
+            found.append(Plan("tx.linalg.Inv({0})", inverted, (graded,), rounding=inverting))
     if shape == (n, n):
-        of_last = {"numpy": lambda a, m: np.linalg.inv(m), "rounding": lambda a, m: inverting(m)}
+        of_last = {"numpy": lambda a, m: inverted(m), "rounding": lambda a, m: inverting(m)}
         found += [Plan("tx.linalg.Inv({1})", args=own, **of_last) for own in (square, rough)]
     return source.choice(found)

@@ -44,7 +44,7 @@ jnp.nan_to_num(a)
 jnp.trunc(a).astype(int).astype(a.dtype)
 (1.7 * a).astype(int).astype(a.dtype)
 jnp.clip(jnp.rint(a * 3.0), -9, 9).astype(jnp.int32).astype(a.dtype)
-jax.lax.while_loop(lambda b: jnp.max(b) > 1.0, lambda b: 0.5 * b, a)
+jax.lax.while_loop(lambda b: jnp.max(jnp.where(b < jnp.inf, b, 0.0)) > 1.0, lambda b: 0.5 * b, a)
 jax.lax.stop_gradient(a) + a
 jax.checkpoint(jnp.sin)(a)
 jax.jit(jnp.cos)(a)
