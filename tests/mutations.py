@@ -1536,11 +1536,24 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "jax_inside.py",
         (
+            "a warning that is an error comes once",
+            "warnings.warn(message, RuntimeWarning, stacklevel=3)\n        _SAID.add(message)",
+            "_SAID.add(message)\n        warnings.warn(message, RuntimeWarning, stacklevel=3)",
+            "lowering/native/test_native_systems.py::test_llvm_that_refuses",
+        ),
+        (
             "results on explicit axes that lie on every device",
             "next((axis for axis in own if axis is not None), None) for own in zip(*given, strict=True)",
             "None for own in zip(*given, strict=True)",
             "lowering/test_sharding.py",
         ),
+    ),
+    Mutation(
+        "texts of kernels share a context",
+        "lowering/native/machine_code.py",
+        "llvm.parse_assembly(text, llvm.create_context())",
+        "llvm.parse_assembly(text)",
+        ("lowering/test_lifetimes.py::test_llvm_keeps_nothing_of_a_text",),
     ),
     Mutation(
         "loops see what varies between devices",

@@ -75,6 +75,16 @@ def test_kernels_go_with_what_they_were_compiled_for() -> None:
     assert _left(refs) == 0
 
 
+def test_llvm_keeps_nothing_of_a_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the context that all share, each number of each kernel would stay for as long as the process."""
+    from llvmlite.binding import module
+
+    from twistax.lowering.native.machine_code import Processor, compiled
+
+    monkeypatch.delattr(module, "get_global_context")
+    assert compiled("define double @f() {\n ret double 0.125\n}", Processor.host())
+
+
 def test_loops_of_fast_go_with_their_functions() -> None:
     from twistax.lowering.scalar.loops import Looped
 
