@@ -630,7 +630,7 @@ MUTATIONS: list[Mutation] = [
             "drag without the half",
             "return -0.5 * S * air.density",
             "return -1.0 * S * air.density",
-            "mechanics/test_flight.py",
+            "scenes/test_sphere_cases.py",
         ),
         (
             "moments that forget the arm",

@@ -60,6 +60,17 @@ def test_flown_as_simulation_05(number: str, folder: Path, example: dict[str, An
 
 
 @pytest.mark.slow
+def test_what_is_left_of_case_11_is_a_stick_that_is_not_quite_trimmed(folder: Path, example: dict[str, Any]) -> None:
+    dynamics, level = example["trimmed"](folder / "f16", "11", example["PLANETS"]["05"])
+    rows = np.genfromtxt(folder / example["CASES"]["11"].folder / "sim_05.csv", delimiter=",", names=True)
+    theirs = np.stack([rows[f"eiPosition_ft_{axis}"] for axis in "XYZ"], axis=1) * 0.3048
+    params = {**level.params, "stick": level.params["stick"] - 1e-8}
+    times = np.round(rows["time"], 1)
+    flown = tx.integrate(dynamics, level.x, t1=180.0, dt=0.005, u=level.u, params=params, save_at=times)
+    assert np.linalg.norm(np.asarray(flown.xs["g"])[:, :3, 3] - theirs, axis=1).max() < 3e-4
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "reached"),
     [("13.3", {"euler": np.radians(60.0)}), ("13.4", {"off_course": 2000.0 * 0.3048}), ("16", {})],

@@ -76,17 +76,20 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     def advance_all(saved: Saved, parts: Part) -> Blocks:
         if steps.finds_rows and meeting is None:
             return saved.y
-        return small_call(_one_by_one, steps, stepper, saved.y, parts, saved.asked.sum())
+        return small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum())
 
     return _to_saved_times(steps, stepper, x, run, meeting, moved, advance_all)
 
 
-def _one_by_one(steps: Steps, stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
-    """The states at the ends of the first `count` parts of steps, one after the other."""
+def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
+    """The states at the ends of the first `count` parts of steps, one after the other.
+
+    As one small function: in a loop of XLA a kernel for each takes longer to call than to run.
+    """
 
     def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
         y, part = entry
-        return None, jax.lax.cond(part.h > 0.0, lambda y: steps.advance(stepper, part.t, y, part.h), lambda y: y, y)
+        return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
 
     return first_rows(save, None, (ys, parts), count, jax.tree.map(lambda a: a[0], ys))[1]
 

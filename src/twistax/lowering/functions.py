@@ -229,10 +229,12 @@ class Functions:
         leaves, structure = jax.tree.flatten((t, x, u, params))
         types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
         emission, shape = self.emission(family, structure, types, in_loop=in_loop)
-        least = self.backend.least if self._beside else None
-        apart = least is not None and emission.program is not None and emission.program.operations >= least
-        with no_small_call() if apart else contextlib.nullcontext():
+        with no_small_call() if self._apart(emission) else contextlib.nullcontext():
             return jax.tree.unflatten(shape, emission.function(*leaves))
+
+    def _apart(self, emission: Emission) -> bool:
+        least, program = self.backend.least if self._beside else None, emission.program
+        return least is not None and program is not None and program.operations >= least
 
     def emission(
         self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False

@@ -129,7 +129,8 @@ class Native(Backend):
         if closed is None:
             return None
         try:
-            program = self.scalars.scalars(closed, self.scalars.largest, NATIVE_LIMITS)
+            # A step carries what stands around its rates too.
+            program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
             native_form(program)
         except (NotNative, TooLarge):
             return None
