@@ -1634,8 +1634,7 @@ MUTATIONS: list[Mutation] = [
 
 def pytest(tree: Path, tests: tuple[str, ...], *options: str) -> tuple[int, str]:
     """Exit status and output of the tests of a tree."""
-    tier = ["-m", "not slow"] if tests else []  # those that are named may be of the second tier
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=no", "-rfE", *tier, *options, *tests]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=no", "-rfE", *options, *tests]
     environment = os.environ | {"PYTHONPATH": str(tree / "src"), "JAX_PLATFORMS": "cpu"}
     try:
         run = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LIMIT)
