@@ -163,13 +163,13 @@ class ZeroOrderHold(Table):
 
 
 class PiecewisePolynomial(Table):
-    """Polynomials: from ts[i] until ts[i + 1] sum_k values[i, k] (t - ts[i])^k / k!, the last from its time on.
+    """Polynomials: from ts[i] until ts[i + 1] $sum_k values[i, k] (t - ts[i])^k / k!$, the last from its time on.
 
     So values[i] has the value at ts[i] and its derivatives from there on. Before ts[0] there is no value.
 
     Args:
         ts: (n,) times in s, increasing.
-        values: (n, degree + 1, *shape) the value, then its derivatives, in the control's unit per s^k.
+        values: (n, degree + 1, *shape) the value, then its derivatives, the k-th in the control's unit per `s^k`.
     Raises:
         ShapeError: another number of rows, or rows without an axis of derivatives.
         InputError: times that do not increase, or a value that is not finite.
