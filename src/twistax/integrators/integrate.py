@@ -25,7 +25,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import is_finite, precision
 from ..lowering.written import on_any_mesh
-from .adaptive import AdaptiveSteps
+from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events import watch_of
@@ -39,7 +39,6 @@ from .rows import filled
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
 from .steps import FixedSteps, Result, Steps, check_saves, fixed_steps, span_of
-from .stops import Stops
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 
