@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from plans import MAKERS, Plan, maker, summed
+from plans import MAKERS, Plan, finite, maker, summed
 from scipy.spatial.transform import Rotation
 from term import Shape
 
@@ -54,7 +54,11 @@ def _phi(A: Any) -> Any:
 
 @maker
 def lie(source: Random, shape: Shape) -> Plan | None:
-    """Against exponentials of matrices, on twists of at most one radian."""
+    """Against exponentials of matrices, on twists of at most one radian.
+
+    A product with an adjoint is computed as its action, p x (R w) + R v: of infinite vectors it is NaN in other entries
+    than the product of the matrix.
+    """
     small = "tx.Tanh({0})"
     tanh = np.tanh
     found: dict[Shape, list[Plan]] = {
@@ -63,12 +67,12 @@ def lie(source: Random, shape: Shape) -> Plan | None:
             bracket("tx.lie.AdjointDual({0}, {1})", _dual),
             Plan(
                 f"(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})) @ {{1}})",
-                lambda a, b: _big_adjoint(tanh(a)) @ b,
+                lambda a, b: _big_adjoint(tanh(a)) @ finite(b),
                 ((6,), (6,)),
             ),
             Plan(
                 f"(tx.lie.SE3AdjointDual(tx.lie.SE3Exp({small})) @ {{1}})",
-                lambda a, b: np.linalg.inv(_big_adjoint(tanh(a))).T @ b,
+                lambda a, b: np.linalg.inv(_big_adjoint(tanh(a))).T @ finite(b),
                 ((6,), (6,)),
             ),
             Plan(f"tx.lie.SE3Log(tx.lie.SE3Exp({small}))", lambda a: tanh(a), ((6,),)),
@@ -91,7 +95,7 @@ def lie(source: Random, shape: Shape) -> Plan | None:
             ),
             Plan(
                 f"tx.linalg.Solve(tx.lie.SE3Adjoint(tx.lie.SE3Exp({small})), {{1}})",
-                lambda a, b: np.linalg.solve(_big_adjoint(tanh(a)), b),
+                lambda a, b: np.linalg.solve(_big_adjoint(tanh(a)), finite(b)),
                 ((6,), (6,)),
             ),
             Plan("tx.lie.twist(linear={0}, angular={1})", lambda a, b: np.concatenate([a, b]), ((3,), (3,))),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from plans import Graded, Plan, maker, refused, summed
+from plans import Graded, Plan, finite, maker, refused, summed
 from term import Shape
 
 
@@ -96,17 +96,11 @@ def refusable(source: Random, shape: Shape) -> Plan | None:
 
 def solved(A: Any, b: Any) -> Any:
     """Of finite numbers: of infinite ones eliminations give this or that."""
-    return np.linalg.solve(_finite(A), b)
+    return np.linalg.solve(finite(A), b)
 
 
 def inverted(A: Any) -> Any:
-    return np.linalg.inv(_finite(A))
-
-
-def _finite(A: Any) -> Any:
-    if not np.all(np.isfinite(A)):
-        raise np.linalg.LinAlgError("not finite")
-    return A
+    return np.linalg.inv(finite(A))
 
 
 def inverting(A: Any) -> Any:

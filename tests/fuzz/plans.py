@@ -81,3 +81,10 @@ def refused(code: str, shapes: tuple[Shape, ...]) -> bool:
     except (TypeError, ValueError):
         return True
     return False
+
+
+def finite(A: Any) -> Any:
+    """The array; nothing is expected of others."""
+    if not np.all(np.isfinite(A)):
+        raise np.linalg.LinAlgError("not finite")
+    return A
