@@ -44,3 +44,8 @@ def test_every_node_shows_itself_in_a_notebook() -> None:
     assert len(cases) > 200
     x, k = tx.State("x"), tx.Parameter("spring")
     assert "".join(ElementTree.fromstring((-k * x)._repr_html_()).itertext()) == "(−spring)x"
+
+
+@pytest.mark.parametrize("latex", [r"\right) x", r"\left(x", r"x \left", "{x < y", r"\frac{1}", "x}"])
+def test_what_does_not_close_stands_as_it_is(latex: str) -> None:
+    assert "".join(ElementTree.fromstring(mathml(latex)).itertext()) == latex

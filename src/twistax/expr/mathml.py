@@ -52,7 +52,19 @@ class _Part:
 
 
 def mathml(latex: str) -> str:
-    """A formula as an element <math>. Commands that are not known stand as they are."""
+    """A formula as an element <math>. Commands that are not known stand as they are.
+
+    So does a whole formula whose groups, fences or tables do not close, as a user's own node may write it.
+    """
+    try:
+        inside = _drawn(latex)
+    except (IndexError, ValueError):
+        inside = f"<mtext>{escape(latex)}</mtext>"
+    return f'<math display="block" xmlns="http://www.w3.org/1998/Math/MathML">{inside}</math>'
+
+
+def _drawn(latex: str) -> str:
+    """What stands in the element. Raises IndexError or ValueError for what does not close."""
     open_parts = [_Part()]
     at = 0
 
@@ -108,7 +120,9 @@ def mathml(latex: str) -> str:
             part.next_is = sign
         else:
             add(f"<mi>{sign}</mi>" if sign.isalpha() else f"<mo>{'−' if sign == '-' else escape(sign)}</mo>")
-    return f'<math display="block" xmlns="http://www.w3.org/1998/Math/MathML">{open_parts[0].row()}</math>'
+    if len(open_parts) != 1:
+        raise ValueError(f"{open_parts[-1].kind or 'a group'} is not closed")
+    return open_parts[0].row()
 
 
 def _scripted(base: str, below: str, above: str) -> str:
@@ -141,7 +155,8 @@ def _stretched(fence: str) -> str:
 def _fence(latex: str, at: int) -> tuple[str, int]:
     """What follows \\left or \\right, and where it ends."""
     token = _TOKEN.search(latex, at)
-    assert token is not None  # LaTeX of expressions has a fence there
+    if token is None:
+        raise ValueError("a fence is missing")
     return _SIGNS.get(token[2], token[2]) if token[2] else token[0], token.end()
 
 

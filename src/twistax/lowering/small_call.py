@@ -36,7 +36,7 @@ def inside_small_call() -> bool:
 
 @contextlib.contextmanager
 def no_small_call() -> Iterator[None]:
-    """What is traced here becomes no part of a small function: a function that has it is none."""
+    """A function that traces anything in here is not compiled as a small function."""
     inside = _INSIDE.set(False)
     try:
         yield
