@@ -125,6 +125,15 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- language ----------------------------------------------------------------------------------------------------
     *_at(
+        "expr/solve.py",
+        (
+            "refined once alone",
+            "for _ in range(2):",
+            "for _ in range(1):",
+            "expr/test_fixed_matrices.py::test_the_residual_is_near_that_of_an_elimination",
+        ),
+    ),
+    *_at(
         "expr/arithmetic.py",
         ("strict at a tie", "function = operator.lt", "function = operator.le", "expr/test_comparisons.py"),
     ),

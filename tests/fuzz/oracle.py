@@ -9,7 +9,8 @@ import numpy as np
 from term import Case, Term
 
 #: Noise is put on each operation, so many times that of rounding, and a result may be off by so many of its spreads.
-NOISE, SPREADS, SAMPLES = 2.0, 100.0, 6
+#: Samples that all decide a tie alike would hide it: by chance they do so once in 2^SAMPLES ties.
+NOISE, SPREADS, SAMPLES = 2.0, 100.0, 24
 #: Sizes beyond which ranges end: a quotient may be a product with a reciprocal, and XLA drops subnormal numbers.
 RANGE = {np.float64: (1e-150, 1e150), np.float32: (1e-15, 1e15)}
 

