@@ -68,7 +68,8 @@ BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "tx.Min({0}, {1})": np.minimum,
     "tx.Max({0}, {1}, {0})": np.maximum,
     "tx.Max(tx.Max({0}, {1}), 0.25)": lambda a, b: np.maximum(np.maximum(a, b), 0.25),
-    "tx.Atan2({0}, {1})": np.arctan2,
+    # At the origin zero by definition, whatever the signs of the zeros.
+    "tx.Atan2({0}, {1})": lambda y, x: np.arctan2(y, np.where((x == 0.0) & (y == 0.0), 1.0, x)),
     "tx.LogSumExp({0}, {1})": np.logaddexp,
     "((1.5 + tx.Sin({0})) ** tx.Tanh({1}))": lambda a, b: (1.5 + np.sin(a)) ** np.tanh(b),
     "tx.Add({0}, {1}, {0})": lambda a, b: a + b + a,

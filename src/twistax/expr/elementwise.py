@@ -178,7 +178,7 @@ class Atan(Function):
 class Atan2(Entrywise):
     """Angle of the point (x, y) in rad, entry by entry with broadcasting, in [-pi, pi].
 
-    At the origin the value is 0 and the derivative is taken as 0.
+    At the origin, whatever the signs of its zeros, the value is 0 and the derivative is taken as 0.
 
     Attributes:
         y, x: the coordinates, in one unit.
