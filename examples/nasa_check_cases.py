@@ -132,7 +132,7 @@ def explain(case: CheckCase, tracks: dict[str, Track]) -> None:
     for number, damping in {"01": rounded, "04": case.damping}.items():
         if number not in tracks:
             continue
-        theirs = tx.compile(system(Tabulated(tracks[number])))
+        theirs = tx.compile(system(dataclasses.replace(flight.EARTH, air=Tabulated(tracks[number]))))
         solved = solve(dataclasses.replace(case, damping=damping), dynamics=theirs)
         row(f"twistax - sim {number}", solved.apart(tracks[number]))
 

@@ -1583,7 +1583,7 @@ MUTATIONS: list[Mutation] = [
         ("moments without what is between chunks", "apart**2 * self.count * share", "0.0 * share", "test_sweep.py"),
         (
             "failed members in the statistics",
-            "moments.add([column[_good(codes)] for column in columns])",
+            "moments.add([column[ended_well(codes)] for column in columns])",
             "moments.add(columns)",
             "test_sweep.py",
         ),

@@ -8,6 +8,7 @@ leaves that equation to JAX, which gives the same numbers, and `say_once` tells 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import os
 import warnings
@@ -20,32 +21,22 @@ from jax.experimental import jet
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
-try:
-    from jax.experimental.xla_metadata import set_xla_metadata as _set_xla_metadata
-except ImportError:  # a later JAX may have moved it
-    _set_xla_metadata = None  # type: ignore[assignment]
-
-try:
-    from jax._src.util import weakref_cache_key_types as _weak_types
-except ImportError:
-    _weak_types = set()
-
-try:
-    from jax._src.dispatch import prim_requires_devices_during_lowering as _need_devices
-except ImportError:
-    _need_devices = set()
-
-try:
-    from jax._src.core import trace_state_clean as _nothing_traced
-except ImportError:
-    _nothing_traced = None  # type: ignore[assignment]
-
-try:
-    from jax._src.config import _check_vma as _varying_checked
-except ImportError:
-    _varying_checked = None  # type: ignore[assignment]
-
 T = TypeVar("T")
+
+
+def _found(module: str, name: str, otherwise: Any = None) -> Any:
+    """What a module of JAX has by a name; a later JAX may have moved it."""
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError):
+        return otherwise
+
+
+_set_xla_metadata = _found("jax.experimental.xla_metadata", "set_xla_metadata")
+_weak_types = _found("jax._src.util", "weakref_cache_key_types", set())
+_need_devices = _found("jax._src.dispatch", "prim_requires_devices_during_lowering", set())
+_nothing_traced = _found("jax._src.core", "trace_state_clean")
+_varying_checked = _found("jax._src.config", "_check_vma")
 
 #: Messages that were given, each once for a process.
 _SAID: set[str] = set()

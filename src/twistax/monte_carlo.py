@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from .checks import callable_with, path_of, short, whole
 from .errors import InputError
 from .integrators import Result, Solution
+from .integrators.steps import ended_well
 
 __all__ = ["Statistics", "Sweep", "sweep"]
 
@@ -68,7 +69,7 @@ class Sweep:
         moments = _Moments(plan.shapes)
         for k in range(plan.chunks):
             *columns, codes = chunks.read(k)
-            moments.add([column[_good(codes)] for column in columns])
+            moments.add([column[ended_well(codes)] for column in columns])
         self.statistics = Statistics(moments.count, *(plan.tree(own) for own in moments.summary()))
 
     def __repr__(self) -> str:
@@ -77,7 +78,7 @@ class Sweep:
     @property
     def failed(self) -> dict[int, Result]:
         """The members that failed, by number. `member` gives what one was run with."""
-        bad = np.flatnonzero(~_good(self.codes))
+        bad = np.flatnonzero(~ended_well(self.codes))
         return {int(i): Result(int(self.codes[i])) for i in bad}
 
     @functools.cached_property
@@ -97,7 +98,7 @@ class Sweep:
         asked = np.asarray(percent, float)
         if not np.all((asked >= 0.0) & (asked <= 100.0)):
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
-        good = _good(self.codes)
+        good = ended_well(self.codes)
         if not good.any():
             raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
 
@@ -285,8 +286,7 @@ class _Plan:
             raise InputError("sweep: run gives complex numbers.\n  fix: return their real and imaginary parts")
         real = [leaf for leaf in jax.tree.leaves(results) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
         finite = functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in real], jnp.asarray(True))
-        fine = (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
-        return results, jnp.where(fine & ~finite, jnp.int32(Result.NON_FINITE.value), code)
+        return results, jnp.where(ended_well(code) & ~finite, jnp.int32(Result.NON_FINITE.value), code)
 
 
 def _as_jax_has_it(value: Any) -> NDArray[Any]:
@@ -298,10 +298,6 @@ def _as_jax_has_it(value: Any) -> NDArray[Any]:
             f"sweep has members that {found.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
         )
     return found
-
-
-def _good(codes: NDArray[Any]) -> NDArray[Any]:
-    return np.isin(codes, [Result.SUCCESS.value, Result.EVENT.value])
 
 
 # ---- where chunks are kept -------------------------------------------------------------------------------------------

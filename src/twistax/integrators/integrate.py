@@ -38,7 +38,7 @@ from .rollout import Rollout, rollout
 from .rows import filled
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import FixedSteps, Result, Steps, check_saves, fixed_steps, span_of
+from .steps import FixedSteps, Result, Steps, check_saves, ended_well, fixed_steps, span_of
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 
@@ -296,13 +296,9 @@ def _inside(found: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> 
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
     code = found.outcome.code
-    code = jnp.where(_ended_well(code) & ~inside.all(), Result.NON_FINITE.value, code)
+    code = jnp.where(ended_well(code) & ~inside.all(), Result.NON_FINITE.value, code)
     xs = {name: jax.vmap(_or_nan)(inside, value) for name, value in found.xs.items()}
     return found._replace(xs=xs, outcome=found.outcome._replace(code=code))
-
-
-def _ended_well(code: jax.Array) -> jax.Array:
-    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
 def _or_nan(good: jax.Array, value: jax.Array) -> jax.Array:
@@ -322,12 +318,12 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
     tried, accepted, evaluations = map(int, counts) if known else counts
     stats = Stats(tried, accepted, tried - accepted, evaluations)
     result = Result(int(outcome.code)) if known else outcome.code
-    if known and throw and result not in (Result.SUCCESS, Result.EVENT):
+    if known and throw and not ended_well(result):
         raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, found.end)))
     xs = found.xs
     if end_only:
         if not known:
-            xs = {name: _or_nan(_ended_well(outcome.code), value) for name, value in xs.items()}
+            xs = {name: _or_nan(ended_well(outcome.code), value) for name, value in xs.items()}
         if known:
             ts = ts if result is Result.SUCCESS else np.asarray(outcome.t)[None]
         elif watching:
@@ -343,7 +339,7 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
         if watching:
             end = found.end
             if not known:
-                end = {name: _or_nan(_ended_well(outcome.code), value) for name, value in end.items()}
+                end = {name: _or_nan(ended_well(outcome.code), value) for name, value in end.items()}
             ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, outcome.t, end)
         xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)

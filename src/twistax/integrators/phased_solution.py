@@ -16,9 +16,9 @@ from ..errors import InputError, in_phase
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..plots import chosen, draw, group_of, panels
-from .columns import Column, columns_of, frame_of, write_csv
-from .solution import Solution, Stats
-from .steps import Result
+from .columns import Column, columns_of
+from .rows import wide
+from .solution import Ended, Solution, Stats, need_one, need_within
 
 if TYPE_CHECKING:
     from ..view import Scene
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class PhasedSolution:
+class PhasedSolution(Ended):
     """Phases of a flight, and the whole. A pytree, so that jit, vmap and derivatives apply.
 
     With saved times each phase has rows for its start, the saved times within, and its end: a join has one row before
@@ -56,12 +56,6 @@ class PhasedSolution:
         if name not in self.names:
             raise InputError(f"the solution has no phase {name!r}; its phases are: {listed(self.names, name)}")
         return self.phases[self.names.index(name)]
-
-    @property
-    def result(self) -> Any:
-        """How it ended, a `Result`; where that is traced or of a batch an array of codes."""
-        unknown = is_traced(self.code) or np.ndim(self.code) > 0
-        return self.code if unknown else Result(int(self.code))
 
     @property
     def durations(self) -> dict[str, Any]:
@@ -104,18 +98,14 @@ class PhasedSolution:
         ts = jnp.asarray(real_array("evaluate: t", t), self.phases[0].ts.dtype)
         ends = [phase.ts[-1] for phase in self.phases]
         if not is_traced((ts, ends, self.t_starts)):
-            first, last, times = float(self.t_starts[0]), float(ends[-1]), np.ravel(ts)
-            outside = ~((times >= first) & (times <= last))
-            if outside.any():
-                wrong = float(times[int(np.argmax(outside))])
-                raise InputError(f"evaluate expects times in [{first:g}, {last:g}], those of the flight, got {wrong:g}")
+            need_within(ts, self.t_starts[0], ends[-1], "those of the flight")
         found: Arrays = {}
         for phase, begin, end in zip(self.phases, self.t_starts, ends, strict=True):
             own = phase.evaluate(jnp.clip(ts, begin, end))
             if not found:
                 found = own
             after = ts >= begin
-            found = {k: jnp.where(_wide(after, v), own[k], v) for k, v in found.items() if _alike(own.get(k), v)}
+            found = {k: jnp.where(wide(after, v), own[k], v) for k, v in found.items() if _alike(own.get(k), v)}
         return found
 
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
@@ -154,22 +144,6 @@ class PhasedSolution:
         ts = np.concatenate([np.asarray(part.ts) for part in parts])
         return shown(Motion(ts, joined([part.xs for part in parts]), others, params), path, **choices)
 
-    def to_csv(self, path: Any, layout: Any = None) -> None:
-        """Write a table of the rows of all phases: time, number of the phase, and the columns that all phases have.
-
-        Args:
-            path: the file; one that is there is written over.
-            layout: which columns, as for `Solution.to_csv`.
-        Raises:
-            InputError: a batch; a unit of a name that a phase does not have; a path that cannot be written.
-            ModelError: no layout.
-        """
-        write_csv(self._columns(layout), path)
-
-    def to_dataframe(self, layout: Any = None) -> Any:
-        """The table of `to_csv` as a DataFrame of pandas. Raises ModelError where pandas is not installed."""
-        return frame_of(self._columns(layout))
-
     def _columns(self, layout: Any) -> list[Column]:
         tables, count = [], []
         for name, part in zip(self.names, self._reached("a table"), strict=True):
@@ -183,10 +157,7 @@ class PhasedSolution:
 
     def _reached(self, what: str) -> list[Solution]:
         """The phases without the rows that they do not cover."""
-        if is_traced(self.phases) or self.phases[0].ts.ndim != 1:
-            raise InputError(
-                f"{what}: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
-            )
+        need_one(what, self.phases[0].ts)
         if not self.on_grid:
             return list(self.phases)
         found = []
@@ -233,7 +204,7 @@ class PhasedSolution:
             before = times <= phase.ts[..., -1:]
             if end is not None:  # NaN after a phase that failed
                 before = jnp.where(jnp.isnan(end), before, times < end)
-            found = jnp.where(_wide((times >= begin[..., None]) & before, found), value[cut], found)
+            found = jnp.where(wide((times >= begin[..., None]) & before, found), value[cut], found)
         return found
 
 
@@ -243,10 +214,6 @@ def _controls(part: Solution) -> Arrays:
 
 def _outputs(part: Solution) -> Arrays:
     return part.outputs
-
-
-def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:
-    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 
 
 def _alike(one: Any, other: jax.Array) -> bool:

@@ -24,7 +24,7 @@ from .method import Method
 from .phased_solution import PhasedSolution
 from .solution import Solution
 from .step_control import StepControl
-from .steps import Result, check_saves
+from .steps import Result, check_saves, ended_well
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -162,8 +162,8 @@ def integrate_phases(
             if phase.event is not None:
                 solution = _met(solution, limit, throw)
         begun, starts, done = [*begun, t], [*starts, x], [*done, solution]
-        good = _went_well(solution.code)
-        code = solution.code if not index else jnp.where(_went_well(code), solution.code, code)
+        good = ended_well(solution.code)
+        code = solution.code if not index else jnp.where(ended_well(code), solution.code, code)
         if not is_traced(solution.code) and not good:
             break
         if index < len(phases) - 1:
@@ -189,10 +189,6 @@ def _first(own: Any, shared: Any) -> Any:
 def _share(told: Told, index: int, count: int) -> Told:
     """What tells how far a phase is, of the whole."""
     return lambda t, share: told(t, (index + share) / count)
-
-
-def _went_well(code: Any) -> Any:
-    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
 def _named(phases: Any) -> tuple[list[str], list[str]]:

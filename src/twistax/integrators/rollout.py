@@ -17,7 +17,7 @@ from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before, to_event
 from .kernels import advance_again
 from .method import Stepper, jitted
-from .rows import first_rows
+from .rows import first_rows, wide
 from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
 
 
@@ -123,7 +123,7 @@ def _to_saved_times(
     reached = saved.reached & jax.vmap(all_finite)(ys)
     at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
     xs = _or_start(jax.vmap(stored.value)(ys), at_start, x)
-    xs = jax.tree.map(lambda a: jnp.where(_wide(reached, a), a, jnp.nan), xs)
+    xs = jax.tree.map(lambda a: jnp.where(wide(reached, a), a, jnp.nan), xs)
     counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
     lost = (outcome.code == Result.SUCCESS.value) & (saved.asked & ~reached).any()
     code = jnp.where(lost, Result.NON_FINITE.value, outcome.code)
@@ -137,12 +137,8 @@ def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
     for name, value in values.items():
         given = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
         start = given + (value - jax.lax.stop_gradient(value))
-        found[name] = jnp.where(_wide(still, value), start, value)
+        found[name] = jnp.where(wide(still, value), start, value)
     return found
-
-
-def _wide(flags: jax.Array, like: jax.Array) -> jax.Array:
-    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 
 
 # ---- derivatives --------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,6 +25,7 @@ from .steps import Outcome, Result, Steps, Trail
 
 if TYPE_CHECKING:
     from ..view import Scene
+    from .columns import Column
 
 
 @jax.tree_util.register_dataclass
@@ -74,9 +76,66 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
     return states
 
 
+class Ended(ABC):
+    """What a solution and one of several phases share: how it ended, and its table."""
+
+    code: Any  # the number of a `Result`
+
+    @property
+    def result(self) -> Any:
+        """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
+        unknown = is_traced(self.code) or np.ndim(self.code) > 0
+        return self.code if unknown else Result(int(self.code))
+
+    @abstractmethod
+    def _columns(self, layout: Any) -> list[Column]:
+        """Those of the table in a layout."""
+
+    def to_csv(self, path: Any, layout: Any = None) -> None:
+        """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
+
+        Of phases it has the rows of all, with the number of the phase, and the columns that all of them have.
+
+        Args:
+            path: the file; one that is there is written over.
+            layout: which columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
+                `tx.columns.Layout` of your own. Left out: time, states, controls and outputs, rotations as quaternions.
+        Raises:
+            InputError: a batch; a unit of an unknown name; a path that cannot be written.
+            ModelError: no layout.
+        """
+        from .columns import write_csv
+
+        write_csv(self._columns(layout), path)
+
+    def to_dataframe(self, layout: Any = None) -> Any:
+        """The table of `to_csv` as a DataFrame of pandas. Raises ModelError where pandas is not installed."""
+        from .columns import frame_of
+
+        return frame_of(self._columns(layout))
+
+
+def need_one(what: str, ts: Any) -> None:
+    """Raise InputError for the times of a solution that is traced or a batch."""
+    if is_traced(ts) or np.ndim(ts) != 1:
+        raise InputError(
+            f"{what}: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
+        )
+
+
+def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
+    """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
+    start, end, times = float(start), float(end), np.ravel(ts)
+    room = 1e-6 * (end - start)
+    outside = ~((times >= start - room) & (times <= end + room))
+    if outside.any():
+        wrong = float(times[int(np.argmax(outside))])
+        raise InputError(f"evaluate expects times in [{start:g}, {end:g}], {span}, got {wrong:g}")
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Solution:
+class Solution(Ended):
     """States at the saved times. A pytree, so that jit, vmap and derivatives of an integration apply.
 
     Attributes:
@@ -120,27 +179,6 @@ class Solution:
 
         return outputs_along(self.stepper, self.ts, self.xs)
 
-    def to_csv(self, path: Any, layout: Any = None) -> None:
-        """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
-
-        Args:
-            path: the file; one that is there is written over.
-            layout: which columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
-                `tx.columns.Layout` of your own. Left out: time, states, controls and outputs, rotations as quaternions.
-        Raises:
-            InputError: a batch; a unit of an unknown name; a path that cannot be written.
-            ModelError: no layout.
-        """
-        from .columns import columns_of, write_csv
-
-        write_csv(columns_of(self, layout), path)
-
-    def to_dataframe(self, layout: Any = None) -> Any:
-        """The table of `to_csv` as a DataFrame of pandas. Raises ModelError where pandas is not installed."""
-        from .columns import columns_of, frame_of
-
-        return frame_of(columns_of(self, layout))
-
     @property
     def event(self) -> Any:
         """The number of the event that stopped it, or None; of traced or mapped solutions an array, -1 for none."""
@@ -165,12 +203,7 @@ class Solution:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, trail)):
             known = np.asarray(trail.t)
-            start, end = float(known[0]), float(known[int(trail.steps)])
-            room, times = 1e-6 * (end - start), np.asarray(ts).reshape(-1)
-            outside = ~((times >= start - room) & (times <= end + room))
-            if outside.any():
-                wrong = float(times[int(np.argmax(outside))])
-                raise InputError(f"evaluate expects times in [{start:g}, {end:g}], the integrated span, got {wrong:g}")
+            need_within(ts, known[0], known[int(trail.steps)], "the integrated span")
         found: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
 
@@ -184,7 +217,7 @@ class Solution:
             InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
         """
-        self._single("plot")
+        need_one("plot", self.ts)
         if len(self.ts) < 2:
             raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
         ts, found = np.asarray(self.ts), []
@@ -224,24 +257,16 @@ class Solution:
         """
         from ..view.motion import Motion, shown
 
-        self._single("show")
+        need_one("show", self.ts)
         if self.stepper is None:  # of a solution that was put together by hand, states are all that is known
             return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
         others = (lambda: self.us, lambda: self.outputs)
         return shown(Motion(np.asarray(self.ts), self.xs, others, self.stepper.params), path, **choices)
 
-    def _single(self, what: str) -> None:
-        """Raise InputError for a solution that is traced or a batch."""
-        if is_traced(self.ts) or np.ndim(self.ts) != 1:
-            raise InputError(
-                f"{what}: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
-            )
+    def _columns(self, layout: Any) -> list[Column]:
+        from .columns import columns_of
 
-    @property
-    def result(self) -> Any:
-        """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
-        unknown = is_traced(self.code) or np.ndim(self.code) > 0
-        return self.code if unknown else Result(int(self.code))
+        return columns_of(self, layout)
 
 
 # ---- what is said after an integration that ended early -----------------------------------------------------------

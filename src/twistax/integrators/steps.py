@@ -51,6 +51,11 @@ class Result(enum.IntEnum):
         return f"{self.name}: {self.sentence}"
 
 
+def ended_well(code: Any) -> Any:
+    """Whether numbers of a `Result` are no failures."""
+    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
+
+
 class Outcome(NamedTuple):
     """How the steps went: arrays of no dimension."""
 

@@ -3,21 +3,7 @@
 import functools
 
 from ..checks import Checked, Section
-from . import (
-    calls,
-    costs,
-    edges,
-    identities,
-    keeping,
-    lookups,
-    maps,
-    mechanisms,
-    optimal,
-    scalars,
-    small,
-    steps,
-    stiff,
-)
+from . import calls, costs, edges, identities, keeping, lookups, maps, mechanisms, optimal, scalars, small, steps, stiff
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
