@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+import importlib
 import platform
 import sys
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="A 6-DoF powered descent, found by the embedded optimiser, simulated again by two integrators.",
     )
     demo_arguments.add_options(demo)
-    demo.set_defaults(run=_demo, rerun="")
+    demo.set_defaults(rerun="")
     report = commands.add_parser(
         "report",
         help="what is measured: error against run time, the edges, speed, every other figure",
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--stability, --speed, --optimal or --figures something else. Writes a page, figures and tables.",
     )
     report_arguments.add_options(report)
-    report.set_defaults(run=_report, rerun="; the same command goes on where it stopped")
+    report.set_defaults(rerun="; the same command goes on where it stopped")
     given = parser.parse_args(arguments)
     if given.version:
         print(versions())
@@ -62,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     jax.config.update("jax_enable_x64", True)
     try:
-        return int(given.run(given))
+        # Loaded when it is run: both import diffrax.
+        return int(importlib.import_module(f".{given.command}.command", __package__).run(given))
     except KeyboardInterrupt:
         print(f"\ntwistax {given.command}: interrupted{given.rerun}", file=sys.stderr)
         return 130
@@ -95,19 +96,6 @@ def _installed(package: str) -> str | None:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
-
-
-# Loaded when they are run: both import diffrax.
-def _demo(given: argparse.Namespace) -> int:
-    from .demo.command import run
-
-    return run(given)
-
-
-def _report(given: argparse.Namespace) -> int:
-    from .report.command import run
-
-    return run(given)
 
 
 if __name__ == "__main__":

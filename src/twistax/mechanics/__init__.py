@@ -2,7 +2,6 @@
 
 from . import chain_models, environment, flight, joints, loops
 from .bodies import SpatialInertia, power
-from .chain import Chain
 from .closed_loops import closed_dynamics, loop_gap, loop_wrench, loop_wrenches
 from .contact import GivenForces, Ground, given_forces
 from .derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
@@ -19,7 +18,7 @@ from .dynamics import (
 )
 from .jacobians import ALIGNED, BODY, WORLD, frame_jacobian, frame_jacobian_rate, frame_twist
 from .joint_wrenches import joint_wrench
-from .mechanism import Mechanism
+from .mechanism import Chain, Mechanism
 from .models import DaveModel, load, load_daveml
 from .momentum import (
     center_of_mass,

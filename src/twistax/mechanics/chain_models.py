@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..checks import whole
 from ..errors import ModelError
 from .bodies import SpatialInertia
-from .chain import Chain
 from .joints import Revolute
+from .mechanism import Chain
 from .tree import Link
 
 __all__ = ["equal_links", "modified_dh", "panda"]

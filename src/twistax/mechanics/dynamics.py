@@ -85,12 +85,10 @@ def _gathered(mechanism: Mechanism, needed: list[Expr], qdd: Expr) -> Expr:
     """H' F of all joints, followers with their leaders, and what the rotors take (n,)."""
     tau: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     for segment, F in zip(mechanism.segments, needed, strict=True):
-        ratio = 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
         for k, i in enumerate(segment.freedoms):
-            own = Dot(segment.link.joint.motion_subspace[:, k], F)
-            tau[i].append(own if segment.link.mimic is None else ratio * own)
+            tau[i].append(segment.scaled(Dot(segment.link.joint.motion_subspace[:, k], F)))
             if segment.link.drive.rotor is not None:
-                tau[i].append(segment.link.drive.rotor * ratio**2 * qdd[i])
+                tau[i].append(segment.link.drive.rotor * segment.ratio**2 * qdd[i])
     return Concat(*(sum(terms[1:], terms[0]) for terms in tau))
 
 
@@ -207,7 +205,7 @@ def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
         M[a][b].append(value if ratio == 1.0 else ratio * value)
 
     for i, segment in enumerate(mechanism.segments):
-        rotor, own = segment.link.drive.rotor, _ratio(segment.link.mimic)
+        rotor, own = segment.link.drive.rotor, segment.ratio
         for k, a in enumerate(segment.freedoms):
             F = I[i] @ segment.link.joint.motion_subspace[:, k]
             for other, c in enumerate(segment.freedoms[: k + 1]):
@@ -223,13 +221,9 @@ def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
                 ahead = mechanism.segments[j]
                 for other, c in enumerate(ahead.freedoms):
                     value = Dot(ahead.link.joint.motion_subspace[:, other], F)
-                    add(a, c, value, own * _ratio(ahead.link.mimic))
-                    add(c, a, value, own * _ratio(ahead.link.mimic))
+                    add(a, c, value, own * ahead.ratio)
+                    add(c, a, value, own * ahead.ratio)
     return Block([[sum(terms[1:], terms[0]) if terms else _NOTHING for terms in row] for row in M])
-
-
-def _ratio(mimic: object) -> float:
-    return getattr(mimic, "ratio", 1.0)
 
 
 def composite_inertias(mechanism: Mechanism, positions: list[Expr]) -> list[Expr]:

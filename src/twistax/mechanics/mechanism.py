@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -241,12 +242,11 @@ class Mechanism:
 
     def along(self, segment: Segment, velocities: Expr) -> Expr:
         """H qd (6,): the part of the joint of a segment in velocities or accelerations (n,), in the segment's frame."""
-        H, mimic = segment.link.joint.motion_subspace, segment.link.mimic
+        H = segment.link.joint.motion_subspace
         if not segment.freedoms:
             return Constant(np.zeros(6))
         if len(segment.freedoms) == 1:
-            one = velocities[segment.freedoms[0]]
-            return H[:, 0] * (one if mimic is None else mimic.ratio * one)
+            return H[:, 0] * segment.scaled(velocities[segment.freedoms[0]])
         return H @ velocities[segment.freedoms[0] : segment.freedoms[-1] + 1]
 
     # ---- kinematics --------------------------------------------------------------------------------------------------
@@ -311,3 +311,26 @@ class Mechanism:
         from .mechanism_system import system_of
 
         return system_of(self, **choices)
+
+
+class Chain(Mechanism):
+    """Links one after the other from a base at rest to the tip, under uniform gravity: a `Mechanism` with one branch.
+
+    Args:
+        links: one or more, from base to tip; each sits on the one before, whatever its `parent` says.
+        gravity: (3,) in the base's axes, m/s2; numbers or an expression.
+    Raises:
+        ModelError: no links, or something else among them.
+        ShapeError: gravity is not of shape (3,).
+    """
+
+    def __init__(self, links: Iterable[Link], gravity: ExprLike = (0.0, 0.0, -9.81)) -> None:
+        if not isinstance(links, Iterable):
+            raise ModelError(f"Chain expects links made by Link, got {links!r}")
+        before: str | None = None
+        joined: list[Link] = []
+        for link in links:
+            # What is no link is refused with the rest.
+            joined.append(dataclasses.replace(link, parent=before) if isinstance(link, Link) else link)
+            before = getattr(link, "name", None)
+        super().__init__(joined, gravity)

@@ -49,12 +49,11 @@ def system_of(
     places = mechanism.positions("system", None)
     for segment, place in zip(mechanism.segments, places, strict=True):
         drive, mimic, deflection = segment.link.drive, segment.link.mimic, segment.link.joint.deflection(place)
-        ratio = 1.0 if mimic is None else mimic.ratio
         for k, i in enumerate(segment.freedoms):
-            own = mechanism.qd[i] if mimic is None else ratio * mechanism.qd[i]
+            own = segment.scaled(mechanism.qd[i])
             passive = drive.passive(None if deflection is None else deflection[k], own)
             if passive is not None:
-                tau[i] = tau[i] + (passive if mimic is None else ratio * passive)
+                tau[i] = tau[i] + segment.scaled(passive)
             if command is not None and mimic is None and i in driven:
                 tau[i] = tau[i] + drive.gear * command[driven.index(i)]
     total: Expr = Concat(*tau)

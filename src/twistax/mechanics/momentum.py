@@ -32,9 +32,9 @@ def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLik
     terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
     rates = mechanism.coordinates("kinetic_energy", "qd", qd)
     for segment in mechanism.segments:
-        rotor, mimic = segment.link.drive.rotor, segment.link.mimic
+        rotor = segment.link.drive.rotor
         for i in segment.freedoms if rotor is not None else ():
-            own = rates[i] if mimic is None else mimic.ratio * rates[i]
+            own = segment.scaled(rates[i])
             terms.append(0.5 * (rotor * own * own))
     return _sum(terms)
 
@@ -91,10 +91,8 @@ def centroidal_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     poses, I = mechanism.poses(q), composite_inertias(mechanism, places)
     columns: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     for i, segment in enumerate(mechanism.segments):
-        ratio = 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
         for k, a in enumerate(segment.freedoms):
             H = segment.link.joint.motion_subspace[:, k]
-            column = CoadjointAction(poses[i], I[i] @ H)
-            columns[a].append(column if segment.link.mimic is None else ratio * column)
+            columns[a].append(segment.scaled(CoadjointAction(poses[i], I[i] @ H)))
     about_base = Stack(*(_sum(column) for column in columns)).T
     return CoadjointAction(translation(center_of_mass(mechanism, q)), about_base, inverse=True)

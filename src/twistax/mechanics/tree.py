@@ -126,6 +126,15 @@ class Segment:
     freedoms: tuple[int, ...]
     coordinates: slice | None
 
+    @property
+    def ratio(self) -> float:
+        """Of a follower that to its leader, else 1."""
+        return 1.0 if self.link.mimic is None else self.link.mimic.ratio
+
+    def scaled(self, value: Expr) -> Expr:
+        """The value times the ratio; of what moves by itself the value as it is."""
+        return value if self.link.mimic is None else self.ratio * value
+
 
 @dataclasses.dataclass(frozen=True)
 class Frame:

@@ -10,18 +10,7 @@ x0 = craft.start(45.0 * units.degrees, 7.0 * units.degrees, 30_000 * units.feet)
 """
 
 from .air_data import Aerodynamics, AirAxes, AirData, body_axes, drag, stability_axes, wind_axes
-from .planets import (
-    EARTH,
-    ROUND_EARTH,
-    Air,
-    Axes,
-    Gravity,
-    Planet,
-    Reference,
-    fixed_axes,
-    inertial_axes,
-    local_axes,
-)
+from .planets import EARTH, ROUND_EARTH, Air, Axes, Gravity, Planet, Reference, fixed_axes, inertial_axes, local_axes
 from .propulsion import Engine, burning, rocket
 from .sensors import Imu, ImuReading, probe
 from .start import numbers, start

@@ -13,7 +13,7 @@ from ...expr import Constant, Leaf, canonicalize_all, substitute, to_expr
 from ...expr.fields import ExprLike
 from ...expr.lie import EulerRotation
 from ...units import Quantity, metres, radians, seconds, taken
-from ..arguments import of_kind
+from ..arguments import matrix, of_kind
 from ..environment.earth import north_east_down
 from .planets import EARTH, REFERENCE_TAKES, Planet, Reference, fixed_axes
 
@@ -90,9 +90,7 @@ def start(
     position = turn @ numbers(planet.figure.position(*place))
     spin = numbers(relative_to(planet, place[0], place[2], over_ground))
     velocity = attitude.T @ (over_ground + local.T @ np.cross([0.0, 0.0, planet.figure.rate], position))
-    body = np.eye(4)
-    body[:3, :3], body[:3, 3] = local @ attitude, position
-    return {pose: body, twist: np.concatenate([velocity, turning + attitude.T @ spin])}
+    return {pose: matrix(local @ attitude, position), twist: np.concatenate([velocity, turning + attitude.T @ spin])}
 
 
 def _three(name: str, value: Any, unit: Quantity) -> np.ndarray:

@@ -10,6 +10,8 @@ import numpy as np
 from ...checks import listed
 from ...errors import ModelError, TwistaxError
 from ...expr import Parameter
+from ...expr.lie import Pose
+from ..arguments import matrix
 from ..bodies import SpatialInertia
 from .xml_file import Element
 
@@ -39,8 +41,15 @@ class Choices:
         chosen = self.wanted if isinstance(self.wanted, bool) else name in self.wanted
         return Parameter(name, value=np.asarray(value, dtype=np.float64)) if chosen else value
 
-    def body(self, owner: str, mass: Any, center: Any, tensor: Any, element: Element) -> SpatialInertia:
-        """The body of a link, its tensor about its centre of mass. Raises ModelError for one that is unphysical."""
+    def origin(self, owner: str, R: np.ndarray, p: np.ndarray) -> Any:
+        """The pose of an origin, an expression where its position was asked for."""
+        position = self.of(owner, "origin", p)
+        return matrix(R, p) if position is p else Pose(R, position)
+
+    def body(self, owner: str, mass: Any, center: Any, R: Any, tensor: Any, element: Element) -> SpatialInertia:
+        """The body of a link, its tensor about its centre of mass in axes R. Raises ModelError if it is unphysical."""
+        tensor = R @ tensor @ R.T
+        tensor = 0.5 * (tensor + tensor.T)
         try:
             SpatialInertia(mass=mass, center_of_mass=center, inertia=tensor)
         except TwistaxError as error:

@@ -108,6 +108,13 @@ def looks_of_mjcf(
         the shapes, and how many geoms have none: meshes, planes and height fields.
     """
     kinds, left_out = mujoco.mjtGeom, 0
+    known: dict[int, Callable[..., Shape]] = {
+        int(kinds.mjGEOM_BOX): lambda a, b, c, looks: Box((2.0 * a, 2.0 * b, 2.0 * c), **looks),
+        int(kinds.mjGEOM_SPHERE): lambda a, b, c, looks: Sphere(a, **looks),
+        int(kinds.mjGEOM_ELLIPSOID): lambda a, b, c, looks: Ellipsoid((a, b, c), **looks),
+        int(kinds.mjGEOM_CYLINDER): lambda a, b, c, looks: Cylinder(a, 2.0 * b, **looks),
+        int(kinds.mjGEOM_CAPSULE): lambda a, b, c, looks: Capsule(a, 2.0 * b, **looks),
+    }
     shown: dict[int, list[Shape]] = collections.defaultdict(list)
     others: dict[int, list[Shape]] = collections.defaultdict(list)
     for i in range(model.ngeom):
@@ -121,17 +128,8 @@ def looks_of_mjcf(
         }
         a, b, c = (float(x) for x in model.geom_size[i])
         kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
-        found = (others if model.geom_group[i] > _SHOWN else shown)[body]
-        if kind == int(kinds.mjGEOM_BOX):
-            found.append(Box((2.0 * a, 2.0 * b, 2.0 * c), **looks))
-        elif kind == int(kinds.mjGEOM_SPHERE):
-            found.append(Sphere(a, **looks))
-        elif kind == int(kinds.mjGEOM_ELLIPSOID):
-            found.append(Ellipsoid((a, b, c), **looks))
-        elif kind == int(kinds.mjGEOM_CYLINDER):
-            found.append(Cylinder(a, 2.0 * b, **looks))
-        elif kind == int(kinds.mjGEOM_CAPSULE):
-            found.append(Capsule(a, 2.0 * b, **looks))
+        if kind in known:
+            (others if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
         else:
             left_out += 1
     return {i: tuple(shown[i] or others[i]) for i in range(model.nbody)}, left_out

@@ -13,14 +13,13 @@ Source: the pages of https://mujoco.readthedocs.io, modeling and computation.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...expr import Expr
-from ...expr.lie import Compose, Pose
+from ...expr.lie import Compose
 from ...system import free_name
 from ...view import Shape
 from ..arguments import matrix
@@ -107,20 +106,19 @@ class Mjcf:
         body = None
         if model.body_mass[i] > 0.0 or model.body_inertia[i].any():
             R = self._rotation(model.body_iquat[i])
-            tensor = R @ np.diag(model.body_inertia[i]) @ R.T
-            tensor = 0.5 * (tensor + tensor.T)
-            center = np.array(model.body_ipos[i]) + 0.0
-            body = self.choices.body(name, float(model.body_mass[i]), center, tensor, self.root)
-        mount: Any = self._origin(i, name)
+            center, mass = np.array(model.body_ipos[i]) + 0.0, float(model.body_mass[i])
+            body = self.choices.body(name, mass, center, R, np.diag(model.body_inertia[i]), self.root)
+        R, p = self._rotation(model.body_quat[i]), np.array(model.body_pos[i]) + 0.0
+        mount: Any = self.choices.origin(name, R, p)
         for j in joints:
             joint, before, after = self._joint(j)
             mount = before if isinstance(joint, Free) else _after(mount, before)
             last = j == joints[-1] and not (after - _UNIT).any()
             own = name if last else free_name(joint.name, self._taken)
             self._taken.add(own)
-            mass, looks = (body, self._looks[i]) if last else (None, ())
+            carried, looks = (body, self._looks[i]) if last else (None, ())
             drive, mimic = self._drive(j), self._mimics.get(j)
-            link = Link(joint, mass, mount, parent=parent, name=own, drive=drive, mimic=mimic, shapes=looks)
+            link = Link(joint, carried, mount, parent=parent, name=own, drive=drive, mimic=mimic, shapes=looks)
             self.links.append(link)
             if last:
                 return
@@ -147,11 +145,6 @@ class Mjcf:
     def _loop(self, closure: Closure) -> Loop:
         ends = [self._add_frame(f"{closure.name} on {self._name('body', at.body)}", at) for at in closure.places]
         return closure.kind(closure.name, *ends)
-
-    def _origin(self, i: int, name: str) -> Any:
-        R, p = self._rotation(self.model.body_quat[i]), np.array(self.model.body_pos[i]) + 0.0
-        position = self.choices.of(name, "origin", p)
-        return Pose(R, position) if position is not p else matrix(R, p)
 
     def _rotation(self, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
         R = np.zeros(9)
@@ -283,18 +276,10 @@ class Mjcf:
 
     def _note_the_rest(self) -> None:
         model, kinds = self.model, self.mujoco.mjtJoint
-        balls = [j for j in range(model.njnt) if model.jnt_type[j] == kinds.mjJNT_BALL and model.jnt_limited[j]]
-        free = [j for j in range(model.njnt) if model.jnt_type[j] == kinds.mjJNT_FREE and model.jnt_stiffness[j]]
-        armed = [
-            j
-            for j in range(model.njnt)
-            if model.jnt_type[j] == kinds.mjJNT_FREE and model.dof_armature[model.jnt_dofadr[j]]
-        ]
-        curved = [
-            j
-            for j in range(model.njnt)
-            if model.jnt_stiffnesspoly[j].any() or model.dof_dampingpoly[model.jnt_dofadr[j]].any()
-        ]
+        ball, free = (model.jnt_type == int(kind) for kind in (kinds.mjJNT_BALL, kinds.mjJNT_FREE))
+        at = model.jnt_dofadr
+        armed = free & (model.dof_armature[at] != 0.0)
+        curved = model.jnt_stiffnesspoly.any(axis=1) | model.dof_dampingpoly[at].any(axis=1)
         counted = (
             ("contacts of geoms", int(((model.geom_contype | model.geom_conaffinity) != 0).sum())),
             ("cameras", model.ncam),
@@ -303,17 +288,17 @@ class Mjcf:
             ("mocap bodies, which stay where they are", model.nmocap),
         )
         self.notes += [f"{kind}: {count}" for kind, count in counted if count]
-        self._note("the limit of the ball joint", balls)
-        self._note("the spring of the free joint", free)
-        self._note("the armature along world axes, here along the body's, of the free joint", armed)
-        self._note("what is not linear in spring and damper of joint", curved)
+        for what, joints in (
+            ("the limit of the ball joint", ball & (model.jnt_limited != 0)),
+            ("the spring of the free joint", free & (model.jnt_stiffness != 0.0)),
+            ("the armature along world axes, here along the body's, of the free joint", armed),
+            ("what is not linear in spring and damper of joint", curved),
+        ):
+            self.notes += [f"{what} {self._name('joint', int(j))!r}" for j in np.flatnonzero(joints)]
         if model.opt.density or model.opt.viscosity or model.opt.wind.any():
             self.notes.append("the forces of the medium")
         if model.dof_frictionloss.any():
             self.notes.append("dry friction of joints is smooth here, see Drive")
-
-    def _note(self, what: str, joints: Iterable[int]) -> None:
-        self.notes += [f"{what} {self._name('joint', j)!r}" for j in joints]
 
 
 def _shift(p: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import TwistaxError
-from ...expr.lie import Pose
 from ..arguments import matrix
 from ..bodies import SpatialInertia
 from ..drives import Drive
@@ -99,7 +98,7 @@ class Urdf:
             link = Link(
                 joint,
                 self._body(child),
-                self._mount(element, element.text("name")),
+                self.choices.origin(element.text("name"), *self._placed(element.first("origin"))),
                 parent=None if parent == root else parent,
                 name=child.text("name"),
                 drive=self._drive(element),
@@ -111,8 +110,7 @@ class Urdf:
         if turned is None:
             return [link]
         # The joint's own z axis is not that of the link.
-        C = np.eye(4)
-        C[:3, :3] = turned
+        C = matrix(turned, np.zeros(3))
         plane = f"{link.name} in its plane"
         return [
             Link(joint, None, link.mount @ C, parent=link.parent, name=plane, drive=link.drive),
@@ -139,12 +137,6 @@ class Urdf:
         raise element.wrong(
             f"expected the type revolute, continuous, prismatic, fixed, floating or planar, got {kind!r}"
         )
-
-    def _mount(self, element: Element, name: str) -> Any:
-        origin = element.first("origin")
-        R, p = self._placed(origin)
-        position = self.choices.of(name, "origin", p)
-        return Pose(R, position) if position is not p else matrix(R, p)
 
     def _placed(self, origin: Element | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if origin is None:
@@ -175,10 +167,8 @@ class Urdf:
             return None
         R, center = self._placed(inertial.first("origin"))
         xx, xy, xz, yy, yz, zz = entries
-        tensor = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
-        tensor = 0.5 * (tensor + tensor.T)
-        name = link.text("name")
-        return self.choices.body(name, mass, center, tensor, inertial)
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return self.choices.body(link.text("name"), mass, center, R, tensor, inertial)
 
     def _drive(self, element: Element) -> Drive:
         name, kind = element.text("name"), element.text("type")
