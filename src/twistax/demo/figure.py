@@ -62,7 +62,7 @@ def save_table(path: Path, descent: Descent) -> None:
 
 
 def save_figure(
-    path: Path, title: str, dense: Descent, nodes: Descent, limits: Sequence[Limit], vehicle: Vehicle, dpi: int = 100
+    path: Path, title: str, dense: Descent, nodes: Descent, limits: Sequence[Limit], vehicle: Vehicle
 ) -> None:
     """Draw a landing into a PNG file.
 
@@ -89,7 +89,7 @@ def save_figure(
     style: dict[str, Any] = {"loc": "lower center", "fontsize": 9.5, "frameon": False}
     figure.legend(handles=axes.get_legend_handles_labels()[0], bbox_to_anchor=(0.74, 0.005), ncols=3, **style)
     figure.legend(handles=_scene_handles(vehicle), bbox_to_anchor=(0.25, 0.005), ncols=2, **style)
-    figure.savefig(path, dpi=dpi)
+    figure.savefig(path, dpi=100)
 
 
 def _draw_panel(

@@ -16,12 +16,12 @@ from ...groups import SO3, SpecialEuclidean
 from ...integrators import Method
 from ...integrators.charts import Block, Chart, Coordinates, GroupCoordinates
 from ...mechanics import SpatialInertia
+from ...mechanics.flight import numbers
 from ...scenes import SCENES, free_bodies, heavy_top, offset_tumble
 from ...scenes.free_rotation import SymmetricBody
 from ...scenes.scene import about, placed, rotation_angle
 from ..checks import Check, Expected, Section, at_most, between, either, ends, simulated
 from ..rows import plain
-from ..speed.cases import numbers
 
 Array = NDArray[Any]
 

@@ -7,13 +7,13 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 import twistax as tx
 
 from ...mechanics import Chain, SpatialInertia, chain_models, forward_dynamics, inverse_dynamics
+from ...mechanics.flight import numbers
 
 Array = NDArray[np.float64]
 #: Of each link: where its joint sits, T (4, 4), and its inertia (6, 6). All joints turn about z.
@@ -50,12 +50,6 @@ class Case:
     def run_by(self, dynamics: tx.Dynamics) -> Callable[..., list[Any]]:
         """The function as the compiled system has it."""
         return lambda *points: list(map(dynamics(0.0, *self.inputs(*points)).__getitem__, self.rates))
-
-
-def numbers(value: Any) -> Array:
-    """A constant expression as an array, also while something is traced."""
-    with jax.ensure_compile_time_eval():
-        return np.asarray(tx.lower(value)(0.0, {}), np.float64)
 
 
 # ---- by hand, in 6x6 matrices, lists and loops ----------------------------------------------------------------------

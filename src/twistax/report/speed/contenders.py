@@ -25,9 +25,10 @@ import twistax as tx
 from ...lowering.backends import Backend
 from ...lowering.scalar.graph import TooLarge
 from ...mechanics import Chain
+from ...mechanics.flight import numbers
 from ...scenes.scene import cross_matrix
 from ..timing import Timed, compiled, repeated
-from .cases import CENTER, MASS, Case, inertia, numbers
+from .cases import CENTER, MASS, Case, inertia
 
 #: Calls from Python that are timed together.
 CALLS = 20
