@@ -1070,6 +1070,27 @@ MUTATIONS: list[Mutation] = [
             "lowering/native/test_native_pieces.py",
         ),
     ),
+    Mutation(
+        "followers that move as their leaders",
+        "mechanics/tree.py",
+        "else self.ratio * value",
+        "else value",
+        ("mechanics/test_mechanisms.py",),
+    ),
+    Mutation(
+        "digits apart by underscores in files",
+        "mechanics/models/xml_file.py",
+        "_NUMBER.fullmatch(word)",
+        "_NUMBER.match(word)",
+        ("mechanics/test_daveml.py",),
+    ),
+    Mutation(
+        "the frame of a check-case's damping turns the other way",
+        "scenes/check_cases.py",
+        "body.rate() - frame_rate * R[2]",
+        "body.rate() + frame_rate * R[2]",
+        ("mechanics/test_nasa_check_cases.py",),
+    ),
     *_at(
         "mechanics/models/urdf.py",
         (

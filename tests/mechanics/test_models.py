@@ -184,7 +184,7 @@ def test_axis_as_a_parameter_has_the_subspaces_of_one_that_is_not() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"mass": "heavy"}, r"line 3, <mass>: expected numbers in value, got 'heavy'"),
+        ({"mass": "heavy"}, r"line 3, <mass>: expected a finite number in value, got 'heavy'"),
         ({"mass": "-1"}, r"line 3, <inertial>: link 'b' has a mass(.|\n)*physical=False"),
         ({"ixx": "5"}, r"line 3, <inertial>: link 'b' (.|\n)*above the sum"),
         ({"kind": "ball"}, r"line 5, <joint name='j'>: expected the type(.|\n)*got 'ball'"),

@@ -17,7 +17,7 @@ from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..plots import chosen, draw, group_of, panels
 from .columns import Column, columns_of
-from .rows import wide
+from .rollout import wide
 from .solution import Ended, Solution, Stats, need_one, need_within
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ class PhasedSolution(Ended):
         parts = self._reached("show")
         if self.save_at is None:
             raise InputError("show: ends of phases are no motion.\n  fix: tx.integrate_phases(..., save_at=times)")
-        others = [lambda of=of: joined([of(part) for part in parts]) for of in (_controls, _outputs)]
+        others = [lambda of=of: joined([getattr(part, of) for part in parts]) for of in ("us", "outputs")]
         params = {name: value for p in parts if p.stepper is not None for name, value in p.stepper.params.items()}
         ts = np.concatenate([np.asarray(part.ts) for part in parts])
         return shown(Motion(ts, joined([part.xs for part in parts]), others, params), path, **choices)
@@ -206,14 +206,6 @@ class PhasedSolution(Ended):
                 before = jnp.where(jnp.isnan(end), before, times < end)
             found = jnp.where(wide((times >= begin[..., None]) & before, found), value[cut], found)
         return found
-
-
-def _controls(part: Solution) -> Arrays:
-    return part.us
-
-
-def _outputs(part: Solution) -> Arrays:
-    return part.outputs
 
 
 def _alike(one: Any, other: jax.Array) -> bool:

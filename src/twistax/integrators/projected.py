@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -13,9 +14,8 @@ from ..expr import Inputs
 from ..groups import Euclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
 from ..lowering.projection import increments
-from .charts import Blocks, StateCoordinates, StoredState
+from .charts import Blocks
 from .method import Attempt, Carry, Method, VectorField
 from .tolerances import Tolerances
 
@@ -23,6 +23,11 @@ from .tolerances import Tolerances
 _CORRECTIONS = 2
 #: How far the start may be, in m and rad: more is a mistake.
 _FAR = 1e-6
+
+
+def _of_inner(method: str) -> Callable[..., Any]:
+    """A method of the inner method."""
+    return lambda self, *given: getattr(self.inner, method)(*given)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,45 +42,26 @@ class Projected(Method):
 
     inner: Method
 
-    # What the inner method says of itself.
+    # What the inner method says of itself, and does as it is.
     name = property(lambda self: f"{self.inner.name}, projected")
     order = property(lambda self: self.inner.order)
     error_order = property(lambda self: self.inner.error_order)
     evaluations = property(lambda self: self.inner.evaluations)
     resume_evaluations = property(lambda self: self.inner.resume_evaluations)
     solves = property(lambda self: self.inner.solves)
-
-    def evaluations_of(self, dynamics: Dynamics) -> int:
-        return self.inner.evaluations_of(dynamics)
+    evaluations_of, coordinates, stored = map(_of_inner, ("evaluations_of", "coordinates", "stored"))
+    rate, before, begin, resume = map(_of_inner, ("rate", "before", "begin", "resume"))
 
     def check(self, dynamics: Dynamics) -> None:
         self.inner.check(dynamics)
         self.inner.coordinates(dynamics)  # a method without them says so here
 
-    def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        return self.inner.coordinates(dynamics)
-
-    def stored(self, dynamics: Dynamics, params: Arrays) -> StoredState:
-        return self.inner.stored(dynamics, params)
-
-    def rate(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
-        return self.inner.rate(field, t, y)
-
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
-
-    def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        return self.inner.before(dynamics, y)
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
         found = self.inner.follow(field, t, y, carry, h)
         return found._replace(y=self._brought_back(field, t + h, found.y))
-
-    def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        return self.inner.begin(dynamics, y, rate)
-
-    def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
-        return self.inner.resume(field, t, y, carry)
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances

@@ -17,7 +17,7 @@ from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before, to_event
 from .kernels import advance_again
 from .method import Stepper, jitted
-from .rows import first_rows, wide
+from .rows import first_rows
 from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
 
 
@@ -139,6 +139,11 @@ def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
         start = given + (value - jax.lax.stop_gradient(value))
         found[name] = jnp.where(wide(still, value), start, value)
     return found
+
+
+def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
+    """Flags of rows, with as many axes as what they are of."""
+    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 
 
 # ---- derivatives --------------------------------------------------------------------------------------------------

@@ -48,11 +48,6 @@ def first_rows(
     return found[1], found[2]
 
 
-def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
-    """Flags of rows, with as many axes as what they are of."""
-    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
-
-
 def room_for(count: int, width: int) -> int:
     """How many rows of so many numbers to make room for, so that another count mostly compiles nothing anew.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ from xml.parsers import expat
 
 import numpy as np
 
+from ...checks import short
 from ...errors import ModelError
 
 #: A start tag, and a reference in it to an entity that XML does not have by itself.
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*""")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _ENTITY = re.compile(rb"&(?!amp;|lt;|gt;|quot;|apos;|#)([^;]*);")
 
 
@@ -59,21 +62,39 @@ class Element:
             raise self.wrong(f"expected the attribute {name!r}")
         return self.attributes[name]
 
+    def read(self, text: str, what: str = "a finite number") -> float:
+        """The number in a text of the element, in words `what`. Raises ModelError."""
+        word = text.strip()
+        if not (_NUMBER.fullmatch(word) and math.isfinite(float(word))):
+            raise self.wrong(f"expected {what}, got {short(word)}")
+        return float(word)
+
     def numbers(self, name: str, count: int, default: Any = None) -> np.ndarray:
         """An attribute as finite numbers (count,). Raises ModelError."""
         if name not in self.attributes and default is not None:
             return np.asarray(default, dtype=np.float64)
-        try:
-            values = np.array([float(word) for word in self.text(name).split()])
-        except ValueError:
-            raise self.wrong(f"expected numbers in {name}, got {self.text(name)!r}") from None
-        if len(values) != count or not np.isfinite(values).all():
-            raise self.wrong(f"expected {count} finite numbers in {name}, got {self.text(name)!r}")
-        return values
+        wanted, words = f"{count} finite numbers in {name}", self.text(name).split()
+        if len(words) != count:
+            raise self.wrong(f"expected {wanted}, got {self.text(name)!r}")
+        return np.array([self.read(word, wanted) for word in words])
 
     def number(self, name: str, default: float | None = None) -> float:
         """An attribute as one finite number. Raises ModelError."""
-        return float(self.numbers(name, 1, None if default is None else [default])[0])
+        if name not in self.attributes and default is not None:
+            return default
+        return self.read(self.text(name), f"a finite number in {name}")
+
+    def limits(self, least: str, most: str) -> tuple[float | None, float | None]:
+        """Two attributes that limit a value, None for one that is absent. Raises ModelError if the first is higher."""
+        lower, upper = (self.number(name) if name in self.attributes else None for name in (least, most))
+        if lower is not None and upper is not None and lower > upper:
+            raise self.wrong(f"{least} {lower:g} is above {most} {upper:g}")
+        return lower, upper
+
+    @property
+    def values(self) -> np.ndarray:
+        """The numbers in the content, apart by commas or white space. Raises ModelError."""
+        return np.array([self.read(word, "finite numbers") for word in self.content.replace(",", " ").split()])
 
 
 def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> Element:

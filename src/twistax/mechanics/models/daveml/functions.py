@@ -11,7 +11,6 @@ import numpy as np
 from ....checks import listed
 from ....expr import Expr
 from ..xml_file import Element
-from .numbers import numbers_of
 from .tables import Axis, Table
 
 _GRIDDED, _UNGRIDDED = ("griddedTableDef", "griddedTable"), ("ungriddedTableDef", "ungriddedTable")
@@ -86,7 +85,7 @@ class Functions:
         output = needed(element, "dependentVarPts" if points else "dependentVarRef")
         axes = tuple(Axis.read(one) for one in inputs)
         if points:
-            table = on_grid([increasing(one) for one in points], numbers_of(output), output)
+            table = on_grid([increasing(one) for one in points], output.values, output)
         else:
             table = self._table(needed(element, "functionDefn"))
         if len(axes) != len(table.breakpoints):
@@ -108,7 +107,7 @@ class Functions:
         refs = needed(element, "breakpointRefs").all("bpRef")
         breakpoints = [referred(ref, "bpID", self._breakpoints) for ref in refs]
         data = needed(element, "dataTable")
-        return on_grid(breakpoints, numbers_of(data), data)
+        return on_grid(breakpoints, data.values, data)
 
 
 def referred(element: Element, attribute: str, known: Mapping[str, Any]) -> Any:
@@ -121,7 +120,7 @@ def referred(element: Element, attribute: str, known: Mapping[str, Any]) -> Any:
 
 def increasing(element: Element) -> np.ndarray:
     """Breakpoints. Raises ModelError."""
-    values = numbers_of(element)
+    values = element.values
     if len(values) < 2 or not (np.diff(values) > 0).all():
         raise element.wrong(f"expected two or more increasing breakpoints, got {values.tolist()}")
     return values
@@ -137,7 +136,7 @@ def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element)
 
 def from_points(element: Element) -> Table:
     """An ungridded table, in any order: of one input, or of points that fill a grid. Raises ModelError."""
-    rows = [numbers_of(point) for point in element.all("dataPoint")]
+    rows = [point.values for point in element.all("dataPoint")]
     widths = {len(row) for row in rows}
     if len(widths) != 1 or widths.pop() < 2:
         raise element.wrong("expected <dataPoint> elements with the same number of inputs and a value each")

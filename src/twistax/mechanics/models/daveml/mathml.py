@@ -37,7 +37,6 @@ from ....expr import (
     to_expr,
 )
 from ..xml_file import Element
-from .numbers import number_of
 
 #: Deeper nesting is refused; what people write has a tenth of it.
 _DEPTH = 100
@@ -211,12 +210,12 @@ def _number(element: Element) -> float:
     words, kind = element.content.split(), element.attributes.get("type", "real")
     parts = len(element.all("sep")) + 1
     if len(words) == parts == 2 and kind == "e-notation":
-        return number_of(element, "e".join(words))
+        return element.read("e".join(words))
     if len(words) == parts == 2 and kind == "rational":
-        over, under = (number_of(element, word) for word in words)
+        over, under = map(element.read, words)
         if under == 0.0:
             raise element.wrong("expected a denominator that is not zero")
         return over / under
     if kind not in ("real", "integer") or parts != 1 or element.attributes.get("base", "10") != "10":
         raise element.wrong("expected a real number, an integer, or e-notation or rational with <sep/>, in base 10")
-    return number_of(element, element.content)
+    return element.read(element.content)

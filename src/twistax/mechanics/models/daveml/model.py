@@ -18,7 +18,6 @@ from ....precision import in_double
 from ..xml_file import Element, read_xml
 from .functions import Functions, by_id, needed
 from .mathml import Calculation, names_in
-from .numbers import limits_of, optional_number
 from .static_checks import StaticCheck, read_shots
 from .tables import limited
 
@@ -292,7 +291,8 @@ def _signal(element: Element) -> Signal:
     text = {name: element.attributes.get(name, "").strip() for name in ("name", "units", "sign")}
     description = element.first("description")
     words = "" if description is None else " ".join(description.content.split())
-    initial, (lower, upper) = optional_number(element, "initialValue"), limits_of(element, "minValue", "maxValue")
+    initial = element.number("initialValue") if "initialValue" in element.attributes else None
+    lower, upper = element.limits("minValue", "maxValue")
     return Signal(text["name"], text["units"], text["sign"], words, initial, lower, upper, element.place)
 
 

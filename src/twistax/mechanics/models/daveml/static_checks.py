@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from ....checks import listed
 from ..xml_file import Element
 from .functions import needed
-from .numbers import number_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,5 +89,5 @@ def _signal(signal: Element, variables: Mapping[str, tuple[str, str]]) -> tuple[
         raise signal.wrong(f"gives {word!r} in {units.content.strip()!r}, its variable is in {own!r}")
     value, tolerance = needed(signal, "signalValue"), signal.first("tol")
     return found[0], Value(
-        signal, number_of(value, value.content), 0.0 if tolerance is None else number_of(tolerance, tolerance.content)
+        signal, value.read(value.content), 0.0 if tolerance is None else tolerance.read(tolerance.content)
     )

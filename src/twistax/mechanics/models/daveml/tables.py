@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,8 +12,19 @@ from ....checks import listed
 from ....expr import Constant, Expr, Interp, Max, Min, Where
 from ....expr.table_kinds import Clamped, Extrapolated
 from ..xml_file import Element
-from .numbers import limits_of
 
+#: One condition for each step of a table of steps, of the input and the breakpoints.
+Steps: TypeAlias = Callable[[Expr, np.ndarray], list[Expr]]
+
+#: Entries of `interpolate`: linear between breakpoints, or the value at the nearest one, halfway the higher one, at the
+#: last that is not above, at the first that is not below. The reference manual of DAVE-ML 2.0.2 is followed: earlier
+#: drafts of it have floor and ceiling the other way round.
+_LOOKUPS: dict[str, Steps | None] = {
+    "linear": None,
+    "discrete": lambda x, points: [x >= middle for middle in (points[1:] + points[:-1]) / 2.0],
+    "floor": lambda x, points: [x >= point for point in points[1:]],
+    "ceiling": lambda x, points: [x > point for point in points[:-1]],
+}
 #: Entries of `extrapolate`: whether the table goes on below its first and above its last breakpoint.
 _ENDS = {"neither": (False, False), "min": (True, False), "max": (False, True), "both": (True, True)}
 
@@ -27,7 +38,7 @@ class Axis:
         variable: the input's varID.
         lower, upper: the input is kept between these, if they are not None.
         below, above: the table is continued beyond its ends; else the values at the ends hold.
-        lookup: how values between breakpoints follow.
+        steps: where the value jumps; None for a table that is linear between breakpoints.
     """
 
     element: Element
@@ -36,7 +47,7 @@ class Axis:
     upper: float | None
     below: bool
     above: bool
-    lookup: Lookup
+    steps: Steps | None
 
     @classmethod
     def read(cls, element: Element) -> Axis:
@@ -45,71 +56,28 @@ class Axis:
         if ends not in _ENDS:
             raise element.wrong(f"extrapolate expects one of {listed(_ENDS, ends)}, got {ends!r}")
         kind = element.attributes.get("interpolate", "linear")
-        if kind not in LOOKUPS:
+        if kind not in _LOOKUPS:
             raise element.wrong(
-                f"interpolate={kind!r} is not read; tables are looked up by {listed(LOOKUPS)}.\n"
+                f"interpolate={kind!r} is not read; tables are looked up by {listed(_LOOKUPS)}.\n"
                 "  fix: put the spline's values on finer breakpoints"
             )
-        lower, upper = limits_of(element, "min", "max")
+        lower, upper = element.limits("min", "max")
         below, above = _ENDS[ends]
-        return cls(element, element.text("varID").strip(), lower, upper, below, above, LOOKUPS[kind])
+        return cls(element, element.text("varID").strip(), lower, upper, below, above, _LOOKUPS[kind])
 
-    def kept(self, x: Expr) -> Expr:
-        """The input within its limits."""
-        return limited(x, self.lower, self.upper)
+    def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
+        """Where to look in a piecewise linear table, and its breakpoints; of steps the number of the value, whole."""
+        x = limited(x, self.lower, self.upper)
+        if self.steps is None:
+            return x, breakpoints
+        count = sum((Where(passed, 1.0, 0.0) for passed in self.steps(x, breakpoints)), Constant(0.0))
+        return count, np.arange(float(len(breakpoints)))
 
 
 def limited(x: Expr, lower: float | None, upper: float | None) -> Expr:
     """x between limits that may be missing."""
     x = x if lower is None else Max(x, lower)
     return x if upper is None else Min(x, upper)
-
-
-class Lookup:
-    """Linear between breakpoints."""
-
-    def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
-        """Where to look in a piecewise linear table, and its breakpoints."""
-        return x, breakpoints
-
-
-class Steps(Lookup):
-    """The value at one breakpoint: the table is looked up at its number, which is whole.
-
-    The reference manual of DAVE-ML 2.0.2 is followed. Earlier drafts of it have floor and ceiling the other way round.
-    """
-
-    def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
-        count = sum((Where(passed, 1.0, 0.0) for passed in self.passed(x, breakpoints)), Constant(0.0))
-        return count, np.arange(float(len(breakpoints)))
-
-    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
-        """One condition for each step."""
-        raise NotImplementedError
-
-
-class Nearest(Steps):
-    """At the nearest breakpoint, halfway the higher one."""
-
-    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
-        return [x >= middle for middle in (breakpoints[1:] + breakpoints[:-1]) / 2.0]
-
-
-class Floor(Steps):
-    """At the last breakpoint that is not above."""
-
-    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
-        return [x >= point for point in breakpoints[1:]]
-
-
-class Ceiling(Steps):
-    """At the first breakpoint that is not below."""
-
-    def passed(self, x: Expr, breakpoints: np.ndarray) -> list[Expr]:
-        return [x > point for point in breakpoints[:-1]]
-
-
-LOOKUPS: dict[str, Lookup] = {"linear": Lookup(), "discrete": Nearest(), "floor": Floor(), "ceiling": Ceiling()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +96,7 @@ class Table:
         """The value of the function."""
         places, points, outside = [], [], list[Any]()
         for x, axis, breakpoints in zip(inputs, axes, self.breakpoints):
-            place, numbers = axis.lookup.place(axis.kept(x), breakpoints)
+            place, numbers = axis.place(x, breakpoints)
             goes_on = (axis.below or axis.above) and numbers is breakpoints
             if goes_on:  # the last slope, on the sides that the axis says
                 place = limited(place, None if axis.below else numbers[0], None if axis.above else numbers[-1])
