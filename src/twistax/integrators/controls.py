@@ -91,9 +91,9 @@ class Table(ABC):
         return self.ts if is_traced(self.ts) else np.asarray(self.ts)
 
     @property
-    @abstractmethod
     def jumps(self) -> Any:
         """The times at which the value, or how it changes, jumps; of NumPy where they are known."""
+        return self.times[1:] if self.holds_on else self.times
 
     def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
         """The value as a function of the times within the step from t to t + h.
@@ -154,10 +154,6 @@ class ZeroOrderHold(Table):
     rows = 1
     holds_on = True
 
-    @property
-    def jumps(self) -> Any:
-        return self.times[1:]
-
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         return self.values[self._row(inner)]
 
@@ -189,10 +185,6 @@ class PiecewisePolynomial(Table):
     def first(self) -> Any:
         return super().first[0]
 
-    @property
-    def jumps(self) -> Any:
-        return self.times[1:]
-
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         row = self._row(inner)
         own, since = self.values[row], time - self.ts[row]
@@ -210,10 +202,6 @@ class FirstOrderHold(Table):
 
     rows = 2
     holds_on = False
-
-    @property
-    def jumps(self) -> Any:
-        return self.times
 
     def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
         row = self._row(inner)
