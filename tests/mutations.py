@@ -1428,6 +1428,12 @@ MUTATIONS: list[Mutation] = [
             "return whole[outer], (push, softer)",
             "trajectory/test_riccati.py",
         ),
+        (
+            "inverse factors that are not transposed",
+            "push = -controls.T @ (controls @ whole[inner])",
+            "push = -controls @ (controls @ whole[inner])",
+            "trajectory/test_riccati.py",
+        ),
     ),
     *_at(
         "trajectory/cones.py",
@@ -1517,8 +1523,14 @@ MUTATIONS: list[Mutation] = [
         "trajectory/solver.py",
         (
             "a worst trajectory as the best",
-            "return float(self._step(probed, self._derivatives(state, given), given).raised) > self.bent",
+            "return float(self._step(probed, self._looked_at(state, given)[0], given).raised) > self.bent",
             "return False",
+            "trajectory/test_optimality.py",
+        ),
+        (
+            "starts as far apart as limits",
+            "np.minimum((high - low) / 6.0, 0.4 * np.asarray(scales.border))",
+            "np.where(np.isfinite(high - low), (high - low) / 6.0, 0.4 * np.asarray(scales.border))",
             "trajectory/test_optimality.py",
         ),
     ),

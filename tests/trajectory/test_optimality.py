@@ -49,6 +49,19 @@ def test_limits_of_the_final_time_do_not_matter(limits: tuple[float, float]) -> 
     assert result.final_time == pytest.approx(2.0, rel=1e-5)
 
 
+def test_perturbed_starts_do_not_run_off_with_wide_limits() -> None:
+    """The first cost is the final time of the start."""
+
+    def begun(latest: float) -> float:
+        seen: list[float] = []
+        watch = lambda count, cost, violation: seen.append(cost)  # noqa: E731
+        fastest(1.0).solve(final_time=(0.1, latest), final_time_guess=2.0, seed=1, callback=watch, max_iterations=1)
+        return seen[0]
+
+    assert begun(1e6) == pytest.approx(begun(1e2))
+    assert 1e-3 < abs(begun(1e6) - 2.0) < 3.0
+
+
 def test_a_constant_in_the_objective_does_not_matter() -> None:
     plain, moved = fastest(1.0).solve(), fastest(1.0).solve(params={"since": 1000.0})
     assert moved.status is Status.SOLVED

@@ -22,7 +22,7 @@ def symmetric(a: np.ndarray) -> np.ndarray:
     return 0.5 * (a + np.swapaxes(a, -1, -2))
 
 
-def quadratic(seed: int, shift: float, soft: float, free: np.ndarray) -> Stages:
+def quadratic(seed: int, shift: float, soft: float | None, free: np.ndarray) -> Stages:
     """Random stages; `shift` is added to the diagonal of the second derivatives, which else have both signs."""
     rng = np.random.default_rng(seed)
     slopes = Derivatives(
@@ -35,7 +35,7 @@ def quadratic(seed: int, shift: float, soft: float, free: np.ndarray) -> Stages:
         end_hessian=symmetric(rng.normal(size=(N + BORDER, N + BORDER))) + shift * np.eye(N + BORDER),
     )
     weights = Rows(rng.uniform(0.0, 1.0, (INTERVALS, ROWS)), rng.uniform(0.0, 1.0, END_ROWS))
-    return Stages(slopes, weights, np.asarray(0.01), np.asarray(soft), free)
+    return Stages(slopes, weights, np.asarray(0.01), None if soft is None else np.asarray(soft), free)
 
 
 def columns() -> tuple[list[list[int]], list[int], np.ndarray]:
@@ -64,16 +64,18 @@ def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, 
     free = np.ones(UNKNOWNS, bool)
     free[:N], free[-BORDER:] = stages.free_start[:N], stages.free_start[N:]
     hessian, equations = hessian[np.ix_(free, free)], equations[:, free]
-    matrix = np.block([[hessian, equations.T], [equations, -float(stages.soft) * np.eye(INTERVALS * N)]])
+    matrix = np.block([[hessian, equations.T], [equations, -float(stages.soft or 0.0) * np.eye(INTERVALS * N)]])
     return matrix, -np.concatenate([pull[free], defects.ravel()]), free
 
 
 factors_of, solution_of = jax.jit(factorize), jax.jit(solve)
 
 
-@pytest.mark.parametrize("soft", [0.0, 0.7])
+@pytest.mark.parametrize("soft", [None, 0.7])
 @pytest.mark.parametrize("free", FREE.values(), ids=FREE)
-def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(free: np.ndarray, soft: float) -> None:
+def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
+    free: np.ndarray, soft: float | None
+) -> None:
     """And says so: as many negative eigenvalues as equations of the dynamics, all others positive."""
     rng, minima, indefinite = np.random.default_rng(9), [], 0
     defects = rng.normal(size=(INTERVALS, N))
@@ -113,7 +115,7 @@ def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
 @pytest.mark.parametrize("interval", range(INTERVALS))
 def test_a_maximum_in_one_interval_is_told(interval: int) -> None:
     """In the first one too, behind which nothing is left to factor where start and border are fixed."""
-    stages = quadratic(0, 8.0, 0.0, FREE["fixed start and border"])
+    stages = quadratic(0, 8.0, None, FREE["fixed start and border"])
     assert bool(factors_of(stages).exist)
     hessian = stages.slopes.hessian.copy()
     hessian[interval, N : N + M, N : N + M] -= 1e3 * np.eye(M)

@@ -212,6 +212,11 @@ class InteriorPoint:
 
     # ---- a step -------------------------------------------------------------------------------------------------
 
+    def looked_at(self, state: State, given: Given) -> tuple[Derivatives, State]:
+        """The derivatives at a state, and the state measured."""
+        slopes = self.derivatives(state, given)
+        return slopes, self.measured(state, slopes)
+
     def measured(self, state: State, slopes: Derivatives) -> State:
         """The state with its errors and the barrier parameter that they allow."""
         values = self.scaled(state.values, state.scales)
@@ -252,6 +257,7 @@ class InteriorPoint:
         stages, factors = self._inertia(slopes, weights, state)
         shift = jnp.where(inequality, slack + barrier / w, jnp.where(equality, _EQUALITY * w, 0.0))
 
+        @jax.jit  # traced once
         def direction(defects: jax.Array, rows: jax.Array) -> _Direction:
             found = refined(stages, factors, defects, self.split(rows + shift))
             moved = self.join(along_rows(slopes, found.step))
@@ -367,9 +373,7 @@ class InteriorPoint:
             )
 
         zero, no = jnp.zeros_like(theta), jnp.zeros((), bool)
-        none = jax.tree.map(
-            lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(lambda: direction(values.defects, values.rows))
-        )
+        none = jax.tree.map(jnp.zeros_like, jax.eval_shape(direction, values.defects, values.rows))
         begin = _Search(
             share=zero + 1.0,
             way=none,
@@ -399,20 +403,21 @@ class InteriorPoint:
         last = state.damping
 
         def stages(damping: jax.Array) -> Stages:
-            return Stages(slopes, weights, damping, jnp.zeros_like(damping), self.free_start)
+            return Stages(slopes, weights, damping, None, self.free_start)
 
         def more(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
             damping, _, tries = carry
             start = jnp.where(last > 0.0, jnp.maximum(_LEAST_DAMPING, _SLOW * last), _FIRST_DAMPING)
             grow = jnp.where(last > 0.0, _FAST, _FASTER)
             damping = jnp.where(tries == 0, 0.0, jnp.where(tries == 1, start, grow * damping))
-            return damping, factorize(stages(damping)), tries + 1
+            return damping, factors(damping), tries + 1
 
+        factors = jax.jit(lambda damping: factorize(stages(damping)))  # traced once
         zero = jnp.zeros_like(last)
-        none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(lambda: factorize(stages(zero))))
+        none = jax.tree.map(jnp.zeros_like, jax.eval_shape(factors, zero))
         wrong = lambda c: ~c[1].exist & (c[0] < _MOST_DAMPING)  # noqa: E731
-        damping, factors, _ = jax.lax.while_loop(wrong, more, (zero, none, jnp.zeros((), int)))
-        return stages(damping), factors
+        damping, found, _ = jax.lax.while_loop(wrong, more, (zero, none, jnp.zeros((), int)))
+        return stages(damping), found
 
     def in_chart(self, step: Step, state: Any) -> jax.Array:
         """The largest share of a step that keeps turns, and changes of durations and of parameters, small enough."""

@@ -55,12 +55,8 @@ class Lanes:
 
         def look(states: Iterate, givens: Given) -> tuple[Derivatives, Iterate]:
             """One after the other: what one needs stays in the processor's caches."""
-
-            def one(own: tuple[Iterate, Given]) -> tuple[Derivatives, Iterate]:
-                slopes = method.derivatives(*own)
-                return slopes, method.measured(own[0], slopes)
-
-            return jax.lax.map(one, (states, givens))
+            found: tuple[Derivatives, Iterate] = jax.lax.map(lambda own: method.looked_at(*own), (states, givens))
+            return found
 
         def advance(
             state: Iterate,

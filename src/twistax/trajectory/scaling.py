@@ -60,8 +60,10 @@ def measured(shooting: Transcribed, point: Point, slopes: Derivatives, scales: S
         moved.append((most, sizes[0]))
     for join in shooting.joins:
         u[join.stage, : len(join.free)] = d[join.stage + 1, join.free]
-    end_others = _moved(end_slopes, [*d[-1], *times])
-    others = np.stack([_moved(rows, [*x, *c, *times]) for rows, x, c in zip(inner_slopes, d, u)])
+    end_sizes = np.concatenate([d[-1], times])
+    end_others = end_slopes[:, : len(end_sizes)] @ end_sizes
+    whole = np.concatenate([d[:-1], u, np.broadcast_to(times, (len(u), len(times)))], axis=1)
+    others = np.einsum("kra,ka->kr", inner_slopes[..., : whole.shape[1]], whole)
     moved += [(inner_slopes.max(axis=0), others.max(axis=0)), (end_slopes, end_others)]
     b = _border(border, np.asarray(point.border), moved)
     z, end = (np.asarray(a) for a in of_stages(Step(d, u, b)))
@@ -90,11 +92,6 @@ def _border(border: Border, values: Array, moved: Sequence[tuple[Array, Array]])
     for known in (np.abs(values[count:]), limits, np.ones_like(found)):
         found = np.where(np.isfinite(found) & (found > 0.0), found, known)
     return np.concatenate([np.abs(values[:count]), found])
-
-
-def _moved(slopes: Array, sizes: Sequence[float]) -> Array:
-    """How far steps of these sizes, of the first unknowns, move rows."""
-    return slopes[:, : len(sizes)] @ np.asarray(sizes)
 
 
 def declared(leaves: Sequence[State | Control]) -> Array:

@@ -231,7 +231,7 @@ class _Differentiable:
         point, given = self._given(found, theta)
         state, zero = self._state(method, point, given, found), jnp.zeros(())
         weights = method.weights(state.slack, state.rows)
-        stages = Stages(method.derivatives(state, given), weights, zero, zero, method.free_start)
+        stages = Stages(method.derivatives(state, given), weights, zero, None, method.free_start)
         factors = factorize(stages)
         # What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too.
         strict = factorize(stages._replace(damping=zero - _LEAST_CURVED))

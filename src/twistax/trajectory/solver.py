@@ -76,8 +76,7 @@ class Solver:
         self._move = jitted(shooting.move, 0)
         self._start = jitted(method.start, 0)
         self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
-        self._derivatives = jitted(method.derivatives)
-        self._measured = jitted(method.measured, 0)
+        self._looked_at = jitted(method.looked_at)
         self._step = jitted(method.step)
         self._rescaled = jitted(method.rescaled, 0)
         self._begin = jitted(lambda state: feasibility.begin(method, state), 0)
@@ -99,10 +98,9 @@ class Solver:
 
             jobs: list[Future[Any]] = []
             state = result(self._start, point, given, unit)
-            slopes = result(self._derivatives, state, given)
-            state = result(self._measured, state, slopes)
+            slopes, state = result(self._looked_at, state, given)
             result(self._step, state, slopes, given)
-            self._start, self._derivatives, self._measured, self._step = (job.result() for job in jobs)
+            self._start, self._looked_at, self._step = (job.result() for job in jobs)
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step."""
@@ -111,7 +109,7 @@ class Solver:
         d = np.where(self.shooting.stirred, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
         here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
-        spread = np.where(np.isfinite(high - low), (high - low) / 6.0, 0.4 * np.asarray(scales.border))
+        spread = np.minimum((high - low) / 6.0, 0.4 * np.asarray(scales.border))
         border = np.clip(here + np.where(free.border, rng.normal(size=here.shape) * spread, 0.0), low, high)
         return self._move(point, Step(d, u, border - here))
 
@@ -119,7 +117,7 @@ class Solver:
         """Scales at a point, and the largest seen."""
         unit = scaling.unit_scales(self.shooting)
         state = self._start(point, given, unit)
-        slopes = self._derivatives(state, given)
+        slopes, _ = self._looked_at(state, given)
         return self.scales_of(point, slopes, unit)
 
     def scales_of(self, point: Point, slopes: Derivatives, before: Scales) -> tuple[Scales, Scales]:
@@ -141,7 +139,7 @@ class Solver:
     def _bends_down(self, state: Iterate, given: Given) -> bool:
         """Whether the objective falls to second order along what the constraints leave free."""
         probed = state._replace(damping=jnp.full_like(state.damping, self.probe))
-        return float(self._step(probed, self._derivatives(state, given), given).raised) > self.bent
+        return float(self._step(probed, self._looked_at(state, given)[0], given).raised) > self.bent
 
     def _begun(self, start: Point | WarmStart, given: Given) -> tuple[Iterate, Scales]:
         """The first state, and the largest scales seen."""
@@ -192,11 +190,6 @@ class Solver:
             if stationary:
                 state = self._shaken(state, given)
 
-    def _looked_at(self, state: Iterate, given: Given) -> tuple[Derivatives, Iterate]:
-        """The derivatives at a state, and the state with its errors."""
-        slopes = self._derivatives(state, given)
-        return slopes, self._measured(state, slopes)
-
     def at_rest(self, state: Iterate) -> Status:
         """The status where no step does better."""
         return Status.ACCEPTABLE if error(state) <= _ACCEPTABLE * self.tolerance else Status.STALLED
@@ -218,11 +211,13 @@ class Solver:
             slack = jnp.where(inequality, jnp.maximum(-values.rows, 0.0), 1.0)
             rows = jnp.where(inequality, jnp.maximum(rows, 0.0), rows)
             state = state._replace(dynamics=jnp.asarray(dynamics), rows=jnp.asarray(rows), slack=slack)
-        return self._looked_at(state, given)
+        found: tuple[Derivatives, Iterate] = self._looked_at(state, given)
+        return found
 
     def rescaled(self, state: Iterate, scales: Scales, given: Given) -> Iterate:
         """The state in other scales, its errors measured."""
-        return self._looked_at(self._rescaled(state, scales), given)[1]
+        found: Iterate = self._looked_at(self._rescaled(state, scales), given)[1]
+        return found
 
     # ---- a search for feasible points -------------------------------------------------------------------------------
 
@@ -232,7 +227,7 @@ class Solver:
         theta, _, _ = self._judged(state, search)
         count, stationary = 0, False
         while count < budget:
-            slopes = self._derivatives(feasibility.at(search, state), given)
+            slopes, _ = self._looked_at(feasibility.at(search, state), given)
             search = self._reduce(search, state, slopes, given)
             count += 1
             reached, known, _ = self._judged(state, search)

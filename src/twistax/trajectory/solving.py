@@ -151,8 +151,8 @@ class Solvable(ABC, Generic[One, Many]):
                 start from the perturbed guess.
             seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
                 moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
-                parameters by a sixth of their limits' distance (and stay within them), by 0.4 of a scale where those
-                are open.
+                parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
+                at most (and stay within them).
             callback: called with (iteration, cost, violation) before each step.
             max_iterations: iterations a try may use.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.

@@ -3,7 +3,22 @@
 import functools
 
 from ..checks import Checked, Section
-from . import calls, costs, edges, identities, keeping, lookups, maps, mechanisms, optimal, scalars, small, steps, stiff
+from . import (
+    calls,
+    costs,
+    edges,
+    identities,
+    keeping,
+    lookups,
+    maps,
+    mechanisms,
+    optimal,
+    scalars,
+    small,
+    steps,
+    stiff,
+    trust,
+)
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
@@ -44,6 +59,7 @@ FIGURES: dict[str, Section] = {
 OPTIMAL: dict[str, Section] = {
     "published": optimal.PUBLISHED,
     "refined": optimal.REFINED,
+    "trust": trust.TRUST,
     "solvers": optimal.SOLVERS,
     "ratios": optimal.RATIOS,
 }

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,13 +14,14 @@ import twistax as tx
 
 from ...scenes import powered_descent
 from ...trajectory import Linear, Problem, TrajectoryResult
+from ...trajectory.statement import Objective
 
 
 @dataclasses.dataclass(frozen=True)
 class Known:
     """A problem, its optimum, how near to it is asked for, and options of the solve, which happens once."""
 
-    make: Callable[[], Problem]
+    make: Callable[..., Problem]
     optimum: float
     bar: float = 1e-5
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -45,8 +46,24 @@ class Known:
         return abs(self.result.cost / self.optimum - 1.0) if self.result.solved else math.nan
 
 
-def _problem(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **options: Any) -> Problem:
-    return Problem(tx.compile(tx.System(rates=dict(rates), constraints=list(constraints))), objective, **options)
+class Statement(NamedTuple):
+    """What a problem is stated with."""
+
+    system: tx.System
+    objective: Objective
+    options: Mapping[str, Any]
+
+
+def _problem(
+    rates: Mapping[Any, Any],
+    objective: Any,
+    constraints: Any = (),
+    restated: Callable[[Statement], Statement] = lambda stated: stated,
+    **options: Any,
+) -> Problem:
+    system = tx.System(rates=dict(rates), constraints=list(constraints))
+    stated = restated(Statement(system, objective, options))
+    return Problem(tx.compile(stated.system), stated.objective, **stated.options)
 
 
 def brachistochrone(nodes: int = 51, **options: Any) -> Problem:
@@ -102,7 +119,7 @@ def landing() -> Problem:
     return powered_descent.problem(tx.compile(powered_descent.system()), nodes=25)
 
 
-def goddard() -> Problem:
+def goddard(**options: Any) -> Problem:
     """How high a rocket climbs through an exponential atmosphere.
 
     Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004), problem 10.
@@ -114,10 +131,10 @@ def goddard() -> Problem:
     ends: dict[str, Any] = {"initial": {h: 1.0, v: 0.0, m: 1.0}, "final": {m: last}}
     times: dict[str, Any] = {"final_time": (0.02, 0.6), "final_time_guess": 0.2}
     rates = {h: v, v: force / m - 1.0 / h**2, m: -T / speed}
-    return _problem(rates, tx.Maximize(h), nodes=51, **times, **ends)
+    return _problem(rates, tx.Maximize(h), nodes=51, **times, **ends, **options)
 
 
-def rendezvous(form: str) -> Problem:
+def rendezvous(form: str, **options: Any) -> Problem:
     """Least fuel from an offset to rest in 8 s, |u| <= 1: convex, 1.212619 by Clarabel on the same mesh."""
     x, v = tx.State("x", shape=(3,)), tx.State("v", shape=(3,))
     u, s = tx.Control("u", shape=(3,)), tx.Control("s", min=0.0, max=1.0)
@@ -128,26 +145,26 @@ def rendezvous(form: str) -> Problem:
         "squares below a slack": (u @ u <= s * s, s),
     }[form]
     start, rest = {x: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]}, {x: np.zeros(3), v: np.zeros(3)}
-    options: dict[str, Any] = {"nodes": 31, "final_time": 8.0, "initial": start, "final": rest}
+    options |= {"nodes": 31, "final_time": 8.0, "initial": start, "final": rest}
     return _problem({x: v, v: u}, tx.Minimize(running=cost), [limit], **options)
 
 
-def hypersensitive() -> Problem:
+def hypersensitive(**options: Any) -> Problem:
     """x' = u - x^3 from 1.5 to 1 in 40 s at least (x^2 + u^2) / 2. Source: Rao and Mease, Automatica 35 (1999).
 
     Over so long a time it rests at zero in between, where H = 0 says u = x^3 -+ sqrt(x^6 + x^2) for both ends; so the
     optimum is the integral of sqrt(x^6 + x^2) - x^3 up to 1.5 and of sqrt(x^6 + x^2) + x^3 up to 1.
     """
     x, u = tx.State("x"), tx.Control("u")
-    options: dict[str, Any] = {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}}
+    options |= {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}}
     return _problem({x: u - x**3}, tx.Minimize(running=0.5 * (x**2 + u**2)), controls=Linear(), **options)
 
 
-def fastest(limit: float, times: tuple[float, float], distance: float) -> Problem:
+def fastest(limit: float, times: tuple[float, float], distance: float, **options: Any) -> Problem:
     """Least time of p'' = u, |u| <= limit, from rest to rest over a distance: 2 sqrt(distance / limit)."""
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-limit, max=limit)
     ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": {p: distance, v: 0.0}}
-    return _problem({p: v, v: u}, tx.Minimize(tx.Time()), nodes=21, final_time=times, **ends)
+    return _problem({p: v, v: u}, tx.Minimize(tx.Time()), nodes=21, final_time=times, **ends, **options)
 
 
 def no_slope() -> Problem:

@@ -1,0 +1,50 @@
+"""The sweep over units, limits and starts: what it states, and what it counts."""
+
+import math
+
+import numpy as np
+
+import twistax as tx
+from twistax.report.sections import OPTIMAL, problems, trust
+from twistax.report.sections.problems import Known, Statement
+
+
+def test_every_problem_is_asked_the_same() -> None:
+    assert {check.what for check in OPTIMAL["trust"]} == set(trust.SWEEPS)
+    assert len(OPTIMAL["trust"]) == 7 * len(trust.SWEEPS)
+    assert {row.expected.text for row in OPTIMAL["trust"] if row.by == "SOLVED where no optimum is"} == {"at most 0"}
+
+
+def test_a_restated_problem_is_the_same_in_other_units() -> None:
+    """x' = v t, v' = u: units of x, v, u, t and the cost are 10, 1/10, 10, 10 and 1/10 new ones."""
+    x, v, u = tx.State("x"), tx.State("v", min=-1.0), tx.Control("u", shape=(1,), max=2.0)
+    system = tx.System(rates={x: v * tx.Time(), v: u[0]}, constraints={"fast": v <= 3.0})
+    options = {"initial": {x: 1.0, v: 0.5}, "final": {x: 4.0}, "final_time": (1.0, 6.0), "final_time_guess": 2.0}
+    objective = tx.Minimize(tx.Time() * x, running=u @ u)
+    reach = {"x": 4.0, "v": 3.0, "u": 2.0}
+    found = trust.Restated(10.0, 100.0, reach)(Statement(system, objective, options))
+    rates = tx.lower([*found.system.rates.values()])(20.0, {"v": 0.7}, {"u": [40.0]})
+    # In old units t = 2, x = 3, v = 7, u = 4.
+    np.testing.assert_allclose(rates, [7.0 * 2.0 * 10.0 / 10.0, 4.0 / 10.0 / 10.0], rtol=1e-6)
+    costs = tx.lower([found.objective.final, found.objective.running])(20.0, {"x": 30.0}, {"u": [40.0]})
+    np.testing.assert_allclose(costs, [6.0 / 10.0, 16.0 / 10.0 / 10.0], rtol=1e-6)
+    own = {leaf.name: leaf for leaf in (*found.system.states, *found.system.controls)}
+    np.testing.assert_allclose([own["x"].min, own["x"].max], [-8000.0, 8000.0])
+    np.testing.assert_allclose([own["v"].min, own["v"].max], [-0.1, 60.0])
+    np.testing.assert_allclose([own["u"].min, own["u"].max], [[-4000.0], [20.0]])
+    assert {s.name: float(value) for s, value in found.options["initial"].items()} == {"x": 10.0, "v": 0.05}
+    np.testing.assert_allclose(found.options["final_time"], (0.1, 6000.0))
+    assert found.options["final_time_guess"] == 20.0
+    (residual,) = tx.lower([found.system.constraints["fast"].residual()])(0.0, {"v": 0.2})
+    assert math.isclose(float(residual), -1.0, rel_tol=1e-6)
+
+
+def test_what_does_not_stay_is_counted() -> None:
+    sweep = trust.Sweep(Known(problems.goddard, 3.0))
+    stays = {3.0: True, 2.9999: True, 2.0: True, 1.0: False, 9.0: True}
+    sweep.__dict__["tried"] = [trust.Tried(cost != 9.0, cost, 1, lambda own=own: own) for cost, own in stays.items()]
+    assert sweep.best == 3.0
+    assert [each.cost for each in sweep.elsewhere] == [2.0, 1.0]
+    assert [each.cost for each in sweep.wrong] == [1.0]
+    assert math.isclose(sweep.spread(), 1e-4 / 3.0)
+    assert sweep.apart() == 0.0
