@@ -1520,6 +1520,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/scaling.py",
+        (
+            "bends along what moves alone",
+            "sizes[:, own].max(axis=1, keepdims=True)",
+            "sizes[:, own]",
+            "trajectory/test_optimality.py",
+        ),
+    ),
+    *_at(
         "trajectory/solver.py",
         (
             "a worst trajectory as the best",

@@ -126,6 +126,22 @@ def test_a_maximum_is_reported_as_stated() -> None:
     assert result.replay(steps=10).violations["speed"] < 1e-6
 
 
+@pytest.mark.slow
+def test_a_turn_about_one_axis_is_left_for_the_fastest() -> None:
+    """The half turn about one axis takes 2 sqrt(pi) s and meets the first-order conditions; the fastest 3.24308 s.
+
+    Source: Bilimoria and Wie, J. Guidance 16 (1993).
+    """
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,), min=-4e4, max=4e4)
+    u, rest = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
+    ends: dict[str, Any] = {"initial": {R: np.eye(3), w: rest}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: rest}}
+    dynamics = tx.compile(tx.System(rates={R: w, w: u}))
+    problem = Problem(dynamics, tx.Minimize(tx.Time()), nodes=51, final_time=(1e-4, 6e4), **ends)
+    result = problem.solve(seed=3)
+    assert result.solved
+    assert result.cost < 3.2435
+
+
 def test_free_entries_of_the_start_are_chosen_too() -> None:
     """x' = u, |u| <= 1, x <= 2, one entry starts at 0 and the other anywhere: the best end is (1, 2)."""
     x = tx.State("x", shape=(2,), min=-2.0, max=2.0, initial=[0.0, None])

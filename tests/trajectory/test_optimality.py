@@ -11,6 +11,7 @@ from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.trajectory import Problem, Status, TrajectoryResult
+from twistax.trajectory.scaling import levelled, unit_scales
 
 
 @functools.cache
@@ -259,6 +260,20 @@ def test_a_worst_trajectory_is_left() -> None:
     result = Problem(dynamics, tx.Maximize(x @ x), nodes=5, final_time=1.0, initial={x: [0.0, 0.0]}, **EULER).solve()
     assert result.solved
     assert result.cost == pytest.approx(2.0, rel=1e-5)
+
+
+def test_bends_are_looked_at_along_entries_that_hardly_move() -> None:
+    """A saddle is one along entries that rest there."""
+    x, R, u = tx.State("x", shape=(2,)), tx.State("R", group=tx.SO3), tx.Control("u", shape=(3,))
+    dynamics = tx.compile(tx.System(rates={x: u[:2], R: u}))
+    problem = Problem(dynamics, tx.Minimize(running=u @ u), nodes=3, final_time=1.0, initial={x: [0.0, 0.0]}, **EULER)
+    scales = unit_scales(problem.shooting)
+    columns = problem.dynamics.group.slices
+    scales.d[:, columns["x"]], scales.d[:, columns["R"]], scales.u[:] = [1e-3, 2.0], [0.1, 0.2, 0.3], [3.0, 1e-4, 1.0]
+    found = levelled(problem.shooting, scales)
+    np.testing.assert_array_equal(found.d[:, columns["x"]], np.full((3, 2), 2.0))
+    np.testing.assert_array_equal(found.d[:, columns["R"]], np.tile([0.1, 0.2, 0.3], (3, 1)))
+    np.testing.assert_array_equal(found.u, np.full((2, 3), 3.0))
 
 
 def test_running_out_of_iterations_is_never_solved() -> None:

@@ -145,6 +145,9 @@ class Lanes:
             _put(scales, k, jax.tree.map(lambda a: np.asarray(a)[None], own), 0)
             return
         watch = lane.watch
+        if lane.probed is not None and lane.next == _RESCALE:
+            lane.next = _STEP
+            return
         if lane.probed is not None:
             end(None if float(state.raised) > solver.bent else lane.probed)
             return
@@ -164,6 +167,10 @@ class Lanes:
             return
         lane.next, lane.renewed, lane.probed = _STEP, False, outcome
         watch.count += outcome is None
+        levels = None if outcome is None else solver.levels(state.scales)
+        if levels is not None:
+            lane.next = _RESCALE
+            _put(scales, k, jax.tree.map(lambda a: np.asarray(a)[None], levels), 0)
 
 
 def _put(target: Any, k: int, source: Any, case: int) -> None:

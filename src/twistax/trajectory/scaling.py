@@ -119,6 +119,19 @@ def not_below(scales: Scales, seen: Scales, sloped: bool) -> tuple[Scales, Scale
     return scales._replace(**own), seen
 
 
+def levelled(shooting: Transcribed, scales: Scales) -> Scales:
+    """Scales with those of all entries of a vector as large as the largest: of entries that hardly move, too."""
+    d, u = np.array(scales.d), np.array(scales.u)
+    for part in shooting.segments:
+        local, group = part.shooting.local, part.shooting.dynamics.group
+        plain = [group.slices[name] for name, own in group.factors.items() if isinstance(own, Euclidean)]
+        entries = [(d[part.nodes], own) for own in plain]
+        entries += [(u[part.stages], own) for own in local.controls.slices.values()]
+        for sizes, own in entries:
+            sizes[:, own] = sizes[:, own].max(axis=1, keepdims=True)
+    return scales._replace(d=d, u=u)
+
+
 def change(one: Scales, other: Scales) -> float:
     """The largest factor between two sets of scales."""
     ratios = [np.asarray(a) / np.asarray(b) for a, b in zip(one, other)]

@@ -32,8 +32,9 @@ _WORTH = 0.5
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
 _SLACK, _SHAKE = 1e-3, 0.1
-#: A solution that needs more than this on the diagonal, scaled, is no minimum.
-_CURVED = 1e-6
+#: A solution that needs more than this on the diagonal, scaled, is no minimum; scales of entries of a vector may be
+#: so far apart then.
+_CURVED, _LEVEL = 1e-6, 10.0
 
 
 class Outcome(NamedTuple):
@@ -130,11 +131,20 @@ class Solver:
     ) -> Outcome:
         """Solve from a start; where a solution is no minimum once more, a random step away, and take the better."""
         first, state = self._run(start, given, max_iterations, callback)
-        if first.status is not Status.SOLVED or not self._bends_down(state, given):
+        if first.status is not Status.SOLVED:
+            return first
+        levels = self.levels(state.scales)
+        state = state if levels is None else self._rescaled(state, levels)
+        if not self._bends_down(state, given):
             return first
         other, _ = self._run(self._step_away(state), given, max(1, max_iterations - first.iterations), callback)
         better = other.status is Status.SOLVED and other.cost < first.cost - self.tolerance * float(state.scales.cost)
         return (other if better else first)._replace(iterations=first.iterations + other.iterations)
+
+    def levels(self, scales: Scales) -> Scales | None:
+        """Scales in which bends count along what hardly moves at a saddle, too; None if these are such scales."""
+        found = scaling.levelled(self.shooting, scales)
+        return found if scaling.change(found, scales) > _LEVEL else None
 
     def _bends_down(self, state: Iterate, given: Given) -> bool:
         """Whether the objective falls to second order along what the constraints leave free."""
