@@ -431,11 +431,15 @@ class StateCoordinates(StoredState):
     move, slope, first_slope, settle = map(_part_by_part, ("move", "slope", "first_slope", "settle"))
     tangent, deviation, sizes = map(_part_by_part, ("tangent", "deviation", "sizes"))
 
+    def still(self, y: Blocks, group: Product) -> Blocks:
+        """The slope of a state that does not move."""
+        dtype = jax.tree.leaves(y)[0].dtype
+        rates = {name: jnp.zeros(factor.dimension, dtype) for name, factor in group.factors.items()}
+        return self.first_slope(y, self.rate(rates))
+
     def packed(self, y: Blocks, group: Product) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
         """The coordinates of the stored state itself, as one vector, and how to read such a vector."""
-        dtype = jax.tree.leaves(y)[0].dtype
-        still = {name: jnp.zeros(factor.dimension, dtype) for name, factor in group.factors.items()}
-        zero, read = ravel_pytree(self.first_slope(y, self.rate(still)))
+        zero, read = ravel_pytree(self.still(y, group))
         return jnp.zeros_like(zero), read
 
 

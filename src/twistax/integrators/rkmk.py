@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ..checks import instance
 from ..errors import ModelError
-from ..groups import Euclidean
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import held, inside_small_call
@@ -97,9 +96,7 @@ class RKMK(ChartMethod):
         return Attempt(end, read_rate(rate), errors, count, slopes=jax.vmap(slopes.read)(slopes.rows))
 
     def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
-        local, dtype, count = self.coordinates(dynamics), jax.tree.leaves(y)[0].dtype, len(self.tableau.to_the_end.c)
-        shapes = {n: g.shape if isinstance(g, Euclidean) else (g.dimension,) for n, g in dynamics.group.factors.items()}
-        first = local.first_slope(y, local.rate({name: jnp.zeros(shape, dtype) for name, shape in shapes.items()}))
+        first, count = self.coordinates(dynamics).still(y, dynamics.group), len(self.tableau.to_the_end.c)
         return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), first)
 
     def between(self, dynamics: Dynamics, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
