@@ -31,7 +31,7 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         error: raised where it is refused.
         free: None stands for an entry that is left open, and becomes NaN.
     """
-    if np.ma.is_masked(value):
+    if _masked(value):
         raise error(f"{place} expects real numbers, got masked entries.\n  fix: fill them, value.filled(...)")
     try:
         array = np.asarray(value)
@@ -49,14 +49,32 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         strangers = [entry for entry in entries if not isinstance(entry, numbers.Real)]
         if strangers:
             raise error(f"{place} expects real numbers, got {short(strangers[0])}")
-        array = np.array([float(entry) for entry in entries]).reshape(array.shape)
+        try:
+            array = np.array([float(entry) for entry in entries]).reshape(array.shape)
+        except OverflowError:
+            raise error(f"{place} expects numbers that float64 can hold, got {short(value)}") from None
     if array.dtype == bool:
         return array
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise error(f"{place} expects real numbers, got {array.dtype}")
-    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+    if not _real(array.dtype):
         raise error(f"{place} expects real numbers, got {short(value)} of dtype {array.dtype}")
-    return array.astype(np.float64)
+    with np.errstate(over="ignore"):
+        found = array.astype(np.float64)
+    if np.any(np.isinf(found) & ~np.isinf(array)):  # of more than double precision
+        raise error(f"{place} expects numbers that float64 can hold, got {short(value)}")
+    return found
+
+
+def _real(dtype: Any) -> bool:
+    """Whether it is one of real numbers. NumPy counts differences of times among the integers."""
+    integers = jnp.issubdtype(dtype, jnp.integer) and not jnp.issubdtype(dtype, np.timedelta64)
+    return bool(integers or jnp.issubdtype(dtype, jnp.floating))
+
+
+def _masked(value: Any) -> bool:
+    """Whether an entry is masked, in lists too: NumPy would make NaN of it."""
+    return any(map(_masked, value)) if isinstance(value, (list, tuple)) else bool(np.ma.is_masked(value))
 
 
 def real_array(place: str, value: Any, error: type[Exception] = InputError) -> jax.Array | np.ndarray:
@@ -67,9 +85,9 @@ def real_array(place: str, value: Any, error: type[Exception] = InputError) -> j
         return reals(place, value, error)
     try:
         found = jnp.asarray(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise error(f"{place} expects real numbers, got {short(value)}") from None
-    if jnp.issubdtype(found.dtype, jnp.complexfloating):
+    if found.dtype != bool and not _real(found.dtype):
         raise error(f"{place} expects real numbers, got {found.dtype}")
     return found
 
@@ -87,8 +105,12 @@ def number(
     if is_traced(value) and np.shape(value) == ():
         return value
     single = isinstance(value, numbers.Real) or (isinstance(value, (np.ndarray, jax.Array)) and value.shape == ())
-    kind = np.asarray(value).dtype if single else np.dtype(bool)
-    if not (single and (kind.kind in "iuO" or jnp.issubdtype(kind, jnp.floating)) and holds(float(value))):
+    try:
+        kind = np.asarray(value).dtype if single else np.dtype(bool)
+        right = (kind == object or _real(kind)) and holds(float(value))
+    except (TypeError, OverflowError):  # a key of random numbers; a number beyond float64
+        right = False
+    if not right:
         raise error(f"{place} must be {what}, got {short(value)}")
     return value
 

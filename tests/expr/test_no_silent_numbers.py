@@ -320,3 +320,57 @@ def test_a_traced_attitude_that_is_none_is_nan() -> None:
     for read in (tx.lie.euler, tx.lie.quaternion):
         assert np.isnan(jax.jit(read)(jnp.zeros((3, 3)))).all()
         np.testing.assert_array_equal(jax.jit(read)(jnp.eye(3)), read(jnp.eye(3)))
+
+
+_BEYOND = "float64 can hold|real numbers"
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (10**400, _BEYOND),
+        ([1.0, -(10**400)], _BEYOND),
+        (np.timedelta64(3, "s"), "real numbers"),
+        ([np.ma.array(1.0, mask=True), 2.0], "masked"),
+        (jax.random.key(0), "real numbers"),
+    ],
+    ids=["integer", "list", "time", "masked in a list", "key"],
+)
+def test_what_numpy_would_make_a_number_of(value: Any, words: str) -> None:
+    p = tx.Parameter("p", shape=(2,) if isinstance(value, list) else ())
+    dynamics = tx.compile(tx.System(rates={s: 0.0 * s}, outputs={"p": p}))
+    with pytest.raises(tx.InputError, match=words):
+        dynamics.outputs(0.0, {"s": 0.0}, None, {"p": value})
+    for declared in (lambda: tx.Parameter("p", value=value), lambda: tx.Constant(value)):
+        with pytest.raises(tx.ModelError, match=words):
+            declared()
+    if not isinstance(value, list):
+        with pytest.raises(tx.InputError, match="t1 must be a finite time"):
+            tx.integrate(dynamics, {"s": 0.0}, t1=value, steps=2, params={"p": 1.0})
+
+
+def test_more_than_double_precision_is_double() -> None:
+    dynamics = tx.compile(tx.System(rates={s: 2.0 * s}))
+    assert dynamics(0.0, {"s": np.longdouble(1.5)})["s"].dtype == np.float64
+    if np.finfo(np.longdouble).max > np.finfo(float).max:
+        with pytest.raises(tx.InputError, match="float64 can hold"):
+            dynamics(0.0, {"s": np.longdouble("1e400")})
+
+
+def test_nothing_becomes_infinite_in_single_precision() -> None:
+    """A parameter of JAX's in double precision beside a state in single; the end of an integration."""
+    dynamics = tx.compile(tx.System(rates={s: tx.Parameter("p") * s}))
+    x = {"s": np.float32(1.0)}
+    with pytest.raises(tx.InputError, match="1e\\+300, which float32 cannot hold"):
+        dynamics(0.0, x, None, {"p": jnp.asarray(1e300)})
+    with pytest.raises(tx.InputError, match="t1 has 1e\\+39, which float32 cannot hold"):
+        tx.integrate(dynamics, x, t1=1e39, steps=2, params={"p": 0.0})
+
+
+def test_steps_that_32_bits_do_not_count() -> None:
+    """2^32 + 4 would be 4."""
+    with jax.enable_x64(False):
+        dynamics = tx.compile(tx.System(rates={s: 1.0 + 0.0 * s}))
+        for many in ({"steps": 2**32 + 4}, {"dt": 1.0 / (2**32 + 4)}, {"dt": 1e-320}):
+            with pytest.raises(tx.InputError, match="steps are more than the 2147483647"):
+                tx.integrate(dynamics, {"s": 0.0}, t1=1.0, **many)

@@ -134,6 +134,8 @@ class Grower:
         terms = tuple(grown())
         parameters = [name for name in self.leaves if name.startswith("p")]
         baked = tuple(name for name in parameters if self.source.random() < 0.5)
+        for name in baked:
+            self.leaves[name] = self.leaves[name] + 0.0  # programs have one zero among their constants
         exact = whole or narrow
         return Case(
             terms, self.leaves, baked, batched and not whole, single, differentiated and not exact, whole, narrow,

@@ -27,7 +27,8 @@ def _floats(place: str, value: Any) -> jax.Array:
     """The value as a floating point array; what is known stays known inside jit, so that it can be checked."""
     given = real_array(place, value)
     dtype = given.dtype if jnp.issubdtype(given.dtype, jnp.floating) else float
-    with contextlib.nullcontext() if is_traced(given) else jax.ensure_compile_time_eval():
+    # What the precision cannot hold becomes infinite, and is refused as that.
+    with contextlib.nullcontext() if is_traced(given) else jax.ensure_compile_time_eval(), np.errstate(over="ignore"):
         return jnp.asarray(given, jax.dtypes.canonicalize_dtype(dtype))
 
 

@@ -23,7 +23,7 @@ from ..groups.arrays import element_defect
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import is_finite, precision
+from ..lowering.inputs import cast, is_finite, precision
 from ..lowering.written import on_any_mesh
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
@@ -204,8 +204,10 @@ def planned(
     _check_start(dynamics, inputs, places)
     if dynamics.system.corrections:
         need_start_on_manifold(dynamics, inputs)
-    if span is not None and isinstance(controls, ByName):
-        controls.check_span(*span)
+    if span is not None:
+        cast("t1", np.asarray(span[1]), inputs.dtype)
+        if isinstance(controls, ByName):
+            controls.check_span(*span)
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
     watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))

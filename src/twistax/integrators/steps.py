@@ -414,9 +414,9 @@ def fixed_steps(
                 "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
             )
         length = span[1] - span[0]
-        steps = max(1, round(length / float(dt))) if length else 0
+        steps = max(1, round(_countable(length / float(dt)))) if length else 0
     else:
-        steps = whole("steps", steps)
+        steps = _countable(whole("steps", steps))
     array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
     start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
     h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
@@ -426,6 +426,17 @@ def fixed_steps(
         at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
         at = at._replace(count=count)
     return FixedSteps(start, h, np.asarray(steps), at, steps if bounded or dense else None, dense, watch)
+
+
+def _countable(steps: Any) -> Any:
+    """A number of steps, if JAX's integers hold it: beyond them it would wrap. Raises InputError."""
+    most = np.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max
+    if steps > most:
+        raise InputError(
+            f"{short(steps)} steps are more than the {most} that can be counted.\n"
+            '  fix: longer steps; without them jax.config.update("jax_enable_x64", True) counts to 9e18'
+        )
+    return steps
 
 
 def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> _Saves:

@@ -20,14 +20,14 @@ Values = Mapping[str, Any]
 def precision(*groups: Values | None) -> Any:
     """The precision all values take: the widest array in single or double precision of the first group that has one.
 
-    Python numbers, integers and half precision have none; if nobody has one it is JAX's default float.
+    Python numbers, integers and half precision have none, more than double precision counts as double; if nobody has one it is JAX's default float.
     """
     for values in groups:
         given = values.values() if isinstance(values, Mapping) else ()
         dtypes = [v.dtype for v in given if hasattr(v, "dtype")]
-        floats = [d for d in dtypes if jnp.issubdtype(d, jnp.floating) and d.itemsize >= 4]
-        if floats:
-            return jax.dtypes.canonicalize_dtype(max(floats, key=lambda d: d.itemsize))
+        sizes = [min(d.itemsize, 8) for d in dtypes if jnp.issubdtype(d, jnp.floating) and d.itemsize >= 4]
+        if sizes:
+            return jax.dtypes.canonicalize_dtype(f"float{8 * max(sizes)}")
     return jax.dtypes.canonicalize_dtype(float)
 
 
@@ -61,7 +61,7 @@ def read_values(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
                 "  fix: one point at a time; map over batches with jax.vmap"
             )
-        found[name] = _cast(place, array, dtype, on_host)
+        found[name] = cast(place, array, dtype, on_host)
     return found
 
 
@@ -70,19 +70,22 @@ def is_finite(value: Any) -> bool:
     return is_traced(value) or bool(np.isfinite(np.asarray(value)).all())
 
 
-def _cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool) -> jax.Array | np.ndarray:
-    """The array in the precision of the call."""
+def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = False) -> jax.Array | np.ndarray:
+    """The array in the precision of the call. Raises InputError where that cannot hold it."""
+    wider = jnp.issubdtype(array.dtype, jnp.floating) and array.dtype.itemsize > np.dtype(dtype).itemsize
+    if wider and not is_traced(array):
+        array = np.asarray(array)
     if isinstance(array, np.ndarray):
         with np.errstate(over="ignore"):
-            cast = array.astype(dtype)
-        if np.any(np.isinf(cast) & np.isfinite(array)):
+            found = array.astype(dtype)
+        if np.any(np.isinf(found) & np.isfinite(array)):
             raise InputError(
                 f"{place} has {np.abs(array).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
                 '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
             )
         if on_host:
-            return cast
-        array = cast
+            return found
+        array = found
     return jnp.asarray(array, dtype)
 
 
@@ -123,7 +126,7 @@ def prepare(
                     f"  fix: pass {name}={{{leaf.name!r}: ...}} of shape {leaf.shape}"
                 )
     values = given[Parameter]
-    inputs = Inputs(_cast(names[0], time, dtype, on_host), given[State], given[Control], values, dtype)
+    inputs = Inputs(cast(names[0], time, dtype, on_host), given[State], given[Control], values, dtype)
     # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
     for leaf in kinds[Parameter]:
         if leaf.name in required and leaf.name not in values:
