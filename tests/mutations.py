@@ -87,6 +87,43 @@ MUTATIONS: list[Mutation] = [
             "integrators/test_simulator.py",
         ),
     ),
+    # ---- numbers that come in ----------------------------------------------------------------------------------------
+    *_at(
+        "checks.py",
+        (
+            "masks in lists are lost",
+            "any(map(_masked, value)) if isinstance(value, (list, tuple)) else",
+            "",
+            "expr/test_no_silent_numbers.py",
+        ),
+    ),
+    *_at(
+        "lowering/inputs.py",
+        (
+            "what JAX has in double precision becomes infinite in single",
+            "if wider and not is_traced(array):",
+            "if False:",
+            "expr/test_no_silent_numbers.py",
+        ),
+    ),
+    *_at(
+        "integrators/steps.py",
+        (
+            "steps wrap in 32 bits",
+            "    if steps > most:",
+            "    if False:",
+            "expr/test_no_silent_numbers.py",
+        ),
+    ),
+    *_at(
+        "expr/fields.py",
+        (
+            "a list is a tuple",
+            'return ("list", *items) if isinstance(value, list) else items',
+            "return items",
+            "expr/test_no_silent_numbers.py",
+        ),
+    ),
     # ---- joined phases -----------------------------------------------------------------------------------------------
     *_at(
         "integrators/phases.py",

@@ -322,6 +322,29 @@ def test_a_traced_attitude_that_is_none_is_nan() -> None:
         np.testing.assert_array_equal(jax.jit(read)(jnp.eye(3)), read(jnp.eye(3)))
 
 
+class Picked(tx.Expr):
+    """Entries of a matrix by an index that is static."""
+
+    x: Operand
+    index: Any
+
+    def infer_shape(self, *shapes: Any) -> Any:
+        return np.zeros(shapes[0])[self.index].shape
+
+    def evaluate(self, *values: Any) -> Any:
+        return values[0][np.asarray(self.index) if isinstance(self.index, list) else self.index]
+
+
+def test_a_list_is_no_tuple_and_a_mask_counts() -> None:
+    """As an index a list takes rows, a tuple an entry."""
+    rows, entry = Picked(A, index=[0, 1]), Picked(A, index=(0, 1))
+    found = tx.lower((rows, entry))(0.0, {"A": X["A"]})
+    np.testing.assert_array_equal(found[0], X["A"])
+    assert found[1] == X["A"][0, 1]
+    masks = [freeze(np.ma.array([1.0, 2.0], mask=[False, last])) for last in (False, True)]
+    assert masks[0] != masks[1]
+
+
 _BEYOND = "float64 can hold|real numbers"
 
 

@@ -127,11 +127,14 @@ def freeze(value: Any) -> Any:
         return ("partial", freeze((value.func, value.args, value.keywords)))
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         array = np.asarray(value)
+        if isinstance(value, np.ma.MaskedArray):
+            return ("masked", freeze(array), freeze(np.ma.getmaskarray(value)))
         if array.dtype == object:
             return ("objects", array.shape, freeze(array.tolist()))
         return (str(array.dtype), array.shape, _digest(array.tobytes()))
-    if isinstance(value, (tuple, list)):
-        return tuple(freeze(item) for item in value)
+    if isinstance(value, (tuple, list)):  # as indices they mean different entries
+        items = tuple(freeze(item) for item in value)
+        return ("list", *items) if isinstance(value, list) else items
     if isinstance(value, (set, frozenset)):
         return ("set", *sorted(repr(freeze(item)) for item in value))
     if isinstance(value, dict):
