@@ -107,7 +107,7 @@ def number(
     single = isinstance(value, numbers.Real) or (isinstance(value, (np.ndarray, jax.Array)) and value.shape == ())
     try:
         kind = np.asarray(value).dtype if single else np.dtype(bool)
-        right = (kind == object or _real(kind)) and holds(float(value))
+        right = (kind.kind == "O" or _real(kind)) and holds(float(value))
     except (TypeError, OverflowError):  # a key of random numbers; a number beyond float64
         right = False
     if not right:

@@ -20,7 +20,8 @@ Values = Mapping[str, Any]
 def precision(*groups: Values | None) -> Any:
     """The precision all values take: the widest array in single or double precision of the first group that has one.
 
-    Python numbers, integers and half precision have none, more than double precision counts as double; if nobody has one it is JAX's default float.
+    Python numbers, integers and half precision have none, more than double precision counts as double; if nobody has
+    one it is JAX's default float.
     """
     for values in groups:
         given = values.values() if isinstance(values, Mapping) else ()
