@@ -11,9 +11,10 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
+from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel, check_kernel
 from twistax.lowering.native.machine_code import BuildError, Processor
-from twistax.lowering.native.tile import Iterations, native_form
+from twistax.lowering.native.tile import native_form
 from twistax.lowering.scalar.loops import Repeated
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS

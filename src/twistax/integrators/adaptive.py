@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -17,13 +17,14 @@ from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
-from ..lowering.small_call import small_call
+from ..lowering.scalar.loops import Filling
+from ..lowering.small_call import held, small_call
 from .charts import Blocks
 from .controls import Signals
 from .interpolant import Between
 from .kernels import kernel_tries
 from .meter import Meter
-from .method import Attempt, Carry, Stepper
+from .method import Carry, Stepper
 from .rows import first_rows, put, rows
 from .step_control import Errors, StepControl, first_step
 from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite
@@ -31,8 +32,6 @@ from .tolerances import Tolerances
 
 #: Steps between words of how far it is, where they are asked for: a word takes as long as some twenty of them.
 _TOLD = 256
-#: So many stops are looked at in less time than a search among them takes.
-_LOOKED_AT = 8192
 #: A step that leaves less than this share of itself to the next stop goes there at once.
 _STRETCH = 0.01
 
@@ -96,15 +95,14 @@ class _Packing(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """The last step taken, for polynomials."""
+    """A step that was tried, for polynomials. Of one that was taken back the end is its start."""
 
+    end: jax.Array
     begin: jax.Array
     y: jax.Array
     h: jax.Array
-    slopes: jax.Array
-    end: jax.Array
+    slopes: Any
     y_end: jax.Array
-    visited: jax.Array  # whether there is one
 
 
 class _Now(NamedTuple):
@@ -123,10 +121,11 @@ class _Now(NamedTuple):
     accepted: jax.Array
     evaluations: jax.Array
     code: jax.Array
-    last: tuple[jax.Array, jax.Array] | _Step  # the last step taken, or its start
+    last: tuple[jax.Array, jax.Array]  # the start of the last step taken
     path: _Path | None
     every: jax.Array | None
     watched: Watched | None
+    rows: Filling | None  # those on polynomials
 
 
 @jax.tree_util.register_dataclass
@@ -171,41 +170,38 @@ class AdaptiveSteps(Steps):
         saved = None
         if stops.place is not None:
             asked = jnp.arange(stops.place.size) < stops.count
-            if isinstance(found, _Step):
-                saved = self._on_polynomials(stepper, y, found, asked)
+            if now.rows is not None:
+                # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
+                ts, ys = self.saved_times, jax.vmap(read)(now.rows.table)
+                saved = Saved((ts > self.t0).astype(int), ts, ys, (ts <= now.t) & asked, asked)
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
                 saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
         return Run(read(now.y), outcome, saved, now.path, trail, now.watched)
 
-    def _on_polynomials(self, stepper: Stepper, y: Blocks, found: _Step, asked: jax.Array) -> Saved:
-        """The states at saved times, each on the polynomial of the last step that was found up to it."""
-        ts, method, read = self.saved_times, stepper.method, ravel_pytree(y)[1]
-        numbers = jnp.where(found.visited, jnp.arange(found.visited.size), 0)
-        own = jax.tree.map(lambda a: a[jax.lax.cummax(numbers)[self.stops.place]], found)
-        read_slopes = ravel_pytree(method.no_slopes(stepper.dynamics, y))[1]
-
-        def state(step: _Step, t: jax.Array) -> Blocks:
-            share, start = (t - step.begin) / step.h, read(step.y)
-            moved = method.between(stepper.dynamics, start, step.h, read_slopes(step.slopes), share)
-            at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
-            inside = (share > 0.0) & (t < step.end)
-            return read(jnp.where(inside, ravel_pytree(moved)[0], at_ends))
-
-        # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
-        return Saved((ts > self.t0).astype(int), ts, jax.vmap(state)(own, ts), (own.end >= ts) & asked, asked)
+    def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
+        """The packed state at a time up to the end of a step."""
+        share = (t - step.begin) / step.h
+        moved = stepper.method.between(stepper.dynamics, read(step.y), step.h, step.slopes, share)
+        at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
+        return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         stops = self.stops
         beside = stepper.beside_loops
         begun, first = small_call(AdaptiveSteps._begin, self, beside, y)
-        now, packing = self._start(stepper, self.t0, y, begun, first, record)
+        now, packing = self._start(self.t0, y, begun, first)
         (read, read_carry), zero = packing, jnp.zeros((), int)
         if record or self.dense:
             now = now._replace(path=rows(_Path(zero, self.t0, self.t0), self.bound))
         if self.dense:
             now = now._replace(every=put(rows(now.y, self.bound + 1), 0, now.y))
+        fills = not record and self.finds_rows and stops.place is not None and stops.place.size > 0
+        if fills:
+            ts = self.saved_times
+            marks = jnp.where(jnp.arange(ts.size) < stops.count, ts, jnp.inf)
+            now = now._replace(rows=Filling(marks, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
         if self.watch is not None:
             advance = functools.partial(self.advance, stepper)
             now = now._replace(watched=self.watch.begin(advance, stepper, self.t0, first, y))
@@ -220,39 +216,27 @@ class AdaptiveSteps(Steps):
                 carry = jnp.where(now.t == self._leg(leg)[0], ravel_pytree(resumed)[0], now.carry)
                 now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
             now = self._to(t, leg, stepper, packing, now)
-            if stops.place is None:
+            if fills or stops.place is None:
                 return now, None
-            if isinstance(now.last, _Step):
-                return now, now.last._replace(end=now.t, y_end=now.y, visited=jnp.asarray(True))
             # A saved time that is the end of a step needs no other one.
             there = now.t <= t
             start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (now.t, now.y), now.last)
             return now, (start, now.accepted - (~there).astype(int), now.t >= t)
 
-        def beyond(k: jax.Array, now: _Now) -> jax.Array:
-            # To search takes a loop, whose every turn costs more than to look at all of some thousands.
-            method = "compare_all" if stops.ts.size <= _LOOKED_AT else "scan"
-            after = jnp.searchsorted(stops.ts, now.t, side="right", method=method)
-            return jnp.maximum(k + 1, after.astype(k.dtype))
-
+        if fills:
+            # Steps pass saved times.
+            limits = stops.limits, jnp.arange(stops.limits.size)
+            return first_rows(to_stop, now, limits, stops.limits.size, None)
         # Stops beyond these are ends, one of which they include.
         loop = to_stop, now, (stops.ts, stops.leg), stops.limits.size + stops.count
-        if isinstance(now.last, _Step):
-            return first_rows(*loop, now.last, beyond)
         return first_rows(*loop, None if stops.place is None else (now.last, zero, jnp.asarray(False)))
 
-    def _start(
-        self, stepper: Stepper, t: jax.Array, y: Blocks, begun: Carry, h: jax.Array, record: bool
-    ) -> tuple[_Now, _Packing]:
+    @staticmethod
+    def _start(t: jax.Array, y: Blocks, begun: Carry, h: jax.Array) -> tuple[_Now, _Packing]:
         """What the loop carries before its first step, of length h."""
         packed, read = ravel_pytree(y)
         carry, read_carry = ravel_pytree(begun)
         zero, number = jnp.zeros((), int), jnp.zeros((), t.dtype)
-        last: Any = t, packed
-        # Steps that are taken again for derivatives are so for saved times too.
-        if self.stops.place is not None and self.between is Between.POLYNOMIAL and not record:
-            slopes = ravel_pytree(stepper.method.no_slopes(stepper.dynamics, y))[0]
-            last = _Step(t, packed, jnp.ones_like(t), slopes, t, packed, jnp.asarray(False))
         now = _Now(
             t=t,
             h=h,
@@ -264,18 +248,13 @@ class AdaptiveSteps(Steps):
             accepted=zero,
             evaluations=zero + 2,
             code=zero,
-            last=last,
+            last=(t, packed),
             path=None,
             every=None,
             watched=None,
+            rows=None,
         )
         return now, _Packing(read, read_carry)
-
-    @staticmethod
-    def _taken(now: _Now, step: jax.Array, found: Attempt) -> Any:
-        if isinstance(now.last, _Step):
-            return now.last._replace(begin=now.t, y=now.y, h=step, slopes=ravel_pytree(found.slopes)[0])
-        return now.t, now.y
 
     def _begin(self, stepper: Stepper, y: Blocks) -> tuple[Carry, jax.Array]:
         """What the method carries at the start, and the first step to try."""
@@ -307,40 +286,46 @@ class AdaptiveSteps(Steps):
         """The same, until so many were tried."""
         kernel = None
         if now.path is None and now.every is None:
-            kernel = self._kernel(t, leg, stepper, packing, now._replace(watched=None))
+            kernel = self._kernel(t, leg, stepper, packing, now._replace(watched=None, rows=None))
+
+        def by_kernel(kernel: _Kernel, now: _Now, stop: jax.Array) -> _Now:
+            after, rows = kernel(now._replace(watched=None, rows=None), now.tried, stop, now.rows)
+            return after._replace(rows=rows)
+
         if kernel is not None and now.watched is None:
-            return kernel(now, now.tried, jnp.where(_going(now, t), bound, now.tried))
+            return by_kernel(kernel, now, jnp.where(_going(now, t), bound, now.tried))
 
         def one_try(now: _Now) -> _Now:
-            before = now._replace(watched=None)
-            if kernel is None:
-                after = self._try(stepper, packing, before, leg)
+            if kernel is not None:
+                after = by_kernel(kernel, now, now.tried + 1)
             else:
-                after = kernel(before, now.tried, now.tried + 1)
+                after, step = self._try(stepper, packing, now._replace(watched=None), leg)
+                if now.rows is not None and step is not None:
+                    row = functools.partial(self._row, stepper, packing.state, held(step))
+                    after = after._replace(rows=now.rows.up_to(after.t, row))
             if now.watched is None:
                 return after
             return small_call(lambda *own: own[0]._watched(own[1], packing, *own[2:]), self, stepper, now, after)
 
         return jax.lax.while_loop(lambda n: _going(n, t) & (n.tried < bound), one_try, now)
 
-    def _kernel(
-        self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now
-    ) -> Callable[[_Now, jax.Array, jax.Array], _Now] | None:
-        """Tries in a kernel: what is carried, from the first of them to the last."""
+    def _kernel(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Kernel | None:
+        """Tries in a kernel: what is carried, and rows, from the first of them to the last."""
         # Kernels count evaluations in the precision of the state.
         most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
         if most >= 2 ** jnp.finfo(self.t0.dtype).nmant:
             return None
 
-        def one_try(given: Any, stepper: Stepper, now: _Now) -> tuple[_Now, jax.Array]:
+        def one_try(given: Any, stepper: Stepper, now: _Now) -> tuple[_Now, jax.Array, _Step | None]:
             steps, t, leg = given
-            found = steps._try(stepper, packing, now, leg)
-            return found, _going(found, t)
+            found, step = steps._try(stepper, packing, now, leg)
+            return found, _going(found, t), step
 
         # Neither saved times nor events are part of it: others need no other kernel.
         own = self.stops._replace(ts=None, leg=None, place=None, count=None)
-        alone = dataclasses.replace(self, stops=own, watch=None, meter=None, dense=False)
-        return kernel_tries(one_try, (alone, t, leg), stepper, now)
+        alone = dataclasses.replace(self, stops=own, watch=None, meter=None, dense=False, between=Between.STEP)
+        row = functools.partial(self._row, stepper, packing.state)
+        return kernel_tries(one_try, row, (alone, t, leg), stepper, now)
 
     def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """A try of unlimited tolerance to the end of a leg of this length."""
@@ -351,11 +336,11 @@ class AdaptiveSteps(Steps):
             anything = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), steps.tolerances)
             rate = stepper.rate(t, y, h)
             start = stepper.method.begin(stepper.dynamics, y, rate)
-            now, packing = steps._start(stepper, t, y, start, jnp.full_like(h, jnp.inf), record=False)
+            now, packing = steps._start(t, y, start, jnp.full_like(h, jnp.inf))
             packings.append(packing)
             return limits, anything, now
 
-        def kernel(limits: Any, anything: Any, now: _Now) -> Callable[..., _Now] | None:
+        def kernel(limits: Any, anything: Any, now: _Now) -> _Kernel | None:
             steps = dataclasses.replace(self, stops=self.stops._replace(limits=limits), tolerances=anything)
             return steps._kernel(t, none, stepper, packings[-1], now)
 
@@ -366,7 +351,7 @@ class AdaptiveSteps(Steps):
         limits, anything, now = small_call(begun, *given)
         take = kernel(limits, anything, now)
         assert take is not None
-        moved = take(now, none, none + 1)
+        moved, _ = take(now, none, none + 1, None)
         return packings[-1].state(jnp.where(moved.accepted > 0, moved.y, jnp.nan))
 
     def _watched(self, stepper: Stepper, packing: _Packing, before: _Now, after: _Now) -> _Now:
@@ -388,8 +373,8 @@ class AdaptiveSteps(Steps):
             watched=watched,
         )
 
-    def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> _Now:
-        """One step, taken or taken back."""
+    def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> tuple[_Now, _Step | None]:
+        """One step, taken or taken back, and what its polynomial is of, where the method has one."""
         control, order = self.control, stepper.method.error_order
         limit = self.stops.limits[leg]
         room = limit - now.t
@@ -432,7 +417,7 @@ class AdaptiveSteps(Steps):
             length = jnp.where(length > 0.0, length, 1.0)
             path = put(path, now.accepted, _Path(leg, (now.t - start) / length, (t - start) / length))
 
-        return _Now(
+        after = _Now(
             t=pick(t, now.t),
             h=jnp.where(good, longer, jnp.where(failed, step, shorter)),
             y=pick(y, now.y),
@@ -443,12 +428,14 @@ class AdaptiveSteps(Steps):
             accepted=now.accepted + good.astype(int),
             evaluations=now.evaluations + found.evaluations,
             code=code,
-            last=pick(self._taken(now, step, found), now.last),
+            last=pick((now.t, now.y), now.last),
             # A step that is taken back leaves rows that a later one writes again.
             path=path,
             every=None if now.every is None else put(now.every, now.accepted + 1, y),
             watched=None,
+            rows=None,
         )
+        return after, None if found.slopes is None else _Step(after.t, now.t, now.y, step, found.slopes, after.y)
 
     def _error(self, stepper: Stepper, before: Blocks, after: Blocks, errors: tuple[Blocks, ...]) -> jax.Array:
         """The square of the error in units of what is allowed; two estimates are weighed as in the program DOP853."""
@@ -489,6 +476,10 @@ class AdaptiveSteps(Steps):
         start, length = self._leg(path.leg[k])
         before = jnp.where(saved.steps == 0, self.t0, start + path.end[k] * length)
         return Part(before, ts - before)
+
+
+#: From what is carried, the first try, the stop, and rows, to what is carried and rows.
+_Kernel: TypeAlias = Callable[[_Now, jax.Array, jax.Array, Filling | None], tuple[_Now, Filling | None]]
 
 
 def _going(now: _Now, t: jax.Array) -> jax.Array:

@@ -225,6 +225,8 @@ def planned(
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
         _ = method.error_order  # a method without an error estimate says so here
+        if between is Between.POLYNOMIAL:
+            method.need_polynomial()
         stops = Stops.given(inputs.t, t1, saves, count, jumps, signals)
         first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
         tolerances = tolerances_of(dynamics, rtol, atol, dtype)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..lowering.scalar.loops import Repeated, repeat
+from ..lowering.scalar.loops import Filling, Repeated, repeat
 from ..lowering.scalar.primitive import Derived, call_program
 from .charts import Blocks
 from .method import Attempt, Carry, Stepper
@@ -44,7 +44,7 @@ class KernelSteps(NamedTuple):
     ) -> tuple[Blocks, Carry, jax.Array]:
         """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
         state, structure = jax.tree.flatten((y, carry))
-        found, count = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
+        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
         y, carry = jax.tree.unflatten(structure, found)
         return y, carry, count
 
@@ -75,12 +75,21 @@ def kernel_steps(
 
 
 def kernel_tries(
-    one_try: Callable[[Any, Stepper, Now], tuple[Now, jax.Array]], given: Any, stepper: Stepper, now: Now
-) -> Callable[[Now, jax.Array, jax.Array], Now] | None:
-    """A loop over now = one_try(given, stepper, now) in one kernel; its arguments are now, the first try and the stop.
+    one_try: Callable[[Any, Stepper, Now], tuple[Now, jax.Array, Any]],
+    row: Callable[[Any, jax.Array], jax.Array],
+    given: Any,
+    stepper: Stepper,
+    now: Now,
+) -> Callable[[Now, jax.Array, jax.Array, Filling | None], tuple[Now, Filling | None]] | None:
+    """A loop over now = one_try(given, stepper, now) in one kernel.
 
-    `one_try` also says whether another one follows; what it does depends on the structure of its inputs alone.
+    Its arguments are now, the first try, the stop, and the rows that it fills on the way, if any are asked for.
     Traceable, batched by vmap, not differentiable. Whole numbers are carried as floating-point ones.
+
+    Args:
+        one_try: also says whether another one follows, and what rows are made of, the time reached first; None: the
+            method has none. What it does depends on the structure of its inputs alone.
+        row: of what a try left and a time up to there.
     """
     fixed, structure = jax.tree.flatten((given, stepper))
     state, form = jax.tree.flatten(now)
@@ -90,23 +99,34 @@ def kernel_tries(
     def cast(leaves: Any) -> Now:
         return jax.tree.unflatten(form, [a.astype(kind) for a, kind in zip(leaves, kinds, strict=True)])
 
-    def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
-        given, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
-        now, more = one_try(given, stepper.in_arrays, cast(leaves[len(fixed) :]))
-        return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more]
-
     def make() -> Repeated | None:
+        records: list[Any] = []
+
+        def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
+            given, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
+            now, more, record = one_try(given, stepper.in_arrays, cast(leaves[len(fixed) :]))
+            records.append(jax.tree.structure(record))
+            return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more, *jax.tree.leaves(record)]
+
+        def one_row(*leaves: jax.Array) -> list[jax.Array]:
+            return [row(jax.tree.unflatten(records[-1], leaves[:-1]), leaves[-1])]
+
         shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *types[: len(fixed)]]
         shapes += [jax.ShapeDtypeStruct(each.shape, dtype) for each in types[len(fixed) :]]
-        return stepper.dynamics.backend.repeated(iteration, shapes, len(state))
+        return stepper.dynamics.backend.repeated(iteration, shapes, len(state), one_row)
 
     repeated: Repeated | None = _made(stepper, now, (kernel_tries, structure, form, types), make)
     if repeated is None:
         return None
+    nothing = None
+    if repeated.row is not None:
+        width = repeated.row.outputs[0].size
+        nothing = Filling(jnp.full(1, jnp.inf, dtype), jnp.zeros((1, width), dtype), jnp.zeros((), int))
 
-    def run(now: Now, first: jax.Array, stop: jax.Array) -> Now:
+    def run(now: Now, first: jax.Array, stop: jax.Array, rows: Filling | None) -> tuple[Now, Filling | None]:
         state = [jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(now)]
-        return cast(repeat(repeated, first, stop, fixed, state)[0])
+        found, _, filled = repeat(repeated, first, stop, fixed, state, nothing if rows is None else rows)
+        return cast(found), None if rows is None else filled
 
     return run
 

@@ -158,12 +158,8 @@ class Method(ABC):
 
     # ---- polynomials between the ends of a step ------------------------------------------------------------------
 
-    def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
-        """Zeros like the slopes of an `Attempt` from y.
-
-        Raises:
-            ModelError: the method has no polynomial.
-        """
+    def need_polynomial(self) -> None:
+        """Refuse to be asked for `between`. Raises ModelError; methods that have a polynomial do not."""
         raise ModelError(
             f"{self.name} has no polynomial between the ends of its steps.\n"
             "  fix: leave between out, or take tx.RKMK(tableau)"

@@ -70,9 +70,10 @@ class Projected(Method):
         end = self._brought_back(field, t + h, found.y)
         # What the next step begins with belongs to where it begins.
         carry = self.inner.resume(field, t + h, end, found.carry)
-        return found._replace(y=end, carry=carry, evaluations=found.evaluations + self.inner.resume_evaluations)
+        evaluations = found.evaluations + self.inner.resume_evaluations
+        return found._replace(y=end, carry=carry, evaluations=evaluations, slopes=None)
 
-    def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
+    def need_polynomial(self) -> None:
         raise ModelError(
             "polynomials leave the manifold that the system's corrections bring it back to.\n  fix: leave between out"
         )

@@ -95,9 +95,8 @@ class RKMK(ChartMethod):
         end, count = local.settle(read_state(moved)), len(stages.c) - 1
         return Attempt(end, read_rate(rate), errors, count, slopes=jax.vmap(slopes.read)(slopes.rows))
 
-    def no_slopes(self, dynamics: Dynamics, y: Blocks) -> Any:
-        first, count = self.coordinates(dynamics).still(y, dynamics.group), len(self.tableau.to_the_end.c)
-        return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), first)
+    def need_polynomial(self) -> None:
+        return
 
     def between(self, dynamics: Dynamics, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
         local, table = self.coordinates(dynamics), jnp.asarray(interpolant(self.tableau).weights, h.dtype)

@@ -29,19 +29,17 @@ def first_rows(
     given: Any,
     count: Any,
     like: Any,
-    following: Callable[[jax.Array, Any], jax.Array] = lambda k, carried: k + 1,
 ) -> tuple[Any, Any]:
     """`jax.lax.scan`, which ends after `count` of the rows that are given.
 
     Args:
         like: the result of a row. Results of rows that are not visited are zero.
-        following: the number of the next row, from that of this one and what is carried.
     """
 
     def one(now: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
         k, carried, results = now
         carried, found = step(carried, jax.tree.map(lambda a: a[k], given))
-        return following(k, carried), carried, put(results, k, found)
+        return k + 1, carried, put(results, k, found)
 
     results = rows(like, jax.tree.leaves(given)[0].shape[0])
     found = jax.lax.while_loop(lambda now: now[0] < count, one, (jnp.zeros((), int), start, results))

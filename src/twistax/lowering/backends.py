@@ -77,12 +77,13 @@ class Backend(ABC):
         """The backend of functions that an integrator puts into its loop."""
         return self
 
-    def repeated(self, step: Step, shapes: Shapes, state: int) -> Repeated | None:
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
         """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
 
         Args:
             shapes: of its arguments.
             state: how many arguments are the state.
+            row: what makes a row of what the step leaves for it, where it leaves something.
         """
         return None
 

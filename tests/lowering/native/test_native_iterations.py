@@ -13,9 +13,10 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
+from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel
 from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import Iterations, native_form
+from twistax.lowering.native.tile import native_form
 from twistax.lowering.scalar.program import scalarize
 
 COUNTER = jax.ShapeDtypeStruct((), int)

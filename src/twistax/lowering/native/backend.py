@@ -23,10 +23,11 @@ from ..scalar.loops import Repeated, Ring
 from ..scalar.primitive import Derived, Rows, call_program
 from ..scalar.program import ScalarProgram
 from .code import NotNative
+from .iterations import Iterations
 from .kernel import Kernel, check_kernel
 from .loop import Loop
 from .machine_code import BuildError, Processor
-from .tile import NATIVE_LIMITS, Iterations, Straight, Tile, native_form
+from .tile import NATIVE_LIMITS, Straight, Tile, native_form
 
 #: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
 #: read it from the cache.
@@ -93,12 +94,19 @@ class Native(Backend):
     def in_loops(self) -> Backend:
         return _InLoops(self.scalars, self.threads, self.least)
 
-    def repeated(self, step: Step, shapes: Shapes, state: int) -> Repeated | None:
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
         program = self._whole_step(step, shapes)
         if program is None:
             return None
-        form = native_form(program)
-        return Repeated(form, state, lambda single: self._built(Iterations, form, single, state))
+        record = program.restricted(program.outputs[state + 1 :])
+        form, row_form = native_form(program), None
+        if record.outputs and row is not None:
+            given = [jax.ShapeDtypeStruct(own.shape, t) for own, t in zip(record.outputs, record.types, strict=True)]
+            row_program = self._whole_step(row, [*given, given[0]])
+            if row_program is None:
+                return None
+            row_form = native_form(row_program)
+        return Repeated(form, state, lambda single: self._built(Iterations, form, single, state, row_form), row_form)
 
     def step(self, step: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(step, shapes)

@@ -88,6 +88,8 @@ class Kernel:
         self.tile = tile
         self._read = [tile.arguments[k] for k in tile.read]
         self._written = [tile.results[k] for k in tile.written]
+        #: Of what is read what results stand in the place of.
+        self._in_place = {tile.read.index(k): tile.written.index(own) for own, k in tile.in_place.items()}
         module = Module(processor)
         tile.write(module)
         _write_handler(module, tile, threads or _ALL)
@@ -110,7 +112,10 @@ class Kernel:
         """
         given = [jnp.reshape(arguments[k], (len(arguments[k]), -1)) for k in self.tile.read]
         types = [jax.ShapeDtypeStruct((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
-        found = dict(zip(self.tile.written, jax.ffi.ffi_call(self.target, types)(*given), strict=True))
+        for k, own in self._in_place.items():
+            given[k] = jnp.broadcast_to(given[k], types[own].shape)
+        call = jax.ffi.ffi_call(self.target, types, input_output_aliases=self._in_place)
+        found = dict(zip(self.tile.written, call(*given), strict=True))
         shapes = [(rows, *a.of_length(length)) for a in self.tile.results]
         return [
             jnp.reshape(found[k], shape) if k in found else jnp.zeros(shape, a.dtype)
@@ -122,6 +127,8 @@ class Kernel:
         rows = max(map(len, arguments), default=1)
         given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
         results = [np.zeros((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
+        for k, own in self._in_place.items():
+            results[own][:] = given[k]
         arrays = [*given, *results]
         strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
         table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides)

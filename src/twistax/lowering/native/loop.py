@@ -13,10 +13,9 @@ from ..scalar.entry import flat
 from ..scalar.loops import Ring
 from ..scalar.program import ScalarProgram
 from .code import NAMES, Code
-from .rows import Array, Rows
+from .rows import COUNT, Array, Rows
 from .tile import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
 
-_COUNT = Array((), np.dtype(np.int32))
 #: The most operations that are put into vectors within one body: it takes LLVM twice as long.
 _PACKED = 3000
 #: How much of what goes round is computed alike where that gains: products of matrices, not steps of a rigid body.
@@ -39,7 +38,7 @@ class Loop(Tile):
         self.ring = ring
         own = arguments_of(program)
         self._rows = own[ring.fixed + ring.state :]
-        arguments = [_COUNT, *own[: ring.fixed + ring.state], *(_long(a) for a in self._rows)]
+        arguments = [COUNT, *own[: ring.fixed + ring.state], *(_long(a) for a in self._rows)]
         found = [Array(a.shape, t) for a, t in zip(program.outputs, program.types, strict=True)][ring.length is None :]
         self._results = found[ring.state :]
         results = [*found[: ring.state], *(_long(a) for a in self._results)]
@@ -76,7 +75,7 @@ class Loop(Tile):
         place = code.emit(f"sub i64 {last}, {k}") if ring.reverse else k
 
         def window(name: str, array: Array) -> Rows:
-            return rows[name].window(code.emit(f"mul i64 {place}, {array.size}"), array)
+            return rows[name].window([code.emit(f"mul i64 {place}, {array.size}")] * code.lanes, array)
 
         own |= {n: window(f"a{n + 1}", a) for n, a in enumerate(self._rows, first_row) if n + 1 in self.read}
         found = scalars.compute(step.flat)

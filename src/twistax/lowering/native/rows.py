@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,10 @@ class Array:
         return "i8" if self.kind == "i1" else self.kind
 
 
+#: The length of long arrays: the first argument of a function that has some.
+COUNT = Array((), np.dtype(np.int32))
+
+
 class Rows:
     """The rows of one array from a pointer on: as many as there are lanes, or fewer, and the last one fills the rest.
 
@@ -65,11 +70,12 @@ class Rows:
         self._align = array.dtype.itemsize
         self._read: dict[int, str] = {}
 
-    def window(self, start: str, array: Array) -> Rows:
-        """Part of each row: an array from an entry on that is known only at run time."""
+    def window(self, starts: Sequence[str], array: Array) -> Rows:
+        """Part of each row: an array from an entry on, for each lane, that is known only at run time."""
         found = Rows(self._code, array, "", "", [])
         found._pointers = [
-            self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}") for p in self._pointers
+            self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}")
+            for p, start in zip(self._pointers, starts, strict=True)
         ]
         return found
 

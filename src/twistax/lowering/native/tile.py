@@ -142,9 +142,11 @@ class Tile(ABC):
         chunk: rows that a thread takes at a time, a multiple of the lanes.
         tried: the length that long arrays have where the function is checked.
         packed: whether LLVM is to put operations of one body into vectors.
+        in_place: results that stand where an argument stood, and that argument: what is not written stays.
     """
 
     tried, packed = 0, False
+    in_place: Mapping[int, int] = {}
 
     def __init__(
         self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
@@ -241,107 +243,8 @@ class Straight(Tile):
         return by_numpy(self.program, arguments, rounded)
 
 
-#: Places of the first arguments: the number of the first iteration, and the number at which to stop.
-_FIRST, _STOP = 0, 1
-
-
-class Iterations(Tile):
-    """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
-
-    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each body
-    iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives
-    (*state) or (*state, more), all states of its precision; `state` arguments are the state.
-    """
-
-    def __init__(self, program: ScalarProgram, lanes: int, state: int) -> None:
-        number, *rest = arguments_of(program)
-        arguments, results = [number, number, *rest], [*rest[len(rest) - state :], number]
-        #: The first argument of the step that is state.
-        self._first_state = len(rest) - state + 1
-        #: Whether the step says if another iteration follows.
-        self._says = len(program.outputs) > state
-        needed = {k + 1 for k in needed_by(program)} | {_FIRST, _STOP, *range(self._first_state + 1, len(arguments))}
-        super().__init__(program, lanes, arguments, results, needed)
-
-    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        def read(argument: int, entry: int) -> str:
-            return rows[f"a{argument}"].read(entry)
-
-        step, g = self.program, self.program.graph
-        counter, kind = NAMES[self.arguments[_FIRST].dtype], NAMES[g.dtype]
-        counters, numbers, flags = code.vector(counter), code.vector(kind), code.vector("i1")
-        first, stop = read(_FIRST, 0), read(_STOP, 0)
-        states = [(k, j) for k in range(self._first_state, len(step.inputs)) for j in range(step.inputs[k].size)]
-        starts = [read(k + 1, j) for k, j in states]
-        now = {place: code.name() for place in states}
-        count, live = code.name(), code.name()
-
-        def own(argument: int, entry: int) -> str:
-            return count if argument == 0 else now.get((argument, entry)) or read(argument + 1, entry)
-
-        scalars = Scalars(code, step, own)
-        changing = step.depending([0, *range(self._first_state, len(step.inputs))])
-        scalars.compute([i for i in step.live if i not in changing])
-        going = code.emit(f"icmp slt {counters} {first}, {stop}")
-        before, loop, latch, done = (code.label() for _ in range(4))
-        code.lines += [f"br label %{before}", f"{before}:", f"br label %{loop}", f"{loop}:"]
-        # What comes round is known at the end of the loop.
-        heads = len(code.lines)
-        found = scalars.compute(step.flat)
-        more = found.pop() if self._says else _finite(code, kind, found)
-        good = live if self._says else code.instruction("and", "i1", live, more)
-        after = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
-        next_count = code.instruction("add", counter, count, code.convert("zext", "i1", counter, good))
-        going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {next_count}, {stop}"), good)
-        if self._says:
-            going_on = code.instruction("and", "i1", going_on, more)
-        any_left = code.any(going_on)
-        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {any_left}, label %{loop}, label %{done}", f"{done}:"]
-
-        def comes_round(name: str, own: str, start: str, end: str) -> str:
-            return f"{name} = phi {own} [ {start}, %{before} ], [ {end}, %{latch} ]"
-
-        code.lines[heads:heads] = [
-            comes_round(count, counters, first, next_count),
-            comes_round(live, flags, going, going_on),
-            *(comes_round(now[p], numbers, a, b) for p, a, b in zip(states, starts, after, strict=True)),
-        ]
-        ends = iter([*after, next_count])
-        for k in self.written:
-            rows[f"r{k}"].write([next(ends) for _ in range(self.results[k].size)])
-
-    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """One iteration, two, none, and so on."""
-        first, _, *rest = arguments
-        counts = np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
-        return [first, first + counts, *rest]
-
-    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
-        first, stop, *rest = arguments
-        fixed, state, k = rest[: self._first_state - 1], rest[self._first_state - 1 :], first.copy()
-        live = k < stop
-        while live.any():
-            found = by_numpy(self.program, [k, *fixed, *state], rounded)
-            more = found.pop() if self._says else live
-            for values in [] if self._says else found:
-                live = live & np.isfinite(values).all(1, keepdims=True)
-            state = [np.where(live, new, old) for new, old in zip(found, state, strict=True)]
-            k = k + live
-            live = live & more & (k < stop)
-        return [*state, k]
-
-
 def _entry(rows: Mapping[str, Rows], argument: int, entry: int) -> str:
     return rows[f"a{argument}"].read(entry)
-
-
-def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
-    """Whether all values are: zero times each of them is then zero."""
-    zero = code.constant(kind, 0.0)
-    total = zero
-    for value in values:
-        total = code.multiply_add(kind, value, zero, total)
-    return code.instruction("fcmp ord", kind, total, total)
 
 
 def arguments_of(program: ScalarProgram) -> list[Array]:

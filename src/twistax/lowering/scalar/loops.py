@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,49 +36,116 @@ class _Rolled:
         return bodies.each(self.function, arguments)
 
 
-@weakly_kept
-class Repeated(_Rolled):
-    """A step, taken again and again.
+class Filling(NamedTuple):
+    """Rows that are filled one after the other, each as soon as what is computed has come to its mark.
 
-    Args:
-        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
-        state: how many arguments are the state.
-        kernel: as of all loops.
+    Attributes:
+        marks: (n,) in order, n > 0; infinite for rows that stay as they are.
+        table: (n, width) the rows.
+        number: that of the next row.
     """
 
-    def __init__(self, step: ScalarProgram, state: int, kernel: Callable[[bool], Rows | None]) -> None:
+    marks: Any
+    table: Any
+    number: Any
+
+    def up_to(self, reach: jax.Array, row: Callable[[jax.Array], jax.Array]) -> Filling:
+        """With all rows whose marks are not beyond `reach`, each `row` of its mark."""
+        count = len(self.marks)
+
+        def next_mark(now: Filling) -> jax.Array:
+            return self.marks[jnp.minimum(now.number, count - 1)]
+
+        def due(now: Filling) -> jax.Array:
+            return (now.number < count) & (next_mark(now) <= reach)
+
+        def fill(now: Filling) -> Filling:
+            return now._replace(table=now.table.at[now.number].set(row(next_mark(now))), number=now.number + 1)
+
+        return jax.lax.while_loop(due, fill, self)
+
+
+@weakly_kept
+class Repeated(_Rolled):
+    """A step, taken again and again, and rows that are filled on the way.
+
+    Args:
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows; or
+            (*state, more, reach, *record).
+        state: how many arguments are the state.
+        kernel: as of all loops.
+        row: takes (reach, *record, mark), gives a row; None: there are none.
+        length: how many rows there are.
+    """
+
+    def __init__(
+        self,
+        step: ScalarProgram,
+        state: int,
+        kernel: Callable[[bool], Rows | None],
+        row: ScalarProgram | None = None,
+        length: int = 0,
+    ) -> None:
         super().__init__(kernel)
-        self._step, self._state = step, state
+        self._step, self._state, self.row, self._length = step, state, row, length
+        self._others: dict[int, Repeated] = {}
+
+    def of_length(self, length: int) -> Repeated:
+        """The same for so many rows, by the same kernels."""
+        if length not in self._others:
+            self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
+        return self._others[length]
+
+    def kernel(self, rows: int) -> Rows | None:
+        found = super().kernel(rows)
+        return found if found is None or self.row is None else functools.partial(found, length=self._length)
 
     @functools.cached_property
     def results(self) -> Shapes:
         number, *rest = [(a.shape, self._step.graph.dtype_of(a)) for a in self._step.inputs]
-        return [*rest[len(rest) - self._state :], number]
+        found = [*rest[len(rest) - self._state :], number]
+        if self.row is not None:
+            found += [number, ((self._length, *self.row.outputs[0].shape), self.row.types[0])]
+        return found
 
     @functools.cached_property
     def function(self) -> Callable[..., list[jax.Array]]:
         """A loop."""
         step, count = as_function(self._step), self._state
+        row = None if self.row is None else as_function(self.row)
 
-        def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array) -> list[jax.Array]:
+        def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array, rows: Filling | None = None) -> list[jax.Array]:
             fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
 
             def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
                 return carried[1] & (carried[0] < stop)
 
             def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
-                k, _, state = carried
+                k, _, (state, rows) = carried
                 found = step(k, *fixed, *state)
+                if row is not None:
+                    record = found[count + 1 :]
+                    rows = rows.up_to(record[0], lambda mark: row(*record, mark)[0])
                 if len(found) > count:
-                    return k + 1, found[count], found[:count]
+                    return k + 1, found[count], (found[:count], rows)
                 good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
                 kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
-                return k + good.astype(k.dtype), good, kept
+                return k + good.astype(k.dtype), good, (kept, rows)
 
-            k, _, found = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), list(state)))
-            return [*found, k]
+            start = (list(state), rows)
+            k, _, (found, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
+            return [*found, k, *([] if rows is None else [rows.number, rows.table])]
 
-        return loop
+        if row is None:
+            return loop
+
+        def with_rows(
+            _: jax.Array, first: jax.Array, stop: jax.Array, number: jax.Array, *rest: Any
+        ) -> list[jax.Array]:
+            *rest, marks, table = rest
+            return loop(first, stop, *rest, rows=Filling(marks, table, number))
+
+        return with_rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,20 +191,30 @@ define(_repeat_p, by_kernel)
 
 
 def repeat(
-    step: Repeated, first: jax.Array, stop: jax.Array, fixed: Sequence[jax.Array], state: Sequence[jax.Array]
-) -> tuple[list[jax.Array], jax.Array]:
+    step: Repeated,
+    first: jax.Array,
+    stop: jax.Array,
+    fixed: Sequence[jax.Array],
+    state: Sequence[jax.Array],
+    rows: Filling | None = None,
+) -> tuple[list[jax.Array], jax.Array, Filling | None]:
     """state = step(k, fixed, state) for k = first, ..., stop - 1.
 
     A step that says whether another iteration follows may end that early. One that does not ends it where the new state
     would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
 
+    Args:
+        rows: of a step that leaves something for them.
     Returns:
-        The state, and the number of the next iteration.
+        The state, the number of the next iteration, and the rows.
     """
-    *found, k = _repeat_p.bind(
-        *varying_alike([first, stop, *fixed, *state]), program=step, bodies=Bodies(), inside=False
-    )
-    return found, k
+    arguments = [first, stop, *fixed, *state]
+    if rows is not None:
+        step = step.of_length(len(rows.marks))
+        arguments = [jnp.int32(len(rows.marks)), first, stop, rows.number, *fixed, *state, rows.marks, rows.table]
+    results = _repeat_p.bind(*varying_alike(arguments), program=step, bodies=Bodies(), inside=False)
+    found, (k, *filled) = results[: len(state)], results[len(state) :]
+    return found, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
 
 
 def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:
