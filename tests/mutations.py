@@ -769,6 +769,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/native/iterations.py",
+        (
+            "a row where a step ends is left out",
+            'code.instruction("fcmp ole", kind, mark, record[0])',
+            'code.instruction("fcmp olt", kind, mark, record[0])',
+            "lowering/native/test_native_iterations.py",
+        ),
+        (
+            "rows of one body are written into others",
+            "[code.select(kind, due, value, window.read(j)) for j, value in enumerate(values)]",
+            "list(values)",
+            "lowering/native/test_native_iterations.py",
+        ),
+    ),
+    *_at(
         "lowering/native/rows.py",
         (
             "what rows share, read beyond",
@@ -867,6 +882,12 @@ MUTATIONS: list[Mutation] = [
             "good = square <= 1.0",
             "good = square <= 1e6",
             "integrators/test_step_control.py integrators/test_jumps.py",
+        ),
+        (
+            "polynomials begin where their step ends",
+            "_Step(after.t, now.t, now.y, step,",
+            "_Step(after.t, after.t, now.y, step,",
+            "integrators/test_along.py::test_a_polynomial_has_its_order_and_costs_no_evaluations",
         ),
     ),
     *_at(

@@ -66,6 +66,34 @@ def test_saved_times_limits_and_jumps() -> None:
     assert len(kernels(dynamics)) == 1
 
 
+def test_rows_on_polynomials_are_filled_by_the_kernel() -> None:
+    """An oscillator whose force jumps, in lanes with forces and tolerances of their own, against the exact solution."""
+    x, v, F = tx.State("x"), tx.State("v"), tx.Control("F")
+    dynamics = tx.compile(tx.System({x: v, v: F - x}), backend=tx.Native())
+    ts, jump = np.append(np.linspace(0.0, 3.0, 41), 3.0), 0.7
+    given: dict[str, Any] = {
+        "t1": 3.0,
+        "save_at": ts,
+        "between": tx.Between.POLYNOMIAL,
+        "method": METHODS["fifth order"],
+    }
+
+    def flown(force: Any, rtol: Any) -> tx.Solution:
+        table = tx.ZeroOrderHold(np.array([0.0, jump]), np.array([1.0, -2.0]) * force)
+        return tx.integrate(dynamics, {"x": 0.0, "v": 0.0}, rtol=rtol, u={"F": table}, **given)
+
+    s = ts - jump
+    later = -2.0 + (3.0 - np.cos(jump)) * np.cos(s) + np.sin(jump) * np.sin(s)
+    exact = np.where(ts < jump, 1.0 - np.cos(ts), later)
+    forces, tolerances = np.array([1.0, -3.0, 0.2, 5.0, 2.0]), np.array([1e-8, 1e-9, 1e-10, 1e-9, 1e-11])
+    found = jax.vmap(flown)(forces, tolerances)
+    np.testing.assert_allclose(found.xs["x"], forces[:, None] * exact, atol=1e-6)
+    # Neither rows nor their number need another kernel.
+    given.update(save_at=None)
+    assert flown(2.0, 1e-11).stats.steps == found.stats.steps[-1]
+    assert len(kernels(dynamics)) == 1
+
+
 def test_steps_are_taken_back_and_a_solution_without_length_has_none() -> None:
     given: dict[str, Any] = {"rtol": 1e-9, "dt": 0.5, "u": U}
     found, expected = (tx.integrate(d, START, t1=1.0, **given) for d in (NATIVE, PLAIN))

@@ -73,3 +73,47 @@ def test_each_body_as_by_itself(step: Any, dtype: Any, processor: Processor) -> 
         np.testing.assert_array_equal(counts[:, 0], [k for _, k in expected])
         same = {"rtol": 1e-3 if dtype == np.float32 else 1e-11}
         np.testing.assert_allclose(ends, np.stack([x for x, _ in expected]), **same)
+
+
+def with_rows(k: Any, a: Any, x: Any) -> list[Any]:
+    """Ends where it is small; comes one half further each time, and leaves for rows where it was and where it is."""
+    new = 0.7 * (a @ x)
+    return [new, (new @ new) > 0.05, 0.5 * (k + 1).astype(float), x, new]
+
+
+def row(reach: Any, before: Any, after: Any, mark: Any) -> Any:
+    return after + (mark - reach) * (after - before)
+
+
+@at_every_width
+def test_rows_are_filled_as_far_as_each_iteration_comes(processor: Processor) -> None:
+    """Rows that were filled before, and those beyond the end, stay; many of one iteration, and none."""
+    rng, count, length = np.random.default_rng(1), 2 * 16 + 5, 9
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    fixed = turned * rng.uniform(0.9, 1.1, (count, 1, 1))
+    state, table = rng.normal(size=(count, 3)), rng.normal(size=(count, length, 3))
+    first, number = rng.integers(0, 3, count), rng.integers(0, length + 1, count)
+    stop = first + rng.integers(-1, 9, count)
+    marks = np.sort(rng.integers(-2, 24, (count, length)) / 4.0, axis=1)
+    expected, filled = table.copy(), number.copy()
+    for body in range(count):
+        k, x, more = first[body], state[body], True
+        while more and k < stop[body]:
+            before, (x, more, reach, *_) = x, with_rows(k, fixed[body], x)
+            while filled[body] < length and marks[body, filled[body]] <= reach:
+                expected[body, filled[body]] = row(reach, before, x, marks[body, filled[body]])
+                filled[body] += 1
+            k += 1
+    assert (filled == length).any()
+    assert (filled == number).any()
+
+    vector, one = jax.ShapeDtypeStruct((3,), float), jax.ShapeDtypeStruct((), float)
+    step = native_form(scalarize(with_rows, COUNTER, jax.ShapeDtypeStruct((3, 3), float), vector))
+    of_row = native_form(scalarize(lambda *a: [row(*a)], one, vector, vector, one))
+    heads = [np.full((1, 1), length), *(a[:, None] for a in (first, stop, number))]
+    rest = [fixed.reshape(count, 9), state, marks, table.reshape(count, -1)]
+    for lanes in (1, processor.lanes(np.dtype(float))):
+        kernel = Kernel(Iterations(step, lanes, 1, of_row), processor)
+        _, _, numbers, rows = kernel.run([*heads, *rest], length)
+        np.testing.assert_array_equal(numbers[:, 0], filled)
+        np.testing.assert_allclose(rows.reshape(expected.shape), expected, rtol=1e-13)

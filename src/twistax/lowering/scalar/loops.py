@@ -142,8 +142,8 @@ class Repeated(_Rolled):
         def with_rows(
             _: jax.Array, first: jax.Array, stop: jax.Array, number: jax.Array, *rest: Any
         ) -> list[jax.Array]:
-            *rest, marks, table = rest
-            return loop(first, stop, *rest, rows=Filling(marks, table, number))
+            *own, marks, table = rest
+            return loop(first, stop, *own, rows=Filling(marks, table, number))
 
         return with_rows
 
