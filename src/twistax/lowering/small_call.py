@@ -29,6 +29,16 @@ Tree = TypeVar("Tree")
 _INSIDE = contextvars.ContextVar("inside a small call", default=False)
 
 
+class _Outside(Exception):
+    """What is being traced cannot become part of a small function."""
+
+
+def need_outside() -> None:
+    """For what cannot be part of a small function: end the trace that tries it, which would be thrown away."""
+    if _INSIDE.get():
+        raise _Outside
+
+
 def inside_small_call() -> bool:
     """Whether what is being traced becomes part of a small function."""
     return _INSIDE.get()
@@ -80,8 +90,12 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     outside = _INSIDE.set(True)
     try:
         jaxpr = jax.make_jaxpr(flat)(*leaves)
+    except _Outside:
+        jaxpr = None
     finally:
         _INSIDE.reset(outside)
+    if jaxpr is None:
+        return function(*arguments)
     if not trusted and not known_inside(jaxpr.jaxpr):
         return function(*arguments)
     run, held = opened(jaxpr)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ...jax_inside import Primitive, varying_alike, weakly_kept
+from ..small_call import need_outside
 from .emitter import as_function
 from .primitive import Bodies, Rows, Shapes, by_kernel, define
 from .program import ScalarProgram
@@ -208,6 +209,7 @@ def repeat(
     Returns:
         The state, the number of the next iteration, and the rows.
     """
+    need_outside()
     arguments = [first, stop, *fixed, *state]
     if rows is not None:
         step = step.of_length(len(rows.marks))
