@@ -53,14 +53,15 @@ def test_limits_of_the_final_time_do_not_matter(limits: tuple[float, float]) -> 
 def test_perturbed_starts_do_not_run_off_with_wide_limits() -> None:
     """The first cost is the final time of the start."""
 
-    def begun(latest: float) -> float:
+    def begun(latest: float, seed: int) -> float:
         seen: list[float] = []
         watch = lambda count, cost, violation: seen.append(cost)  # noqa: E731
-        fastest(1.0).solve(final_time=(0.1, latest), final_time_guess=2.0, seed=1, callback=watch, max_iterations=1)
+        fastest(1.0).solve(final_time=(0.1, latest), final_time_guess=2.0, seed=seed, callback=watch, max_iterations=1)
         return seen[0]
 
-    assert begun(1e6) == pytest.approx(begun(1e2))
-    assert 1e-3 < abs(begun(1e6) - 2.0) < 3.0
+    times = [begun(1e6, seed) for seed in range(4)]
+    assert times == pytest.approx([begun(1e2, seed) for seed in range(4)])
+    assert min(times) < 2.0 < max(times) < 5.0
 
 
 def test_a_constant_in_the_objective_does_not_matter() -> None:
