@@ -1120,6 +1120,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/collector.py",
+        (
+            "the search for garbage stays off",
+            'if _state["within"] == 0 and _state["was_on"]:',
+            'if _state["within"] == 0 and not _state["was_on"]:',
+            "lowering/test_collector.py",
+        ),
+    ),
+    *_at(
         "lowering/native/pieces.py",
         (
             "results written before they are there",
@@ -1663,6 +1672,13 @@ MUTATIONS: list[Mutation] = [
         "llvm.parse_assembly(text, llvm.create_context())",
         "llvm.parse_assembly(text)",
         ("lowering/test_lifetimes.py::test_llvm_keeps_nothing_of_a_text",),
+    ),
+    Mutation(
+        "after a long kernel LLVM schedules nothing more",
+        "lowering/native/machine_code.py",
+        '"-enable-misched=true"',
+        '"-enable-misched=false"',
+        ("lowering/native/test_native_pieces.py",),
     ),
     Mutation(
         "loops see what varies between devices",

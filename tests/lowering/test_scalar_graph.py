@@ -66,6 +66,15 @@ def test_numbers_are_folded() -> None:
     np.testing.assert_allclose(evaluate(program, 3.0), [6.0 * np.sin(1.0), 3.0], rtol=1e-15)
 
 
+def test_numbers_that_meet_again_give_what_they_gave() -> None:
+    def function(a: jax.Array) -> jax.Array:
+        two, three = jnp.full((), 2.0), jnp.full((), 3.0)
+        return jnp.stack([two - three, three - two, two / three, two * three, two - three, three / two]) + a
+
+    expected = np.array([-1.0, 1.0, 2.0 / 3.0, 6.0, -1.0, 1.5]) + 0.5
+    np.testing.assert_array_equal(evaluate(program_of(function, NUMBER), 0.5)[0], expected)
+
+
 def test_a_known_choice_leaves_the_rest_out() -> None:
     program = program_of(lambda a: jnp.where(jnp.array([True, False, True]), jnp.sin(a), jnp.cos(a)), VECTOR)
     assert program.counts() == {"cos": 1, "sin": 2}

@@ -16,6 +16,7 @@ from ..errors import ModelError
 from ..groups import Euclidean
 from ..system import System
 from .backends import Backend, chosen
+from .collector import uncollected
 from .explain import Dependence, Explanation, explain, explain_one
 from .export import CFiles
 from .functions import Arrays, Functions
@@ -302,7 +303,8 @@ def compile(
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
     if bake is not None and not isinstance(bake, Mapping):
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
-    return Dynamics(Functions(system, outputs, dict(bake or {}), chosen(backend, Auto())))
+    with uncollected():
+        return Dynamics(Functions(system, outputs, dict(bake or {}), chosen(backend, Auto())))
 
 
 def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:

@@ -31,6 +31,7 @@ from ..expr import (
 from ..jax_inside import is_traced
 from ..system import System
 from .backends import Backend, Emission
+from .collector import uncollected
 from .inputs import Values, prepare
 from .jacobian import Differentiated, RateJacobian, by_columns, fewer
 from .scalar.graph import TooLarge
@@ -60,7 +61,11 @@ class Kept:
         """What was made for the key, or is now."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         found = self._found.get(key, self)
-        made: Any = make() if found is self else found
+        if found is self:
+            with uncollected():
+                made: Any = make()
+        else:
+            made = found
         with self._lock:
             self._found.pop(key, None)
             self._found[key] = made
@@ -326,7 +331,7 @@ class Functions:
                 name: [by.name if isinstance(by, State) else by.shape[0] for by, _ in pairs]
                 for name, pairs in self.slopes.items()
             }
-            return fewer(traced(self.flat_rates), RateJacobian(traced(self._flat_slopes), known))
+            return fewer(lambda: traced(self.flat_rates), RateJacobian(traced(self._flat_slopes), known))
 
         return self._made.get((wrt, places, inputs.dtype), make), arrays
 

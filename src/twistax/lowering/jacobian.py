@@ -89,12 +89,16 @@ class RateJacobian:
                 dense[places[row], column] = node
 
 
-def fewer(plain: Differentiated, own: RateJacobian) -> RateJacobian:
-    """Of the derivatives on the graph and those that are known the ones that take fewer operations."""
+def fewer(plain: Callable[[], Differentiated], own: RateJacobian) -> RateJacobian:
+    """Of the derivatives on the graph and those that are known the ones that take fewer operations.
+
+    Args:
+        plain: gives the rates alone, where their derivatives are tried.
+    """
     if own.rates.operations > _SMALL:
         return own
     try:
-        other = RateJacobian(plain, largest=2 * len(own.program.graph.nodes) + len(own.rates.graph.nodes))
+        other = RateJacobian(plain(), largest=2 * len(own.program.graph.nodes) + len(own.rates.graph.nodes))
     except TooLarge:
         return own
     return other if other.program.operations < own.program.operations else own

@@ -15,7 +15,7 @@ from native_programs import at_every_width
 
 from twistax.lowering.native import pieces
 from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.machine_code import Processor
+from twistax.lowering.native.machine_code import Processor, compiled
 from twistax.lowering.native.tile import Straight, native_form
 from twistax.lowering.scalar.program import scalarize
 
@@ -45,3 +45,13 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
         for whole, own in zip(found[0], other, strict=True):
             near = 50 * np.finfo(dtype).eps if whole.dtype.kind == "f" else 0.0
             np.testing.assert_allclose(own, whole, rtol=0.0, atol=near)
+
+
+def test_other_functions_are_scheduled_after_a_long_one() -> None:
+    lines = [f"%a{k} = load double, ptr %x, align 8\n%b{k} = fmul double %a{k}, {k}.5" for k in range(6)]
+    sums = ["%c0 = fadd double %b0, %b0", *(f"%c{k} = fadd double %c{k - 1}, %b{k}" for k in range(1, 6))]
+    text = "\n".join(["define double @f(ptr %x) {", *lines, *sums, "ret double %c5", "}"])
+    processor = Processor.host()
+    before = compiled(text, processor)
+    assert compiled(text, processor, long=True) != before
+    assert compiled(text, processor) == before

@@ -18,6 +18,7 @@ from ...checks import instance, whole
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
+from ..collector import uncollected
 from ..scalar.graph import TooLarge
 from ..scalar.loops import Repeated, Ring
 from ..scalar.primitive import Derived, Rows, call_program
@@ -187,8 +188,9 @@ class Native(Backend):
         started, processor = time.perf_counter(), Processor.host()
         lanes = 1 if single else processor.lanes(form.graph.dtype)
         try:
-            kernel = Kernel(kind(form, lanes, *more), processor, self.threads)
-            check_kernel(kernel)
+            with uncollected():
+                kernel = Kernel(kind(form, lanes, *more), processor, self.threads)
+                check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None

@@ -53,8 +53,8 @@ class Module:
         self.functions: dict[str, str] = {}
         #: Tables of numbers, by name.
         self.tables: dict[str, str] = {}
-        #: How much LLVM makes of it: of long straight programs one more takes time and gains nothing.
-        self.level = 2
+        #: Whether it is a long straight program, of which more of LLVM's work takes time and gains nothing.
+        self.long = False
         #: Whether LLVM looks for operations of one body that vectors can do side by side.
         self.packed = False
         #: Functions of the C library that are called.

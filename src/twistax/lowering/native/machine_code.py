@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import ctypes.util
 import dataclasses
 import threading
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -101,11 +102,11 @@ def written_by(processor: Processor) -> str:
     return repr(own)
 
 
-def compiled(text: str, processor: Processor, level: int = 2, packed: bool = False) -> bytes:
+def compiled(text: str, processor: Processor, long: bool = False, packed: bool = False) -> bytes:
     """The machine code of intermediate language, as the content of an object file.
 
     Args:
-        level: how much LLVM makes of it, from 0 to 3.
+        long: the functions are long and straight: LLVM optimises less, and leaves instructions in their order.
         packed: have it put like operations on scalars into vectors (S. Larsen and S. Amarasinghe 2000): as long again.
     Raises:
         ImportError: llvmlite is not installed.
@@ -113,8 +114,8 @@ def compiled(text: str, processor: Processor, level: int = 2, packed: bool = Fal
     """
     import llvmlite.binding as llvm
 
-    with _LOCK:
-        machine = _target_machine(processor, level)
+    with _LOCK, _in_order() if long else contextlib.nullcontext():
+        machine = _target_machine(processor, 1 if long else 2)
         try:
             # A context of its own: what it keeps, each number of a text, goes with it.
             parsed = llvm.parse_assembly(text, llvm.create_context())
@@ -128,6 +129,29 @@ def compiled(text: str, processor: Processor, level: int = 2, packed: bool = Fal
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
         return found
+
+
+#: The versions of LLVM with the option below. One that does not know it would end the process.
+_ORDERED = range(20, 23)
+
+
+@contextlib.contextmanager
+def _in_order() -> Iterator[None]:
+    """Instructions stay in their order, in which few numbers wait for their use.
+
+    LLVM's scheduler of instructions lets more wait, which takes registers, and half of the time of a long function. The
+    option is that of the process: what others compile with llvmlite meanwhile stays in its order too.
+    """
+    import llvmlite.binding as llvm
+
+    known = llvm.llvm_version_info[0] in _ORDERED
+    if known:
+        llvm.set_option("twistax", "-enable-misched=false")
+    try:
+        yield
+    finally:
+        if known:
+            llvm.set_option("twistax", "-enable-misched=true")
 
 
 def load(code: bytes, library: Collection[str], processor: Processor, names: Collection[str]) -> MachineCode:

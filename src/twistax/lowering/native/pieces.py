@@ -12,7 +12,7 @@ from ..scalar.program import ScalarProgram
 from .code import NAMES, Code
 
 #: Operations in a piece.
-_LENGTH = 2000
+_LENGTH = 1000
 #: Shorter programs stay whole: they run a tenth faster so.
 _LONG = 20_000
 #: The most bytes that pass on the stack.

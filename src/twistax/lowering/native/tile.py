@@ -221,7 +221,7 @@ class Straight(Tile):
     def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
         """One call after the other."""
         program, module, g = self.program, code.module, self.program.graph
-        module.level = 1
+        module.long = True
         blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
         memory = scratch.allocated(code)

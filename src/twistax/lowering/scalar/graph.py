@@ -136,10 +136,15 @@ class Graph:
         numbers = [self.numbers[a] for a in arguments]
         dtype = operation.result or self.dtypes[arguments[-1]]
         if None not in numbers:
-            # As the emitter would: in the types of the arguments.
-            with np.errstate(all="ignore"):
-                typed = [self.dtypes[a].type(n) for a, n in zip(arguments, numbers, strict=True)]
-                return self.constant(operation.number(*typed), dtype)
+            # The same few numbers meet again and again.
+            known = self._known.get((operation, *arguments))
+            if known is None:
+                # As the emitter would: in the types of the arguments.
+                with np.errstate(all="ignore"):
+                    typed = [self.dtypes[a].type(n) for a, n in zip(arguments, numbers, strict=True)]
+                    known = self.constant(operation.number(*typed), dtype)
+                self._known[operation, *arguments] = known
+            return known
         if operation.parity and self.nodes[arguments[0]][0] is _NEG and dtype.kind != "u":
             inner = self.node(operation, self.nodes[arguments[0]][1])
             return inner if operation.parity > 0 else self.neg(inner)
