@@ -1120,7 +1120,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/collector.py",
+        "walk.py",
         (
             "the search for garbage stays off",
             'if _state["within"] == 0 and _state["was_on"]:',

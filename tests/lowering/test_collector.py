@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 import twistax as tx
-from twistax.lowering.collector import uncollected
+from twistax.walk import uncollected
 
 
 @pytest.fixture(autouse=True)

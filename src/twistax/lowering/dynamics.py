@@ -15,8 +15,8 @@ from ..checks import real_array
 from ..errors import ModelError
 from ..groups import Euclidean
 from ..system import System
+from ..walk import uncollected
 from .backends import Backend, chosen
-from .collector import uncollected
 from .explain import Dependence, Explanation, explain, explain_one
 from .export import CFiles
 from .functions import Arrays, Functions

@@ -30,8 +30,8 @@ from ..expr import (
 )
 from ..jax_inside import is_traced
 from ..system import System
+from ..walk import uncollected
 from .backends import Backend, Emission
-from .collector import uncollected
 from .inputs import Values, prepare
 from .jacobian import Differentiated, RateJacobian, by_columns, fewer
 from .scalar.graph import TooLarge

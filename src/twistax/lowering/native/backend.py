@@ -17,8 +17,8 @@ import jax
 from ...checks import instance, whole
 from ...errors import ModelError
 from ...jax_inside import ClosedJaxpr, say_once
+from ...walk import uncollected
 from ..backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
-from ..collector import uncollected
 from ..scalar.graph import TooLarge
 from ..scalar.loops import Repeated, Ring
 from ..scalar.primitive import Derived, Rows, call_program
