@@ -1,4 +1,4 @@
-"""The one way through a graph: every node once, what stands below it first, without recursion; and time to build one."""
+"""The one way through a graph: every node once, what stands below first, without recursion; and time to build one."""
 
 from __future__ import annotations
 
