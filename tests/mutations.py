@@ -87,6 +87,16 @@ MUTATIONS: list[Mutation] = [
             "integrators/test_simulator.py",
         ),
     ),
+    # ---- Jacobians column by column ----------------------------------------------------------------------------------
+    *_at(
+        "lowering/jacobian.py",
+        (
+            "all controls move by the first one's tangents",
+            "v + move[a:b].reshape",
+            "v + move[: b - a].reshape",
+            "lowering/test_dynamics.py::test_a_jacobian_too_large_for_one_program_goes_column_by_column",
+        ),
+    ),
     # ---- numbers that come in ----------------------------------------------------------------------------------------
     *_at(
         "checks.py",

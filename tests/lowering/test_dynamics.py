@@ -470,3 +470,28 @@ def test_explain_of_one_entry() -> None:
     for wrong in ("w", "v[2]", "v[1"):
         with pytest.raises(tx.InputError, match=r"explain expects|no entry"):
             dynamics.explain(wrong)
+
+
+def test_a_jacobian_too_large_for_one_program_goes_column_by_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With controls and parameters or without any: there may be nothing of a kind."""
+    from twistax.lowering.functions import Functions
+    from twistax.lowering.scalar.graph import TooLarge
+
+    def too_large(*_: Any) -> Any:
+        raise TooLarge("too many scalars")
+
+    g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
+    c, w = tx.Control("c"), tx.Control("w", shape=(3,))
+    pose = np.eye(4)
+    pose[:3, 3] = 1.0, -2.0, 0.5
+    x = {"g": pose, "V": np.arange(6.0)}
+    drag = -V * tx.linalg.Norm(g[:3, 3])
+    driven = tx.System({g: V, V: drag * tx.Parameter("p", value=2.0) + tx.Concat(w * c, w)})
+    for system, u in ((tx.System({g: V, V: drag}), None), (driven, {"c": 0.5, "w": np.array([1.0, 2.0, 3.0])})):
+        for wrt in (("x", "u", "params"), ("u",)):
+            expected = tx.compile(system).jacobian(0.0, x, u, wrt=wrt)
+            with monkeypatch.context() as patched:
+                patched.setattr(Functions, "rate_jacobian", too_large)
+                found = tx.compile(system).jacobian(0.0, x, u, wrt=wrt)
+            for kind in wrt:
+                np.testing.assert_allclose(found[kind], expected[kind], atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
@@ -122,8 +123,9 @@ def by_columns(
     def shifted(kind: str, values: dict[str, jax.Array], move: jax.Array) -> dict[str, jax.Array]:
         if kind == "x":
             return group.retract(values, move)
-        parts = jnp.split(move, np.cumsum([value.size for value in values.values()])[:-1])
-        return {n: v + part.reshape(v.shape) for (n, v), part in zip(values.items(), parts, strict=True)}
+        ends = itertools.accumulate((value.size for value in values.values()), initial=0)
+        places = itertools.pairwise(ends)
+        return {n: v + move[a:b].reshape(v.shape) for (n, v), (a, b) in zip(values.items(), places, strict=True)}
 
     given = {"x": x, "u": u, "params": params}
 
