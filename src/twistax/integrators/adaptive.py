@@ -197,7 +197,7 @@ class AdaptiveSteps(Steps):
             now = now._replace(path=rows(_Path(zero, self.t0, self.t0), self.bound))
         if self.dense:
             now = now._replace(every=put(rows(now.y, self.bound + 1), 0, now.y))
-        fills = not record and self.finds_rows and stops.place is not None and stops.place.size > 0
+        fills = not record and self.finds_rows and stops.place is not None
         if fills:
             ts = self.saved_times
             marks = jnp.where(jnp.arange(ts.size) < stops.count, ts, jnp.inf)
