@@ -396,8 +396,8 @@ MUTATIONS: list[Mutation] = [
         "expr/interpolation.py",
         (
             "a corner of the cell is another one",
-            "low = (1.0 - t) * fp[i, j] + t * fp[i, j + 1]",
-            "low = (1.0 - t) * fp[i, j] + t * fp[i + 1, j]",
+            "weight * along(axis + 1, *places, i + 1)",
+            "weight * along(axis + 1, *places, i)",
             "expr/test_interp.py",
         ),
     ),

@@ -132,26 +132,43 @@ def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
     return node.__dict__["_lookup"]
 
 
-def _known(*operands: Expr) -> list[np.ndarray] | None:
-    """The numbers of operands that are constants, if all are."""
-    values = [operand.value for operand in operands if isinstance(operand, Constant)]
-    return values if len(values) == len(operands) else None
+class _OnGrid(Expr):
+    """Base of piecewise linear tables: its operands are the coordinates, the points of their axes, and the values."""
+
+    abstract = True
+
+    def validate(self) -> None:
+        count = len(self.children()) // 2
+        for name, points in list(zip(self.child_names(), self.children(), strict=True))[count:-1]:
+            if isinstance(points, Constant) and points.value.ndim == 1:
+                _increasing(type(self).__name__, name, points.value)
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        count = len(values) // 2
+        axes, fp = values[count:-1], values[-1]
+        shape = jnp.broadcast_shapes(*(x.shape for x in values[:count]))
+        inside = [jnp.clip(jnp.broadcast_to(x, shape), p[0], p[-1]) for x, p in zip(values, axes, strict=False)]
+        table = [each.value for each in self.children()[count:] if isinstance(each, Constant)]
+        if len(table) > count:
+            return _once(self, lambda: linear(table[:-1], table[-1]))(inside)
+        # All breakpoints are compared at once: for tables of ordinary size that is faster in a loop than halving.
+        starts = [
+            jnp.searchsorted(p[1:-1], x, side="right", method="compare_all") for x, p in zip(inside, axes, strict=True)
+        ]
+        parts = [(x - p[i]) / (p[i + 1] - p[i]) for x, p, i in zip(inside, axes, starts, strict=True)]
+        weights = [part.reshape(shape + (1,) * (fp.ndim - count)) for part in parts]
+
+        def along(axis: int, *places: jax.Array) -> jax.Array:
+            """The value on the line, or in the plane, of the axes from this one on."""
+            if axis == count:
+                return fp[places]
+            i, weight = starts[axis], weights[axis]
+            return (1.0 - weight) * along(axis + 1, *places, i) + weight * along(axis + 1, *places, i + 1)
+
+        return along(0)
 
 
-def segment(x: jax.Array, xp: jax.Array) -> jax.Array:
-    """Number of the interval of xp in which x lies, the outer ones continued without end.
-
-    All breakpoints are compared at once: for tables of ordinary size that is faster in a loop than a binary search.
-    """
-    return jnp.searchsorted(xp[1:-1], x, side="right", method="compare_all")
-
-
-def fraction(x: jax.Array, xp: jax.Array, i: jax.Array) -> jax.Array:
-    """How far x, kept inside the table, has come from breakpoint i to the next: between 0 and 1."""
-    return (jnp.clip(x, xp[0], xp[-1]) - xp[i]) / (xp[i + 1] - xp[i])
-
-
-class Linterp(Expr):
+class Linterp(_OnGrid):
     """Piecewise linear interpolation of a table (xp, fp) at x, entry by entry. Outside the table its end values hold.
 
     Shapes: x of any shape s, xp (n,), fp (n, *k) -> (*s, *k). At a breakpoint the slope on its right is taken, at the
@@ -175,24 +192,12 @@ class Linterp(Expr):
     )
     kinks = ({"x": [0.0, 1.0, 3.0], "xp": Constant([0.0, 1.0, 3.0]), "fp": Constant([1.0, -1.0, 2.0])},)
 
-    def validate(self) -> None:
-        _increasing_if_constant(self, "xp", self.xp)
-
     def infer_shape(self, *shapes: Shape) -> Shape:
         x, xp, fp = shapes
         _breakpoints(self, "xp", xp)
         if not fp or fp[0] != xp[0]:
             raise ShapeError(f"Linterp expects fp with a first axis of length {xp[0]} as xp has, got shape {fp}")
         return x + fp[1:]
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        x, xp, fp = values
-        known = _known(self.xp, self.fp)
-        if known is not None:
-            return _once(self, lambda: linear(known[:1], known[1]))([jnp.clip(x, xp[0], xp[-1])])
-        i = segment(x, xp)
-        weight = fraction(x, xp, i).reshape(x.shape + (1,) * (fp.ndim - 1))
-        return (1.0 - weight) * fp[i] + weight * fp[i + 1]
 
 
 class Cinterp(Expr):
@@ -272,7 +277,7 @@ _GRID = {
 }
 
 
-class Bilerp(Expr):
+class Bilerp(_OnGrid):
     """Bilinear interpolation of a table over a grid at (x, y), entry by entry. Outside the grid its edge values hold.
 
     Shapes: x and y broadcast to s, xp (n,), yp (m,), fp (n, m) -> s. On a grid line the slope on its right is taken,
@@ -295,10 +300,6 @@ class Bilerp(Expr):
     cases = ({"x": [0.5, 2.0, 4.0], "y": 0.7} | _GRID,)
     kinks = ({"x": [0.0, 1.0, 3.0], "y": 2.0} | _GRID,)
 
-    def validate(self) -> None:
-        _increasing_if_constant(self, "xp", self.xp)
-        _increasing_if_constant(self, "yp", self.yp)
-
     def infer_shape(self, *shapes: Shape) -> Shape:
         x, y, xp, yp, fp = shapes
         _breakpoints(self, "xp", xp)
@@ -309,31 +310,12 @@ class Bilerp(Expr):
             )
         return broadcast(self, x, y)
 
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        x, y, xp, yp, fp = values
-        shape = jnp.broadcast_shapes(x.shape, y.shape)
-        x, y = jnp.broadcast_to(x, shape), jnp.broadcast_to(y, shape)
-        known = _known(self.xp, self.yp, self.fp)
-        if known is not None:
-            inside = [jnp.clip(x, xp[0], xp[-1]), jnp.clip(y, yp[0], yp[-1])]
-            return _once(self, lambda: linear(known[:2], known[2]))(inside)
-        i, j = segment(x, xp), segment(y, yp)
-        s, t = fraction(x, xp, i), fraction(y, yp, j)
-        low = (1.0 - t) * fp[i, j] + t * fp[i, j + 1]
-        high = (1.0 - t) * fp[i + 1, j] + t * fp[i + 1, j + 1]
-        return (1.0 - s) * low + s * high
-
 
 def _breakpoints(node: Expr, name: str, shape: Shape) -> None:
     if len(shape) != 1 or shape[0] < 2:
         raise ShapeError(
             f"{type(node).__name__} expects {name} to be a vector of two or more breakpoints, got shape {shape}"
         )
-
-
-def _increasing_if_constant(node: Expr, name: str, points: Expr) -> None:
-    if isinstance(points, Constant) and points.value.ndim == 1:
-        _increasing(type(node).__name__, name, points.value)
 
 
 def _increasing(node: str, name: str, points: np.ndarray) -> None:

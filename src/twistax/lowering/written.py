@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
-from .scalar.primitive import Bodies, Differentiable, Rows, Shapes, call_program, differentiable
+from .scalar.primitive import Differentiable, Rows, Shapes, call_program, differentiable
 
 Result = TypeVar("Result")
 
@@ -47,9 +47,6 @@ class Written(Differentiable):
 
     def kernel(self, rows: int) -> Rows | None:
         return None
-
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
-        return bodies.each(self.function, arguments)
 
     def made(self, program: ClosedJaxpr) -> Written:
         """Another function, which runs as this one does."""

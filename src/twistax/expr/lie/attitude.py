@@ -128,15 +128,9 @@ def pose(
     of_numbers(**numbers, sequence=sequence)  # for its checks
     found = {name: _joined(value) for name, value in given.items() if value is not None}
     one_attitude(found)
-    R: Expr = to_expr(np.eye(3))
-    if rotation is not None:
-        R = found["rotation"]
-    elif quaternion is not None:
-        R = QDCM(found["quaternion"])
-    elif euler is not None:
-        R = EulerRotation(found["euler"], sequence)
-    elif rotation_vector is not None:
-        R = SO3Exp(found["rotation_vector"])
+    nodes: dict[str, Any] = {"rotation": to_expr, "quaternion": QDCM, "rotation_vector": SO3Exp}
+    nodes["euler"] = lambda angles: EulerRotation(angles, sequence)
+    R = next((nodes[name](own) for name, own in found.items()), np.eye(3))
     return Pose(R, np.zeros(3) if position is None else _joined(position))
 
 

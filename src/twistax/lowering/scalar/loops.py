@@ -13,28 +13,22 @@ import jax.numpy as jnp
 from ...jax_inside import Primitive, varying_alike, weakly_kept
 from ..small_call import need_outside
 from .emitter import as_function
-from .primitive import Bodies, Rows, Shapes, by_kernel, define
+from .primitive import Bodies, Computed, Rows, Shapes, by_kernel, define
 from .program import ScalarProgram
 
 
-class _Rolled:
+class _Rolled(Computed):
     """A loop and the kernels that take all of its iterations. Compared and hashed by identity.
 
     Args:
         kernel: makes the kernel, for one body (True) or for many; None where there is none.
     """
 
-    function: Any  # the loop as JAX has it
-    results: Any  # the shapes and types of its results
-
     def __init__(self, kernel: Callable[[bool], Rows | None]) -> None:
         self._kernel = functools.lru_cache(kernel)
 
     def kernel(self, rows: int) -> Rows | None:
         return self._kernel(rows == 1)
-
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
-        return bodies.each(self.function, arguments)
 
 
 class Filling(NamedTuple):

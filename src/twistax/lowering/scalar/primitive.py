@@ -108,30 +108,30 @@ class Runner(Protocol):
         """
 
 
-class Computed(Protocol):
-    """What an equation computes. Compared and hashed by identity."""
-
-    @property
-    def results(self) -> Shapes:
-        """The shapes and types of the results."""
-
-    @property
-    def function(self) -> Callable[..., list[jax.Array]]:
-        """From arguments to results of one body; pure and traceable."""
-
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
-        """What XLA runs on the CPU where there is no kernel; `inside` of a small call or not."""
-
-    def kernel(self, rows: int) -> Rows | None:
-        """What runs so many bodies at once on the CPU instead."""
-
-
-class Differentiable(ABC):
-    """What an equation computes, with its derivatives, each made when it first runs. Compared and hashed by identity.
+class Computed(ABC):
+    """What an equation computes. Compared and hashed by identity.
 
     Attributes:
         results: the shapes and types of the results.
         function: from arguments to results of one body; pure and traceable.
+    """
+
+    results: Any
+    function: Any
+
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+        """What XLA runs on the CPU where there is no kernel; `inside` of a small call or not."""
+        return bodies.each(self.function, arguments)
+
+    @abstractmethod
+    def kernel(self, rows: int) -> Rows | None:
+        """What runs so many bodies at once on the CPU instead."""
+
+
+class Differentiable(Computed):
+    """What an equation computes, with its derivatives, each made when it first runs.
+
+    Attributes:
         origin: of one made by `tangent`: which one it is a derivative of, and along which arguments.
     """
 
@@ -140,25 +140,9 @@ class Differentiable(ABC):
         self._cotangents: dict[tuple[int, ...], Differentiable] = {}
         self.origin: tuple[Differentiable, tuple[int, ...]] | None = None
 
-    @property
-    @abstractmethod
-    def results(self) -> Shapes: ...
-
-    @property
-    @abstractmethod
-    def function(self) -> Callable[..., list[jax.Array]]: ...
-
     @abstractmethod
     def primitive(self, inside: bool) -> Primitive:
         """What JAX calls it; `inside` of a small call or not."""
-
-    @abstractmethod
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
-        """What XLA runs on the CPU where there is no kernel."""
-
-    @abstractmethod
-    def kernel(self, rows: int) -> Rows | None:
-        """What runs so many bodies at once on the CPU instead."""
 
     @abstractmethod
     def _tangent(self, active: tuple[int, ...]) -> Differentiable:
@@ -212,14 +196,12 @@ class Derived(Differentiable):
 
     @functools.cached_property
     def results(self) -> Shapes:
-        """The shapes and types of the results."""
         if self._results is not None:
             return self._results
         return [(nodes.shape, dtype) for nodes, dtype in zip(self.program.outputs, self.program.types, strict=True)]
 
     @functools.cached_property
     def function(self) -> Callable[..., list[jax.Array]]:
-        """From arguments to results of one body; pure and traceable."""
         return as_function(self.program)
 
     @functools.cached_property
