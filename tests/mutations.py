@@ -668,7 +668,7 @@ MUTATIONS: list[Mutation] = [
             "None if axis.above else numbers[0], None if axis.below else numbers[-1]",
             "mechanics/test_daveml.py",
         ),
-        ("a step at its breakpoint", "return [x > point for", "return [x >= point for", "mechanics/test_daveml.py"),
+        ("a step at its breakpoint", "[x > point for", "[x >= point for", "mechanics/test_daveml.py"),
     ),
     *_at(
         "mechanics/models/daveml/mathml.py",
