@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-llvm = pytest.importorskip("llvmlite.binding", reason="native kernels need llvmlite")
+pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
@@ -48,6 +48,8 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
 
 
 def test_other_functions_are_scheduled_after_a_long_one() -> None:
+    import llvmlite.binding as llvm
+
     lines = [f"%a{k} = load double, ptr %x, align 8\n%b{k} = fmul double %a{k}, {k}.5" for k in range(6)]
     sums = ["%c0 = fadd double %b0, %b0", *(f"%c{k} = fadd double %c{k - 1}, %b{k}" for k in range(1, 6))]
     text = "\n".join(["define double @f(ptr %x) {", *lines, *sums, "ret double %c5", "}"])
