@@ -40,7 +40,8 @@ def functions(case: Case) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, 
     whole = tx.System(rates={leaf: 0.0 * leaf for leaf in leaves.values()}, outputs=outputs)
     x, u, p = given(case, *expressions)
     x["clock"] = np.zeros((), case.dtype)
-    bake = {name: np.asarray(case.leaves[name], float) for name in case.baked if p.pop(name, None) is not None}
+    # The number that a call would give: a baked one is folded in double precision.
+    bake = {name: np.asarray(p.pop(name), case.dtype).astype(float) for name in case.baked if name in p}
     for name, backend in BACKENDS.items():
 
         def compiled(*names: str, backend: Any = backend) -> tx.Dynamics:
