@@ -1162,6 +1162,13 @@ MUTATIONS: list[Mutation] = [
         ("mechanics/test_daveml.py",),
     ),
     Mutation(
+        "digits of numbers in files are tried in every split",
+        "mechanics/models/xml_file.py",
+        "[0-9]+(\\.[0-9]*)?",
+        "[0-9]+\\.?[0-9]*",
+        ("mechanics/test_daveml.py",),
+    ),
+    Mutation(
         "the frame of a check-case's damping turns the other way",
         "scenes/check_cases.py",
         "body.rate() - frame_rate * R[2]",

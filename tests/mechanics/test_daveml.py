@@ -6,6 +6,7 @@ import functools
 import math
 import os
 import re
+import time
 from pathlib import Path
 
 import jax
@@ -16,6 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import twistax as tx
 from twistax.mechanics import DaveModel, load_daveml
+from twistax.mechanics.models.xml_file import read_xml
 
 SMALL = Path(__file__).parent / "models" / "small.dml"
 #: The table T of the file, its axes mach, alpha, el.
@@ -120,6 +122,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         (">-20, 25<", ">-20, 25, 25<", "line {line}, <bpVals>: expected two or more increasing"),
         ("8, 4, <", "8, <", "line {line}, <dataTable>: expected 3 x 4 x 2 values, got 23"),
         ("8, 4, <", "8, 1_0 <", "line {line}, <dataTable>: expected finite numbers, got '1_0'"),
+        ("8, 4, <", "8, &#1636; <", "line {line}, <dataTable>: expected finite numbers, got '\u0664'"),
         ('gtID="T"/></functionDefn>', 'gtID="S"/></functionDefn>', "line {line}, <griddedTableRef>: gtID 'S' is"),
         ('bpID="E"><bpVals', 'bpID="A"><bpVals', "line {line}, <breakpointDef>: bpID 'A' was .* line 40"),
         ('varID="ceil">1', 'varID="floor">1', "line {line}, <function.*varID 'floor' has another"),
@@ -157,6 +160,14 @@ def test_a_broken_file_is_refused_with_its_line(old: str, new: str, words: str, 
     line = broken[:begin].count("\n") + 1
     with pytest.raises(tx.ModelError, match="(?s)" + words.replace("{line}", str(line))):
         load_daveml(tmp_path / "broken.dml")
+
+
+def test_many_digits_are_refused_at_once() -> None:
+    element = read_xml(SMALL, document_type=True)
+    start = time.process_time()
+    with pytest.raises(tx.ModelError, match="expected a finite number, got '1111"):
+        element.read("1" * 30_000 + "x")
+    assert time.process_time() - start < 0.2
 
 
 def test_odd_roots_and_the_values_of_checks(tmp_path: Path) -> None:
