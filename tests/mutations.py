@@ -669,6 +669,7 @@ MUTATIONS: list[Mutation] = [
             "mechanics/test_daveml.py",
         ),
         ("a step at its breakpoint", "[x > point for", "[x >= point for", "mechanics/test_daveml.py"),
+        ("a step that hides NaN", "Where(x == x, 0.0, np.nan)", "Where(x == x, 0.0, 0.0)", "mechanics/test_daveml.py"),
     ),
     *_at(
         "mechanics/models/daveml/mathml.py",

@@ -43,6 +43,7 @@ def drawn() -> np.ndarray:
     rng = np.random.default_rng(5)
     z = rng.uniform([-1.0, -20.0, -50.0], [4.0, 50.0, 50.0], (200, 3))
     z[:9, 0] = [1.0, 1.5, 2.0, 2.5, 3.0, 0.9, 3.1, 1.0 + 1e-12, 2.0 - 1e-12]
+    z[9, 0] = np.nan
     z[:9, 1] = [0.0, 4.0, -1.0, -9.0, -2.0, 1e-9, -9.1, 2.0, -0.5]
     return z
 
@@ -56,7 +57,7 @@ def test_tables_are_looked_up_as_the_file_says() -> None:
     np.testing.assert_allclose(got["three"], table(np.stack(inside, -1)), rtol=0, atol=1e-12)
     beyond = [mach, np.clip(alpha, -10.0, 30.0), np.minimum(el, 25.0)]
     np.testing.assert_allclose(got["beyond"], table(np.stack(beyond, -1)), rtol=0, atol=1e-9)
-    points = RegularGridInterpolator(([0.5, 1.0], [-20.0, 25.0]), [[1.0, 3.0], [4.0, 9.0]])
+    points = RegularGridInterpolator(([0.5, 1.0], [-20.0, 25.0]), [[1.0, 3.0], [4.0, 9.0]], bounds_error=False)
     within = np.stack([np.clip(mach, 0.5, 1.0), np.clip(el, -20.0, 25.0)], -1)
     np.testing.assert_allclose(got["points"], points(within), rtol=0, atol=1e-12)
     np.testing.assert_array_equal(got["near"], np.clip(np.floor(mach + 0.5), 1.0, 3.0))

@@ -1,8 +1,11 @@
 """The sweep over units, limits and starts: what it states, and what it counts."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
 import twistax as tx
 from twistax.report.sections import OPTIMAL, problems, trust
@@ -11,8 +14,13 @@ from twistax.report.sections.problems import Known, Statement
 
 def test_every_problem_is_asked_the_same() -> None:
     assert {check.what for check in OPTIMAL["trust"]} == set(trust.SWEEPS)
-    assert len(OPTIMAL["trust"]) == 7 * len(trust.SWEEPS)
-    assert {row.expected.text for row in OPTIMAL["trust"] if row.by == "SOLVED where no optimum is"} == {"at most 0"}
+    assert len(OPTIMAL["trust"]) == 6 * len(trust.SWEEPS)
+    asked = {(row.by, row.expected.text) for row in OPTIMAL["trust"]}
+    assert {text for by, text in asked if by == "SOLVED"} == {"at least 36"}
+    assert {text for by, text in asked if by == "SOLVED at no stationary point"} == {"at most 0"}
+    assert {text for by, text in asked if by == "SOLVED at other stationary points"} == {
+        "at most 0", "at most 11", "at most 16",
+    }  # fmt: skip
 
 
 def test_a_restated_problem_is_the_same_in_other_units() -> None:
@@ -42,9 +50,30 @@ def test_a_restated_problem_is_the_same_in_other_units() -> None:
 def test_what_does_not_stay_is_counted() -> None:
     sweep = trust.Sweep(Known(problems.goddard, 3.0))
     stays = {3.0: True, 2.9999: True, 2.0: True, 1.0: False, 9.0: True}
-    sweep.__dict__["tried"] = [trust.Tried(cost != 9.0, cost, 1, lambda own=own: own) for cost, own in stays.items()]
+    sweep.__dict__["_came"] = [trust.Tried(cost != 9.0, cost, 1, lambda own=own: own) for cost, own in stays.items()]
     assert sweep.best == 3.0
     assert [each.cost for each in sweep.elsewhere] == [2.0, 1.0]
     assert [each.cost for each in sweep.wrong] == [1.0]
     assert math.isclose(sweep.spread(), 1e-4 / 3.0)
     assert sweep.apart() == 0.0
+
+
+def test_a_sweep_that_fails_runs_once_and_fails_every_check() -> None:
+    made = []
+
+    def make(**_: Any) -> Any:
+        made.append(True)
+        raise tx.ModelError("no such problem")
+
+    sweep = trust.Sweep(Known(make, 1.0))
+    for measure in (sweep.apart, sweep.spread, lambda: sweep.wrong):
+        with pytest.raises(tx.ModelError, match="no such problem"):
+            measure()
+    assert len(made) == 1
+
+
+def test_the_reach_is_that_of_an_optimum() -> None:
+    known = Known(problems.goddard, 1.0)
+    known.__dict__["plain"] = SimpleNamespace(solved=False, status=tx.trajectory.Status.STALLED)
+    with pytest.raises(RuntimeError, match="plainly stated it ends in STALLED"):
+        _ = trust.Sweep(known).tried

@@ -147,10 +147,10 @@ class _OnGrid(Expr):
         count = len(values) // 2
         axes, fp = values[count:-1], values[-1]
         shape = jnp.broadcast_shapes(*(x.shape for x in values[:count]))
-        inside = [jnp.clip(jnp.broadcast_to(x, shape), p[0], p[-1]) for x, p in zip(values, axes, strict=False)]
-        table = [each.value for each in self.children()[count:] if isinstance(each, Constant)]
+        inside = [jnp.clip(jnp.broadcast_to(x, shape), p[0], p[-1]) for x, p in zip(values[:count], axes, strict=True)]
+        table = [each for each in self.children()[count:] if isinstance(each, Constant)]
         if len(table) > count:
-            return _once(self, lambda: linear(table[:-1], table[-1]))(inside)
+            return _once(self, lambda: linear([points.value for points in table[:-1]], table[-1].value))(inside)
         # All breakpoints are compared at once: for tables of ordinary size that is faster in a loop than halving.
         starts = [
             jnp.searchsorted(p[1:-1], x, side="right", method="compare_all") for x, p in zip(inside, axes, strict=True)

@@ -79,22 +79,20 @@ class CheckCase:
         velocity = np.cross([0.0, 0.0, earth.WGS84.rate], position)
         return {"g": placed(north_east_down, position), "V": np.concatenate([north_east_down.T @ velocity, self.rate])}
 
-    def parameters(self) -> dict[str, Any]:
-        """The parameters of `system`."""
+    def parameters(self, damped: bool = True) -> dict[str, Any]:
+        """The parameters of `system`; of a case without damping its coefficients are zero where the system has them."""
+        body = {"mass": self.mass, "inertia": np.array(self.inertia)}
+        if not damped:
+            return body
         damping = self.damping or RateDamping(area=0.0, span=0.0, chord=0.0)
-        return {
-            "mass": self.mass,
-            "inertia": np.array(self.inertia),
-            "damping": np.array(damping.coefficients),
-            "frame_rate": damping.frame_rate,
-        }
+        return body | {"damping": np.array(damping.coefficients), "frame_rate": damping.frame_rate}
 
 
 def system(planet: flight.Planet = flight.EARTH, damped: bool = True) -> tx.System:
-    """Newton-Euler under gravity and damping moments: the states, and the outputs, of `flight.Vehicle`.
+    """Newton-Euler under gravity, and damping moments if damped: the states, and the outputs, of `flight.Vehicle`.
 
-    Parameters: mass, kg; inertia, principal moments (3,), kg m2; damping, `RateDamping.coefficients` (3,), m4;
-    frame_rate, rad/s. Those of the damping are there, and an air is computed, where it is damped.
+    Parameters: mass, kg; inertia, principal moments (3,), kg m2; and if damped, damping, `RateDamping.coefficients`
+    (3,), m4, and frame_rate, rad/s.
     """
     body = flight.Vehicle(planet)
     g, V, R = body.pose, body.twist, body.pose[:3, :3]
@@ -146,12 +144,12 @@ _DAMPED = dataclasses.replace(
 CASES = {case.number: case for case in (_SPHERE, _BRICK, _DAMPED)}
 
 
-#: Case 2, without air.
+#: Case 2, without parameters of damping.
 TUMBLING_BRICK = Scene(
     **said("tumbling-brick"),
     build=functools.partial(system, damped=False),
     start=CASES[2].start(),
-    params={name: CASES[2].parameters()[name] for name in ("mass", "inertia")},
+    params=CASES[2].parameters(damped=False),
     duration=DURATION,
     reference=stored_end("tumbling-brick"),
 )

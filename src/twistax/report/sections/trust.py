@@ -23,6 +23,7 @@ from .problems import Known, Statement
 
 #: How many of a new unit make an old one, by how much limits are wider, and starts of each.
 SIZES, WIDTHS, STARTS = (1e-6, 1.0, 1e6), (1.0, 1e2, 1e4), 4
+_SOLVES = float(len(SIZES) * len(WIDTHS) * STARTS)
 #: Relative differences of costs of one optimum, and a tolerance that shows whether a solution is one.
 _SAME, _CLOSER = 1e-4, 1e-9
 #: Limits that bind nothing lie so many times as far as the optimum reaches.
@@ -91,15 +92,36 @@ class Tried:
 
 
 class Sweep:
-    """All solves of one problem."""
+    """All solves of one problem.
 
-    def __init__(self, known: Known) -> None:
-        self.known = known
+    Args:
+        known: it, and its optimum.
+        others: how many solves may end at other stationary points: optima, or saddles, which a closer solve keeps, too.
+    """
+
+    def __init__(self, known: Known, others: int = 0) -> None:
+        self.known, self.others = known, others
+
+    @property
+    def tried(self) -> list[Tried]:
+        """In all units, with all limits, from all starts. Raises what the sweep raised, which runs once."""
+        if isinstance(self._came, Exception):
+            raise self._came
+        return self._came
 
     @functools.cached_property
-    def tried(self) -> list[Tried]:
-        """In all units, with all limits, from all starts."""
+    def _came(self) -> list[Tried] | Exception:
+        try:
+            return self._all()
+        except Exception as failure:  # whatever comes is what was found
+            return failure
+
+    def _all(self) -> list[Tried]:
         plain = self.known.plain
+        if not plain.solved:
+            raise RuntimeError(
+                f"how far the optimum reaches is not known: plainly stated it ends in {plain.status.name}"
+            )
         reach = {name: float(np.abs(values).max()) for name, values in (plain.xs | plain.us).items()}
         return [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach))]
 
@@ -117,8 +139,9 @@ class Sweep:
     @functools.cached_property
     def best(self) -> float:
         """The cost of the best that was found."""
+        costs = [each.cost for each in self.tried if each.solved]
         sign = self.known.problem.sign
-        return sign * min((sign * each.cost for each in self.tried if each.solved), default=math.nan)
+        return sign * min((sign * cost for cost in costs), default=math.nan)
 
     @functools.cached_property
     def elsewhere(self) -> list[Tried]:
@@ -127,7 +150,7 @@ class Sweep:
 
     @functools.cached_property
     def wrong(self) -> list[Tried]:
-        """Those of them that are no optimum: a closer solve does not stay."""
+        """Those of them at no stationary point: a closer solve does not stay."""
         return [each for each in self.elsewhere if not each.stays()]
 
     def apart(self) -> float:
@@ -143,28 +166,30 @@ class Sweep:
 _of = functools.partial
 _FAST = _of(problems.fastest, 1.0, (0.5, 6.0), 1.0)
 
-_KNOWN: dict[str, tuple[Callable[..., Any], float, float]] = {
-    "least time of a mass: 2 s, 21 nodes": (_FAST, 2.0, 1e-5),
-    "brachistochrone: 1.80160 s, 51 nodes": (problems.brachistochrone, 1.80160, 1e-3),
-    "Bryson-Denham: 4, 61 nodes": (problems.bryson_denham, 4.0, 5e-3),
-    "Goddard: 1.01284, 51 nodes": (problems.goddard, 1.01284, 1e-5),
-    "cart-pole of Kelly: 58.8077, 51 nodes": (problems.cart_pole, 58.8077, 1e-2),
-    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": (problems.reorientation, 3.24307, 1e-3),
-    "rendezvous, norm as cost: 1.212619, 31 nodes": (_of(problems.rendezvous, "norm as cost"), 1.212619, 1e-5),
-    "rendezvous, a slack: 1.212619, 31 nodes": (_of(problems.rendezvous, "norm below a slack"), 1.212619, 1e-5),
-    "hypersensitive: 1.33, 41 nodes": (problems.hypersensitive, 1.3308069, 5e-2),
+SWEEPS = {
+    "least time of a mass: 2 s, 21 nodes": Sweep(Known(_FAST, 2.0, 1e-5)),
+    "brachistochrone: 1.80160 s, 51 nodes": Sweep(Known(problems.brachistochrone, 1.80160, 1e-3), others=16),
+    "Bryson-Denham: 4, 61 nodes": Sweep(Known(problems.bryson_denham, 4.0, 5e-3)),
+    "Goddard: 1.01284, 51 nodes": Sweep(Known(problems.goddard, 1.01284, 1e-5)),
+    "cart-pole of Kelly: 58.8077, 51 nodes": Sweep(Known(problems.cart_pole, 58.8077, 1e-2), others=11),
+    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Sweep(Known(problems.reorientation, 3.24307, 1e-3)),
+    "rendezvous, norm as cost: 1.212619, 31 nodes": Sweep(
+        Known(_of(problems.rendezvous, "norm as cost"), 1.212619, 1e-5)
+    ),
+    "rendezvous, a slack: 1.212619, 31 nodes": Sweep(
+        Known(_of(problems.rendezvous, "norm below a slack"), 1.212619, 1e-5)
+    ),
+    "hypersensitive: 1.33, 41 nodes": Sweep(Known(problems.hypersensitive, 1.3308069, 5e-2)),
 }
-SWEEPS = {name: Sweep(Known(*each)) for name, each in _KNOWN.items()}
 
 TRUST: Section = [
     slow(name, by, expected, measure, sweep)
     for name, sweep in SWEEPS.items()
     for by, expected, measure in (
         ("best, from the known", at_most(sweep.known.bar), Sweep.apart),
-        ("solves", between(), lambda own: len(own.tried)),
-        ("SOLVED", between(), lambda own: sum(each.solved for each in own.tried)),
-        ("SOLVED where no optimum is", at_most(0), lambda own: len(own.wrong)),
-        ("SOLVED at other optima", between(), lambda own: len(own.elsewhere) - len(own.wrong)),
+        ("SOLVED", between(low=_SOLVES), lambda own: sum(each.solved for each in own.tried)),
+        ("SOLVED at no stationary point", at_most(0), lambda own: len(own.wrong)),
+        ("SOLVED at other stationary points", at_most(sweep.others), lambda own: len(own.elsewhere) - len(own.wrong)),
         ("largest difference of the rest", at_most(_SAME), Sweep.spread),
         ("most steps", between(), lambda own: max(each.iterations for each in own.tried)),
     )

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ....checks import listed
-from ....expr import Constant, Expr, Interp, Max, Min, Where
+from ....expr import Expr, Interp, Max, Min, Where
 from ....expr.table_kinds import Clamped, Extrapolated
 from ..xml_file import Element
 
@@ -66,11 +66,15 @@ class Axis:
         return cls(element, element.text("varID").strip(), lower, upper, below, above, _LOOKUPS[kind])
 
     def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
-        """Where to look in a piecewise linear table, and its breakpoints; of steps the number of the value, whole."""
+        """Where to look in a piecewise linear table, and its breakpoints; of steps the number of the value, whole.
+
+        NaN stays NaN.
+        """
         x = limited(x, self.lower, self.upper)
         if self.steps is None:
             return x, breakpoints
-        count = sum((Where(passed, 1.0, 0.0) for passed in self.steps(x, breakpoints)), Constant(0.0))
+        known = Where(x == x, 0.0, np.nan)  # NaN has passed none of them
+        count = sum((Where(passed, 1.0, 0.0) for passed in self.steps(x, breakpoints)), known)
         return count, np.arange(float(len(breakpoints)))
 
 
