@@ -1622,6 +1622,12 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_optimality.py",
         ),
         (
+            "states shaken in levelled scales",
+            "if alone and free.u.any():",
+            "if False:",
+            "trajectory/test_optimality.py::test_a_saddle_is_left_whatever_units_stand_in_one_vector[False]",
+        ),
+        (
             "starts as far apart as limits",
             "np.minimum((high - low) / 6.0, 0.4 * np.asarray(scales.border))",
             "np.where(np.isfinite(high - low), (high - low) / 6.0, 0.4 * np.asarray(scales.border))",

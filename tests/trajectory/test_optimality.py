@@ -277,6 +277,20 @@ def test_bends_are_looked_at_along_entries_that_hardly_move() -> None:
     np.testing.assert_array_equal(found.u, np.full((2, 3), 3.0))
 
 
+@pytest.mark.parametrize("declared", [False, True])
+def test_a_saddle_is_left_whatever_units_stand_in_one_vector(declared: bool) -> None:
+    """Straight over a hill is a saddle, around it is better. The same with two states in one unit gives 0.8994."""
+    sizes = np.array([1e3, 1e3, 1.0, 1.0])
+    x, u = tx.State("x", shape=(4,), scale=sizes if declared else None), tx.Control("u", shape=(2,))
+    p, v = (x / sizes)[:2], x[2:]
+    dynamics = tx.compile(tx.System(rates={x: tx.Concat(1e3 * v, u - 0.1 * v**3)}))
+    ends: dict[str, Any] = {"initial": {x: [-1e3, 0.0, 0.0, 0.0]}, "final": {x: [1e3, 0.0, 0.0, 0.0]}}
+    cost = tx.Minimize(running=0.1 * (u @ u) + 3.0 * tx.Exp(-(p @ p) / 0.2))
+    result = Problem(dynamics, cost, nodes=13, final_time=3.0, **ends).solve()
+    assert result.solved
+    assert result.cost == pytest.approx(0.8994, rel=1e-4)
+
+
 def test_running_out_of_iterations_is_never_solved() -> None:
     """However many there were: SOLVED asks for errors within the tolerance, in scales just measured."""
     for most in range(1, 14):

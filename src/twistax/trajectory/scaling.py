@@ -120,15 +120,19 @@ def not_below(scales: Scales, seen: Scales, sloped: bool) -> tuple[Scales, Scale
 
 
 def levelled(shooting: Transcribed, scales: Scales) -> Scales:
-    """Scales with those of all entries of a vector as large as the largest: of entries that hardly move, too."""
+    """Scales in which an entry of a vector that hardly moves counts as the one that moves most.
+
+    Vectors that declare a scale keep it, and so do tangents of SO(3) and SE(3), whose axes have one unit.
+    """
     d, u = np.array(scales.d), np.array(scales.u)
     for part in shooting.segments:
-        local, group = part.shooting.local, part.shooting.dynamics.group
-        plain = [group.slices[name] for name, own in group.factors.items() if isinstance(own, Euclidean)]
-        entries = [(d[part.nodes], own) for own in plain]
-        entries += [(u[part.stages], own) for own in local.controls.slices.values()]
-        for sizes, own in entries:
-            sizes[:, own] = sizes[:, own].max(axis=1, keepdims=True)
+        own, group = part.shooting, part.shooting.dynamics.group
+        plain = [name for name, factor in group.factors.items() if isinstance(factor, Euclidean)]
+        entries = [(d[part.nodes], name, group.slices[name]) for name in plain]
+        entries += [(u[part.stages], name, columns) for name, columns in own.local.controls.slices.items()]
+        for sizes, name, columns in entries:
+            if own.leaves[name].scale is None:
+                sizes[:, columns] = sizes[:, columns].max(axis=1, keepdims=True)
     return scales._replace(d=d, u=u)
 
 

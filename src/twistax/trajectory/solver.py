@@ -137,7 +137,7 @@ class Solver:
         state = state if levels is None else self._rescaled(state, levels)
         if not self._bends_down(state, given):
             return first
-        other, _ = self._run(self._step_away(state), given, max(1, max_iterations - first.iterations), callback)
+        other, _ = self._run(self._step_away(state, alone=True), given, max(1, max_iterations - first.iterations), callback)
         better = other.status is Status.SOLVED and other.cost < first.cost - self.tolerance * float(state.scales.cost)
         return (other if better else first)._replace(iterations=first.iterations + other.iterations)
 
@@ -276,11 +276,18 @@ class Solver:
         scales, _ = self.first_scales(point, given)
         return self._start(point, given, scales)
 
-    def _step_away(self, state: Iterate) -> Point:
-        """The point after a random step."""
+    def _step_away(self, state: Iterate, alone: bool = False) -> Point:
+        """The point after a random step.
+
+        Args:
+            alone: of controls alone where there are some. Levelled scales of states can be steps of any size: an entry
+                of 1 beside one of 1e3 would move by 100.
+        """
         rng, free, scales = np.random.default_rng(0), self.shooting.free, state.scales
         d = np.where(self.shooting.stirred, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
+        if alone and free.u.any():
+            d = np.zeros_like(d)
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 
     def watch(self, seen: Scales, most: int) -> Watch:
