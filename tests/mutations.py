@@ -1608,7 +1608,7 @@ MUTATIONS: list[Mutation] = [
         "trajectory/scaling.py",
         (
             "bends along what moves alone",
-            "sizes[:, own].max(axis=1, keepdims=True)",
+            "sizes[:, columns].max(axis=1, keepdims=True)",
             "sizes[:, own]",
             "trajectory/test_optimality.py",
         ),

@@ -319,11 +319,11 @@ class AdaptiveSteps(Steps):
         def one_try(given: Any, stepper: Stepper, now: _Now) -> tuple[_Now, jax.Array, _Step | None]:
             steps, t, leg = given
             found, step = steps._try(stepper, packing, now, leg)
-            return found, _going(found, t), step
+            return found, _going(found, t), step if steps.finds_rows else None
 
-        # Neither saved times nor events are part of it: others need no other kernel.
+        # Neither saved times nor events are part of it: others need no other kernel. What rows are made of is.
         own = self.stops._replace(ts=None, leg=None, place=None, count=None)
-        alone = dataclasses.replace(self, stops=own, watch=None, meter=None, dense=False, between=Between.STEP)
+        alone = dataclasses.replace(self, stops=own, watch=None, meter=None, dense=False)
         row = functools.partial(self._row, stepper, packing.state)
         return kernel_tries(one_try, row, (alone, t, leg), stepper, now)
 
@@ -341,7 +341,8 @@ class AdaptiveSteps(Steps):
             return limits, anything, now
 
         def kernel(limits: Any, anything: Any, now: _Now) -> _Kernel | None:
-            steps = dataclasses.replace(self, stops=self.stops._replace(limits=limits), tolerances=anything)
+            stops = self.stops._replace(limits=limits)
+            steps = dataclasses.replace(self, stops=stops, tolerances=anything, between=Between.STEP)
             return steps._kernel(t, none, stepper, packings[-1], now)
 
         none, given = jnp.zeros((), int), (self, stepper.beside_loops, t, y, h)

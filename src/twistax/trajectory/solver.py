@@ -137,7 +137,8 @@ class Solver:
         state = state if levels is None else self._rescaled(state, levels)
         if not self._bends_down(state, given):
             return first
-        other, _ = self._run(self._step_away(state, alone=True), given, max(1, max_iterations - first.iterations), callback)
+        away, left = self._step_away(state, alone=True), max(1, max_iterations - first.iterations)
+        other, _ = self._run(away, given, left, callback)
         better = other.status is Status.SOLVED and other.cost < first.cost - self.tolerance * float(state.scales.cost)
         return (other if better else first)._replace(iterations=first.iterations + other.iterations)
 
