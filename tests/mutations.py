@@ -102,8 +102,8 @@ MUTATIONS: list[Mutation] = [
         "checks.py",
         (
             "masks in lists are lost",
-            "any(map(_masked, value)) if isinstance(value, (list, tuple)) else",
-            "",
+            "    if isinstance(value, (list, tuple)):  #",
+            "    if False:  #",
             "expr/test_no_silent_numbers.py",
         ),
     ),
@@ -111,8 +111,8 @@ MUTATIONS: list[Mutation] = [
         "lowering/inputs.py",
         (
             "what JAX has in double precision becomes infinite in single",
-            "if wider and not is_traced(array):",
-            "if False:",
+            "if not wider or is_traced(array):",
+            "if not isinstance(array, np.ndarray):",
             "expr/test_no_silent_numbers.py",
         ),
     ),

@@ -31,8 +31,7 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         error: raised where it is refused.
         free: None stands for an entry that is left open, and becomes NaN.
     """
-    if _masked(value):
-        raise error(f"{place} expects real numbers, got masked entries.\n  fix: fill them, value.filled(...)")
+    _need_unmasked(place, value, error)
     try:
         array = np.asarray(value)
     except jax.errors.TracerArrayConversionError:
@@ -74,15 +73,35 @@ def _real(dtype: Any) -> bool:
     return bool(integers or jnp.issubdtype(dtype, jnp.floating))
 
 
+def _real_entry(array: np.ndarray) -> bool:
+    """Whether what an array of no dimensions holds is a real number, of NumPy's types or Python's own."""
+    if array.dtype != object:
+        return _real(array.dtype)
+    entry = array.item()
+    return isinstance(entry, numbers.Real) and not isinstance(entry, bool)
+
+
+def _need_unmasked(place: str, value: Any, error: type[Exception]) -> None:
+    """Raise the error where an entry is masked, in lists too: NumPy would make NaN, or the number beneath, of it."""
+    try:
+        masked = _masked(value)
+    except RecursionError:  # a list that holds itself
+        raise error(f"{place} expects real numbers, got {short(value)}") from None
+    if masked:
+        raise error(f"{place} expects real numbers, got masked entries.\n  fix: fill them, value.filled(...)")
+
+
 def _masked(value: Any) -> bool:
-    """Whether an entry is masked, in lists too: NumPy would make NaN of it."""
-    return any(map(_masked, value)) if isinstance(value, (list, tuple)) else bool(np.ma.is_masked(value))
+    if isinstance(value, (list, tuple)):  # long ones of Python's own numbers are passed over at once
+        return not {*map(type, value)} <= {float, int} and any(map(_masked, value))
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
 def real_array(place: str, value: Any, error: type[Exception] = InputError) -> jax.Array | np.ndarray:
     """The same, where arrays of JAX and traced values stay what they are, alone or in lists."""
     from .jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
 
+    _need_unmasked(place, value, error)
     if not (isinstance(value, jax.Array) or is_traced(value)):
         return reals(place, value, error)
     try:
@@ -108,8 +127,7 @@ def number(
         return value
     single = isinstance(value, numbers.Real) or (isinstance(value, (np.ndarray, jax.Array)) and value.shape == ())
     try:
-        kind = np.asarray(value).dtype if single else np.dtype(bool)
-        right = (kind.kind == "O" or _real(kind)) and holds(float(value))
+        right = single and _real_entry(np.asarray(value)) and holds(float(value))
     except (TypeError, OverflowError):  # a key of random numbers; a number beyond float64
         right = False
     if not right:

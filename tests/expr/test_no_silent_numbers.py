@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import jax
@@ -12,7 +13,10 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from twistax.checks import real_array, reals
 from twistax.expr.fields import Operand, freeze
+from twistax.integrators.links import linked
+from twistax.lowering.inputs import cast
 
 s, v = tx.State("s"), tx.State("v", shape=(3,))
 A, B = tx.State("A", shape=(2, 2)), tx.State("B", shape=(2, 2))
@@ -372,6 +376,28 @@ def test_what_numpy_would_make_a_number_of(value: Any, words: str) -> None:
             tx.integrate(dynamics, {"s": 0.0}, t1=value, steps=2, params={"p": 1.0})
 
 
+def test_masks_beside_traced_values_are_refused() -> None:
+    dynamics = tx.compile(tx.System(rates={v: 2.0 * v}))
+    for masked in (np.ma.array(5.0, mask=True), np.ma.masked):
+        with pytest.raises(tx.InputError, match="masked entries"):
+            jax.jit(lambda a, m=masked: dynamics(0.0, {"v": [a, m, 0.0]})["v"])(1.0)
+
+
+@pytest.mark.parametrize("read", [reals, real_array])
+def test_a_list_that_holds_itself_is_refused(read: Callable[..., Any]) -> None:
+    value: list[Any] = [1.0]
+    value.append(value)
+    with pytest.raises(tx.InputError, match=r"p expects real numbers, got \[1.0, \[...\]\]"):
+        read("p", value, tx.InputError)
+
+
+def test_an_array_of_objects_is_the_number_it_holds() -> None:
+    assert tx.checks.number("p", np.array(Fraction(1, 2), dtype=object)) == 0.5
+    for entry in ("abc", "1.5", True, None):
+        with pytest.raises(tx.InputError, match="p must be a finite number"):
+            tx.checks.number("p", np.array(entry, dtype=object))
+
+
 def test_more_than_double_precision_is_double() -> None:
     dynamics = tx.compile(tx.System(rates={s: 2.0 * s}))
     assert dynamics(0.0, {"s": np.longdouble(1.5)})["s"].dtype == np.float64
@@ -388,6 +414,27 @@ def test_nothing_becomes_infinite_in_single_precision() -> None:
         dynamics(0.0, x, None, {"p": jnp.asarray(1e300)})
     with pytest.raises(tx.InputError, match="t1 has 1e\\+39, which float32 cannot hold"):
         tx.integrate(dynamics, x, t1=1e39, steps=2, params={"p": 0.0})
+    for name, value, place in (
+        ("dt", 1e39, "dt"),
+        ("rtol", 1e39, "rtol"),
+        ("atol", 1e39, "atol of state 's'"),
+        ("jumps", [0.5, 1e39], "jumps"),
+    ):
+        given = {"rtol": 1e-3, "atol": 1e-3, name: value}
+        with pytest.raises(tx.InputError, match=f"^{place} has 1e\\+39, which float32 cannot hold"):
+            tx.integrate(dynamics, x, t1=1.0, params={"p": 0.0}, **given)
+    with pytest.raises(tx.InputError, match=r"^link\['s'\] has 1e\+39, which float32 cannot hold"):
+        linked("link", {"s": 1e39}, dynamics, dynamics, 0.0, {"s": jnp.float32(1.0)}, {})
+    large = tx.compile(tx.System(rates={tx.State("y", scale=1e39): 0.0}))
+    with pytest.raises(tx.InputError, match=r"^scale of state 'y' has 1e\+39, which float32 cannot hold"):
+        tx.integrate(large, {"y": np.float32(1.0)}, t1=1.0, rtol=1e-3)
+
+
+def test_an_array_of_jax_in_another_precision_stays_one() -> None:
+    found = cast("p", jnp.asarray([1.0, np.inf]), np.dtype(np.float32), on_host=True)
+    assert isinstance(found, jax.Array)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, [1.0, np.inf])
 
 
 def test_steps_that_32_bits_do_not_count() -> None:

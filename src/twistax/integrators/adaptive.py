@@ -16,7 +16,7 @@ from ..checks import real_array
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
-from ..lowering.inputs import is_finite
+from ..lowering.inputs import is_finite, need_held
 from ..lowering.scalar.loops import Filling
 from ..lowering.small_call import held, small_call
 from .charts import Blocks
@@ -53,6 +53,7 @@ class Stops(NamedTuple):
             falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
             if given.ndim != 1 or not is_finite(given) or falls:
                 raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
+            need_held("jumps", given, t0.dtype)
         known = [*signals.jumps, *([] if jumps is None else [jumps])]
         # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
         array: Any = jnp if is_traced((t0, t1, known, save_at)) else np

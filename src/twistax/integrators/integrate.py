@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import instance
+from ..checks import instance, real_array
 from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
@@ -23,7 +23,7 @@ from ..groups.arrays import element_defect
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import cast, is_finite, precision
+from ..lowering.inputs import is_finite, need_held, precision
 from ..lowering.written import on_any_mesh
 from .adaptive import AdaptiveSteps, Stops
 from .charts import Ambient
@@ -205,7 +205,7 @@ def planned(
     if dynamics.system.corrections:
         need_start_on_manifold(dynamics, inputs)
     if span is not None:
-        cast("t1", np.asarray(span[1]), inputs.dtype)
+        need_held("t1", np.asarray(span[1]), inputs.dtype)
         if isinstance(controls, ByName):
             controls.check_span(*span)
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
@@ -228,6 +228,8 @@ def planned(
         if between is Between.POLYNOMIAL:
             method.need_polynomial()
         stops = Stops.given(inputs.t, t1, saves, count, jumps, signals)
+        if dt is not None:
+            need_held("dt", real_array("dt", dt), dtype)
         first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
         tolerances = tolerances_of(dynamics, rtol, atol, dtype)
         taken = AdaptiveSteps(inputs.t, first, stops, tolerances, control or StepControl(), dense, between, watch)

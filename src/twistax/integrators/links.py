@@ -14,6 +14,7 @@ from ..expr import Constant, Expr, Inputs, Leaf, Parameter, State, Time, canonic
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from ..lowering.inputs import cast
 from ..system import name_of
 
 #: What `integrate_phases` takes for a join.
@@ -89,8 +90,8 @@ def linked(
         name = state.name
         if name not in jumps and name not in x:
             raise ModelError(f"{place} says nothing of {name!r}, which the phase before does not have")
-        value = real_array(f"{place}[{name!r}]", jumps.get(name, x.get(name)))
-        found[name] = value.astype(dtype)
+        own = f"{place}[{name!r}]"
+        found[name] = cast(own, real_array(own, jumps.get(name, x.get(name))), dtype, on_host=True)
     return found
 
 

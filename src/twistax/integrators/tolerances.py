@@ -16,6 +16,7 @@ from ..expr import State
 from ..groups import Euclidean, SpecialEuclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
+from ..lowering.inputs import cast
 from .charts import Blocks, StateCoordinates
 
 #: No tolerance is finer than this many times the precision of the numbers.
@@ -97,7 +98,11 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
     return Tolerances(
         relative,
         {state.name: _absolute(state, given[state.name], dtype) for state in dynamics.states},
-        {s.name: _held(s, s.scale.astype(dtype)) for s in dynamics.states if s.scale is not None},
+        {
+            s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
+            for s in dynamics.states
+            if s.scale is not None
+        },
     )
 
 
@@ -130,4 +135,4 @@ def _numbers(place: str, value: Any, dtype: Any) -> Any:
     array = real_array(place, value)
     if array.dtype == bool:
         raise InputError(f"{place} expects real numbers, got {value!r}")
-    return array.astype(dtype)
+    return cast(place, array, dtype, on_host=True)

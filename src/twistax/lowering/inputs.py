@@ -72,22 +72,31 @@ def is_finite(value: Any) -> bool:
 
 
 def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = False) -> jax.Array | np.ndarray:
-    """The array in the precision of the call. Raises InputError where that cannot hold it."""
-    wider = jnp.issubdtype(array.dtype, jnp.floating) and array.dtype.itemsize > np.dtype(dtype).itemsize
-    if wider and not is_traced(array):
-        array = np.asarray(array)
+    """The array in the precision of the call. Raises InputError where that cannot hold it.
+
+    Arrays of JAX stay on their devices. Those in a wider precision are waited for, and read on the host.
+    """
+    need_held(place, array, dtype)
     if isinstance(array, np.ndarray):
-        with np.errstate(over="ignore"):
-            found = array.astype(dtype)
-        if np.any(np.isinf(found) & np.isfinite(array)):
-            raise InputError(
-                f"{place} has {np.abs(array).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
-                '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
-            )
+        array = array.astype(dtype)
         if on_host:
-            return found
-        array = found
+            return array
     return jnp.asarray(array, dtype)
+
+
+def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
+    """Raise InputError where a precision cannot hold what is known of an array."""
+    wider = array.dtype.itemsize > np.dtype(dtype).itemsize and jnp.issubdtype(array.dtype, jnp.floating)
+    if not wider or is_traced(array):
+        return
+    known = np.asarray(array)
+    with np.errstate(over="ignore"):
+        lost = np.isinf(known.astype(dtype)) & np.isfinite(known)
+    if lost.any():
+        raise InputError(
+            f"{place} has {np.abs(known[lost]).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
+            '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
+        )
 
 
 def prepare(
