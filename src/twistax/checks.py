@@ -45,7 +45,8 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         raise error(f"{place} expects real numbers, got {short(value)}") from None
     if array.dtype == object:  # Python's own: fractions, long integers, None
         entries = [np.nan if entry is None and free else entry for entry in array.ravel()]
-        strangers = [entry for entry in entries if not isinstance(entry, numbers.Real)]
+        times = np.timedelta64  # which NumPy counts among the integers
+        strangers = [entry for entry in entries if not isinstance(entry, numbers.Real) or isinstance(entry, times)]
         if strangers:
             raise error(f"{place} expects real numbers, got {short(strangers[0])}")
         try:
@@ -71,14 +72,6 @@ def _real(dtype: Any) -> bool:
     """Whether it is one of real numbers. NumPy counts differences of times among the integers."""
     integers = jnp.issubdtype(dtype, jnp.integer) and not jnp.issubdtype(dtype, np.timedelta64)
     return bool(integers or jnp.issubdtype(dtype, jnp.floating))
-
-
-def _real_entry(array: np.ndarray) -> bool:
-    """Whether what an array of no dimensions holds is a real number, of NumPy's types or Python's own."""
-    if array.dtype != object:
-        return _real(array.dtype)
-    entry = array.item()
-    return isinstance(entry, numbers.Real) and not isinstance(entry, bool)
 
 
 def _need_unmasked(place: str, value: Any, error: type[Exception]) -> None:
@@ -125,9 +118,12 @@ def number(
 
     if is_traced(value) and np.shape(value) == ():
         return value
-    single = isinstance(value, numbers.Real) or (isinstance(value, (np.ndarray, jax.Array)) and value.shape == ())
+    boxed = isinstance(value, np.ndarray) and value.dtype == object and value.shape == ()
+    entry = value.item() if boxed else value
+    single = isinstance(entry, numbers.Real) or (isinstance(entry, (np.ndarray, jax.Array)) and entry.shape == ())
     try:
-        right = single and _real_entry(np.asarray(value)) and holds(float(value))
+        kind = np.asarray(entry).dtype if single else np.dtype(bool)
+        right = (kind.kind == "O" or _real(kind)) and holds(float(entry))
     except (TypeError, OverflowError):  # a key of random numbers; a number beyond float64
         right = False
     if not right:

@@ -358,10 +358,11 @@ _BEYOND = "float64 can hold|real numbers"
         (10**400, _BEYOND),
         ([1.0, -(10**400)], _BEYOND),
         (np.timedelta64(3, "s"), "real numbers"),
+        ([np.timedelta64(3, "s"), 1.0], "real numbers"),
         ([np.ma.array(1.0, mask=True), 2.0], "masked"),
         (jax.random.key(0), "real numbers"),
     ],
-    ids=["integer", "list", "time", "masked in a list", "key"],
+    ids=["integer", "list", "time", "time in a list", "masked in a list", "key"],
 )
 def test_what_numpy_would_make_a_number_of(value: Any, words: str) -> None:
     p = tx.Parameter("p", shape=(2,) if isinstance(value, list) else ())
@@ -393,7 +394,7 @@ def test_a_list_that_holds_itself_is_refused(read: Callable[..., Any]) -> None:
 
 def test_an_array_of_objects_is_the_number_it_holds() -> None:
     assert tx.checks.number("p", np.array(Fraction(1, 2), dtype=object)) == 0.5
-    for entry in ("abc", "1.5", True, None):
+    for entry in ("abc", "1.5", True, None, np.timedelta64(3, "s")):
         with pytest.raises(tx.InputError, match="p must be a finite number"):
             tx.checks.number("p", np.array(entry, dtype=object))
 
