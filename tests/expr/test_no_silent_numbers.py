@@ -424,6 +424,12 @@ def test_nothing_becomes_infinite_in_single_precision() -> None:
         given = {"rtol": 1e-3, "atol": 1e-3, name: value}
         with pytest.raises(tx.InputError, match=f"^{place} has 1e\\+39, which float32 cannot hold"):
             tx.integrate(dynamics, x, t1=1.0, params={"p": 0.0}, **given)
+    pushed = tx.compile(tx.System(rates={s: tx.Control("F") * s}))
+    table = tx.ZeroOrderHold(np.array([0.0, 0.5]), np.array([0.0, 1e39]))
+    with pytest.raises(tx.InputError, match=r"^values of a table of controls has 1e\+39, which float32 cannot hold"):
+        tx.integrate(pushed, x, t1=1.0, rtol=1e-3, u={"F": table})
+    with pytest.raises(tx.InputError, match=r"^what an event compares with has 1e\+39, which float32 cannot hold"):
+        tx.integrate(dynamics, x, t1=1.0, rtol=1e-3, params={"p": 0.0}, event=tx.Event(s >= 1e39))
     with pytest.raises(tx.InputError, match=r"^link\['s'\] has 1e\+39, which float32 cannot hold"):
         linked("link", {"s": 1e39}, dynamics, dynamics, 0.0, {"s": jnp.float32(1.0)}, {})
     large = tx.compile(tx.System(rates={tx.State("y", scale=1e39): 0.0}))

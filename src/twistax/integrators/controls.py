@@ -17,7 +17,7 @@ from ..errors import InputError, ShapeError
 from ..jax_inside import is_traced, of_one_device
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from ..lowering.inputs import is_finite, read_values
+from ..lowering.inputs import is_finite, need_held, read_values
 
 #: Tables of more times are searched by halving.
 _SHORT = 64
@@ -76,9 +76,11 @@ class Table(ABC):
         return table
 
     def astype(self, dtype: Any) -> Table:
-        """The same table in another precision."""
+        """The same table in another precision. Raises InputError where that cannot hold it."""
         if self.ts.dtype == dtype and self.values.dtype == dtype:
             return self
+        for place, array in (("times", self.ts), ("values", self.values)):
+            need_held(f"{place} of a table of controls", array, dtype)
         return self._of(None, (self.ts.astype(dtype), self.values.astype(dtype)))
 
     @property

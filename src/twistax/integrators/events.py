@@ -32,6 +32,7 @@ from ..expr.margins import margin
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
+from ..lowering.inputs import need_held
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .controls import Signals
@@ -193,7 +194,10 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
         closed: tuple[Any, ...] = ()
         if isinstance(condition, Expr):
             found = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
-            condition, closed = found[0], tuple(np.asarray(level, start.dtype) for level in found[1])
+            condition, levels = found[0], tuple(map(np.asarray, found[1]))
+            for level in levels:
+                need_held("what an event compares with", level, start.dtype)
+            closed = tuple(level.astype(start.dtype) for level in levels)
         elif is_tracing():
             value, arguments = value_of(number, condition)
             if is_traced(value):
