@@ -887,6 +887,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/scalar/loops.py",
+        (
+            "of batches rows are filled again by later steps",
+            "here = (first + jnp.arange(few, dtype=number.dtype) >= number) & (marks <= reach)",
+            "here = marks <= reach",
+            "integrators/test_along.py::test_rows_of_batches_of_batches_are_exact",
+        ),
+        (
+            "rows wait until all bodies are there",
+            "(marks <= reach)).any()",
+            "(marks <= reach)).all()",
+            "integrators/test_along.py::test_rows_of_batches_of_batches_are_exact",
+        ),
+    ),
+    *_at(
         "integrators/adaptive.py",
         (
             "steps are never taken back",

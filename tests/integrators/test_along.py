@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from twistax.lowering.scalar.loops import Repeated
 
 TIMES = np.array([0.0, 0.5, 0.75, 2.0])
 HELD = tx.ZeroOrderHold([0.0, 0.5, 1.0], [1.0, -2.0, 3.0])
@@ -273,6 +274,25 @@ def test_polynomials_stop_at_jumps_and_events_and_have_derivatives() -> None:
         return found.xs["x"][1]
 
     assert float(jax.grad(middle)(jnp.asarray(2.0))) == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize("backend", [tx.XLA(), tx.Native()], ids=["a loop of XLA", "a kernel's loop"])
+def test_rows_of_batches_of_batches_are_exact(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oscillators of other frequencies, ends and starts, in loops of XLA, where each is at another row."""
+    monkeypatch.setattr(Repeated, "kernel", lambda self, rows: None)
+    x, v, w = tx.State("x"), tx.State("v"), tx.Parameter("w")
+    dynamics = tx.compile(tx.System({x: v, v: -w * w * x}), backend=backend)
+    shares = np.append(np.linspace(0.0, 0.4, 210), [0.7, 1.0, 1.0])
+
+    def flown(w: jax.Array, end: jax.Array, x: jax.Array) -> jax.Array:
+        given: dict[str, Any] = {"params": {"w": w}, "t1": end, "save_at": shares * end, "rtol": 1e-7}
+        return tx.integrate(dynamics, {"x": x, "v": 0.0}, between=tx.Between.POLYNOMIAL, **given).xs["x"]
+
+    ws, ends, begins = np.array([0.3, 2.0, 5.0]), np.array([2.0, 0.0]), np.array([1.0, -0.5])
+    every = jax.vmap(jax.vmap(jax.vmap(flown, (None, None, 0)), (None, 0, None), out_axes=1), (0, None, None))
+    found = jax.jit(every)(ws, ends, begins)
+    phases = ws[:, None, None] * ends[:, None] * shares
+    np.testing.assert_allclose(found, begins[:, None, None] * np.cos(phases)[:, None], atol=1e-6)
 
 
 def test_what_has_no_polynomial_says_so() -> None:

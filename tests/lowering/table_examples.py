@@ -43,6 +43,14 @@ def _doubled_back(x: jax.Array) -> jax.Array:
 _doubled_back.defvjp(lambda x: (_doubled_back(x), None), lambda _, c: (2.0 * c,))
 
 
+@jax.custom_batching.custom_vmap
+def _doubled_by_rule(x: jax.Array) -> jax.Array:
+    return 2.0 * x
+
+
+_doubled_by_rule.def_vmap(lambda size, mapped, x: (2.0 * x, mapped[0]))
+
+
 EXAMPLES: dict[str, tuple[Any, ...]] = {
     **{name: (o.array, *[np.array([0.5, 0.25])] * o.arity) for name, o in OPERATIONS.items() if name != "select"},
     "acosh": (lax.acosh, np.array([2.0])),
@@ -105,6 +113,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "jit": (jax.jit(lambda a: 2.0 * a), REAL),
     "remat2": (jax.checkpoint(lambda a: 2.0 * jnp.sin(a)), REAL),
     "call_hi_primitive": (lambda a: jnp.searchsorted(a, a), REAL),
+    "custom_vmap_call": (_doubled_by_rule, REAL),
     "custom_jvp_call": (_doubled, REAL),
     "custom_vjp_call": (_doubled_back, REAL),
     "custom_linear_solve": (lambda b: jnp.linalg.solve(jnp.asarray(SQUARE) + jnp.diag(b), b), REAL),

@@ -113,6 +113,7 @@ NAMED = {
     "scatter-mul": {"update_jaxpr"},
     "scalar_program": {"inside"},
     "native_program": {"inside"},
+    "custom_vmap_call": {"rule", "in_tree", "out_tree"},
 }
 
 

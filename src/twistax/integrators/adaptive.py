@@ -302,8 +302,8 @@ class AdaptiveSteps(Steps):
             else:
                 after, step = self._try(stepper, packing, now._replace(watched=None), leg)
                 if now.rows is not None and step is not None:
-                    row = functools.partial(self._row, stepper, packing.state, held(step))
-                    after = after._replace(rows=now.rows.up_to(after.t, row))
+                    row = functools.partial(self._row, stepper, packing.state)
+                    after = after._replace(rows=now.rows.up_to(after.t, row, held(step)))
             if now.watched is None:
                 return after
             return small_call(lambda *own: own[0]._watched(own[1], packing, *own[2:]), self, stepper, now, after)

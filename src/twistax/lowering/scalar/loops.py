@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,17 @@ from ..small_call import need_outside
 from .emitter import as_function
 from .primitive import Bodies, Computed, Rows, Shapes, by_kernel, define
 from .program import ScalarProgram
+
+#: From what an iteration left for rows, and a mark, to the row.
+Row: TypeAlias = Callable[[Any, jax.Array], jax.Array]
+
+#: A table, and the number of the next row.
+_Filled: TypeAlias = tuple[jax.Array, jax.Array]
+
+#: Of a batch the rows of each body are filled some at once: as many as one of so many steps would pass.
+_STEPS = 64
+#: But no more than these, of which those that are not due yet are computed in vain.
+_AT_ONCE = 16
 
 
 class _Rolled(Computed):
@@ -44,20 +56,87 @@ class Filling(NamedTuple):
     table: Any
     number: Any
 
-    def up_to(self, reach: jax.Array, row: Callable[[jax.Array], jax.Array]) -> Filling:
-        """With all rows whose marks are not beyond `reach`, each `row` of its mark."""
-        count = len(self.marks)
+    def up_to(self, reach: jax.Array, row: Row, record: Any) -> Filling:
+        """With all rows whose marks are not beyond `reach`, each row(record, mark).
 
-        def next_mark(now: Filling) -> jax.Array:
-            return self.marks[jnp.minimum(now.number, count - 1)]
+        Args:
+            row: reads nothing that is traced but its arguments.
+        """
+        table, number = _filled(row)(reach, self, record)
+        return self._replace(table=table, number=number)
 
-        def due(now: Filling) -> jax.Array:
-            return (now.number < count) & (next_mark(now) <= reach)
 
-        def fill(now: Filling) -> Filling:
-            return now._replace(table=now.table.at[now.number].set(row(next_mark(now))), number=now.number + 1)
+def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
+    """What fills rows, from how far it is and a record.
 
-        return jax.lax.while_loop(due, fill, self)
+    Under vmap it is not the loop of one body with an axis more: where some bodies have come to their marks and others
+    not, JAX would select between whole tables for every row.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def one(reach: jax.Array, rows: Filling, record: Any) -> _Filled:
+        marks, count = rows.marks, len(rows.marks)
+
+        def next_mark(number: jax.Array) -> jax.Array:
+            return marks[jnp.minimum(number, count - 1)]
+
+        def due(now: _Filled) -> jax.Array:
+            return (now[1] < count) & (next_mark(now[1]) <= reach)
+
+        def fill(now: _Filled) -> _Filled:
+            table, number = now
+            return table.at[number].set(row(record, next_mark(number))), number + 1
+
+        return jax.lax.while_loop(due, fill, (rows.table, rows.number))
+
+    @jax.custom_batching.custom_vmap
+    def many(reach: jax.Array, rows: Filling, record: Any) -> _Filled:
+        """The same of bodies, along the first axis of all arrays: some rows of each at once, as long as any is due."""
+        count = rows.marks.shape[1]
+        few = min(max(count // _STEPS, 1), _AT_ONCE)
+
+        def due(now: _Filled) -> jax.Array:
+            at = jnp.minimum(now[1], count - 1)
+            marks = jnp.take_along_axis(rows.marks, at[:, None], 1)[:, 0]
+            return ((now[1] < count) & (marks <= reach)).any()
+
+        def fill(reach: jax.Array, marks: jax.Array, record: Any, table: jax.Array, number: jax.Array) -> _Filled:
+            first = jnp.minimum(number, count - few)
+            marks = jax.lax.dynamic_slice_in_dim(marks, first, few)
+            here = (first + jnp.arange(few, dtype=number.dtype) >= number) & (marks <= reach)
+            old = jax.lax.dynamic_slice_in_dim(table, first, few)
+            new = jnp.where(here[:, None], jax.vmap(row, (None, 0))(record, marks), old)
+            return jax.lax.dynamic_update_slice_in_dim(table, new, first, 0), number + here.sum(dtype=number.dtype)
+
+        def fill_all(now: _Filled) -> _Filled:
+            return jax.vmap(fill)(reach, rows.marks, record, *now)
+
+        return jax.lax.while_loop(due, fill_all, (rows.table, rows.number))
+
+    def whole(size: int, mapped: Any, arguments: Any) -> Any:
+        """All arguments with the axis of bodies."""
+        return jax.tree.map(
+            lambda own, a: a if own else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
+        )
+
+    @one.def_vmap
+    def of_one(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
+        return many(*whole(size, mapped, arguments)), (True, True)
+
+    @many.def_vmap
+    def of_many(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
+        own = whole(size, mapped, arguments)
+        shape = own[0].shape
+        found = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), own))
+        table, number = (a.reshape(*shape, *a.shape[1:]) for a in found)
+        return (table, number), (True, True)
+
+    return one
+
+
+def _row_of(program: ScalarProgram) -> Row:
+    function = as_function(program)
+    return lambda record, mark: function(*record, mark)[0]
 
 
 @weakly_kept
@@ -107,7 +186,7 @@ class Repeated(_Rolled):
     def function(self) -> Callable[..., list[jax.Array]]:
         """A loop."""
         step, count = as_function(self._step), self._state
-        row = None if self.row is None else as_function(self.row)
+        row = None if self.row is None else _row_of(self.row)
 
         def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array, rows: Filling | None = None) -> list[jax.Array]:
             fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
@@ -120,7 +199,7 @@ class Repeated(_Rolled):
                 found = step(k, *fixed, *state)
                 if row is not None:
                     record = found[count + 1 :]
-                    rows = rows.up_to(record[0], lambda mark: row(*record, mark)[0])
+                    rows = rows.up_to(record[0], row, record)
                 if len(found) > count:
                     return k + 1, found[count], (found[:count], rows)
                 good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()

@@ -28,6 +28,11 @@ def _jit(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     return reader.read(closed(eqn.params["jaxpr"]), arrays)
 
 
+def _batched_by_rule(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+    """A function with a rule for batches, of one body."""
+    return reader.read(closed(eqn.params["call"]), arrays)
+
+
 def _composite(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     """What it is composed of, where it has no derivative of its own."""
     inside = expansion(eqn, own_derivatives=False)
@@ -115,6 +120,7 @@ _SCAN = "jaxpr length reverse unroll"
 
 _CONTROL = [
     moving("jit", _jit, f"jaxpr compiler_options_kvs {_WHERE}", when=lambda p: not p["compiler_options_kvs"]),
+    moving("custom_vmap_call", _batched_by_rule, "call rule in_tree out_tree"),
     moving("remat2", _jit, "jaxpr prevent_cse differentiated policy"),
     moving("call_hi_primitive", _composite, "_prim"),  # JAX 0.12
     moving("custom_jvp_call", _with_derivative, "call_jaxpr jvp_jaxpr_fun num_consts symbolic_zeros"),
