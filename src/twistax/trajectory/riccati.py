@@ -86,7 +86,8 @@ def factorize(stages: Stages) -> Factors:
         whole = own + _lifted(softer, dynamics)
         lower = jnp.linalg.cholesky(whole[jnp.ix_(inner, inner)])
         controls = solve_triangular(lower, jnp.eye(m, dtype=own.dtype), lower=True)
-        gains = -controls.T @ (controls @ whole[jnp.ix_(inner, outer)])
+        # By solves, not by these: what cancels in the cost before tells whether there is a minimum.
+        gains = -cho_solve((lower, True), whole[jnp.ix_(inner, outer)])
         before = whole[jnp.ix_(outer, outer)] + whole[jnp.ix_(outer, inner)] @ gains
         return 0.5 * (before + before.T), (gains, controls, softer, softening)
 
