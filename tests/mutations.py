@@ -117,7 +117,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/steps.py",
+        "integrators/fixed.py",
         (
             "steps wrap in 32 bits",
             "    if steps > most:",

@@ -179,6 +179,21 @@ def test_lazy_names_resolve() -> None:
         _ = twistax.nonsense
 
 
+@pytest.mark.parametrize(
+    ("name", "fix"),
+    [
+        ("Clip", r"np.clip\(...\) takes"),
+        ("norm", r"tx.linalg.Norm\?"),
+        ("RK4", r"tx.tableaus.RK4\?"),
+        ("ATan2", r"tx.Atan2\?"),
+        ("intergrate", r"tx.integrate\?"),
+    ],
+)
+def test_a_name_that_is_none_says_where_it_is(name: str, fix: str) -> None:
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'.\n  fix: .*{fix}"):
+        getattr(twistax, name)
+
+
 @pytest.mark.parametrize("tier", ["smoke", "thorough"])
 def test_a_tier_names_tests_that_exist(tier: str) -> None:
     tests = Path(__file__).parent

@@ -15,6 +15,7 @@ Importing changes no global state: precision follows the arrays given, and x64 i
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from typing import TYPE_CHECKING
 
@@ -95,7 +96,20 @@ if not TYPE_CHECKING:  # a type checker shall see the names above and no others
                     return importlib.import_module(f"{__name__}.{name}")
                 value = globals()[name] = getattr(importlib.import_module(__name__ + module), name)
                 return value
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        hint = "" if name.startswith("_") else _where_else(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+
+
+def _where_else(name: str) -> str:
+    """How to mend a name that this module has not: another spelling, another module, or a function of NumPy."""
+    known = {own.lower(): own for own in __all__}
+    for home in ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics"):
+        for own in importlib.import_module(f"{__name__}.{home}").__all__:
+            known.setdefault(own.lower(), f"{home}.{own}")
+    if expr.operators.takes_expressions(name.lower()):
+        return f".\n  fix: np.{name.lower()}(...) takes expressions"
+    near = difflib.get_close_matches(name.lower(), known, 1)
+    return f".\n  fix: did you mean tx.{known[near[0]]}?" if near else ""
 
 
 def __dir__() -> list[str]:

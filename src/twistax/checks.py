@@ -41,8 +41,9 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         ) from None
     except TwistaxError as wrong:  # of an expression
         raise error(f"{place} expects real numbers, got {short(value)}. {wrong}") from None
-    except (TypeError, ValueError):
-        raise error(f"{place} expects real numbers, got {short(value)}") from None
+    except (TypeError, ValueError) as wrong:
+        ragged = ", as many in each list" if "inhomogeneous" in str(wrong) else ""
+        raise error(f"{place} expects real numbers{ragged}, got {short(value)}") from None
     if array.dtype == object:  # Python's own: fractions, long integers, None
         entries = [np.nan if entry is None and free else entry for entry in array.ravel()]
         times = np.timedelta64  # which NumPy counts among the integers
@@ -123,7 +124,7 @@ def number(
     single = isinstance(entry, numbers.Real) or (isinstance(entry, (np.ndarray, jax.Array)) and entry.shape == ())
     try:
         kind = np.asarray(entry).dtype if single else np.dtype(bool)
-        right = (kind.kind == "O" or _real(kind)) and holds(float(entry))
+        right = not _masked(entry) and (kind.kind == "O" or _real(kind)) and holds(float(entry))
     except (TypeError, OverflowError):  # a key of random numbers; a number beyond float64
         right = False
     if not right:

@@ -360,9 +360,10 @@ _BEYOND = "float64 can hold|real numbers"
         (np.timedelta64(3, "s"), "real numbers"),
         ([np.timedelta64(3, "s"), 1.0], "real numbers"),
         ([np.ma.array(1.0, mask=True), 2.0], "masked"),
+        (np.ma.array(1.0, mask=True), "masked"),
         (jax.random.key(0), "real numbers"),
     ],
-    ids=["integer", "list", "time", "time in a list", "masked in a list", "key"],
+    ids=["integer", "list", "time", "time in a list", "masked in a list", "masked", "key"],
 )
 def test_what_numpy_would_make_a_number_of(value: Any, words: str) -> None:
     p = tx.Parameter("p", shape=(2,) if isinstance(value, list) else ())
@@ -382,6 +383,11 @@ def test_masks_beside_traced_values_are_refused() -> None:
     for masked in (np.ma.array(5.0, mask=True), np.ma.masked):
         with pytest.raises(tx.InputError, match="masked entries"):
             jax.jit(lambda a, m=masked: dynamics(0.0, {"v": [a, m, 0.0]})["v"])(1.0)
+
+
+def test_lists_of_different_lengths_are_named_so() -> None:
+    with pytest.raises(tx.ModelError, match="a expects real numbers, as many in each list"):
+        tx.tableaus.ButcherTableau("mine", 2, [[], [1.0]], [0.5, 0.5], [0.0, 1.0])
 
 
 @pytest.mark.parametrize("read", [reals, real_array])

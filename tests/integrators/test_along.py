@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import gc
 import sys
 import types
 from pathlib import Path
@@ -307,3 +308,12 @@ def test_what_has_no_polynomial_says_so() -> None:
 def test_another_word_for_a_polynomial_is_refused() -> None:
     with pytest.raises(tx.InputError, match=r"between expects tx\.Between\.STEP or tx\.Between\.POLYNOMIAL, got"):
         flown(dt=None, rtol=1e-6, between="cubic")
+
+
+def test_programs_for_numbers_of_rows_go_with_what_was_traced_with_them() -> None:
+    made = Repeated(Any, 0, lambda one: None)  # type: ignore[arg-type]
+    used = made.of_length(3)
+    assert made.of_length(3) is used
+    del used
+    gc.collect()
+    assert not len(made._others)

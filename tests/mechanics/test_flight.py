@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -75,6 +76,24 @@ def test_a_start_stands_still_on_the_ground() -> None:
     R, p = state["g"][:3, :3], state["g"][:3, 3]
     np.testing.assert_allclose(R @ state["V"][:3], np.cross(spin, p), atol=1e-12)
     np.testing.assert_allclose(R @ state["V"][3:], spin, atol=1e-19)
+
+
+def test_starts_may_be_traced() -> None:
+    """Drawn within vmap they are the starts of the same numbers."""
+    craft = flight.Vehicle()
+
+    def drawn(speed: Any, euler: Any) -> dict[str, Any]:
+        return craft.start(*PLACE, (speed, 0.0, 0.1 * speed), euler, RATE, relative_to=flight.local_axes, t=5000.0)
+
+    speeds, angles = np.array([70.0, 7000.0]), np.array([EULER, (0.3, -0.2, 2.0)])
+    found = jax.vmap(drawn)(speeds, angles)
+    for i, given in enumerate(zip(speeds, angles)):
+        for name, value in drawn(*given).items():
+            np.testing.assert_allclose(found[name][i], value, rtol=1e-13, atol=1e-13)
+    with pytest.raises(InputError, match=r"ned_velocity expects shape \(3,\), got \(2,\)"):
+        jax.jit(lambda v: craft.start(*PLACE, v))(np.zeros(2))
+    with pytest.raises(InputError, match="altitude expects m, got"):
+        jax.jit(lambda v: craft.start(0.0, 0.0, 3 * degrees, v))(np.zeros(3))
 
 
 def test_units_at_the_door() -> None:

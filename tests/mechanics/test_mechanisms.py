@@ -16,7 +16,7 @@ from scipy.linalg import expm
 import twistax as tx
 from twistax import mechanics
 from twistax.expr.graph import leaves_of
-from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimic, SpatialInertia, joints
+from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimic, SpatialInertia, joints, loops
 
 GRAVITY = np.array([0.7, -1.1, -9.6])
 AXIS = np.array([0.6, 0.0, -0.8])
@@ -349,6 +349,29 @@ def test_drives_enter_the_dynamics(mimic: Mimic | None) -> None:
     np.testing.assert_allclose(need["with"], tau, rtol=1e-9, atol=1e-8)
     mass = evaluated({"a": mechanics.mass_matrix(robot), "b": mechanics.mass_matrix(bare)}, state)
     np.testing.assert_allclose(mass["a"] - mass["b"], np.diag(rotors), atol=1e-12)
+
+
+def test_a_copy_has_other_drives_and_the_rest_as_it_was() -> None:
+    bar = SpatialInertia(mass=1.0, center_of_mass=(0.0, 0.0, -0.5), inertia=0.1 * np.eye(3))
+    y, held = (0.0, 1.0, 0.0), Drive(damping=0.1, upper=1.0)
+    links = [
+        Link(joints.Revolute("a", y), bar, tx.pose(), drive=held),
+        Link(joints.Revolute("b", y), bar, tx.pose(position=(0.0, 0.0, -1.0)), parent="a", drive=held),
+        Link(joints.Fixed("tip"), None, tx.pose(position=(0.0, 0.0, -1.0)), parent="b"),
+    ]
+    whole = {"gravity": (0.0, 0.0, -1.6), "base": "moon", "keep": ["tip"], "notes": ["a file's"], "driven": ["b"]}
+    arm = Mechanism(links, loops=[loops.Point("shut", "tip", "moon")], **whole)  # type: ignore[arg-type]
+    sprung = arm.replace(drives={"b": Drive(stiffness=5.0)})
+    assert [link.drive.stiffness for link in sprung.links] == [0.0, 5.0, 0.0]
+    assert sprung.links[0].drive == held
+    assert (sprung.base, sprung.driven, sprung.loops, sprung.notes[0]) == ("moon", ("b",), arm.loops, "a file's")
+    assert sprung.gravity.key() == arm.gravity.key()
+    assert len(sprung.segments) == len(arm.segments) == 3
+    assert not arm.replace(loops=()).loops
+    with pytest.raises(tx.ModelError, match=r"knows no joint 'c'; it knows: 'a', 'b', 'tip'"):
+        arm.replace(drives={"c": held})
+    with pytest.raises(tx.ModelError, match=r"knows no 'drive'.*\n.*did you mean 'drives'"):
+        arm.replace(drive=held)
 
 
 def test_limits_are_bounds_of_states_and_controls() -> None:

@@ -39,11 +39,12 @@ from .elementwise import (
     Tan,
     Tanh,
 )
+from .examples import Example
 from .graph import evaluate_all, find_path, leaves_of, postorder, substitute, traverse
 from .interpolation import Bilerp, Cinterp, Interp, Linterp
 from .leaves import Constant, Control, Inputs, Leaf, Parameter, State, Time, Variable
 from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
-from .node import Example, Expr, all_nodes, to_expr
+from .node import Expr, all_nodes, to_expr
 from .orders import check_orders
 from .solve import Inv, Solve
 from .solve_positive import InverseFactor, InversePositive, SolvePositive

@@ -9,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast, dataclass_transform
 
 import jax
 import numpy as np
@@ -24,23 +24,13 @@ from .operators import Operators
 
 if TYPE_CHECKING:
     from ..groups import Order
+    from .examples import Case, Example
     from .picture import Picture
 
 Shape = tuple[int, ...]
 #: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
 Numbers = TypeVar("Numbers", jax.Array, Any)
 E = TypeVar("E", bound="Expr")
-#: Values of the fields by name, where arrays and numbers of operands stand for states, and a node that takes any number
-#: of operands has a list of them; or a function of the class and of states that gives the expression, and their values.
-Case: TypeAlias = Mapping[str, Any] | tuple[Callable[..., "Expr"], Mapping[str, Any]]
-
-
-class Example(NamedTuple):
-    """One conformance case: an expression, values of its leaves, and whether it is smooth there."""
-
-    expr: Expr
-    values: Mapping[str, Any]
-    smooth: bool = True
 
 
 @dataclass_transform(eq_default=False)
@@ -226,31 +216,10 @@ class Expr(Operators):
     @classmethod
     def example(cls) -> list[Example]:
         """The cases for the conformance suite."""
-        return [cls._example(case, True) for case in cls.cases] + [cls._example(case, False) for case in cls.kinks]
+        from .examples import example_of
 
-    @classmethod
-    def _example(cls, case: Case, smooth: bool) -> Example:
-        from .leaves import State
-
-        values: dict[str, np.ndarray] = {}
-
-        def leaf(name: str, value: Any) -> Expr:
-            if isinstance(value, Expr):
-                return value
-            values[name] = np.asarray(value, float)
-            return State(name, shape=values[name].shape)
-
-        if isinstance(case, tuple):
-            build, given = case
-            return Example(build(cls, **{name: leaf(name, value) for name, value in given.items()}), values, smooth)
-        several: list[Expr] = []
-        named = dict(case)
-        for field in cls._fields:
-            if field.variadic:
-                several = [leaf(f"{field.name}{i}", value) for i, value in enumerate(named.pop(field.name))]
-            elif field.operand:
-                named[field.name] = leaf(field.name, named[field.name])
-        return Example(cls(*several, **named), values, smooth)
+        cases = [(case, True) for case in cls.cases] + [(case, False) for case in cls.kinks]
+        return [example_of(cls, case, smooth) for case, smooth in cases]
 
     def details(self) -> list[str]:
         """The static fields as texts and trees show them: those that differ from their defaults."""

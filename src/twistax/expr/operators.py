@@ -252,6 +252,11 @@ _NEAR = {
 }
 
 
+def takes_expressions(name: str) -> bool:
+    """Whether a function of NumPy builds something of expressions."""
+    return name in _SAME or name in _MEANINGS
+
+
 def _meaning(name: str) -> Callable[..., Any]:
     """What a function of NumPy builds from expressions. Raises TypeError."""
     if name in _NEAR:

@@ -1,6 +1,6 @@
 """Integration of a compiled system over time: what was given is read and checked, steps are taken, a solution made.
 
-The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (steps.py, adaptive.py),
+The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (fixed.py, adaptive.py),
 which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop over stages in a chart (charts.py).
 """
 
@@ -25,10 +25,11 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import is_finite, need_held, precision
 from ..lowering.written import on_any_mesh
-from .adaptive import AdaptiveSteps, Stops
+from .adaptive import AdaptiveSteps
 from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events import watch_of
+from .fixed import FixedSteps, fixed_steps
 from .interpolant import Between
 from .meter import asked_for, metered
 from .method import Method, Stepper
@@ -38,7 +39,8 @@ from .rollout import Rollout, rollout
 from .rows import filled
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import FixedSteps, Result, Steps, check_saves, ended_well, fixed_steps, span_of
+from .steps import Result, Steps, check_saves, ended_well, span_of
+from .stops import Stops
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 

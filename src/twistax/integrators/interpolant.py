@@ -69,12 +69,15 @@ def _solved(a: Any, ends: Any, first: Any, last: Any, order: int) -> tuple[NDArr
     powers = np.arange(1, order + 1)
     wanted = np.where(sizes[:, None] == powers, 1.0 / np.array([_density(tree) for tree in trees])[:, None], 0.0)
     one = np.eye(stages)
+    # There are hundreds of trees for a dozen stages: phi w = wanted is R w = Q' wanted, where it can be met.
+    q, r = np.linalg.qr(phi)
     # Rows of equations for w, read row by row: order conditions, slope at the start, value and slope at the end.
-    equations = [np.kron(phi, np.eye(order)), *(np.kron(one, v) for v in (np.eye(order)[:1], [powers**0], [powers]))]
-    matrix, target = np.concatenate(equations), np.concatenate([wanted.ravel(), first, ends, last])
+    equations = [np.kron(r, np.eye(order)), *(np.kron(one, v) for v in (np.eye(order)[:1], [powers**0], [powers]))]
+    matrix, target = np.concatenate(equations), np.concatenate([(q.T @ wanted).ravel(), first, ends, last])
     found = np.linalg.lstsq(matrix, target, rcond=1e-12)[0]
     found += np.linalg.lstsq(matrix, target - matrix @ found, rcond=1e-12)[0]  # what rounding left
-    return found.reshape(stages, order), float(np.abs(matrix @ found - target).max())
+    weights, off = found.reshape(stages, order), np.abs(matrix @ found - target).max()
+    return weights, float(max(off, np.abs(phi @ weights - wanted).max()))
 
 
 # ---- rooted trees: each is the sorted tuple of those that hang from its root -----------------------------------------

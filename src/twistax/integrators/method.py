@@ -159,7 +159,7 @@ class Method(ABC):
     # ---- polynomials between the ends of a step ------------------------------------------------------------------
 
     def need_polynomial(self) -> None:
-        """Refuse to be asked for `between`. Raises ModelError; methods that have a polynomial do not."""
+        """Raise ModelError where the method has no polynomial between the ends of its steps, for `between`."""
         raise ModelError(
             f"{self.name} has no polynomial between the ends of its steps.\n"
             "  fix: leave between out, or take tx.RKMK(tableau)"

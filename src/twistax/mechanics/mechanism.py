@@ -16,6 +16,7 @@ from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
 from .arguments import of_shape
 from .bodies import SpatialInertia
+from .drives import Drive
 from .loops import Loop
 from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 
@@ -83,11 +84,14 @@ class Mechanism:
         self._notes = tuple(notes)
         self.base, self.shapes = base, shapes_of(name, shapes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
+        self.loops = tuple(loops)
+        #: What `replace` gives the constructor again, beside the links.
+        self._given = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes, "driven": driven}
+        self._given |= {"loops": self.loops, "shapes": self.shapes}
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.link.joint.dofs < 6 and s.link.mimic is None]
         self.driven = tuple(driven)
         self.freedoms(self.driven)
-        self.loops = tuple(loops)
         self._check_loops()
 
     def _check_loops(self) -> None:
@@ -131,7 +135,27 @@ class Mechanism:
                 heavy[self.segments[i].before] |= heavy[i]
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self.segments)} segments, {self.dofs} freedoms)"
+        return f"{type(self).__name__}({len(self.links)} links, {self.dofs} freedoms)"
+
+    def replace(self, *, drives: Mapping[str, Drive] | None = None, **changes: Any) -> Mechanism:
+        """A copy with other drives, or with some of the constructor's arguments changed.
+
+        `arm.replace(drives={"elbow": Drive(stiffness=5.0)})` puts a spring into a joint of an arm from a file.
+
+        Args:
+            drives: by joint, each in place of the whole drive that its link has.
+            changes: arguments of `Mechanism`; what is not named stays.
+        Raises: ModelError for a joint or an argument that is not known; as the constructor.
+        """
+        for name in changes.keys() - {"links", *self._given}:
+            known = ["drives", "links", *self._given]
+            raise ModelError(f"Mechanism.replace knows no {name!r}; it knows: {listed(known, name)}")
+        joints = {link.joint.name: link for link in self.links}
+        for name, drive in (drives or {}).items():
+            if name not in joints:
+                raise ModelError(f"Mechanism.replace knows no joint {name!r}; it knows: {listed(joints, name)}")
+            joints[name] = dataclasses.replace(joints[name], drive=drive)
+        return Mechanism(**{"links": joints.values(), **self._given, **changes})
 
     @functools.cached_property
     def bodies(self) -> dict[int, SpatialInertia]:

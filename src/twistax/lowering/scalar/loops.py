@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -162,13 +163,15 @@ class Repeated(_Rolled):
     ) -> None:
         super().__init__(kernel)
         self._step, self._state, self.row, self._length = step, state, row, length
-        self._others: dict[int, Repeated] = {}
+        # Every number of rows is another program: it lasts as long as what was traced with it.
+        self._others: weakref.WeakValueDictionary[int, Repeated] = weakref.WeakValueDictionary()
 
     def of_length(self, length: int) -> Repeated:
         """The same for so many rows, by the same kernels."""
-        if length not in self._others:
-            self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
-        return self._others[length]
+        found = self._others.get(length)
+        if found is None:
+            found = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
+        return found
 
     def kernel(self, rows: int) -> Rows | None:
         found = super().kernel(rows)

@@ -5,15 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ...checks import callable_with, short
+from ...checks import callable_with, real_array, short
 from ...errors import InputError, ModelError
-from ...expr import Constant, Leaf, canonicalize_all, substitute, to_expr
+from ...expr import (
+    Concat,
+    Constant,
+    Cross,
+    Expr,
+    Inputs,
+    Leaf,
+    Parameter,
+    canonicalize_all,
+    evaluate_all,
+    substitute,
+    to_expr,
+)
 from ...expr.fields import ExprLike
-from ...expr.lie import EulerRotation
-from ...units import Quantity, metres, radians, seconds, taken
-from ..arguments import matrix, of_kind
+from ...expr.lie import EulerRotation, Pose
+from ...jax_inside import is_traced
+from ...units import Quantity, metres, radians, same_unit, seconds, taken
+from ..arguments import of_kind
 from ..environment.earth import north_east_down
 from .planets import EARTH, REFERENCE_TAKES, Planet, Reference, fixed_axes
 
@@ -55,10 +70,11 @@ def start(
     t: Any = 0.0,
     pose: str = "g",
     twist: str = "V",
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """The state at a place: its pose in inertial axes and its body twist relative to them, in double precision.
 
-    A number has a unit of `tx.units`, or is in m, s and rad.
+    A number has a unit of `tx.units`, or is in m, s and rad. Traced values may come, as in a Monte Carlo over starts;
+    the state is then traced, in JAX's precision, and an angle that is out of range is not seen.
 
     Args:
         latitude, longitude: geodetic.
@@ -76,32 +92,52 @@ def start(
     """
     of_kind("start", "planet", planet, Planet)
     callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)
-    place = [
-        _angle("latitude", latitude, 0.25),
-        _angle("longitude", longitude, 1.0),
-        float(taken("start: altitude", altitude, metres)),
-    ]
-    angles = [_angle(f"euler[{i}]", angle, 1.0) for i, angle in enumerate(_three("euler", euler, radians))]
-    over_ground = _three("ned_velocity", ned_velocity, metres / seconds)
-    turning = _three("rate", rate, radians / seconds)
-    turn = numbers(planet.figure.to_inertial(float(taken("start: t", t, seconds))))
-    local = turn @ numbers(north_east_down(*place[:2]))
-    attitude = numbers(EulerRotation(angles))
-    position = turn @ numbers(planet.figure.position(*place))
-    spin = numbers(relative_to(planet, place[0], place[2], over_ground))
-    velocity = attitude.T @ (over_ground + local.T @ np.cross([0.0, 0.0, planet.figure.rate], position))
-    return {pose: matrix(local @ attitude, position), twist: np.concatenate([velocity, turning + attitude.T @ spin])}
+    given = {
+        "latitude": _angle("latitude", latitude, 0.25),
+        "longitude": _angle("longitude", longitude, 1.0),
+        "altitude": _taken("altitude", altitude, metres),
+        "ned_velocity": _taken("ned_velocity", ned_velocity, metres / seconds, (3,)),
+        "euler": _angle("euler", euler, 1.0, (3,)),
+        "rate": _taken("rate", rate, radians / seconds, (3,)),
+        "t": _taken("t", t, seconds),
+    }
+    own = {name: Parameter(name, np.shape(value)) for name, value in given.items()}
+    north, east, up, over_ground = (own[name] for name in ("latitude", "longitude", "altitude", "ned_velocity"))
+    turn = planet.figure.to_inertial(own["t"])
+    local, attitude = turn @ north_east_down(north, east), EulerRotation(own["euler"])
+    position = turn @ planet.figure.position(north, east, up)
+    carried = Cross([0.0, 0.0, planet.figure.rate], position)
+    velocity = attitude.T @ (over_ground + local.T @ carried)
+    turning = own["rate"] + attitude.T @ relative_to(planet, north, up, over_ground)
+    state: dict[str, Expr] = {pose: Pose(local @ attitude, position), twist: Concat(velocity, turning)}
+    if not is_traced(given):
+        known: dict[Leaf, Any] = {own[name]: value for name, value in given.items()}
+        return {name: numbers(value, known) for name, value in state.items()}
+    dtype = jax.dtypes.canonicalize_dtype(np.float64)
+    inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in given.items()}, dtype)
+    return dict(zip(state, evaluate_all([*state.values()], lambda leaf: leaf.read(inputs)), strict=True))
 
 
-def _three(name: str, value: Any, unit: Quantity) -> np.ndarray:
-    return taken(f"start: {name}", value, unit, (3,))
+def _taken(name: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> Any:
+    place = f"start: {name}"
+    if not is_traced(value):
+        return taken(place, value, unit, shape)
+    same_unit(place, value, unit)
+    array = real_array(place, value)
+    if array.shape != shape:
+        raise InputError(f"{place} expects shape {shape}, got {array.shape}")
+    return array
 
 
-def _angle(name: str, value: Any, turns: float) -> float:
-    angle = float(taken(f"start: {name}", value, radians))
-    if abs(angle) > 2.0 * np.pi * turns * (1.0 + 1e-15):
-        raise InputError(
-            f"start: {name} expects an angle within {turns:g} of a turn, got {angle!r} rad.\n"
-            f"  fix: degrees are {angle:g} * tx.units.degrees"
-        )
-    return angle
+def _angle(name: str, value: Any, turns: float, shape: tuple[int, ...] = ()) -> Any:
+    angles = _taken(name, value, radians, shape)
+    if is_traced(angles):
+        return angles
+    for i, angle in enumerate(np.ravel(angles)):
+        if abs(angle) > 2.0 * np.pi * turns * (1.0 + 1e-15):
+            place = f"{name}[{i}]" if shape else name
+            raise InputError(
+                f"start: {place} expects an angle within {turns:g} of a turn, got {float(angle)!r} rad.\n"
+                f"  fix: degrees are {angle:g} * tx.units.degrees"
+            )
+    return angles
