@@ -117,7 +117,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/fixed.py",
+        "integrators/steps.py",
         (
             "steps wrap in 32 bits",
             "    if steps > most:",

@@ -8,6 +8,6 @@ from .integrate import integrate
 from .magnus import Magnus
 from .method import Method, VectorField
 from .rkmk import RKMK
+from .run import Result
 from .solution import Solution
 from .step_control import StepControl
-from .steps import Result

@@ -20,10 +20,10 @@ from .interpolant import Between
 from .kernels import kernel_tries
 from .meter import Meter
 from .method import Carry, Stepper
-from .rows import first_rows, put, rows
+from .rows import Stops, first_rows, put, rows
+from .run import Outcome, Part, Result, Run, Saved, Watched
 from .step_control import Errors, StepControl, first_step
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Watched, all_finite
-from .stops import Stops
+from .steps import Steps, all_finite
 from .tolerances import Tolerances
 
 #: Steps between words of how far it is, where they are asked for: a word takes as long as some twenty of them.

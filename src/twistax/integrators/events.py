@@ -38,7 +38,8 @@ from .charts import Blocks
 from .controls import Signals
 from .method import Stepper
 from .rows import put
-from .steps import Part, Result, Run, Saved, Steps, Trail, Watched
+from .run import Part, Result, Run, Saved, Trail, Watched
+from .steps import Steps
 
 #: A step from a stored state: of its time, the state and a length.
 Advance: TypeAlias = Callable[[jax.Array, Blocks, jax.Array], Blocks]

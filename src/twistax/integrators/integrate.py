@@ -1,6 +1,6 @@
 """Integration of a compiled system over time: what was given is read and checked, steps are taken, a solution made.
 
-The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (fixed.py, adaptive.py),
+The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (steps.py, adaptive.py),
 which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop over stages in a chart (charts.py).
 """
 
@@ -29,18 +29,17 @@ from .adaptive import AdaptiveSteps
 from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events import watch_of
-from .fixed import FixedSteps, fixed_steps
 from .interpolant import Between
 from .meter import asked_for, metered
 from .method import Method, Stepper
 from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
-from .rows import filled
+from .rows import Stops, filled
+from .run import Result
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import Result, Steps, check_saves, ended_well, span_of
-from .stops import Stops
+from .steps import FixedSteps, Steps, check_saves, ended_well, fixed_steps, span_of
 from .tableaus import DOP853, RK4
 from .tolerances import tolerances_of
 

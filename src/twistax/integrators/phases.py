@@ -22,9 +22,10 @@ from .links import Link, check_link, linked
 from .meter import Told, asked_for
 from .method import Method
 from .phased_solution import PhasedSolution
+from .run import Result
 from .solution import Solution
 from .step_control import StepControl
-from .steps import Result, check_saves, ended_well
+from .steps import check_saves, ended_well
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

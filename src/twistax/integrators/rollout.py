@@ -18,7 +18,8 @@ from .events import Meeting, cut_at, locate, refined, saved_before, to_event
 from .kernels import advance_again
 from .method import Stepper, jitted
 from .rows import first_rows
-from .steps import Outcome, Part, Result, Run, Saved, Steps, Trail, all_finite
+from .run import Outcome, Part, Result, Run, Saved, Trail
+from .steps import Steps, all_finite
 
 
 class Rollout(NamedTuple):

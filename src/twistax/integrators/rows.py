@@ -1,16 +1,68 @@
-"""Rows of results: made room for, written one by one, and only as many visited as were asked for."""
+"""Where the loop over steps halts, and the rows of results it leaves there: room for them, written one by one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import real_array
+from ..errors import InputError
+from ..jax_inside import is_traced
+from ..lowering.inputs import is_finite, need_held
+from .controls import Signals
+
 #: So many numbers are written in no time.
 _LIGHT = 2**15
+
+
+class Stops(NamedTuple):
+    """Where the loop over steps halts: at saved times, which it may pass, and at limits, where a step must end."""
+
+    limits: Any  # (m,) times in order, the last one the end; rates may jump there
+    ts: Any  # (k,) limits and saved times in order
+    leg: Any  # (k,) the limit that bounds the steps on the way to each
+    place: Any  # (n,) where the saved times stand in ts; None where there are none
+    count: Any  # how many of these were asked for; those that fill up the rest are at the end
+
+    @classmethod
+    def given(cls, t0: Any, t1: Any, save_at: Any, count: Any, jumps: Any, signals: Signals) -> Stops:
+        """The stops of what a user gave: saved times; the end, jumps and those of tables as limits."""
+        if jumps is not None:
+            given = real_array("jumps", jumps)
+            falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
+            if given.ndim != 1 or not is_finite(given) or falls:
+                raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
+            need_held("jumps", given, t0.dtype)
+        known = [*signals.jumps, *([] if jumps is None else [jumps])]
+        # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
+        array: Any = jnp if is_traced((t0, t1, known, save_at)) else np
+        t1 = array.asarray(t1, t0.dtype)
+
+        def inside(ts: Any) -> Any:
+            # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+            ts = array.asarray(ts, t0.dtype)
+            return array.where(ts <= t0, t0, array.where(ts >= t1, t1, ts))
+
+        limits = t1[None]
+        if known:
+            limits = array.append(array.sort(array.concatenate([inside(ts) for ts in known])), t1)
+            # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of
+            # the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+            first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+            limits = 0.5 * (limits[first] + limits[last - 1])
+        if save_at is None:
+            return cls(limits, limits, array.arange(limits.size), None, 0)
+        saves = array.asarray(save_at, t0.dtype)
+        saves = array.where(saves < t0, t0, array.where(saves > t1, t1, saves))
+        joined = array.concatenate([saves, limits])
+        order = array.argsort(joined if array is np else jax.lax.stop_gradient(joined), stable=True)
+        ts = joined[order]
+        leg = array.minimum(array.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
+        return cls(limits, ts, leg, array.argsort(order)[: saves.size], count)
 
 
 def rows(like: Any, count: int) -> Any:

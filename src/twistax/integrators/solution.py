@@ -21,7 +21,8 @@ from ..lowering.inputs import is_finite
 from ..plots import chosen, draw, group_of, panels
 from .charts import Blocks, Exponential, StateCoordinates
 from .method import Stepper, jitted
-from .steps import Outcome, Result, Steps, Trail
+from .run import Outcome, Result, Trail
+from .steps import Steps
 
 if TYPE_CHECKING:
     from ..view import Scene

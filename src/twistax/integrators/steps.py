@@ -1,8 +1,9 @@
-"""What every loop over steps leaves behind, how an integration ends, and what times may be given."""
+"""How an integration goes from its start to its end: the loop over steps; equal steps; what times may be given."""
 
 from __future__ import annotations
 
-import enum
+import dataclasses
+import functools
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -11,96 +12,25 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import number, real_array, short
+from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
+from ..lowering.small_call import small_call
 from .charts import Blocks
+from .kernels import kernel_steps
 from .meter import Meter
-from .method import Stepper
+from .method import Carry, Stepper
+from .rows import first_rows, put, rows
+from .run import Outcome, Part, Result, Run, Saved, Trail, Watched
 
-
-class Result(enum.IntEnum):
-    """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
-
-    SUCCESS = 0, "the end time was reached"
-    NON_FINITE = 1, "a state became infinite or NaN"
-    MAX_STEPS = 2, "the steps ran out before the end time"
-    STEP_TOO_SMALL = 3, "no step is small enough for the tolerances"
-    NEWTON_FAILED = 4, "the equations of an implicit step could not be solved"
-    EVENT = 5, "an event stopped it"
-    NO_EVENT = 6, "a phase ended without its event"
-
-    #: What happened, in plain words.
-    sentence: str
-
-    def __new__(cls, code: int, sentence: str = "") -> Result:
-        found = int.__new__(cls, code)
-        found._value_, found.sentence = code, sentence
-        return found
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.sentence}"
+#: A saved time this close to a step, in steps, counts as on it: far more than round-off, far less than anyone means.
+_SNAP = 1e-9
 
 
 def ended_well(code: Any) -> Any:
     """Whether numbers of a `Result` are no failures."""
     return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
-
-
-class Outcome(NamedTuple):
-    """How the steps went: arrays of no dimension."""
-
-    code: jax.Array  # the number of the `Result`
-    tried: jax.Array  # steps
-    accepted: jax.Array  # steps
-    evaluations: jax.Array  # of the right-hand side, without those of saved times
-    t: jax.Array  # the time that was reached
-    h: jax.Array  # the length of a step there: after a failure of the one that failed, else of the next one to try
-
-
-class Trail(NamedTuple):
-    """The starts of all steps, and the end."""
-
-    t: jax.Array  # (bound + 1,) their times; infinite beyond the end
-    y: Blocks  # the stored states there
-    steps: jax.Array  # their number
-
-
-class Saved(NamedTuple):
-    """What a loop over steps leaves behind for the saved times, all with a leading axis n."""
-
-    steps: jax.Array  # the accepted steps before each
-    t: jax.Array  # time and stored state after that many steps
-    y: Blocks
-    reached: jax.Array  # whether the loop came so far
-    asked: jax.Array  # whether it is a time that was asked for; those beyond only fill up the rows
-
-
-class Watched(NamedTuple):
-    """What a loop over steps knows of the conditions."""
-
-    values: jax.Array  # (m,) where the step begins; the last ones that were not NaN
-    hits: jax.Array  # (m,) whether each became zero in the last step tried
-    ends: jax.Array  # (m,) the values where that step ends
-
-
-class Run(NamedTuple):
-    """What a loop over steps leaves behind. It halts before the step with an event."""
-
-    end: Blocks  # the stored state it reached
-    outcome: Outcome
-    saved: Saved | None  # None where the end alone is asked for
-    path: Any  # what is needed to take the same steps again, where it was asked for
-    trail: Trail | None  # where it is kept
-    watched: Watched | None = None  # what is known of the conditions, where there are any
-
-
-class Part(NamedTuple):
-    """A step, or a part of one: when it begins, and its length."""
-
-    t: jax.Array
-    h: jax.Array
 
 
 class Steps(ABC):
@@ -156,6 +86,182 @@ class Steps(ABC):
         return Trail(jnp.where(jnp.arange(ends.size) <= steps, ends, jnp.inf), every, steps)
 
 
+class _Saves(NamedTuple):
+    """Saved times: each lies `share` of a step after grid point `index`."""
+
+    ts: Any  # (n,) the times
+    index: Any  # (n,) whole steps before each
+    share: Any  # (n,) in [0, 1]
+    count: Any  # how many were asked for; those that fill up the rest are at the end
+
+
+class _Now(NamedTuple):
+    """What the loop carries."""
+
+    steps: jax.Array  # taken so far
+    y: Blocks
+    carry: Carry
+    evaluations: jax.Array
+    code: jax.Array  # the number of the result so far
+    every: Blocks | None  # the states so far if kept
+    watched: Watched | None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class FixedSteps(Steps):
+    """Equal steps from t0; the loop ends at the start of a step that fails."""
+
+    t0: Any
+    h: Any  # the length of a step
+    steps: Any  # their number
+    at: Any  # the `_Saves`, where the saved times fall; None where there are none
+    #: The number of steps as structure, which derivatives and dense output need; else None.
+    most: int | None = dataclasses.field(metadata={"static": True})
+    dense: bool = dataclasses.field(metadata={"static": True})
+    watch: Any = None
+    meter: Meter | None = None
+
+    too_long = (
+        "the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound",
+        "try a smaller dt",
+    )
+    not_solved = (
+        "rates change too much within the step of {h:.6g} s for Newton's method, or they jump",
+        "try a smaller dt, or steps chosen by tolerances: rtol=..., atol=...",
+    )
+
+    @property
+    def bound(self) -> int:
+        if self.most is None:
+            raise InputError(
+                "a derivative is asked for of an integration whose inputs look like plain numbers: does u close over a "
+                "traced value that it does not use at t0?\n  fix: pass that value through params or a table"
+            )
+        return self.most
+
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
+        stops = self.steps[None]
+        if self.at is not None:
+            stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
+        now, found = small_call(FixedSteps._all_steps, self, stepper, y, stops)
+        outcome = Outcome(now.code, now.steps, now.steps, now.evaluations, self._time(now.steps), self.h)
+        trail = None if now.every is None else self.trail(None, now.steps, now.every)
+        saved = None
+        if self.at is not None:
+            starts, reached = jax.tree.map(lambda a: a[:-1], found)
+            asked = jnp.arange(len(reached)) < self.at.count
+            saved = Saved(self.at.index, self._time(self.at.index), starts, reached & asked, asked)
+        return Run(now.y, outcome, saved, None, trail, now.watched)
+
+    def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
+        """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
+        every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
+        none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
+        watched = None
+        if self.watch is not None:
+            watched = self.watch.begin(functools.partial(self.advance, stepper), stepper, self.t0, self.h, y)
+        start = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
+        kernel = None if every is not None else kernel_steps(stepper, self.t0, self.h, none, y, carry)
+
+        def in_kernel(now: _Now, stop: jax.Array) -> _Now:
+            assert kernel is not None
+            y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
+            halted = steps < stop
+            tried = steps - now.steps + halted.astype(steps.dtype)
+            evaluations = now.evaluations + tried * kernel.evaluations
+            return now._replace(
+                steps=steps,
+                y=y,
+                carry=carry,
+                evaluations=evaluations,
+                code=jnp.where(halted, Result.NON_FINITE.value, now.code),
+            )
+
+        def one_step(now: _Now) -> _Now:
+            after = self._one_step(stepper, now) if kernel is None else in_kernel(now, now.steps + 1)
+            return after if now.watched is None else self._watched(stepper, now, after)
+
+        def steps_to(now: _Now, stop: jax.Array) -> _Now:
+            if kernel is not None and now.watched is None:
+                # A loop that halted already stays as it is.
+                return in_kernel(now, jnp.where(now.code == Result.SUCCESS.value, stop, now.steps))
+            return jax.lax.while_loop(lambda n: (n.steps < stop) & (n.code == Result.SUCCESS.value), one_step, now)
+
+        def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
+            steps = jnp.where(now.code == Result.SUCCESS.value, now.steps, jnp.iinfo(now.steps.dtype).max)
+            return steps, self._time(now.steps), now.steps / jnp.maximum(self.steps, 1)
+
+        def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
+            if self.meter is None:
+                now = steps_to(now, stop)
+            else:
+                part = jnp.maximum(self.steps // 100, 1).astype(stop.dtype)
+                now = self.meter.along(steps_to, now, stop, part, so_far)
+            return now, None if self.at is None else (now.y, now.code == Result.SUCCESS.value)
+
+        if self.at is None:
+            return to_stop(start, stops[0])
+        # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
+        return first_rows(to_stop, start, stops, self.at.count + 1, (y, jnp.zeros((), bool)))
+
+    def _one_step(self, stepper: Stepper, now: _Now) -> _Now:
+        """The next step; the state stays where it fails."""
+        t = self._time(now.steps)
+        found = stepper.method.follow(stepper.field(t, self.h), t, now.y, now.carry, self.h)
+        good = all_finite(found.y)
+        code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
+        if found.solved is not None:
+            good = good & found.solved
+            code = jnp.where(found.solved, code, Result.NEWTON_FAILED.value)
+        kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
+        steps = now.steps + good.astype(now.steps.dtype)
+        every = None if now.every is None else put(now.every, steps, kept)
+        return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, now.watched)
+
+    def _watched(self, stepper: Stepper, before: _Now, after: _Now) -> _Now:
+        """After a step, or as before it with what is known of the event that it met."""
+        assert before.watched is not None
+        first, last = before.steps == 0, before.steps + 1 == self.steps
+        t = self._time(before.steps)
+        watched = self.watch.after(stepper, t, self.h, after.y, before.watched, first, last)
+        hit = (after.steps > before.steps) & watched.hits.any()
+        watched = watched._replace(values=jnp.where(hit, before.watched.values, watched.values))
+
+        def pick(old: Any, new: Any) -> Any:
+            return jax.tree.map(lambda a, b: jnp.where(hit, a, b), old, new)
+
+        return after._replace(
+            steps=pick(before.steps, after.steps),
+            y=pick(before.y, after.y),
+            code=jnp.where(hit, Result.EVENT.value, after.code),
+            watched=watched,
+        )
+
+    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        none, carry = jnp.zeros_like(jnp.asarray(self.steps)), stepper.method.before(stepper.dynamics, y)
+        kernel = kernel_steps(stepper, t, h, none, y, carry)
+        if kernel is None:
+            return stepper.advance(t, y, h)
+        moved, _, count = kernel.run(stepper, t, h, none, none + 1, y, carry)
+        return jax.tree.map(lambda a: jnp.where(count > 0, a, jnp.nan), moved)
+
+    def steps_of(self, path: None) -> Part:
+        k = jnp.arange(self.bound)
+        return Part(self._time(k), jnp.broadcast_to(self.h, k.shape))
+
+    def parts(self, path: None, saved: Saved) -> Part:
+        return Part(self._time(saved.steps), self.at.share * self.h)
+
+    @property
+    def saved_times(self) -> jax.Array:
+        return jnp.asarray(self.at.ts)
+
+    def _time(self, k: jax.Array) -> jax.Array:
+        """The start of step k, computed afresh so that it does not drift."""
+        return self.t0 + k.astype(self.t0.dtype) * self.h
+
+
 def all_finite(tree: Any) -> jax.Array:
     """Whether every entry is finite. One reduction: XLA would compute a chain of tests again at every reader."""
     return jnp.isfinite(ravel_pytree(tree)[0]).all()
@@ -197,3 +303,83 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
         worst = times[0] if times[0] < start - room else times[-1]
         raise InputError(f"save_at must lie inside [t0, t1] = [{start:g}, {end:g}], got {worst:g}")
     return True
+
+
+def fixed_steps(
+    t0: Any,
+    t1: Any,
+    span: Any,
+    dt: Any,
+    steps: Any,
+    save_at: Any,
+    count: Any,
+    dtype: Any,
+    *,
+    bounded: bool,
+    dense: bool,
+    watch: Any,
+) -> FixedSteps:
+    """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
+
+    Args:
+        count: how many of the saved times are asked for.
+        bounded: their number is to be structure too.
+    Raises:
+        InputError: neither dt nor steps, or both, or times that are not known.
+    """
+    if (dt is None) == (steps is None):
+        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
+    if steps is None:
+        if span is None or is_traced(dt):
+            raise InputError(
+                "t0, t1 or dt is traced (inside jit, grad or vmap), so the number of steps is not known.\n"
+                "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
+            )
+        length = span[1] - span[0]
+        steps = max(1, round(_countable(length / float(dt)))) if length else 0
+    else:
+        steps = _countable(whole("steps", steps))
+    array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
+    start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
+    h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
+    at = None
+    if save_at is not None:
+        known = span is not None and not is_traced(save_at)
+        at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
+        at = at._replace(count=count)
+    return FixedSteps(start, h, np.asarray(steps), at, steps if bounded or dense else None, dense, watch)
+
+
+def _countable(steps: Any) -> Any:
+    """A number of steps, if JAX's integers hold it: beyond them it would wrap. Raises InputError."""
+    most = np.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max
+    if steps > most:
+        raise InputError(
+            f"{short(steps)} steps are more than the {most} that can be counted.\n"
+            '  fix: longer steps; without them jax.config.update("jax_enable_x64", True) counts to 9e18'
+        )
+    return steps
+
+
+def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> _Saves:
+    """Where known times fall on a grid of known times."""
+    times = np.asarray(save_at, float)
+    start, end = span
+    length = (end - start) / max(steps, 1) or 1.0
+    position = (times - start) / length
+    nearest = np.rint(position)
+    # What counts as on the grid allows for the precision the times came in.
+    eps = np.finfo(given).eps if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
+    slack = np.maximum(_SNAP, 4 * eps * np.maximum(np.abs(times), abs(start)) / length)
+    snapped = np.abs(position - nearest) <= slack
+    index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
+    share = np.where(snapped, 0.0, position - index)
+    return _Saves(times.astype(dtype), index.astype(int), share.astype(dtype), None)
+
+
+def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> _Saves:
+    """The same where times are traced."""
+    ts = jnp.asarray(save_at, start.dtype)
+    place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
+    before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
+    return _Saves(ts, before.astype(int), place - before, None)
