@@ -5,14 +5,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import json
 import os
 import sys
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,18 +18,13 @@ from jax.sharding import Mesh, PartitionSpec
 from numpy.typing import NDArray
 
 from .checks import callable_with, path_of, short, whole
+from .chunks import Chunks, Columns, InMemory, OnDisk
 from .errors import InputError
 from .integrators import Result, Solution
 from .integrators.steps import ended_well
 
 __all__ = ["Statistics", "Sweep", "sweep"]
 
-#: Of each result of a chunk, members on the leading axis; the last one are the numbers of the `Result`.
-Columns: TypeAlias = "list[NDArray[Any]]"
-
-_SETUP = "sweep.json"
-#: Results differ by rounding where another number of devices computed them.
-_AGREE = 1e-6
 _WIDTH = 24
 
 
@@ -62,7 +54,7 @@ class Sweep:
         statistics: of the members that did not fail.
     """
 
-    def __init__(self, plan: _Plan, chunks: _Chunks) -> None:
+    def __init__(self, plan: _Plan, chunks: Chunks) -> None:
         self._plan, self._chunks = plan, chunks
         self.count = plan.count
         self.codes = np.concatenate([chunks.read(k)[-1] for k in range(plan.chunks)])
@@ -166,7 +158,9 @@ def sweep(
     plan = _Plan.given(run, members, count, seed, chunk, own_devices)
     if directory is None and jax.process_count() > 1:
         raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
-    chunks: _Chunks = _InMemory() if directory is None else _OnDisk(path_of("sweep", directory), plan)
+    chunks: Chunks = InMemory()
+    if directory is not None:
+        chunks = OnDisk(path_of("sweep", directory), plan.setup(), plan.chunks, plan.compute)
     line = _Line(plan, (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0)
     own = range(jax.process_index(), plan.chunks, jax.process_count())
     for k in own:
@@ -298,93 +292,6 @@ def _as_jax_has_it(value: Any) -> NDArray[Any]:
             f"sweep has members that {found.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
         )
     return found
-
-
-# ---- where chunks are kept -------------------------------------------------------------------------------------------
-
-
-class _InMemory:
-    def __init__(self) -> None:
-        self._kept: dict[int, Columns] = {}
-
-    def have(self, k: int) -> bool:
-        return k in self._kept
-
-    def keep(self, k: int, columns: Columns) -> None:
-        self._kept[k] = columns
-
-    def read(self, k: int) -> Columns:
-        return self._kept[k]
-
-
-class _OnDisk:
-    """A file for each chunk, which is there as a whole or not at all."""
-
-    def __init__(self, folder: Path, plan: _Plan) -> None:
-        self._folder, self._there = folder, set[int]()
-        setup, path = plan.setup(), folder / _SETUP
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if not path.exists():
-                _whole(path, lambda file: file.write(json.dumps(setup, indent=2).encode()))
-            found = json.loads(path.read_text())
-            if not isinstance(found, dict):
-                raise ValueError(f"{_SETUP} is damaged")
-        except (OSError, ValueError) as error:
-            raise InputError(f"sweep cannot use the directory {folder}: {error}") from error
-        different = [name for name in setup if found.get(name) != setup[name]]
-        if different:
-            told = ", ".join(f"{name} {found.get(name)} there, {setup[name]} here" for name in different)
-            raise InputError(f"{folder} holds another sweep: {told}.\n  fix: give another directory, or remove it")
-        self._compare(plan)
-
-    def _compare(self, plan: _Plan) -> None:
-        """One chunk that is there is computed again: the function may be another one."""
-        first = next((k for k in range(plan.chunks) if self.have(k)), None)
-        if first is None:
-            return
-        for own, new in zip(self.read(first), plan.compute(first), strict=True):
-            own, new = own.astype(float), new.astype(float)
-            scale = np.max(np.abs(np.where(np.isfinite(new), new, 0.0)), axis=0)
-            if not np.isclose(own, new, rtol=_AGREE, atol=_AGREE * scale, equal_nan=True).all():
-                raise InputError(
-                    f"{self._folder} holds results of another function: chunk {first} computed again differs.\n"
-                    "  fix: give another directory, or remove that one"
-                )
-
-    def have(self, k: int) -> bool:
-        if k not in self._there and self._path(k).exists():
-            try:
-                self.read(k)
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-                self._path(k).unlink(missing_ok=True)  # it is computed again
-            else:
-                self._there.add(k)
-        return k in self._there
-
-    def keep(self, k: int, columns: Columns) -> None:
-        _whole(self._path(k), lambda file: np.savez(file, *columns))
-        self._there.add(k)
-
-    def read(self, k: int) -> Columns:
-        with np.load(self._path(k), allow_pickle=False) as found:
-            return [found[f"arr_{i}"] for i in range(len(found.files))]
-
-    def _path(self, k: int) -> Path:
-        return self._folder / f"{k:06}.npz"
-
-
-_Chunks: TypeAlias = _InMemory | _OnDisk
-
-
-def _whole(path: Path, write: Callable[[Any], Any]) -> None:
-    """A file that is complete as soon as it has its name."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    with beside.open("wb") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
 
 
 # ---- statistics ------------------------------------------------------------------------------------------------------
