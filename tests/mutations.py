@@ -1561,6 +1561,12 @@ MUTATIONS: list[Mutation] = [
             "(state.errors.feasibility,)",
             "trajectory/test_optimality.py trajectory/test_known_answers.py",
         ),
+        (
+            "unknowns that may grow without end",
+            "_FAR = 1e20",
+            "_FAR = 1e200",
+            "trajectory/test_statuses.py",
+        ),
     ),
     *_at(
         "trajectory/sensitivity.py",
@@ -1635,6 +1641,12 @@ MUTATIONS: list[Mutation] = [
             "return float(self._step(probed, self._looked_at(state, given)[0], given).raised) > self.bent",
             "return False",
             "trajectory/test_optimality.py",
+        ),
+        (
+            "a worst trajectory of a problem without bound as the best",
+            "other.status in (Status.SOLVED, Status.UNBOUNDED)",
+            "other.status is Status.SOLVED",
+            "trajectory/test_statuses.py",
         ),
         (
             "states shaken in levelled scales",

@@ -31,6 +31,7 @@ def test_a_jump_between_nodes() -> None:
     assert abs(result.meshes[-1].cost - result.meshes[-2].cost) <= 2e-6
     assert [m.nodes for m in result.meshes] == sorted(m.nodes for m in result.meshes)
     assert isinstance(result.meshes[0], Meshed)
+    assert result.compile_seconds + result.solve_seconds == pytest.approx(sum(m.seconds for m in result.meshes))
     assert result.problem.nodes == result.meshes[-1].nodes == len(result.ts)
     assert "mesh of 8 nodes" in result.explain()
     # Where node 4 was there is a node still, and its condition with it.

@@ -72,6 +72,19 @@ def test_values_that_are_not_finite_are_said() -> None:
     assert "finite" in result.message
 
 
+@pytest.mark.parametrize("goal", [{}, {"p": 1.0, "v": 0.0}], ids=["far away", "ends that can be met"])
+def test_an_objective_without_bound_is_said(goal: dict[str, float]) -> None:
+    """Anything meets these ends. A control that is worst has no slope either: from it the search goes on."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    objective = tx.Minimize(running=-(u**2)) if goal else tx.Maximize(p)
+    own = Problem(dynamics, objective, nodes=4, final_time=3.0, initial={p: 0.0, v: 0.0}, final=goal, **HEUN)
+    result = own.solve()
+    assert result.status is Status.UNBOUNDED
+    assert "nothing limits" in result.message
+    assert result.iterations < 200
+
+
 def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
     own = problem(**HEUN)
     with jax.enable_x64(False):
@@ -118,6 +131,7 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"final": [tx.State("stranger") == 1.0]}, tx.ModelError, "stranger"),
     ({"objective": tx.Minimize(tx.State("stranger"))}, tx.ModelError, "stranger"),
     ({"objective": tx.State("p")}, tx.ModelError, "tx.Minimize"),
+    ({"objective": tx.Minimize(running=tx.trajectory.Rate(tx.Control("u")) ** 2)}, tx.ModelError, "rate of u, which is held"),
     ({"guess": {"w": 0.0}}, tx.ModelError, "'w'"),
     ({"guess": {"p": np.zeros(5)}}, tx.ShapeError, "'p'"),
     ({"params": {"mass": 1.0}}, tx.InputError, "mass"),
@@ -141,6 +155,10 @@ def test_an_end_that_is_no_pose_is_refused() -> None:
     dynamics = tx.compile(free_flyer())
     with pytest.raises(tx.ModelError, match="not an element of SE3"):
         Problem(dynamics, tx.Minimize(tx.Time()), final_time=1.0, initial={"g": 2.0 * np.eye(4)})
+
+
+def test_a_problem_says_what_it_is() -> None:
+    assert repr(stated()).startswith("Problem(Minimize(running=(u ** 2.)), 8 nodes, 3 s, Dynamics(states: p ()")
 
 
 def test_objectives_check_themselves() -> None:

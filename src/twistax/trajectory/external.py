@@ -139,6 +139,7 @@ class IPOPT(_Casadi):
     plugin: ClassVar[str] = "ipopt"
     ends: ClassVar[dict[str, Status]] = {
         "Infeasible_Problem_Detected": Status.INFEASIBLE,
+        "Diverging_Iterates": Status.UNBOUNDED,
         "Invalid_Number_Detected": Status.NON_FINITE,
     }
 

@@ -58,7 +58,7 @@ class Found:
         status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
         iterations: steps of the solver in the try that gave this result.
         tries: one line (status, cost, violation, iterations) for every guess.
-        compile_seconds, solve_seconds: wall time.
+        compile_seconds, solve_seconds: wall time; of `solve(refine=...)` that of all meshes.
         warm: what `solve(warm=...)` starts from.
         slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
     """

@@ -92,6 +92,10 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         self._share(given, free)
         self.build()
 
+    def __repr__(self) -> str:
+        named = [f"{name}: {part!r}" for name, part in zip(self.names, self.parts)]
+        return f"{type(self).__name__}({', '.join(named)})"
+
     def _part(
         self, index: int, phase: Phase, params: Mapping[str, Any], free: Mapping[Any, Any], within: InPhase
     ) -> Problem:

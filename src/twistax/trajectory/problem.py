@@ -171,6 +171,12 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.params = self._prepared(params)
         self._build()
 
+    def __repr__(self) -> str:
+        low, high = self.time_limits
+        times = f"{low:g} s" if low == high else f"{low:g} to {high:g} s"
+        shown = (self._stated["objective"], f"{self.nodes} nodes", times, self._stated["dynamics"])
+        return f"{type(self).__name__}({', '.join(map(str, shown))})"
+
     def on(self, meshes: Sequence[Remeshed]) -> Problem:
         (mesh,) = meshes
         return Problem(**self._stated | mesh.stated(self._stated["at"]))

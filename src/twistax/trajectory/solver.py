@@ -139,7 +139,8 @@ class Solver:
             return first
         away, left = self._step_away(state, alone=True), max(1, max_iterations - first.iterations)
         other, _ = self._run(away, given, left, callback)
-        better = other.status is Status.SOLVED and other.cost < first.cost - self.tolerance * float(state.scales.cost)
+        lower = other.cost < first.cost - self.tolerance * float(state.scales.cost)
+        better = lower and other.status in (Status.SOLVED, Status.UNBOUNDED)
         return (other if better else first)._replace(iterations=first.iterations + other.iterations)
 
     def levels(self, scales: Scales) -> Scales | None:

@@ -225,10 +225,17 @@ class Solvable(ABC, Generic[One, Many]):
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback}
-        finest: Any = refined(result, refine, lambda problem, warm: problem.solve(warm=warm, **asked))
-        if between is None or not finest.solved:
-            return finest
-        return dataclasses.replace(finest.problem.solve(warm=finest, between=between, **asked), meshes=finest.meshes)
+        spent: list[Any] = [result]
+
+        def again(problem: Any, warm: Any, between: float | None = None) -> Any:
+            spent.append(problem.solve(warm=warm, between=between, **asked))
+            return spent[-1]
+
+        finest: Any = refined(result, refine, again)
+        if between is not None and finest.solved:
+            finest = dataclasses.replace(again(finest.problem, finest, between), meshes=finest.meshes)
+        times = {name: sum(getattr(each, name) for each in spent) for name in ("compile_seconds", "solve_seconds")}
+        return dataclasses.replace(finest, **times)
 
     def solve_many(
         self,

@@ -24,6 +24,7 @@ from ..expr import (
 )
 from ..lowering import Dynamics
 from .cones import NormControls, without_norms
+from .controls import is_rate
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,6 +64,10 @@ class Objective:
                     hint="index it, or take tx.linalg.Sum or tx.linalg.Norm of it",
                 )
             object.__setattr__(self, name, expr)
+
+    def __repr__(self) -> str:
+        parts = [] if self.final is None else [repr(self.final)]
+        return f"{type(self).__name__}({', '.join(parts + [f'running={self.running!r}'] * (self.running is not None))})"
 
 
 class Minimize(Objective):
@@ -237,6 +242,10 @@ def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) 
             raise ModelError(
                 f"{place} reads the control {leaf.name!r}, which has no value at a node, the final one neither.\n"
                 "  fix: make it a constraint of the system, or a running cost"
+            )
+        if is_rate(leaf, dynamics.controls):
+            raise ModelError(
+                f"{place} reads the {leaf.name}, which is held.\n  fix: controls= tx.trajectory.Linear() for it"
             )
         if isinstance(leaf, (State, Control)) and (leaf.name not in known or known[leaf.name].key() != leaf.key()):
             raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")

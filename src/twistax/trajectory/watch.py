@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 from typing import Any
 
+import jax
 import numpy as np
 from numpy import ndarray as Array
 
@@ -17,6 +18,8 @@ from .transcribed import Derivatives, Transcribed
 _RENEW = 3.0
 #: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
 _EARLY = (1, 3, 6)
+#: An unknown has run off that is so many times as large as the largest number and scale of unknowns at the start.
+_FAR = 1e20
 
 
 class Status(enum.Enum):
@@ -29,6 +32,7 @@ class Status(enum.Enum):
     EXCEEDED = "the first-order conditions hold, but between nodes limits are exceeded by more than was asked for"
     COARSE = "the first-order conditions hold, but the mesh could not be refined to what was asked for"
     INFEASIBLE = "no trajectory was found that meets every constraint"
+    UNBOUNDED = "unknowns grow without end; most often nothing limits what the objective pushes"
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
     STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
     NON_FINITE = "the problem has values or slopes that are not finite"
@@ -57,12 +61,14 @@ class Watch:
     ) -> None:
         self._shooting, self._tolerance = shooting, tolerance
         self._seen, self._most = seen, most
+        self._far = np.inf
         self.count = 0
 
     def at_once(self, state: Iterate) -> Status | None:
         """How it ends before the first step."""
         if not all(np.isfinite(np.asarray(a)).all() for a in (*state.scales, *state.values)):
             return Status.NON_FINITE
+        self._far = _FAR * _largest((state.point, state.scales.d, state.scales.u, state.scales.border))
         shooting = self._shooting
         lost = np.where(shooting.decided & ~shooting.pinned, row_violations(shooting, state), 0.0)
         return Status.INFEASIBLE if lost.max(initial=0.0) > self._tolerance else None
@@ -87,12 +93,19 @@ class Watch:
             return Status.INFEASIBLE if pinned.max(initial=0.0) > 10.0 * self._tolerance else Status.SOLVED
         if not np.isfinite(size):
             return Status.NON_FINITE
+        if _largest(state.point) > self._far:
+            return Status.UNBOUNDED
         return Status.MAX_ITERATIONS if self.count >= self._most else None
 
 
 def error(state: Iterate) -> float:
     """The largest of what SOLVED asks for."""
     return max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
+
+
+def _largest(tree: Any) -> float:
+    """The largest magnitude among arrays."""
+    return max(float(np.abs(np.asarray(a)).max(initial=0.0)) for a in jax.tree.leaves(tree))
 
 
 def row_violations(shooting: Transcribed, state: Any) -> Array:
