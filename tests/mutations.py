@@ -108,6 +108,48 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "checks.py",
+        (
+            "a masked number is the one beneath",
+            "right = not _masked(entry) and",
+            "right =",
+            "expr/test_no_silent_numbers.py",
+        ),
+    ),
+    *_at(
+        "mechanics/mechanism.py",
+        (
+            "a copy keeps the drives",
+            "dataclasses.replace(joints[name], drive=drive)",
+            "joints[name]",
+            "mechanics/test_mechanisms.py",
+        ),
+    ),
+    *_at(
+        "mechanics/flight/start.py",
+        (
+            "a start without the turn of its planet",
+            "over_ground + local.T @ carried",
+            "over_ground + carried",
+            "mechanics/test_flight.py",
+        ),
+        (
+            "traced euler angles are those of nobody",
+            'EulerRotation(own["euler"])',
+            "EulerRotation(np.zeros(3))",
+            "mechanics/test_flight.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/loops.py",
+        (
+            "programs for numbers of rows are kept for ever",
+            "= weakref.WeakValueDictionary()",
+            "= {}  # type: ignore[assignment]",
+            "integrators/test_along.py",
+        ),
+    ),
+    *_at(
         "lowering/inputs.py",
         (
             "what JAX has in double precision becomes infinite in single",

@@ -368,6 +368,8 @@ def test_a_copy_has_other_drives_and_the_rest_as_it_was() -> None:
     assert sprung.gravity.key() == arm.gravity.key()
     assert len(sprung.segments) == len(arm.segments) == 3
     assert not arm.replace(loops=()).loops
+    assert repr(sprung.links[1].drive) == "Drive(stiffness=5.0)"
+    assert repr(sprung.links[2]) == "Link(joint=Fixed('tip'), body=None, mount=Constant(4, 4), parent='b', name='tip')"
     with pytest.raises(tx.ModelError, match=r"knows no joint 'c'; it knows: 'a', 'b', 'tip'"):
         arm.replace(drives={"c": held})
     with pytest.raises(tx.ModelError, match=r"knows no 'drive'.*\n.*did you mean 'drives'"):

@@ -32,6 +32,9 @@ def precision(*groups: Values | None) -> Any:
     return jax.dtypes.canonicalize_dtype(float)
 
 
+_OVER_TIME = "; values over time are a table, tx.ZeroOrderHold(ts, values)"
+
+
 def read_values(
     kind: str, leaves: Iterable[Any], values: Values | None, dtype: Any, on_host: bool = False
 ) -> dict[str, Any]:
@@ -60,7 +63,7 @@ def read_values(
         if array.shape != known[name].shape:
             raise InputError(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
-                "  fix: one point at a time; map over batches with jax.vmap"
+                f"  fix: one point at a time; map over batches with jax.vmap{_OVER_TIME if kind == 'u' else ''}"
             )
         found[name] = cast(place, array, dtype, on_host)
     return found

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 
 from ..checks import short
@@ -61,3 +64,15 @@ def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, p
     return T
+
+
+def told(own: Any) -> str:
+    """A dataclass as text: what differs from its defaults."""
+
+    def usual(field: Any) -> str | None:
+        if field.default_factory is not dataclasses.MISSING:
+            return repr(field.default_factory())
+        return None if field.default is dataclasses.MISSING else repr(field.default)
+
+    texts = {field: repr(getattr(own, field.name)) for field in dataclasses.fields(own)}
+    return f"{type(own).__name__}({', '.join(f'{f.name}={text}' for f, text in texts.items() if text != usual(f))})"

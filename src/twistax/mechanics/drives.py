@@ -11,6 +11,7 @@ from ..checks import reals
 from ..errors import ModelError
 from ..expr import Constant, Expr, Tanh, to_expr
 from ..expr.fields import ExprLike
+from .arguments import told
 
 #: Numbers only: they become bounds of states and controls.
 _LIMITS = ("lower", "upper", "speed")
@@ -18,7 +19,7 @@ _AMOUNTS = ("armature", "damping", "friction", "stiffness", "rest", "gear", "fri
 _NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Drive:
     """Motor, friction, spring and limits of a joint; every freedom of the joint has the same.
 
@@ -72,6 +73,9 @@ class Drive:
             raise ModelError(f"Drive expects effort not to be negative, or a pair in order, got {self.effort}")
         if isinstance(self.friction_speed, (int, float)) and self.friction_speed <= 0.0:
             raise ModelError(f"Drive expects friction_speed to be positive, got {self.friction_speed}")
+
+    def __repr__(self) -> str:
+        return told(self)
 
     @staticmethod
     def _check(name: str, value: Any, shape: tuple[int, ...]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import listed, short
 from ..errors import ModelError
-from ..expr import Constant, Control, Expr, State
+from ..expr import Constant, Constraint, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
 from .arguments import of_shape
@@ -330,11 +330,33 @@ class Mechanism:
 
         return links_in_view(self, xs, params)
 
-    def system(self, **choices: Any) -> System:
-        """The mechanism as a `tx.System`; see `twistax.mechanics.mechanism_system.system_of`."""
+    def system(
+        self,
+        *,
+        controls: Collection[str] | None = None,
+        forces: ExprLike | None = None,
+        wrenches: Mapping[str, ExprLike] | None = None,
+        outputs: Mapping[str, ExprLike] | None = None,
+        constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
+    ) -> System:
+        """The mechanism as a `tx.System`, with the states `q` and `qd`.
+
+        The rate of qd is the forward dynamics under motors, gears, damping, friction and springs of the links' drives.
+        Limits are the bounds of states and controls. The corrections close the loops of the mechanism.
+
+        Args:
+            controls: the joints that motors drive; `driven` unless given. Their commands are the Control
+                "tau", one entry a freedom, in the order of the joints named. None named, none made.
+            forces: further forces of the joints (n,), N or N m, such as those of a feedback.
+            wrenches: what acts on the mechanism from outside, by frame.
+            outputs, constraints: as for `tx.System`; of `q` and `qd`, or anything else.
+        Raises:
+            ModelError: a joint or frame that is not known; a mechanism in which nothing moves.
+            ShapeError: an argument of another shape.
+        """
         from .mechanism_system import system_of
 
-        return system_of(self, **choices)
+        return system_of(self, controls, forces, wrenches, outputs, constraints)
 
 
 class Chain(Mechanism):

@@ -17,29 +17,13 @@ from .system_slopes import slopes_of_accelerations
 
 def system_of(
     mechanism: Mechanism,
-    *,
-    controls: Collection[str] | None = None,
-    forces: ExprLike | None = None,
-    wrenches: Wrenches | None = None,
-    outputs: Mapping[str, ExprLike] | None = None,
-    constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
+    controls: Collection[str] | None,
+    forces: ExprLike | None,
+    wrenches: Wrenches | None,
+    outputs: Mapping[str, ExprLike] | None,
+    constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
 ) -> System:
-    """The mechanism as a `tx.System`, with the states `mechanism.q` and `mechanism.qd`.
-
-    The rate of qd is the forward dynamics under the motors, gears, damping, friction and springs of the links' drives.
-    Limits are the bounds of states and controls. The corrections close the loops of the mechanism.
-
-    Args:
-        mechanism: a tree or a chain.
-        controls: the joints that motors drive; `mechanism.driven` unless given. Their commands are the Control
-            "tau", one entry a freedom, in the order of the joints named. None named, none made.
-        forces: further forces of the joints (n,), N or N m, such as those of a feedback.
-        wrenches: what acts on the mechanism from outside, by frame.
-        outputs, constraints: as for `tx.System`; of `mechanism.q` and `mechanism.qd`, or anything else.
-    Raises:
-        ModelError: a joint or frame that is not known; a mechanism in which nothing moves.
-        ShapeError: an argument of another shape.
-    """
+    """What `Mechanism.system` does."""
     if not mechanism.dofs:
         raise ModelError("system expects a mechanism with a joint that moves, got none")
     controls = mechanism.driven if controls is None else controls

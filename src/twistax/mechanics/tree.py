@@ -18,7 +18,7 @@ from ..expr import Constant, Expr, canonicalize_all
 from ..expr.lie import Act, Compose, Pose
 from ..expr.lie.elements import parts_of_pose
 from ..view import Shape
-from .arguments import pose
+from .arguments import pose, told
 from .bodies import SpatialInertia
 from .drives import Drive
 from .joints import Joint
@@ -45,7 +45,7 @@ class Mimic:
                 raise ModelError(f"Mimic of {self.joint!r} expects {name} to be a finite number, got {value.tolist()}")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Link:
     """A body, the joint that carries it, and where that joint sits. The link's frame is the joint's child frame.
 
@@ -97,6 +97,9 @@ class Link:
         R, _ = parts_of_pose(self.mount)
         turn, shift = parts_of_pose(self.joint.placement(position))
         return Pose(Compose(R, turn), Act(self.mount, shift))
+
+    def __repr__(self) -> str:
+        return told(self)
 
 
 def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
