@@ -34,6 +34,13 @@ def draw(key: jax.Array) -> dict[str, jax.Array]:
 EXPECTED = {"sum": MEMBERS["x"].sum(1) * MEMBERS["gain"], "all": np.sin(MEMBERS["x"])}
 
 
+def test_statistics_are_a_line_for_each_result() -> None:
+    words = ["2 members", "a.0: mean 2., std 1.414214, least 1., most 3."]
+    words += ["b: mean [4. 5.], std [0. 0.], least [4. 5.], most [4. 5.]"]
+    members = {"a": [np.array([1.0, 3.0])], "b": np.array([[4.0, 5.0], [4.0, 5.0]])}
+    assert str(tx.sweep(lambda member: member, members).statistics) == "\n".join(words)
+
+
 @pytest.mark.parametrize("chunk", [1, 4, 29, 100])
 def test_values_statistics_and_percentiles(chunk: int) -> None:
     found = tx.sweep(run, MEMBERS, chunk=chunk)

@@ -44,6 +44,16 @@ class Statistics:
     least: Any
     most: Any
 
+    def __str__(self) -> str:
+        """A line for each result."""
+        lines = [f"{self.count} members"]
+        columns = (jax.tree.leaves(own) for own in (self.mean, self.std, self.least, self.most))
+        for (path, _), *values in zip(jax.tree_util.tree_leaves_with_path(self.mean), *columns, strict=True):
+            texts = (np.array2string(np.asarray(value), precision=6) for value in values)
+            words = ", ".join(map(" ".join, zip(("mean", "std", "least", "most"), texts, strict=True)))
+            lines.append(f"{jax.tree_util.keystr(path, simple=True, separator='.') or 'result'}: {words}")
+        return "\n".join(lines)
+
 
 class Sweep:
     """What a sweep gave, read from its chunks when asked for.
