@@ -1743,6 +1743,18 @@ MUTATIONS: list[Mutation] = [
             "lowering/test_fast.py",
         ),
         ("the wrong branch", "jax.lax.switch(index, ", "jax.lax.switch(1 - index, ", "lowering/test_fast.py"),
+        (
+            "long loops unrolled within another",
+            "around = has_loops(inside)",
+            "around = False",
+            "lowering/test_fast.py::test_what_became_of_it_is_said",
+        ),
+        (
+            "a while around loops reads the constants of its question",
+            "lambda state: body(*values[asking:fixed], *state)",
+            "lambda state: body(*values[: fixed - asking], *state)",
+            "lowering/test_fast.py",
+        ),
     ),
     *_at(
         "jax_inside.py",
@@ -1796,7 +1808,20 @@ MUTATIONS: list[Mutation] = [
             "moments.add(columns)",
             "test_sweep.py",
         ),
+        (
+            "half precision that NumPy's files do not know",
+            'array.astype(jnp.float32) if array.dtype.kind == "V" else array',
+            "array",
+            "test_sweep.py",
+        ),
         ("a last chunk with members twice", "kept = numbers <= last", "kept = numbers >= 0", "test_sweep.py"),
+    ),
+    Mutation(
+        "files of other shapes are chunks",
+        "chunks.py",
+        "if shapes == self._shapes(k):",
+        "if shapes:",
+        ("test_sweep.py",),
     ),
     Mutation(
         "arrows start at the body's origin",

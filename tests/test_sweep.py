@@ -108,6 +108,17 @@ def test_integers_and_truth_values() -> None:
     assert np.isnan(tx.sweep(lambda x: x, np.ones(1)).statistics.std)
 
 
+def test_numbers_that_numpy_has_not(tmp_path: Path) -> None:
+    """Single precision holds them."""
+    members = np.arange(8.0)
+    for directory in (None, tmp_path):
+        found = tx.sweep(lambda m: (m.astype(jnp.bfloat16), m > 2), members, chunk=3, directory=directory)
+        assert found.values[0].dtype == np.float32
+        np.testing.assert_array_equal(found.values[0], members)
+    huge = tx.sweep(lambda m: m, np.array([1e200, -1e200])).statistics
+    assert (huge.mean, huge.std) == (0.0, np.inf)
+
+
 def test_a_failure_within_the_results_is_seen() -> None:
     x = tx.State("x")
     dynamics = tx.compile(tx.System(rates={x: x * x}))
@@ -139,9 +150,12 @@ def test_a_sweep_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytes
         tx.sweep(run, MEMBERS, chunk=4, directory=tmp_path)
     assert calls == [0, 1, 2, 3]
     (tmp_path / "000001.npz").write_bytes(b"cut short")
+    (tmp_path / "000002.npz").write_bytes(b"")
+    np.savez(tmp_path / "000004.npz", np.ones(4))
+    np.savez(tmp_path / "000006.npz", np.ones((4, 3)), np.ones((3,)), np.ones(3, int))
     calls[:] = [-1] * 10
     found = tx.sweep(run, MEMBERS, chunk=4, directory=tmp_path)
-    assert calls[10:] == [0, 1, 3, 4, 5, 6, 7]  # the first one to compare
+    assert calls[10:] == [0, 1, 2, 3, 4, 5, 6, 7]  # the first one to compare
     np.testing.assert_allclose(found.values["sum"], EXPECTED["sum"], rtol=1e-14)
     calls[:] = [-1] * 10
     again = tx.sweep(run, MEMBERS, chunk=4, directory=tmp_path)
@@ -258,14 +272,19 @@ def test_two_processes(tmp_path: Path) -> None:
         (r"members expects a function of \(key\), got one of", {"members": lambda: 1, "count": 2}),
         ("gives nothing", {"run": lambda member: None}),
         ("the same member for every key", {"members": lambda key: {"x": np.ones(3), "gain": 1.0}, "count": 3}),
-        ("complex numbers", {"run": lambda member: jax.lax.complex(member["x"], member["x"])}),
+        ("real numbers, got complex128", {"run": lambda member: jax.lax.complex(member["x"], member["x"])}),
         ("seed must be less than 2", {"members": draw, "count": 2, "seed": 2**32}),
         ("seed must be a whole number", {"members": draw, "count": 2, "seed": 1.5}),
         ("at least 1, got shapes", {"members": np.zeros((0, 3))}),
         ("at least 1, got shapes", {"members": [1.0, 2.0]}),
         ("devices must be a list", {"devices": []}),
         ("devices must be a list", {"devices": "cpu"}),
+        ("list of different devices", {"devices": [*jax.devices(), *jax.devices()]}),
         ("sweep", {"directory": 3}),
+        ("arrays of known numbers, got PRNGKeyArray", {"members": jax.random.split(jax.random.key(0), 3)}),
+        ("arrays of known numbers, got ndarray", {"members": np.array(["a", "b"])}),
+        ("real numbers, got key", {"run": lambda member: jax.random.key(0)}),
+        ("progress expects True, False or None", {"progress": "yes"}),
     ],
 )
 def test_nonsense_is_refused(message: str, own: dict[str, Any]) -> None:
@@ -273,9 +292,14 @@ def test_nonsense_is_refused(message: str, own: dict[str, Any]) -> None:
         tx.sweep(**{"run": run, "members": MEMBERS, **own})
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_reading_nonsense_is_refused() -> None:
     found = tx.sweep(run, MEMBERS)
     with pytest.raises(tx.InputError, match="from 0 to 28, got 29"):
         found.member(29)
     with pytest.raises(tx.InputError, match="from 0 to 100, got 101"):
         found.percentiles(101)
+    with pytest.raises(tx.InputError, match="percentiles expects real numbers, got 'a'"):
+        found.percentiles("a")
+    with pytest.raises(tx.InputError, match="call sweep outside of jit"):
+        jax.jit(lambda members: tx.sweep(run, members).values)(MEMBERS)

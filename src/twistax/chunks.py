@@ -45,13 +45,21 @@ class OnDisk:
         folder: made if missing.
         setup: what says whether chunks that are there are of this sweep.
         chunks: how many there are.
+        shapes: those of the columns of one of them, by number.
         compute: gives one of them, by number.
     Raises:
         InputError: a folder that cannot be used, or has another sweep.
     """
 
-    def __init__(self, folder: Path, setup: dict[str, Any], chunks: int, compute: Callable[[int], Columns]) -> None:
-        self._folder, self._there = folder, set[int]()
+    def __init__(
+        self,
+        folder: Path,
+        setup: dict[str, Any],
+        chunks: int,
+        shapes: Callable[[int], list[tuple[int, ...]]],
+        compute: Callable[[int], Columns],
+    ) -> None:
+        self._folder, self._shapes, self._there = folder, shapes, set[int]()
         path = folder / _SETUP
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -85,11 +93,13 @@ class OnDisk:
     def have(self, k: int) -> bool:
         if k not in self._there and self._path(k).exists():
             try:
-                self.read(k)
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-                self._path(k).unlink(missing_ok=True)  # it is computed again
-            else:
+                shapes = [column.shape for column in self.read(k)]
+            except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+                shapes = []
+            if shapes == self._shapes(k):
                 self._there.add(k)
+            else:
+                self._path(k).unlink(missing_ok=True)  # it is computed again
         return k in self._there
 
     def keep(self, k: int, columns: Columns) -> None:

@@ -17,15 +17,14 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from numpy.typing import NDArray
 
-from .checks import callable_with, path_of, short, whole
+from .checks import callable_with, instance, path_of, reals, short, whole
 from .chunks import Chunks, Columns, InMemory, OnDisk
 from .errors import InputError
 from .integrators import Result, Solution
 from .integrators.steps import ended_well
+from .progress import Progress
 
 __all__ = ["Statistics", "Sweep", "sweep"]
-
-_WIDTH = 24
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +96,7 @@ class Sweep:
         Raises:
             InputError: numbers outside; every member failed.
         """
-        asked = np.asarray(percent, float)
+        asked = reals("percentiles", percent, InputError)
         if not np.all((asked >= 0.0) & (asked <= 100.0)):
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
         good = ended_well(self.codes)
@@ -160,26 +159,30 @@ def sweep(
         InputError: axes of different lengths, a count that is missing or given twice, several processes without a
             directory; a directory with a sweep of something else.
     """
-    own_devices = (
-        list(jax.local_devices() if devices is None else devices) if np.iterable(devices) or devices is None else []
-    )
-    if not own_devices or not all(isinstance(device, jax.Device) for device in own_devices):
-        raise InputError(f"sweep: devices must be a list of devices of this process, got {short(devices)}")
+    own_devices = jax.local_devices() if devices is None else list(devices) if np.iterable(devices) else []
+    mine = [d for d in own_devices if isinstance(d, jax.Device) and d.process_index == jax.process_index()]
+    if not mine or len(set(mine)) < len(own_devices):
+        raise InputError(f"sweep: devices must be a list of different devices of this process, got {short(devices)}")
     plan = _Plan.given(run, members, count, seed, chunk, own_devices)
     if directory is None and jax.process_count() > 1:
         raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
+    instance("sweep: progress", progress, (bool, type(None)), "True, False or None", InputError)
     chunks: Chunks = InMemory()
     if directory is not None:
-        chunks = OnDisk(path_of("sweep", directory), plan.setup(), plan.chunks, plan.compute)
-    line = _Line(plan, (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0)
+        chunks = OnDisk(path_of("sweep", directory), plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
+    shown = (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0
+    line = Progress("sweep") if shown else None
     own = range(jax.process_index(), plan.chunks, jax.process_count())
-    for k in own:
-        if not chunks.have(k):
-            chunks.keep(k, plan.compute(k))
-        line.show(sum(map(chunks.have, own)) / len(own))
+    missing = [k for k in own if not chunks.have(k)]
+    before = len(own) - len(missing)
+    for done, k in enumerate(missing, before + 1):
+        chunks.keep(k, plan.compute(k))
+        if line is not None:
+            line.done(done / len(own), f"{plan.count} members", before / len(own))
     while not all(map(chunks.have, range(plan.chunks))):  # of other processes
         time.sleep(0.05)
-    line.clear()
+    if line is not None:
+        line.close()
     return Sweep(plan, chunks)
 
 
@@ -253,6 +256,11 @@ class _Plan:
         kept = numbers <= last  # the rest fills up the batch
         return [np.asarray(column)[kept] for column in (*jax.tree.leaves(results), codes)]
 
+    def shapes_of(self, k: int) -> list[tuple[int, ...]]:
+        """Those of the columns of a chunk."""
+        rows = min(self.size, self.count - k * self.size)
+        return [(rows, *shape) for shape, _ in [*self.shapes, ((), "")]]
+
     def setup(self) -> dict[str, Any]:
         """What says whether chunks on disk are of this sweep."""
         digest = hashlib.sha256()
@@ -285,17 +293,38 @@ class _Plan:
                 "sweep: run gives a Solution within its results, whose failure would not be seen.\n"
                 "  fix: return (solution, results), or solution.xs of the others"
             )
-        results = jax.tree.map(jnp.asarray, results)
-        if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(results)):
-            raise InputError("sweep: run gives complex numbers.\n  fix: return their real and imaginary parts")
+        results = jax.tree.map(_as_numpy_has_it, results)
         real = [leaf for leaf in jax.tree.leaves(results) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
         finite = functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in real], jnp.asarray(True))
         return results, jnp.where(ended_well(code) & ~finite, jnp.int32(Result.NON_FINITE.value), code)
 
 
+def _as_numpy_has_it(value: Any) -> jax.Array:
+    """An array in a type that NumPy keeps in files: float32 for bfloat16 and its like. Raises InputError."""
+    array = jnp.asarray(value)
+    if array.dtype != bool and not jnp.issubdtype(array.dtype, np.number) or jnp.iscomplexobj(array):
+        raise InputError(
+            f"sweep expects run to give real numbers, got {array.dtype}.\n"
+            "  fix: return real and imaginary parts of complex numbers, and jax.random.key_data of keys"
+        )
+    return array.astype(jnp.float32) if array.dtype.kind == "V" else array
+
+
 def _as_jax_has_it(value: Any) -> NDArray[Any]:
-    """An array in the type that JAX gives it. Raises InputError for integers that do not fit, as without x64."""
-    array = np.asarray(value)
+    """An array in the type that JAX gives it.
+
+    Raises:
+        InputError: no numbers, or integers that do not fit, as without x64.
+    """
+    try:
+        array = np.asarray(value)
+    except TypeError:  # random keys, traced values
+        array = np.empty(0, object)
+    if array.dtype != bool and not jnp.issubdtype(array.dtype, np.number):
+        raise InputError(
+            f"sweep: members must be arrays of known numbers, got {short(value)}.\n"
+            "  fix: for random keys give a function of a key, and a count; call sweep outside of jit and vmap"
+        )
     found = array.astype(jax.dtypes.canonicalize_dtype(array.dtype))
     if array.dtype.kind in "iu" and not np.array_equal(found, array):
         raise InputError(
@@ -320,8 +349,10 @@ class _Moments:
             return
         new = []
         for column in columns:
-            mean = column.mean(0, dtype=float)
-            new.append((mean, ((column - mean) ** 2).sum(0), column.min(0), column.max(0)))
+            with np.errstate(over="ignore"):  # infinite then
+                mean = column.mean(0, dtype=float)
+                squares = ((column - mean) ** 2).sum(0)
+            new.append((mean, squares, column.min(0), column.max(0)))
         self._columns = list(map(self._merged(n), self._columns, new)) if self.count else new
         self.count += n
 
@@ -343,24 +374,3 @@ class _Moments:
             yield (
                 [np.sqrt(a / (self.count - 1 if self.count > 1 else np.nan)) for a in own] if which == 1 else list(own)
             )
-
-
-class _Line:
-    """How far it is, in one line that is overwritten."""
-
-    def __init__(self, plan: _Plan, shown: bool) -> None:
-        self._plan, self._shown, self._begin = plan, shown, time.perf_counter()
-
-    def show(self, share: float) -> None:
-        took = time.perf_counter() - self._begin
-        bar = "=" * round(_WIDTH * share)
-        left = took / share - took
-        self._write(f"[{bar:<{_WIDTH}}] {share:4.0%} of {self._plan.count} members, {took:.0f} s, {left:.0f} s left")
-
-    def clear(self) -> None:
-        self._write("")
-
-    def _write(self, text: str) -> None:
-        if self._shown:
-            sys.stderr.write(f"\r\033[K{text}")
-            sys.stderr.flush()

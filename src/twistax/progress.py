@@ -11,6 +11,8 @@ from .errors import TrajectoryError
 
 #: Seconds between lines, on a terminal and elsewhere.
 _LIVE, _LOGGED = 0.1, 5.0
+#: Of a bar, in characters.
+_WIDTH = 24
 
 
 class Progress:
@@ -46,6 +48,12 @@ class Progress:
         self._show(lambda: f"t {t:12.6g} s   {100.0 * share:5.1f} %")
         if share >= 1.0:
             self.close()
+
+    def done(self, share: float, what: str, before: float = 0.0) -> None:
+        """Show a bar and the seconds left: the share of something that is done, and that of it from an earlier run."""
+        took = time.perf_counter() - self._begin
+        left = f", {took * (1.0 - share) / (share - before):.0f} s left" if share > before else ""
+        self._show(lambda: f"[{'=' * round(_WIDTH * share):<{_WIDTH}}] {share:4.0%} of {what}{left}")
 
     def note(self, text: str) -> None:
         """Show a text until the first iteration, on a terminal only."""

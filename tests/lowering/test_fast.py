@@ -82,6 +82,19 @@ def nested(a: jax.Array, x: jax.Array) -> jax.Array:
     return jax.lax.scan(outer, x, MANY[:40].astype(x.dtype))[1]
 
 
+def around_others(a: jax.Array, x: jax.Array) -> Any:
+    """As many iterations as it takes, with loops in the question and in the answer."""
+
+    def going(state: Any) -> jax.Array:
+        size = jax.lax.fori_loop(0, 3000, lambda k, s: 0.9999 * s, jnp.abs(state[0]).max())
+        return (size > 1e-3 * jnp.abs(x).max()) & (state[1] < 5)
+
+    def body(state: Any) -> Any:
+        return jax.lax.fori_loop(0, LENGTH, lambda k, c: 0.998 * jnp.sin(c + 0.001 * a @ c), state[0]), state[1] + 1
+
+    return jax.lax.while_loop(going, body, (x, 0))
+
+
 def straight(a: jax.Array, x: jax.Array) -> jax.Array:
     """No loops."""
     for _ in range(12):
@@ -94,7 +107,7 @@ def small_loop(a: jax.Array, x: jax.Array) -> jax.Array:
     return jax.lax.scan(lambda c, u: (jnp.sin(a @ c) + u, c[0]), x, MANY[:7].astype(x.dtype))[1]
 
 
-FUNCTIONS = [recursion, backwards, counted, until, mixed, two_in_a_row, nested, straight, small_loop]
+FUNCTIONS = [recursion, backwards, counted, until, mixed, two_in_a_row, nested, around_others, straight, small_loop]
 #: Those with a derivative in reverse.
 SMOOTH = [recursion, backwards, counted, two_in_a_row, nested, straight, small_loop]
 every = pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
@@ -427,6 +440,8 @@ def test_what_became_of_it_is_said() -> None:
     assert len(said) == 3
     assert said[1] == "scan: all iterations in one kernel"
     assert "while: all iterations" in tx.fast(until).explain(A, X)
+    assert tx.fast(nested).explain(A, X).endswith("\nscan: scan: all iterations in one kernel")
+    assert tx.fast(around_others).explain(A, X).count("while: scan: all iterations in one kernel") == 2
     assert "tx.fast(recursion" in repr(tx.fast(recursion))
     assert "operations" in tx.fast(straight).explain(A, X)
 

@@ -26,6 +26,16 @@ def test_it_overwrites_one_line_on_a_terminal_and_is_sparse_elsewhere() -> None:
     assert log.getvalue() == ""
 
 
+def test_a_bar_counts_what_this_run_does() -> None:
+    terminal = Terminal()
+    progress = tx.trajectory.Progress("sweep", stream=terminal)
+    progress._begin -= 60.0
+    progress.done(0.75, "40 members", before=0.5)
+    assert "]  75% of 40 members, 60 s left" in terminal.getvalue()
+    assert terminal.getvalue().count("=") == 18
+    progress.done(0.5, "40 members", before=0.5)  # nothing says how long it takes
+
+
 def test_a_format_of_something_else_is_refused() -> None:
     with pytest.raises(tx.TrajectoryError, match="mass"):
         tx.trajectory.Progress(cost="mass {:d}")

@@ -271,17 +271,19 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a, inside in zip(avals, fixed, strict=False) if not inside]
     shapes += [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals[ring.fixed : ring.fixed + ring.state]]
     shapes += [jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in avals[ring.fixed + ring.state :]]
-    kernel = backend.looped(step, shapes, own)
+    inside = jax.make_jaxpr(step)(*shapes)
+    # Loops inside of it that are not unrolled are kernels of their own.
+    around = has_loops(inside)
+    kernel = None if around else backend.looped(step, shapes, own)
     if kernel is not None:
         results = [(v.aval.shape, np.dtype(v.aval.dtype)) for v in eqn.outvars]
         looped = Looped(lambda count, *a: as_it_is(*joined(fixed, a[: own.fixed]), *a[own.fixed :]), results, kernel)
         reason = f"{name}: all iterations in one kernel"
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, given(values)), [reason])
     if ring.length is None:
-        reasons = [f"{name}, as JAX has it"]
-        return Part(inputs, eqn.outvars, lambda *values: small_call(as_it_is, *joined(known, values)), reasons)
-    inside = jax.make_jaxpr(step)(*shapes)
-    body, reasons = emit_whole(inside, backend if has_loops(inside) else backend.in_loops())
+        run, reasons = _while_around(eqn, backend) if around else (as_it_is, [f"{name}, as JAX has it"])
+        return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(known, values)), reasons)
+    body, reasons = emit_whole(inside, backend if around else backend.in_loops())
 
     def rolled(*values: Any) -> list[jax.Array]:
         constants, state, rows = values[: own.fixed], values[own.fixed :][: own.state], values[own.fixed + own.state :]
@@ -295,6 +297,23 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
 
     reasons = [f"{name}: {reason}" for reason in reasons]
     return Part(inputs, eqn.outvars, lambda *values: small_call(rolled, *given(values)), reasons)
+
+
+def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+    """A `while_loop` around other loops, and how these run."""
+    asking = eqn.params["cond_nconsts"]
+    fixed = asking + eqn.params["body_nconsts"]
+    going, asked = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
+    body, done = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
+
+    def run(*values: Any) -> list[jax.Array]:
+        return jax.lax.while_loop(
+            lambda state: going(*values[:asking], *state)[0],
+            lambda state: body(*values[asking:fixed], *state),
+            list(values[fixed:]),
+        )
+
+    return run, [f"while: {reason}" for reason in (*asked, *done)]
 
 
 def _iteration(eqn: Any) -> tuple[Ring, Callable[..., list[Any]]]:
