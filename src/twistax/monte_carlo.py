@@ -302,7 +302,7 @@ class _Plan:
 def _as_numpy_has_it(value: Any) -> jax.Array:
     """An array in a type that NumPy keeps in files: float32 for bfloat16 and its like. Raises InputError."""
     array = jnp.asarray(value)
-    if array.dtype != bool and not jnp.issubdtype(array.dtype, np.number) or jnp.iscomplexobj(array):
+    if (array.dtype != bool and not jnp.issubdtype(array.dtype, np.number)) or jnp.iscomplexobj(array):
         raise InputError(
             f"sweep expects run to give real numbers, got {array.dtype}.\n"
             "  fix: return real and imaginary parts of complex numbers, and jax.random.key_data of keys"
