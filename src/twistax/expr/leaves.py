@@ -299,7 +299,8 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
             )
         return Euclidean(_shape_of(name, () if shape is None else shape))
     if not isinstance(group, Group):
-        raise ModelError(f"State {name!r}: group must be tx.SO3 or tx.SE3, got {group!r}")
+        made = f".\n  fix: give one of them: group={group.__name__}()" if isinstance(group, type) else ""
+        raise ModelError(f"State {name!r}: group must be tx.SO3, tx.SE3 or a group of your own, got {group!r}{made}")
     if shape is not None and _shape_of(name, shape) != group.shape:
         raise ShapeError(
             f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
