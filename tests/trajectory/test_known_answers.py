@@ -126,6 +126,18 @@ def test_a_maximum_is_reported_as_stated() -> None:
     assert result.replay(steps=10).violations["speed"] < 1e-6
 
 
+def test_a_turn_about_one_axis_is_left() -> None:
+    """Its 2 sqrt(pi) s meet the first-order conditions, but are no minimum; from a short step away the search is back."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    u, rest = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
+    ends: dict[str, Any] = {"initial": {R: np.eye(3), w: rest}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: rest}}
+    dynamics = tx.compile(tx.System(rates={R: w, w: u}))
+    problem = Problem(dynamics, tx.Minimize(tx.Time()), nodes=11, final_time=(1.0, 6.0), **ends, substeps=1)
+    result = problem.solve()
+    assert result.solved
+    assert result.cost < 3.4
+
+
 @pytest.mark.slow
 def test_a_turn_about_one_axis_is_left_for_the_fastest() -> None:
     """The half turn about one axis takes 2 sqrt(pi) s and meets the first-order conditions; the fastest 3.24308 s.

@@ -45,7 +45,7 @@ class _Lane:
 class Lanes:
     """Solves cases side by side, with the rules of `Solver.run`.
 
-    Cases that need what is rare (a search for feasible points, a second search) are left to that.
+    Cases that need what is rare (a search for feasible points, another after a saddle) are left to that.
     """
 
     def __init__(self, solver: Solver, width: int) -> None:

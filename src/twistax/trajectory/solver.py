@@ -32,6 +32,8 @@ _WORTH = 0.5
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
 _SLACK, _SHAKE = 1e-3, 0.1
+#: Steps away from a solution that is no minimum, in scales: a longer one where the search comes back.
+_AWAY = (0.1, 0.3, 1.0)
 #: A solution that needs more than this on the diagonal, scaled, is no minimum; scales of entries of a vector may be
 #: so far apart then.
 _CURVED, _LEVEL = 1e-6, 10.0
@@ -129,7 +131,7 @@ class Solver:
     def run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
     ) -> Outcome:
-        """Solve from a start; where a solution is no minimum once more, a random step away, and take the better."""
+        """Solve from a start; where a solution is no minimum again, a random step away, until there is a better one."""
         first, state = self._run(start, given, max_iterations, callback)
         if first.status is not Status.SOLVED:
             return first
@@ -137,11 +139,16 @@ class Solver:
         state = state if levels is None else self._rescaled(state, levels)
         if not self._bends_down(state, given):
             return first
-        away, left = self._step_away(state, alone=True), max(1, max_iterations - first.iterations)
-        other, _ = self._run(away, given, left, callback)
-        lower = other.cost < first.cost - self.tolerance * float(state.scales.cost)
-        better = lower and other.status in (Status.SOLVED, Status.UNBOUNDED)
-        return (other if better else first)._replace(iterations=first.iterations + other.iterations)
+        count, lower = first.iterations, first.cost - self.tolerance * float(state.scales.cost)
+        for size in _AWAY:
+            if count >= max_iterations:
+                break
+            away = self._step_away(state, size, alone=True)
+            other, _ = self._run(away, given, max_iterations - count, callback)
+            count += other.iterations
+            if other.status in (Status.SOLVED, Status.UNBOUNDED) and other.cost < lower:
+                return other._replace(iterations=count)
+        return first._replace(iterations=count)
 
     def levels(self, scales: Scales) -> Scales | None:
         """Scales in which bends count along what hardly moves at a saddle, too; None if these are such scales."""
@@ -278,16 +285,17 @@ class Solver:
         scales, _ = self.first_scales(point, given)
         return self._start(point, given, scales)
 
-    def _step_away(self, state: Iterate, alone: bool = False) -> Point:
+    def _step_away(self, state: Iterate, size: float = _SHAKE, alone: bool = False) -> Point:
         """The point after a random step.
 
         Args:
+            size: of the step, in scales.
             alone: of controls alone where there are some. Levelled scales of states can be steps of any size: an entry
                 of 1 beside one of 1e3 would move by 100.
         """
         rng, free, scales = np.random.default_rng(0), self.shooting.free, state.scales
-        d = np.where(self.shooting.stirred, _SHAKE * rng.normal(size=free.d.shape) * scales.d, 0.0)
-        u = _SHAKE * rng.normal(size=free.u.shape) * scales.u
+        d = np.where(self.shooting.stirred, size * rng.normal(size=free.d.shape) * scales.d, 0.0)
+        u = size * rng.normal(size=free.u.shape) * scales.u
         if alone and free.u.any():
             d = np.zeros_like(d)
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))

@@ -255,7 +255,7 @@ class Solvable(ABC, Generic[One, Many]):
         A guess with an axis of cases has one of nodes or intervals too.
 
         Cases step together, in lanes on all processors; a lane whose case has ended takes the next. Those that need a
-        search for feasible points, or a second search, are solved one by one afterwards.
+        search for feasible points, or another search after a saddle, are solved one by one afterwards.
 
         Raises:
             ShapeError: arguments for different numbers of cases.

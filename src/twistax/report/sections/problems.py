@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,6 @@ import twistax as tx
 
 from ...scenes import powered_descent
 from ...trajectory import Linear, Problem, TrajectoryResult
-from ...trajectory.statement import Objective
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,24 +45,9 @@ class Known:
         return abs(self.result.cost / self.optimum - 1.0) if self.result.solved else math.nan
 
 
-class Statement(NamedTuple):
-    """What a problem is stated with."""
-
-    system: tx.System
-    objective: Objective
-    options: Mapping[str, Any]
-
-
-def _problem(
-    rates: Mapping[Any, Any],
-    objective: Any,
-    constraints: Any = (),
-    restated: Callable[[Statement], Statement] = lambda stated: stated,
-    **options: Any,
-) -> Problem:
+def _problem(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **options: Any) -> Problem:
     system = tx.System(rates=dict(rates), constraints=list(constraints))
-    stated = restated(Statement(system, objective, options))
-    return Problem(tx.compile(stated.system), stated.objective, **stated.options)
+    return Problem(tx.compile(system), objective, **options)
 
 
 def brachistochrone(nodes: int = 51, **options: Any) -> Problem:

@@ -16,10 +16,13 @@ import twistax as tx
 from ...expr import Control, State
 from ...expr.graph import substitute
 from ...groups import Euclidean
-from ...trajectory import TrajectoryResult
+from ...system import name_of
+from ...trajectory.conditions import split
+from ...trajectory.phases import PhasedProblem
 from ..checks import Section, at_most, between, slow
 from . import problems
-from .problems import Known, Statement
+from .curvature import is_saddle
+from .problems import Known
 
 #: How many of a new unit make an old one, by how much limits are wider, and starts of each.
 SIZES, WIDTHS, STARTS = (1e-6, 1.0, 1e6), (1.0, 1e2, 1e4), 4
@@ -36,45 +39,39 @@ class Restated:
 
     An old unit is `size` new ones for the first state, 1 / size for the next, and so on over states and controls; size
     for times, 1 / size for the objective. Limits of the final time are `width` times as far apart. Sides of states
-    and controls that have no limit get one, `width` times as far as `reach` says, by name.
+    and controls that have no limit get one, `width` times as far as `reach` says, by name. Groups keep their units.
     """
 
     size: float
     width: float
     reach: Mapping[str, float]
 
-    def __call__(self, stated: Statement) -> Statement:
+    def __call__(self, problem: Any) -> Any:
         """The same problem."""
-        system, options = stated.system, dict(stated.options)
-        leaves: list[State | Control] = [*system.states, *system.controls]
-        sizes = dict(zip((leaf.name for leaf in leaves), itertools.cycle((self.size, 1.0 / self.size))))
-        sizes |= {s.name: 1.0 for s in system.states if not isinstance(s.group, Euclidean)}
-        fresh = {leaf.name: self._leaf(leaf, sizes[leaf.name]) for leaf in leaves}
-        exchange = {leaf.key(): fresh[leaf.name] / sizes[leaf.name] for leaf in leaves if sizes[leaf.name] != 1.0}
-        exchange |= {leaf.key(): fresh[leaf.name] for leaf in leaves if sizes[leaf.name] == 1.0}
-        exchange[tx.Time().key()] = tx.Time() / self.size
-        new = functools.partial(substitute, exchange=exchange)
-        rates = {fresh[name]: sizes[name] / self.size * new(rate) for name, rate in system.rates.items()}
-        final, running = stated.objective.final, stated.objective.running
-        objective = type(stated.objective)(
-            None if final is None else new(final) / self.size,
-            running=None if running is None else new(running) / self.size**2,
-        )
-        for end in ("initial", "final"):
-            options[end] = {fresh[s.name]: sizes[s.name] * np.asarray(value) for s, value in options[end].items()}
-        times = np.asarray(options["final_time"]) * self.size
-        options["final_time"] = (times[0] / self.width, times[1] * self.width) if times.ndim else float(times)
-        if "final_time_guess" in options:
-            options["final_time_guess"] *= self.size
-        constraints: Any = {name: new(each) for name, each in system.constraints.items()}
-        return Statement(tx.System(rates=rates, constraints=constraints), objective, options)
+        phased = isinstance(problem, PhasedProblem)
+        stated = [vars(phase) for phase in problem._phases] if phased else [problem._stated]
+        leaves = {
+            e.name: e for own in stated for e in (*own["dynamics"].system.states, *own["dynamics"].system.controls)
+        }
+        flat = lambda leaf: isinstance(leaf, Control) or isinstance(leaf.group, Euclidean)  # noqa: E731
+        sizes = dict(zip(leaves, itertools.cycle((self.size, 1.0 / self.size))))
+        sizes |= {name: 1.0 for name, leaf in leaves.items() if not flat(leaf)}
+        units = _Units(self, sizes, {name: self._leaf(e, sizes[name]) if flat(e) else e for name, e in leaves.items()})
+        units.exchange.update((e.key(), units.old(name)) for name, e in leaves.items())
+        if not phased:
+            return tx.trajectory.Problem(**units.statement(stated[0]))
+        links = [
+            {units.leaves[name_of(k)]: units.new(k, v) for k, v in own.items()} for own in problem._stated["links"]
+        ]
+        phases = [tx.trajectory.Phase(**units.statement(own)) for own in stated]
+        return tx.trajectory.Problem(phases, **problem._stated | {"links": links})
 
     def _leaf(self, leaf: State | Control, size: float) -> Any:
-        if isinstance(leaf, State) and not isinstance(leaf.group, Euclidean):
-            return leaf
         far = _FAR * self.width * self.reach[leaf.name]
         low, high = (self._limit(limit, side * far) * size for limit, side in ((leaf.min, -1.0), (leaf.max, 1.0)))
-        return type(leaf)(leaf.name, shape=leaf.shape, min=low, max=high)
+        own = {name: getattr(leaf, name) for name in ("guess", "scale")}
+        own = {name: value * size for name, value in own.items() if value is not None}
+        return type(leaf)(leaf.name, shape=leaf.shape, min=low, max=high, **own)
 
     @staticmethod
     def _limit(limit: Any, far: float) -> Any:
@@ -82,13 +79,66 @@ class Restated:
 
 
 @dataclasses.dataclass(frozen=True)
+class _Units:
+    """New leaves, and how many of their units make an old one, by name."""
+
+    restated: Restated
+    sizes: Mapping[str, float]
+    leaves: Mapping[str, Any]
+    exchange: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.exchange[tx.Time().key()] = tx.Time() / self.restated.size
+
+    def old(self, name: str) -> Any:
+        """What a leaf was, of the new one."""
+        return self.leaves[name] if self.sizes[name] == 1.0 else self.leaves[name] / self.sizes[name]
+
+    def new(self, leaf: Any, value: Any) -> Any:
+        """What a value, or an expression, of a leaf is in new units."""
+        size = self.sizes[name_of(leaf)]
+        return size * (substitute(value, self.exchange) if isinstance(value, tx.Expr) else np.asarray(value))
+
+    def statement(self, stated: Mapping[str, Any]) -> dict[str, Any]:
+        """What a problem or a phase is stated with."""
+        size, width = self.restated.size, self.restated.width
+        system, objective, put = stated["dynamics"].system, stated["objective"], self._put
+        rates = {self.leaves[s]: self.sizes[s] / size * put(rate) for s, rate in system.rates.items()}
+        constraints: Any = {name: put(each) for name, each in system.constraints.items()}
+        found = dict(stated) | {"dynamics": tx.compile(tx.System(rates=rates, constraints=constraints))}
+        if objective is not None:
+            final, running = (
+                None if part is None else put(part) / size**power
+                for part, power in ((objective.final, 1), (objective.running, 2))
+            )
+            found["objective"] = type(objective)(final, running=running)
+        for end in ("initial", "final"):
+            values, asked = split(end, stated[end])
+            found[end] = [self._values(values), *map(put, asked.values())]
+        found["guess"] = self._values(stated["guess"] or {})
+        times = np.asarray(stated["final_time"]) * size
+        found["final_time"] = (times[0] / width, times[1] * width) if times.ndim else float(times)
+        if stated["final_time_guess"] is not None:
+            found["final_time_guess"] = stated["final_time_guess"] * size
+        return found
+
+    def _put(self, expr: Any) -> Any:
+        return substitute(expr, self.exchange)
+
+    def _values(self, given: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {self.leaves[name_of(leaf)]: self.new(leaf, value) for leaf, value in given.items()}
+
+
+@dataclasses.dataclass(frozen=True)
 class Tried:
-    """One solve: whether it was SOLVED, at which cost in the old unit, in how many steps, whether that cost stays."""
+    """One solve: whether it was SOLVED, at which cost in the old unit, in how many steps; whether a closer solve stays
+    at that cost, and whether the objective falls to second order there."""
 
     solved: bool
     cost: float
     iterations: int
     stays: Callable[[], bool]
+    is_saddle: Callable[[], bool]
 
 
 class Sweep:
@@ -96,11 +146,12 @@ class Sweep:
 
     Args:
         known: it, and its optimum.
-        others: how many solves may end at other stationary points: optima, or saddles, which a closer solve keeps, too.
+        others: how many solves may end at other stationary points.
+        solved: how many are to be SOLVED.
     """
 
-    def __init__(self, known: Known, others: int = 0) -> None:
-        self.known, self.others = known, others
+    def __init__(self, known: Known, others: int = 0, solved: float = _SOLVES) -> None:
+        self.known, self.others, self.solved = known, others, solved
 
     @property
     def tried(self) -> list[Tried]:
@@ -117,24 +168,27 @@ class Sweep:
             return failure
 
     def _all(self) -> list[Tried]:
-        plain = self.known.plain
+        plain, reach = self.known.result, dict[str, float]()
         if not plain.solved:
             raise RuntimeError(
                 f"how far the optimum reaches is not known: plainly stated it ends in {plain.status.name}"
             )
-        reach = {name: float(np.abs(values).max()) for name, values in (plain.xs | plain.us).items()}
+        for trajectory in getattr(plain, "phases", [plain]):
+            for name, values in (trajectory.xs | trajectory.us).items():
+                reach[name] = max(reach.get(name, 0.0), float(np.abs(values).max()))
         return [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach))]
 
     def _of(self, restated: Restated) -> Iterator[Tried]:
-        problem = self.known.make(restated=restated)
+        problem = restated(self.known.problem)
 
-        def stays(result: TrajectoryResult) -> bool:
+        def stays(result: Any) -> bool:
             closer = problem.solve(warm=result, tolerance=_CLOSER)
             return closer.solved and abs(closer.cost / result.cost - 1.0) <= _SAME
 
         for start in range(STARTS):
             result = problem.solve(seed=start or None)
-            yield Tried(result.solved, result.cost * restated.size, result.iterations, functools.partial(stays, result))
+            later = functools.partial(stays, result), functools.partial(is_saddle, result)
+            yield Tried(result.solved, result.cost * restated.size, result.iterations, *later)
 
     @functools.cached_property
     def best(self) -> float:
@@ -152,6 +206,11 @@ class Sweep:
     def wrong(self) -> list[Tried]:
         """Those of them at no stationary point: a closer solve does not stay."""
         return [each for each in self.elsewhere if not each.stays()]
+
+    @functools.cached_property
+    def saddles(self) -> list[Tried]:
+        """Those of the others where the objective falls to second order."""
+        return [each for each in self.elsewhere if each not in self.wrong and each.is_saddle()]
 
     def apart(self) -> float:
         """The best, relative to the known optimum."""
@@ -187,9 +246,10 @@ TRUST: Section = [
     for name, sweep in SWEEPS.items()
     for by, expected, measure in (
         ("best, from the known", at_most(sweep.known.bar), Sweep.apart),
-        ("SOLVED", between(low=_SOLVES), lambda own: sum(each.solved for each in own.tried)),
+        ("SOLVED", between(low=sweep.solved), lambda own: sum(each.solved for each in own.tried)),
         ("SOLVED at no stationary point", at_most(0), lambda own: len(own.wrong)),
         ("SOLVED at other stationary points", at_most(sweep.others), lambda own: len(own.elsewhere) - len(own.wrong)),
+        ("SOLVED at saddles", at_most(0), lambda own: len(own.saddles)),
         ("largest difference of the rest", at_most(_SAME), Sweep.spread),
         ("most steps", between(), lambda own: max(each.iterations for each in own.tried)),
     )
