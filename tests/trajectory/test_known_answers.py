@@ -127,7 +127,7 @@ def test_a_maximum_is_reported_as_stated() -> None:
 
 
 def test_a_turn_about_one_axis_is_left() -> None:
-    """Its 2 sqrt(pi) s meet the first-order conditions, but are no minimum; from a short step away the search is back."""
+    """Its 2 sqrt(pi) s meet the first-order conditions, but are no minimum; from a step away the search is back."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     u, rest = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
     ends: dict[str, Any] = {"initial": {R: np.eye(3), w: rest}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: rest}}
