@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 import twistax as tx
-from twistax.mechanics import forward_dynamics, joint_wrench, load
+from twistax.mechanics import joint_wrench, load
 
 jax.config.update("jax_enable_x64", True)
 arguments = argparse.ArgumentParser(description=__doc__)
@@ -15,8 +15,14 @@ arguments.add_argument("--plot", metavar="FILE", help="draw the energy and the l
 plot = arguments.parse_args().plot
 
 arm = load(Path(__file__).with_name("arm.urdf"))
-carried = joint_wrench(arm, "slide", qdd=forward_dynamics(arm), frame="tool")  # [f; tau], of motors that are off
-dynamics = tx.compile(arm.system(outputs={"energy": arm.energy(), "tool": arm.pose("tool")[:3, 3], "carried": carried}))
+
+
+def outputs(qdd: tx.Expr, tau: tx.Expr) -> dict[str, tx.Expr]:
+    carried = joint_wrench(arm, "slide", qdd=qdd, frame="tool")  # [f; tau]
+    return {"energy": arm.energy(), "tool": arm.pose("tool")[:3, 3], "carried": carried}
+
+
+dynamics = tx.compile(arm.system(outputs=outputs))
 start, off = {"q": np.array([0.3, -0.4, 0.1]), "qd": np.array([2.0, 0.0, 0.0])}, {"tau": np.zeros(3)}
 sol = tx.integrate(dynamics, start, t1=0.5, dt=1e-3, u=off, save_at=np.linspace(0.0, 0.5, 101))
 

@@ -126,6 +126,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/mechanism_system.py",
+        (
+            "outputs of accelerations at rest",
+            "outputs = outputs(accelerations, total)",
+            "outputs = outputs(0.0 * accelerations, total)",
+            "mechanics/test_mechanisms.py",
+        ),
+    ),
+    *_at(
         "mechanics/flight/start.py",
         (
             "a start without the turn of its planet",

@@ -351,6 +351,29 @@ def test_drives_enter_the_dynamics(mimic: Mimic | None) -> None:
     np.testing.assert_allclose(mass["a"] - mass["b"], np.diag(rotors), atol=1e-12)
 
 
+def test_outputs_of_the_accelerations_of_the_motion() -> None:
+    """The force in the bearing of a pendulum with spring and damper: m (a - g) of its centre of mass."""
+    m, length, k, c, g = 2.0, 0.7, 5.0, 0.3, 9.81
+    body = SpatialInertia(mass=m, center_of_mass=(0.0, 0.0, -length), inertia=0.1 * np.eye(3))
+    hinge = Link(joints.Revolute("hinge", (0.0, 1.0, 0.0)), body, tx.pose(), drive=Drive(stiffness=k, damping=c))
+    robot = Mechanism([hinge])
+
+    def outputs(qdd: tx.Expr, tau: tx.Expr) -> dict[str, tx.Expr]:
+        return {"load": mechanics.joint_wrench(robot, "hinge", qdd=qdd, frame="base"), "tau": tau}
+
+    dynamics = tx.compile(robot.system(controls=[], outputs=outputs), backend=tx.JAX())
+    q, w = 0.4, 1.5
+    state = {"q": np.array([q]), "qd": np.array([w])}
+    acceleration = (-m * g * length * np.sin(q) - k * q - c * w) / (0.1 + m * length**2)
+    out, along = np.array([-np.sin(q), 0.0, -np.cos(q)]), np.array([-np.cos(q), 0.0, np.sin(q)])
+    force = m * (length * (acceleration * along - w**2 * out) + np.array([0.0, 0.0, g]))
+    found = dynamics.outputs(0.0, state)
+    np.testing.assert_allclose(found["tau"], [-k * q - c * w], rtol=1e-14)
+    np.testing.assert_allclose(found["load"], [*force, 0.0, -k * q - c * w, 0.0], atol=1e-12)
+    with pytest.raises(tx.ModelError, match=r"outputs expects a function of \(qdd, tau\)"):
+        robot.system(outputs=lambda qdd: {"qdd": qdd})  # type: ignore[arg-type, misc]
+
+
 def test_a_copy_has_other_drives_and_the_rest_as_it_was() -> None:
     bar = SpatialInertia(mass=1.0, center_of_mass=(0.0, 0.0, -0.5), inertia=0.1 * np.eye(3))
     y, held = (0.0, 1.0, 0.0), Drive(damping=0.1, upper=1.0)

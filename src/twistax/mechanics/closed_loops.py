@@ -210,6 +210,8 @@ def loop_wrench(
 ) -> Expr:
     """$F = [f; tau]$ (6,), N and N m, that a closure puts on its second frame, in any frame; its own unless given.
 
+    With tau of `mechanism.system(outputs=lambda qdd, tau: ...)` it is that of the motion. Without, motors are off.
+
     Raises: as `closed_dynamics`; ModelError for a loop that is not known.
     """
     of = loop_of(mechanism, loop)

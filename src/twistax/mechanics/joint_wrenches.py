@@ -22,8 +22,8 @@ def joint_wrench(
     """F = [f; tau] (6,) that a joint puts on the link it carries, motor and bearing together.
 
     It is what `inverse_dynamics` sums up: the segment's own M B + ad*_W(M W), and all that hangs on it. Take
-    `joint.actuation(F)` for the motor's part and `joint.reaction(F)` for that of the bearing. With qdd of
-    `forward_dynamics` it is the wrench in the motion that follows from the forces of the motors.
+    `joint.actuation(F)` for the motor's part and `joint.reaction(F)` for that of the bearing. In the motion of a system
+    it is `mechanism.system(outputs=lambda qdd, tau: {"load": joint_wrench(mechanism, joint, qdd=qdd)})`.
 
     Args:
         mechanism: a tree or a chain.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -336,7 +336,7 @@ class Mechanism:
         controls: Collection[str] | None = None,
         forces: ExprLike | None = None,
         wrenches: Mapping[str, ExprLike] | None = None,
-        outputs: Mapping[str, ExprLike] | None = None,
+        outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None = None,
         constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
     ) -> System:
         """The mechanism as a `tx.System`, with the states `q` and `qd`.
@@ -349,7 +349,9 @@ class Mechanism:
                 "tau", one entry a freedom, in the order of the joints named. None named, none made.
             forces: further forces of the joints (n,), N or N m, such as those of a feedback.
             wrenches: what acts on the mechanism from outside, by frame.
-            outputs, constraints: as for `tx.System`; of `q` and `qd`, or anything else.
+            outputs, constraints: as for `tx.System`; of `q` and `qd`, or anything else. Outputs may be a function
+                f(qdd, tau) that gives them: of the accelerations (n,) of the motion, and of all that motors, springs,
+                friction and `forces` exert on the joints (n,), N or N m.
         Raises:
             ModelError: a joint or frame that is not known; a mechanism in which nothing moves.
             ShapeError: an argument of another shape.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
+from ..checks import callable_with
 from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Expr, State
 from ..expr.fields import ExprLike
@@ -20,7 +21,7 @@ def system_of(
     controls: Collection[str] | None,
     forces: ExprLike | None,
     wrenches: Wrenches | None,
-    outputs: Mapping[str, ExprLike] | None,
+    outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None,
     constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
 ) -> System:
     """What `Mechanism.system` does."""
@@ -44,6 +45,9 @@ def system_of(
     if forces is not None:
         total = total + mechanism.coordinates("system", "forces", forces)
     accelerations = forward_dynamics(mechanism, tau=total, wrenches=wrenches)
+    if callable(outputs):
+        callable_with("system: outputs", outputs, ["qdd", "tau"], ModelError)
+        outputs = outputs(accelerations, total)
     corrections: dict[Any, Expr] = {}
     slopes = None if mechanism.loops else slopes_of_accelerations(mechanism, total, wrenches)
     if mechanism.loops:
