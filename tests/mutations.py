@@ -126,6 +126,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "integrators/solution.py",
+        (
+            "the last row is one of the batch",
+            "at = np.ndim(self.ts) - 1",
+            "at = 0",
+            "integrators/test_along.py",
+        ),
+    ),
+    *_at(
         "mechanics/mechanism_system.py",
         (
             "outputs of accelerations at rest",

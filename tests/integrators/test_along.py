@@ -50,6 +50,17 @@ def test_outputs_and_controls_are_those_at_the_saved_times() -> None:
     np.testing.assert_allclose(solution.outputs["a"], np.stack([XS, -XS], 1), atol=1e-14)
 
 
+def test_the_last_row_is_a_start() -> None:
+    solution = flown()
+    assert solution.last["R"].shape == (3, 3)
+    assert solution.last["x"] == solution.xs["x"][-1]
+    batch = jax.vmap(lambda x: tx.integrate(cart(), {"x": x, "R": np.eye(3)}, t1=1.0, steps=4, u={"F": 2.0}))(TIMES)
+    np.testing.assert_allclose(batch.last["x"], TIMES + 2.0, rtol=1e-14)
+    assert batch.last["R"].shape == (4, 3, 3)
+    assert repr(solution) == "Solution(ts (4,), R (4, 3, 3), x (4,); SUCCESS: the end time was reached)"
+    assert repr(batch) == "Solution(ts (4, 1), R (4, 1, 3, 3), x (4, 1); a batch, or traced)"
+
+
 @pytest.mark.slow
 def test_single_precision_stays_so() -> None:
     single = flown(np.float32)

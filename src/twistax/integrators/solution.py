@@ -157,6 +157,17 @@ class Solution(Ended):
     which: Any = None
     stepper: Any = None
 
+    def __repr__(self) -> str:
+        shapes = {name: np.shape(value) for name, value in {"ts": self.ts, **self.xs}.items()}
+        ended = self.result if isinstance(self.result, Result) else "a batch, or traced"
+        return f"Solution({', '.join(f'{name} {shape}' for name, shape in shapes.items())}; {ended})"
+
+    @property
+    def last(self) -> Arrays:
+        """The state in the last row, by name, such as a start for the next integration. Also of a batch."""
+        at = np.ndim(self.ts) - 1
+        return {name: jnp.take(value, -1, axis=at) for name, value in self.xs.items()}
+
     @functools.cached_property
     def us(self) -> Arrays:
         """The controls by name at the saved times, leading axis n: those that hold from then on.

@@ -32,7 +32,13 @@ def precision(*groups: Values | None) -> Any:
     return jax.dtypes.canonicalize_dtype(float)
 
 
-_OVER_TIME = "; values over time are a table, tx.ZeroOrderHold(ts, values)"
+def _shaped(leaf: Any, kind: str) -> str:
+    """How to mend a value of another shape."""
+    made = {"SE3": "tx.pose(position=..., rotation=...) builds a pose", "SO3": "tx.pose(...)[:3, :3] is a rotation"}
+    if (group := getattr(getattr(leaf, "group", None), "name", None)) in made:
+        return f"{made[group]}; map over batches with jax.vmap"
+    table = "; values over time are a table, tx.ZeroOrderHold(ts, values)" if kind == "u" else ""
+    return f"one point at a time; map over batches with jax.vmap{table}"
 
 
 def read_values(
@@ -63,7 +69,7 @@ def read_values(
         if array.shape != known[name].shape:
             raise InputError(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
-                f"  fix: one point at a time; map over batches with jax.vmap{_OVER_TIME if kind == 'u' else ''}"
+                f"  fix: {_shaped(known[name], kind)}"
             )
         found[name] = cast(place, array, dtype, on_host)
     return found
