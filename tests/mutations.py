@@ -1631,6 +1631,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/sensitivity.py",
         (
+            "options of the compiler within another program",
+            "self._within = jax.jit(self._factors), jax.jit(self._tangent)",
+            "self._within = self._alone",
+            "trajectory/test_sensitivity.py::test_with_the_settings_of_users",
+        ),
+        (
             "a change of an optimum that is not refined",
             "_REFINEMENTS = 6",
             "_REFINEMENTS = 1",

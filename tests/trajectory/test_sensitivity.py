@@ -78,6 +78,18 @@ def test_under_jit() -> None:
     np.testing.assert_allclose(jax.jit(jax.grad(lambda z: of_crane(z).cost))(POINT), forward()[-1], rtol=1e-9)
 
 
+def test_with_the_settings_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where XLA_FLAGS says nothing programs have options of the compiler, which no program within another may have."""
+    monkeypatch.setenv("XLA_FLAGS", "")
+    x, u = tx.State("x"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    objective = tx.Minimize(running=u**2)
+    own = solution(Problem(dynamics, objective, nodes=2, final_time=1.0, initial={x: 0.0}, final={x: 1.0}, **EULER))
+    slope = jax.grad(lambda end: own(final={"x": end}).cost)
+    assert float(slope(1.5)) == pytest.approx(3.0, abs=1e-6)
+    assert jax.jit(slope).lower(1.5)
+
+
 def test_poses_a_fixed_time_and_a_free_parameter() -> None:
     """A ball turns and stops; its start moves on the group, and a push is chosen with the torques."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))

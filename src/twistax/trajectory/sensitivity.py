@@ -123,8 +123,9 @@ class _Differentiable:
         self._problem, self._options, self._tolerance = problem, options, tolerance
         with in_double():
             self._own = problem.given(problem.ends, problem.params, problem.border.limits)
-        self._jitted_tangent = jitted(self._tangent)
-        self._jitted_factors = jitted(self._factors)
+        # Options of the compiler belong to the outermost program alone: within another one these have none.
+        self._alone = jitted(self._factors), jitted(self._tangent)
+        self._within = jax.jit(self._factors), jax.jit(self._tangent)
         optimum = jax.custom_jvp(self._optimum)
         optimum.defjvp(self._jvp)
         self._found: Callable[[_Theta], _Optimum] = optimum
@@ -196,8 +197,10 @@ class _Differentiable:
     def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[_Optimum, _Optimum]:
         (theta,), (along,) = primals, tangents
         found = self._found(theta)
-        stages, factors = self._jitted_factors(found, theta)
-        tangent = self._jitted_tangent(theta, along, found, stages, factors)
+        factored, _ = self._within if is_traced(theta) else self._alone
+        _, changed = self._within if is_traced((theta, along)) else self._alone
+        stages, factors = factored(found, theta)
+        tangent = changed(theta, along, found, stages, factors)
         if not is_traced(factors.exist):
             _strict(np.asarray(factors.exist))
             return found, tangent

@@ -10,15 +10,13 @@ from numpy import ndarray as Array
 from ...precision import in_double
 from ...trajectory.program import Program, Reference
 
-#: A multiplier above this binds, scaled, if it is larger than its slack; a bend below this share of the largest is not
-#: told from none.
+#: A multiplier above this binds, scaled, if it is larger than its slack; a smaller bend than this is not told from none.
 _BINDS, _FLAT = 1e-6, 1e-6
 
 
 def is_saddle(result: Any) -> bool:
     """Whether the objective falls to second order along what a result's binding constraints leave free."""
-    bends = reduced_bends(result)
-    return bool((bends < -_FLAT * np.abs(bends).max(initial=0.0)).any())
+    return bool((reduced_bends(result) < -_FLAT).any())
 
 
 def reduced_bends(result: Any) -> Array:

@@ -20,7 +20,7 @@ from ...system import name_of
 from ...trajectory.conditions import split
 from ...trajectory.phases import PhasedProblem
 from ..checks import Section, at_most, between, slow
-from . import problems
+from . import flights, problems
 from .curvature import is_saddle
 from .problems import Known
 
@@ -239,6 +239,12 @@ SWEEPS = {
         Known(_of(problems.rendezvous, "norm below a slack"), 1.212619, 1e-5)
     ),
     "hypersensitive: 1.33, 41 nodes": Sweep(Known(problems.hypersensitive, 1.3308069, 5e-2)),
+    "landing of the demo: 27,260 kg, 25 nodes": Sweep(Known(problems.landing, 27_260.0, 1e-4)),
+    "Panda from shelf to shelf: 0.860227 s, 41 nodes": Sweep(Known(flights.panda, 0.860227, 1e-5)),
+    # A way past spheres for each side of each: many optima, and not every start is SOLVED.
+    "quadrotor past three spheres: 1.489138 s, 31 nodes": Sweep(
+        Known(flights.quadrotor, 1.489138, 1e-5, {"guesses": STARTS * 2}), others=int(_SOLVES), solved=0.0
+    ),
 }
 
 TRUST: Section = [
