@@ -277,6 +277,7 @@ def test_a_method() -> None:
         expected = np.sin(expected) * 0.3 + expected
     np.testing.assert_allclose(Model().run(X), expected, rtol=1e-12)
     assert Model.run.__name__ == "run"
+    assert Model().run.explain(X) == "scan: all iterations in one kernel"
 
 
 def test_its_own_derivative_is_kept() -> None:

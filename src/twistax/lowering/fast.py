@@ -43,7 +43,7 @@ class Fast(Generic[P, R]):
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __get__(self, owner: Any, kind: Any = None) -> Any:
-        return self if owner is None else functools.partial(self, owner)
+        return self if owner is None else _Bound(self, owner)
 
     def __repr__(self) -> str:
         return f"tx.fast({getattr(self._function, '__qualname__', self._function)}, backend={self._backend})"
@@ -92,6 +92,14 @@ class Fast(Generic[P, R]):
         function, reasons = _compiled(closed, self._backend)
         found: R = jax.tree.unflatten(shapes[0], function(*held, *values))
         return found, reasons
+
+
+class _Bound(functools.partial[Any]):
+    """A method of an object."""
+
+    def explain(self, *args: Any, **kwargs: Any) -> str:
+        said: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
+        return said
 
 
 def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[str]]:

@@ -244,6 +244,10 @@ def test_the_usual_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.delenv(unset, raising=False)
         cache.keep(KEY, CODE)
         assert len(_entries(expected)) == 1
+    monkeypatch.setenv("TWISTAX_CACHE", "~/own")
+    cache.keep(KEY, CODE)
+    assert len(_entries(tmp_path / "home/own")) == 1
+    monkeypatch.delenv("TWISTAX_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     assert cache.kept(KEY) == CODE
     assert not Path("relative").exists()

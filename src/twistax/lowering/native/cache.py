@@ -70,10 +70,10 @@ def keep(key: str, code: bytes) -> None:
 def _folder() -> Path | None:
     """Where files are; None: nowhere, also where the system cannot say whose they are."""
     named, usual = os.environ.get(_VARIABLE, ""), os.environ.get("XDG_CACHE_HOME", "")
-    if named == "off" or not hasattr(os, "getuid"):
+    if named.lower() == "off" or not hasattr(os, "getuid"):
         return None
     if named:
-        return Path(named).absolute()
+        return Path(os.path.expanduser(named)).absolute()  # shells leave "~" within quotes
     # The rule for this variable is that relative paths do not count; nor does a home that the system does not know.
     usual = usual if os.path.isabs(usual) else os.path.expanduser("~/.cache")
     return Path(usual, "twistax") if os.path.isabs(usual) else None

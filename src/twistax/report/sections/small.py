@@ -12,7 +12,9 @@ import numpy as np
 
 import twistax as tx
 
-from ..checks import Check, Section, agree, apart, at_most, between, raced
+from ..checks import Absent, Check, Section, agree, apart, at_most, between, raced
+from ..speed.cases import FREE_BODY
+from ..speed.contenders import CASADI, VALUE, JaxTask
 from ..timing import Repeats, Timed, in_turn
 from .steps import C_ARRAY, FLAGS, c_loop
 
@@ -45,6 +47,18 @@ def loops(n: int) -> dict[str, Timed]:
     return ways | {"C": min(in_c.values(), key=lambda each: each.seconds)}
 
 
+@functools.cache
+def free_body() -> dict[str, Timed]:
+    """A compiled free body in a scan of the user's, each evaluation waits for the one before; C is CasADi's."""
+    if why := CASADI.absent():
+        raise Absent(f"not run: {why}")
+    make = lambda: FREE_BODY.run_by(tx.compile(FREE_BODY.system()))  # noqa: E731
+    tasks = {"C": CASADI.task(FREE_BODY, VALUE)}
+    tasks |= {name: JaxTask(FREE_BODY, make, around) for name, around in (("tx.fast", tx.fast), ("JAX", jax.jit))}
+    runs = {name: task.loop(1000) for name, task in tasks.items()}
+    return raced(runs, 1e-12, Repeats(9, 5), lambda end: np.concatenate(list(map(np.ravel, jax.tree.leaves(end)))))
+
+
 def solves() -> float:
     """10,000 systems of three equations at once: the time by `tx.fast` over that by JAX."""
     random = np.random.default_rng(0)
@@ -58,12 +72,13 @@ def solves() -> float:
     return timed[0].seconds / timed[1].seconds
 
 
-_over_c = lambda n, by: loops(n)[by].seconds / loops(n)["C"].seconds  # noqa: E731
+_over_c = lambda ways, by: ways()[by].seconds / ways()["C"].seconds  # noqa: E731
+_RACES = {f"products of {n}x{n} in a scan": functools.partial(loops, n) for n in (3, 6)} | {"free body in a scan": free_body}
 
 SMALL: Section = [
     *(
-        Check(f"products of {n}x{n} in a scan: time over C", by, bar, _over_c, n, by)
-        for n in (3, 6)
+        Check(f"{what}: time over C", by, bar, _over_c, ways, by)
+        for what, ways in _RACES.items()
         for by, bar in (("tx.fast", at_most(1.5)), ("JAX", between()))
     ),
     Check("10,000 solves of 3x3: time over `jax.vmap`", "tx.fast", at_most(0.2), solves),

@@ -105,10 +105,13 @@ class JaxTask:
     """A traceable function under jit, scan and vmap, all as JAX does it by default. It gives the parts of the result.
 
     It is made anew for each use, so that what is found when it is traced counts as compiling.
+
+    Args:
+        around: what becomes of the whole, the loop or the batch too.
     """
 
-    def __init__(self, case: Case, make: Callable[[], Function]) -> None:
-        self._case, self._make = case, make
+    def __init__(self, case: Case, make: Callable[[], Function], around: Callable[[Any], Any] = jax.jit) -> None:
+        self._case, self._make, self._around = case, make, around
 
     def single(self) -> Timed:
         """`CALLS` calls from Python, one after the other, each waited for."""
@@ -141,7 +144,7 @@ class JaxTask:
         """For one point, or for a batch of them."""
         arguments = [jnp.asarray(each if points else each[0]) for each in self._case.points(points or 1)]
         begin = time.perf_counter()
-        function = use(self._make())
+        function = self._around(use(self._make()))
         made = time.perf_counter() - begin
         timed = compiled(function, *arguments, **counts)
         timed.compile_seconds += made
