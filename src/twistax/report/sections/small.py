@@ -73,7 +73,8 @@ def solves() -> float:
 
 
 _over_c = lambda ways, by: ways()[by].seconds / ways()["C"].seconds  # noqa: E731
-_RACES = {f"products of {n}x{n} in a scan": functools.partial(loops, n) for n in (3, 6)} | {"free body in a scan": free_body}
+_RACES = {f"products of {n}x{n} in a scan": functools.partial(loops, n) for n in (3, 6)}
+_RACES["free body in a scan"] = free_body
 
 SMALL: Section = [
     *(
