@@ -56,7 +56,7 @@ def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contex
     if isinstance(value, types.MethodType):
         owner = inner(value.__self__)
         return value if owner is value.__self__ else types.MethodType(value.__func__, owner)
-    if isinstance(value, functools.partial):
+    if isinstance(value, functools.partial) and not isinstance(value, jax.tree_util.Partial):  # which is a pytree
         return functools.partial(inner(value.func), *map(inner, value.args), **inner(value.keywords))
     leaves, structure = jax.tree.flatten(value)
     if leaves and leaves[0] is value:

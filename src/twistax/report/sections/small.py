@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -73,7 +74,9 @@ def solves() -> float:
 
 
 _over_c = lambda ways, by: ways()[by].seconds / ways()["C"].seconds  # noqa: E731
-_RACES = {f"products of {n}x{n} in a scan": functools.partial(loops, n) for n in (3, 6)}
+_RACES: dict[str, Callable[[], dict[str, Timed]]] = {
+    f"products of {n}x{n} in a scan": functools.partial(loops, n) for n in (3, 6)
+}
 _RACES["free body in a scan"] = free_body
 
 SMALL: Section = [
