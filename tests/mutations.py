@@ -785,6 +785,24 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/flight/nasa.py",
+        (
+            "climbs are descents",
+            '-outputs["ned_velocity"][:, 2]',
+            'outputs["ned_velocity"][:, 2]',
+            "mechanics/test_flight_parts.py",
+        ),
+    ),
+    *_at(
+        "units.py",
+        (
+            "units within lists of lists",
+            "            same_unit(place, entry, unit)",
+            "            pass",
+            "test_units.py",
+        ),
+    ),
+    *_at(
         "mechanics/environment/harmonics.py",
         (
             "sines of tesseral terms",

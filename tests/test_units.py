@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import operator
 import pickle
 from fractions import Fraction
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 import twistax as tx
 from twistax import units
+from twistax.mechanics import SpatialInertia
 from twistax.units import Quantity, degrees, feet, knots, metres, seconds, slugs, taken
 
 #: Their definitions, in m, kg, s and K.
@@ -61,6 +63,27 @@ def test_units_of_lists_arrays_and_expressions() -> None:
     height = tx.State("h")
     assert float(tx.lower(height / feet)(0.0, {"h": np.float64(0.6096)})) == 2.0
     assert float(tx.lower(feet * height)(0.0, {"h": np.float64(2.0)})) == 0.6096
+
+
+def test_comparisons_of_different_units_are_refused() -> None:
+    for compared in (operator.lt, operator.le, operator.gt, operator.ge):
+        with pytest.raises(tx.OperationError, match=r"comparison of 0.3048 m and 1.0 s has no meaning"):
+            compared(feet, seconds)
+    assert 1 * feet < 2 * metres
+    assert 1 * feet <= 0.3048 < 2 * metres
+    assert feet != seconds
+
+
+def test_poses_and_inertias_refuse_other_units() -> None:
+    np.testing.assert_array_equal(tx.pose(position=[1.0 * feet] * 3)[:3, 3], [0.3048] * 3)
+    with pytest.raises(tx.InputError, match=r"pose: position expects m, got 1.0 s"):
+        tx.pose(position=[seconds, 0.0, 0.0])
+    with pytest.raises(tx.InputError, match=r"pose: euler expects rad, got 0.3048 m"):
+        tx.pose(euler=[feet, 0.0, 0.0])
+    with pytest.raises(tx.InputError, match=r"pose: rotation_vector expects rad"):
+        tx.pose(rotation_vector=[0.0, feet, 0.0])
+    with pytest.raises(tx.InputError, match=r"inertia expects kg m2, got 0.3048 m"):
+        SpatialInertia(mass=1.0, inertia=np.eye(3).tolist() * feet)
 
 
 def test_sums_of_different_units_are_refused() -> None:

@@ -38,16 +38,26 @@ __all__ = [
 _BASE = ("kg", "m", "s", "rad", "K")
 
 
+def _comparison(operation: Any) -> Any:
+    def compared(self: Quantity, other: Any) -> Any:
+        if isinstance(other, Quantity) and other.exponents != self.exponents:
+            raise OperationError(f"a comparison of {self!r} and {other!r} has no meaning: their units differ")
+        return operation(self, other)
+
+    return compared
+
+
 class Quantity(float):
     """A float in kg, m, s, rad and K with the exponents of these.
 
     Products, quotients and whole powers are quantities; sums and differences are, if both have one unit. With a plain
     number a sum is a plain number. A list or tuple of numbers times a unit is a list of quantities.
 
-    Raises: OperationError where a sum or difference mixes units, or a power is not whole.
+    Raises: OperationError where a sum, a difference or a comparison by size mixes units, or a power is not whole.
     """
 
     exponents: tuple[int, ...]
+    __lt__, __le__, __gt__, __ge__ = map(_comparison, (float.__lt__, float.__le__, float.__gt__, float.__ge__))
     #: Above that of NumPy's scalars, which then leave a product to the quantity, and below that of its arrays.
     __array_priority__ = -1.0
 
@@ -119,10 +129,12 @@ class Quantity(float):
 
 
 def same_unit(place: str, value: Any, unit: Quantity) -> None:
-    """Raise InputError, which names the place, where a value, alone or in a list, has another unit; none passes."""
-    for entry in value if isinstance(value, (list, tuple)) else [value]:
-        if isinstance(entry, Quantity) and entry.exponents != unit.exponents:
-            raise InputError(f"{place} expects {unit.unit}, got {entry!r}.\n  fix: give it in a unit of {unit.unit}")
+    """Raise InputError, which names the place, where a value, alone or in lists, has another unit; none passes."""
+    if isinstance(value, (list, tuple)):
+        for entry in value:
+            same_unit(place, entry, unit)
+    elif isinstance(value, Quantity) and value.exponents != unit.exponents:
+        raise InputError(f"{place} expects {unit.unit}, got {value!r}.\n  fix: give it in a unit of {unit.unit}")
 
 
 def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> np.ndarray:

@@ -96,6 +96,8 @@ ROWS = [
     bad("a file of a model by number", lambda: load_daveml(3), "load_daveml", "3"),
     bad("no file of a model", lambda: load_daveml("nowhere.dml"), "nowhere.dml"),
     bad("feet to the a", lambda: tx.units.feet ** "a", "'a'"),
+    bad("columns in some units", lambda: flight.NasaColumns(si="metric"), "si", "'metric'"),
+    bad("an inertia in feet", lambda: SpatialInertia(mass=1.0, inertia=[[units.feet] * 3] * 3), "inertia", "kg m2"),
     bad("a planet of 3", lambda: flight.Planet(3, gravity.EARTH_J2), "figure", "3"),
     bad("a push", lambda: craft.system(ball, "push"), "wrench", "'push'"),
     bad("a reading of 3", lambda: flight.Imu().read(3, np.ones(6), np.ones(3)), "V"),

@@ -27,6 +27,8 @@ A, P = tx.State("A", shape=(3, 3)), tx.State("P", shape=(2, 3))
         (lambda: ~x, "Not expects conditions"),
         (lambda: x != 1.0, "!= has no meaning"),
         (lambda: 1.0 in x, "'in' has no meaning"),
+        (lambda: (x < 1.0) ^ (x > 0.0), r"\^ has no meaning"),
+        (lambda: 0.0 < x < 1.0, r"join conditions by tx.All\(a, b\)"),
         (lambda: len(s), "s is a scalar and has no length"),
         (lambda: list(s), "s is a scalar"),
         (lambda: x[s], "an index is fixed when the expression is built"),

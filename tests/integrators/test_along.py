@@ -86,8 +86,10 @@ def test_of_a_batch_and_inside_of_jit() -> None:
     np.testing.assert_allclose(fly(starts[1]).outputs["power"], wanted[1], atol=1e-14)
     inside = jax.jit(jax.vmap(lambda x: fly(x).outputs["power"]))(starts)
     np.testing.assert_allclose(inside, wanted, atol=1e-14)
-    with pytest.raises(tx.InputError, match="a table is of one solution, got a batch"):
+    with pytest.raises(tx.InputError, match="a table expects one solution, got a batch"):
         batch.to_csv("never.csv")
+    with pytest.raises(tx.InputError, match="a table expects numbers, got a solution that is traced"):
+        jax.eval_shape(lambda x: fly(x).to_csv("never.csv"), starts[1])
 
 
 def test_rows_that_were_not_reached_have_no_outputs_and_lost_values_are_named() -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.mechanics import SpatialInertia, flight
 from twistax.mechanics.environment import gravity
 from twistax.mechanics.flight import numbers
+from twistax.scenes import published
 from twistax.units import feet, knots, seconds
 
 # ---- Dryden turbulence -----------------------------------------------------------------------------------------------
@@ -241,3 +244,46 @@ def test_impact_pressure(mach: float) -> None:
 def test_what_is_refused_here(call: Any, error: type[Exception], words: str, unchecked: None) -> None:
     with pytest.raises(error, match=words):
         call()
+
+
+# ---- a flight as a table ---------------------------------------------------------------------------------------------
+
+
+def test_columns_of_nasa_come_back_as_they_are_read(tmp_path: Path) -> None:
+    """Written with NASA's names and units, and read again by what reads NASA's files."""
+    s = tx.State("s")
+    exact = {
+        "position": lambda s: [6.4e6 - s, 30.0 * s, 2.0 * s],
+        "euler": lambda s: [0.01 * s, -0.02 * s, 0.03 * s],
+        "rate": lambda s: [0.1, 0.2 * s, -0.3],
+        "ned_velocity": lambda s: [1.0 * s, 2.0, 3.0 * s],
+        "altitude": lambda s: 9144.0 - s,
+        "density": lambda s: 0.4 + 1e-3 * s,
+        "mach": lambda s: 0.01 * s,
+    }
+    outputs = {name: tx.Concat(*own(s)) if isinstance(own(s), list) else own(s) for name, own in exact.items()}
+    flown = tx.integrate(tx.compile(tx.System({s: 1.0}, outputs)), {"s": 0.0}, t1=30.0, dt=0.5, save_at=published.TIMES)
+    for si in (False, True):
+        flown.to_csv(tmp_path / "sim.csv", flight.NasaColumns(si=si))
+        table = published.Table(tmp_path / "sim.csv")
+        track = table.track()
+        wanted = {name: np.array([own(t) for t in published.TIMES]) for name, own in exact.items()}
+        assert ("eiPosition_m_X" in table.names) == si
+        for name in ("position", "rate", "altitude", "density"):
+            np.testing.assert_allclose(getattr(track, name), wanted[name], rtol=1e-13, atol=1e-14)
+        turns = Rotation.from_euler("xyz", wanted["euler"]).as_matrix()
+        np.testing.assert_allclose(track.attitude, turns, atol=1e-14)
+        np.testing.assert_allclose(table["mach"], wanted["mach"], atol=1e-15)
+        np.testing.assert_allclose(table.column("altitudeRateWrtMsl"), -wanted["ned_velocity"][:, 2], atol=1e-12)
+        assert not any(name.startswith("ambient") for name in table.names)
+
+
+def test_columns_of_nasa_refuse_what_is_no_flight() -> None:
+    s = tx.State("s")
+    for outputs, error, words in [
+        ({"size": s}, InputError, "expects outputs of a flight"),
+        ({"euler": s}, ShapeError, r"'euler' with shape \(3,\), got \(\)"),
+    ]:
+        flown = tx.integrate(tx.compile(tx.System({s: 1.0}, outputs)), {"s": 0.0}, t1=1.0, dt=0.5, save_at=[0.0, 1.0])
+        with pytest.raises(error, match=words):
+            flown.to_csv("never.csv", flight.NasaColumns())

@@ -339,8 +339,8 @@ class Comparison(Entrywise):
     def __bool__(self) -> bool:
         raise OperationError(
             f"the comparison {self!r} has no truth value.\n"
-            "  fix: chain constraints as a list [a <= x, x <= b]; choose with tx.Where; "
-            "compare structure with a.key() == b.key()"
+            "  fix: join conditions by tx.All(a, b), tx.Any(a, b), ~a; chain constraints as a list [a <= x, x <= b]; "
+            "choose with tx.Where; compare structure with a.key() == b.key()"
         )
 
 

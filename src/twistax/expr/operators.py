@@ -59,6 +59,11 @@ class Operators:
     __contains__ = _refused("{b!r} in {a!r}", "'in' has no meaning for expressions", "compare keys: == is a constraint")
     __and__ = __rand__ = _refused("{a!r} & {b!r}", "& has no meaning for expressions", "tx.All(a, b) of conditions")
     __or__ = __ror__ = _refused("{a!r} | {b!r}", "| has no meaning for expressions", "tx.Any(a, b) of conditions")
+    __xor__ = __rxor__ = _refused(
+        "{a!r} ^ {b!r}",
+        "^ has no meaning for expressions",
+        "a**b is a power, tx.All(tx.Any(a, b), ~tx.All(a, b)) either",
+    )
     __invert__ = _unary("Not")
     __mod__ = __rmod__ = _refused(
         "{a!r} % {b!r}", "% has no meaning for expressions", "tx.Atan2(sin, cos) for an angle"

@@ -14,6 +14,7 @@ from twistax.errors import InputError, ShapeError
 from twistax.groups import euler_angles, quaternions, se3, so3
 from twistax.groups.arrays import Input, element, floats, known, of_shape
 from twistax.groups.euler_angles import ROLL_PITCH_YAW
+from twistax.units import metres, radians, same_unit
 
 
 def _rotation_of(function: str, R: Input) -> Array:
@@ -50,6 +51,9 @@ def pose(
         "euler": (euler, (3,), functools.partial(euler_angles.rotation, sequence=sequence)),
         "rotation_vector": (rotation_vector, (3,), so3.exp),
     }
+    same_unit("pose: position", position, metres)
+    same_unit("pose: euler", euler, radians)
+    same_unit("pose: rotation_vector", rotation_vector, radians)
     given = {name: own for name, own in attitudes.items() if own[0] is not None}
     one_attitude(given)
     euler_angles.turns(sequence)  # which is checked without angles too

@@ -161,17 +161,11 @@ def columns_of(solution: Solution, layout: Any) -> list[Column]:
     """The columns of one solution.
 
     Raises:
-        InputError: a batch.
         ModelError: another kind of layout, or one that makes no columns.
         ShapeError: a column of another length.
     """
     layout = Columns() if layout is None else layout
     instance("layout", layout, Layout, "one like tx.columns.Columns(units=...)", ModelError)
-    if np.ndim(solution.ts) != 1:
-        raise InputError(
-            f"a table is of one solution, got a batch with times of shape {np.shape(solution.ts)}.\n"
-            "  fix: jax.tree.map(lambda a: a[i], solution) is one of them"
-        )
     found = layout.columns(solution)
     if not isinstance(found, list) or not all(isinstance(own, Column) for own in found):
         raise ModelError(f"{type(layout).__name__}.columns must return a list of tx.columns.Column, got {short(found)}")

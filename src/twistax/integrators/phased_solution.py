@@ -157,7 +157,7 @@ class PhasedSolution(Ended):
 
     def _reached(self, what: str) -> list[Solution]:
         """The phases without the rows that they do not cover."""
-        need_one(what, self.phases[0].ts)
+        need_one(what, self.phases[0])
         if not self.on_grid:
             return list(self.phases)
         found = []

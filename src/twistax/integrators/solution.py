@@ -102,7 +102,7 @@ class Ended(ABC):
             layout: which columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
                 `tx.columns.Layout` of your own. Left out: time, states, controls and outputs, rotations as quaternions.
         Raises:
-            InputError: a batch; a unit of an unknown name; a path that cannot be written.
+            InputError: a batch, or what is traced; a unit of an unknown name; a path that cannot be written.
             ModelError: no layout.
         """
         from .columns import write_csv
@@ -116,11 +116,17 @@ class Ended(ABC):
         return frame_of(self._columns(layout))
 
 
-def need_one(what: str, ts: Any) -> None:
-    """Raise InputError for the times of a solution that is traced or a batch."""
-    if is_traced(ts) or np.ndim(ts) != 1:
+def need_one(what: str, solution: Solution) -> None:
+    """Raise InputError for a solution that is traced or a batch."""
+    if is_traced((solution.ts, solution.xs)):
         raise InputError(
-            f"{what}: a solution that is traced or a batch.\n  fix: jax.tree.map(lambda a: a[k], solution)"
+            f"{what} expects numbers, got a solution that is traced, as inside of jit, vmap and grad.\n"
+            "  fix: return the solution from the function, and take what comes back"
+        )
+    if np.ndim(solution.ts) != 1:
+        raise InputError(
+            f"{what} expects one solution, got a batch with times of shape {np.shape(solution.ts)}.\n"
+            "  fix: jax.tree.map(lambda a: a[i], solution) is one of them"
         )
 
 
@@ -229,7 +235,7 @@ class Solution(Ended):
             InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
         """
-        need_one("plot", self.ts)
+        need_one("plot", self)
         if len(self.ts) < 2:
             raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
         ts, found = np.asarray(self.ts), []
@@ -269,7 +275,7 @@ class Solution(Ended):
         """
         from ..view.motion import Motion, shown
 
-        need_one("show", self.ts)
+        need_one("show", self)
         if self.stepper is None:  # of a solution that was put together by hand, states are all that is known
             return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
         others = (lambda: self.us, lambda: self.outputs)
@@ -278,6 +284,7 @@ class Solution(Ended):
     def _columns(self, layout: Any) -> list[Column]:
         from .columns import columns_of
 
+        need_one("a table", self)
         return columns_of(self, layout)
 
 

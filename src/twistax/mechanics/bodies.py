@@ -204,11 +204,11 @@ def _steiner(m: Expr, c: Expr) -> Expr:
 
 
 def _parts_of(mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> tuple[Expr, Expr, Expr]:
-    body = "SpatialInertia"
+    body, diagonal = "SpatialInertia", "principal moments go in as np.diag([Ixx, Iyy, Izz])"
     return (
         of_shape(body, "mass", mass, (), unit=kilograms),
         of_shape(body, "center_of_mass", center_of_mass, (3,), unit=metres),
-        of_shape(body, "inertia", inertia, (3, 3), "principal moments go in as np.diag([Ixx, Iyy, Izz])"),
+        of_shape(body, "inertia", inertia, (3, 3), diagonal, unit=kilograms * metres**2),
     )
 
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import twistax as tx
-from twistax import units
 from twistax.mechanics.environment import earth
+from twistax.mechanics.flight.nasa import UNITS
 
 from .scene import about
 
@@ -43,17 +43,6 @@ FOLDERS = {
     8: "08_sphere_wind_shear",
     9: "09_cannonball_east",
     10: "10_cannonball_north",
-}
-
-_UNITS = {
-    "m": units.metres,
-    "ft": units.feet,
-    "rad": units.radians,
-    "deg": units.degrees,
-    "rad_s": units.radians / units.seconds,
-    "deg_s": units.degrees / units.seconds,
-    "kg_m3": units.kilograms / units.metres**3,
-    "slug_ft3": units.slugs / units.feet**3,
 }
 
 
@@ -123,9 +112,9 @@ class Table:
         ending = f"_{component}" if component else ""
         for name in self.names:
             unit = re.fullmatch(rf"{quantity}_(\w+?){ending}", name)
-            if unit and unit[1] in _UNITS:
-                return float(_UNITS[unit[1]]) * self[name]
-        known = ", ".join(_UNITS)
+            if unit and unit[1] in UNITS:
+                return float(UNITS[unit[1]]) * self[name]
+        known = ", ".join(UNITS)
         raise tx.InputError(f"{self.path}: no column {quantity}_<unit>{ending} with a unit among {known}")
 
     def columns(self, quantity: str, components: str) -> Array:

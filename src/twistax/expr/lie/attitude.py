@@ -116,7 +116,7 @@ def pose(
     Raises:
         ShapeError: a wrong shape.
         InputError: two attitudes; a sequence that names no three axes;
-            numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
+            another unit; numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
             Where these are traced or computed the pose is NaN.
     """
     given = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}

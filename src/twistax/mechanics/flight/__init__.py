@@ -10,6 +10,7 @@ x0 = craft.start(45.0 * units.degrees, 7.0 * units.degrees, 30_000 * units.feet)
 """
 
 from .air_data import Aerodynamics, AirAxes, AirData, body_axes, drag, stability_axes, wind_axes
+from .nasa import NasaColumns
 from .planets import EARTH, ROUND_EARTH, Air, Axes, Gravity, Planet, Reference, fixed_axes, inertial_axes, local_axes
 from .propulsion import Engine, burning, rocket
 from .sensors import Imu, ImuReading, probe
@@ -21,7 +22,8 @@ from .wind import CALM, LogarithmicShear, Profile, Steady, Wind
 # fmt: off
 __all__ = [
     "CALM", "EARTH", "ROUND_EARTH", "Aerodynamics", "Air", "AirAxes", "AirData", "Axes", "Dryden", "Engine", "Gravity",
-    "Gust", "Imu", "ImuReading", "LogarithmicShear", "Planet", "Profile", "Reference", "Steady", "Vehicle", "Wind",
+    "Gust", "Imu", "ImuReading", "LogarithmicShear", "NasaColumns", "Planet", "Profile", "Reference", "Steady",
+    "Vehicle", "Wind",
     "body_axes", "burning", "drag", "even_turbulence", "fixed_axes", "inertial_axes", "local_axes",
     "low_altitude_turbulence", "numbers", "probe", "rocket", "stability_axes", "start", "wind_axes",
 ]
