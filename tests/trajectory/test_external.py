@@ -149,3 +149,6 @@ def test_what_is_no_solver_is_refused() -> None:
     for solver in ("ipopt", tx.trajectory.IPOPT):
         with pytest.raises(tx.TrajectoryError, match="solver expects"):
             problem.solve(solver=solver)
+    for options, text in (("ma27", "dict of options, got 'ma27'"), ({"max_iter": 3}, "max_iterations")):
+        with pytest.raises(tx.TrajectoryError, match=text):
+            tx.trajectory.IPOPT(options)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from ..checks import short
 from ..errors import TrajectoryError
 from .program import Program, Reference
 from .solver import Callback, Outcome, Solver, Status
@@ -43,6 +44,9 @@ class _Casadi:
 
     Args:
         options: of the solver itself, on top of what this package sets.
+
+    Raises:
+        TrajectoryError: options that are no dict, or that `solve` sets.
     """
 
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -51,6 +55,17 @@ class _Casadi:
     copies: ClassVar[bool] = False
     #: What its words for an end mean that another start does not mend.
     ends: ClassVar[dict[str, Status]] = {}
+
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        if not isinstance(self.options, Mapping):
+            raise TrajectoryError(
+                f"{kind} expects a dict of options, got {short(self.options)}; e.g. {{'print_level': 5}}"
+            )
+        if "max_iter" in self.options:
+            raise TrajectoryError(
+                f"{kind}: max_iter is what is left of max_iterations.\n  fix: solve(max_iterations=...)"
+            )
 
     def _made(self, program: Program, tolerance: float) -> CasadiProgram:
         try:
@@ -134,6 +149,9 @@ class IPOPT(_Casadi):
 
     Args:
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
+
+    Raises:
+        TrajectoryError: options that are no dict, or that `solve` sets.
     """
 
     plugin: ClassVar[str] = "ipopt"
@@ -163,6 +181,9 @@ class Fatrop(_Casadi):
 
     Args:
         options: Fatrop's own, such as {"print_level": 1}.
+
+    Raises:
+        TrajectoryError: options that are no dict, or that `solve` sets.
     """
 
     plugin: ClassVar[str] = "fatrop"
