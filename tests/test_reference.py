@@ -56,7 +56,7 @@ NO_ERRORS = {
     "what it is part of checks it": """
         columns.Rotations
         mechanics.environment.upper_atmosphere.UpperAtmosphere
-        Maximize Minimize Control trajectory.Phase trajectory.IPOPT trajectory.Fatrop
+        Maximize Minimize Control trajectory.Phase
         charts.SplitExponential""",
     "it is called by a vehicle, which has checked": """
         mechanics.flight.body_axes mechanics.flight.fixed_axes mechanics.flight.inertial_axes

@@ -49,7 +49,7 @@ class _Casadi:
         TrajectoryError: options that are no dict, or that `solve` sets.
     """
 
-    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    options: Any = dataclasses.field(default_factory=dict)
 
     plugin: ClassVar[str]
     copies: ClassVar[bool] = False
