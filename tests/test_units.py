@@ -84,6 +84,10 @@ def test_poses_and_inertias_refuse_other_units() -> None:
         tx.pose(rotation_vector=[0.0, feet, 0.0])
     with pytest.raises(tx.InputError, match=r"inertia expects kg m2, got 0.3048 m"):
         SpatialInertia(mass=1.0, inertia=np.eye(3).tolist() * feet)
+    endless: list[Any] = [1.0]
+    endless.append(endless)
+    with pytest.raises(tx.InputError, match="rate expects real numbers"):
+        taken("rate", endless, seconds**-1)
 
 
 def test_sums_of_different_units_are_refused() -> None:

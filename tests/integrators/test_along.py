@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import functools
 import gc
 import sys
@@ -59,6 +60,8 @@ def test_the_last_row_is_a_start() -> None:
     assert batch.last["R"].shape == (4, 3, 3)
     assert repr(solution) == "Solution(ts (4,), R (4, 3, 3), x (4,); SUCCESS: the end time was reached)"
     assert repr(batch) == "Solution(ts (4, 1), R (4, 1, 3, 3), x (4, 1); a batch, or traced)"
+    tangent = dataclasses.replace(solution, code=np.zeros((), jax.dtypes.float0))
+    assert repr(tangent) == "Solution(ts (4,), R (4, 3, 3), x (4,); no numbers)"
 
 
 @pytest.mark.slow

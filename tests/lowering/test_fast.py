@@ -252,6 +252,18 @@ def test_values_it_closes_over_may_be_traced() -> None:
     close(jax.jit(jax.value_and_grad(outer(tx.fast)))(A), jax.value_and_grad(outer(lambda g: g))(A), 1e-11)
 
 
+def test_a_partial_function_of_another_kind_that_it_closes_over_stays_of_that_kind() -> None:
+    class Twice(functools.partial[Any]):
+        def __call__(self, *args: Any) -> Any:
+            return 2.0 * super().__call__(*args)
+
+    def slope(k: Any) -> Any:
+        known, traced = Twice(jnp.multiply, 3.0), Twice(jnp.multiply, k)
+        return tx.fast(lambda x: known(x) + traced(x))(1.0)
+
+    assert jax.value_and_grad(slope)(0.5) == (7.0, 2.0)
+
+
 def test_static_arguments_and_names() -> None:
     @functools.partial(tx.fast, static_argnames=("times", "kind"))
     def powers(x: jax.Array, *, times: int, kind: str = "sum") -> jax.Array:

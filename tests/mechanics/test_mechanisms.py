@@ -391,6 +391,8 @@ def test_a_copy_has_other_drives_and_the_rest_as_it_was() -> None:
     assert sprung.gravity.key() == arm.gravity.key()
     assert len(sprung.segments) == len(arm.segments) == 3
     assert not arm.replace(loops=()).loops
+    shorter = arm.replace(links=links[:2], loops=(), drives={"b": Drive(stiffness=5.0)})
+    assert [link.drive.stiffness for link in shorter.links] == [0.0, 5.0]
     assert repr(sprung.links[1].drive) == "Drive(stiffness=5.0)"
     assert repr(sprung.links[2]) == "Link(joint=Fixed('tip'), body=None, mount=Constant(4, 4), parent='b', name='tip')"
     with pytest.raises(tx.ModelError, match=r"knows no joint 'c'; it knows: 'a', 'b', 'tip'"):

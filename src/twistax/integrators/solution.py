@@ -165,7 +165,10 @@ class Solution(Ended):
 
     def __repr__(self) -> str:
         shapes = {name: np.shape(value) for name, value in {"ts": self.ts, **self.xs}.items()}
-        ended = self.result if isinstance(self.result, Result) else "a batch, or traced"
+        try:
+            ended = self.result if isinstance(self.result, Result) else "a batch, or traced"
+        except (TypeError, ValueError):  # other leaves in the same pytree, such as those of jax.eval_shape and jax.jvp
+            ended = "no numbers"
         return f"Solution({', '.join(f'{name} {shape}' for name, shape in shapes.items())}; {ended})"
 
     @property

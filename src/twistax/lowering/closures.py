@@ -57,7 +57,9 @@ def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contex
         owner = inner(value.__self__)
         return value if owner is value.__self__ else types.MethodType(value.__func__, owner)
     if isinstance(value, functools.partial) and not isinstance(value, jax.tree_util.Partial):  # which is a pytree
-        return functools.partial(inner(value.func), *map(inner, value.args), **inner(value.keywords))
+        held = (value.func, value.args, value.keywords)
+        new = inner(held)
+        return value if new is held else type(value)(new[0], *new[1], **new[2])
     leaves, structure = jax.tree.flatten(value)
     if leaves and leaves[0] is value:
         return by(value) if is_traced(value) else value

@@ -85,6 +85,7 @@ class Mechanism:
         self.base, self.shapes = base, shapes_of(name, shapes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops = tuple(loops)
+        driven = None if driven is None else tuple(driven)
         #: What `replace` gives the constructor again, beside the links.
         self._given = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes, "driven": driven}
         self._given |= {"loops": self.loops, "shapes": self.shapes}
@@ -150,6 +151,8 @@ class Mechanism:
         for name in changes.keys() - {"links", *self._given}:
             known = ["drives", "links", *self._given]
             raise ModelError(f"Mechanism.replace knows no {name!r}; it knows: {listed(known, name)}")
+        if drives and "links" in changes:  # they go into the new ones
+            return self.replace(**changes).replace(drives=drives)
         joints = {link.joint.name: link for link in self.links}
         for name, drive in (drives or {}).items():
             if name not in joints:
