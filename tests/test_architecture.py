@@ -123,7 +123,7 @@ LAYERS_ABOVE = (
 
 def test_import_loads_the_language_alone() -> None:
     """Its time is a matter of what it loads: within 0.3 of `import jax`, where everything takes 0.85."""
-    loaded = loaded_by("import twistax")
+    loaded = loaded_by("from twistax import progress")
     heavy = [*HEAVY, *(f"twistax.{layer}" for layer in LAYERS_ABOVE)]
     assert [name for name in loaded if any(f"{name}.".startswith(f"{each}.") for each in heavy)] == []
     assert len([name for name in loaded if name.split(".")[0] == "twistax"]) < 60
@@ -192,6 +192,8 @@ def test_lazy_names_resolve() -> None:
 def test_a_name_that_is_none_says_where_it_is(name: str, fix: str) -> None:
     with pytest.raises(AttributeError, match=f"no attribute '{name}'.\n  fix: .*{fix}"):
         getattr(twistax, name)
+    assert not hasattr(twistax, f"{name}.{name}")
+    assert twistax._where_else("scenes") == ".\n  fix: import twistax.scenes"
 
 
 @pytest.mark.parametrize("tier", ["smoke", "thorough"])

@@ -16,7 +16,7 @@ Importing changes no global state: precision follows the arrays given, and x64 i
 from __future__ import annotations
 
 import difflib
-import importlib
+import importlib.util
 from typing import TYPE_CHECKING
 
 from . import expr, lie, linalg, spatial, tables
@@ -102,6 +102,11 @@ if not TYPE_CHECKING:  # a type checker shall see the names above and no others
 
 def _where_else(name: str) -> str:
     """How to mend a name that this module has not: another spelling, another module, or a function of NumPy."""
+    # Python asks for a module before it loads it: `from twistax import scenes` loads nothing else.
+    if not name.isidentifier():
+        return ""
+    if importlib.util.find_spec(f"{__name__}.{name}"):
+        return f".\n  fix: import {__name__}.{name}"
     known = {own.lower(): own for own in __all__}
     for home in ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics"):
         for own in importlib.import_module(f"{__name__}.{home}").__all__:
