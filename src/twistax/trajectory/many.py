@@ -17,14 +17,15 @@ from ..precision import in_double
 from . import scaling
 from .iterate import Scales
 from .iterate import State as Iterate
-from .solver import Outcome, Solver, jitted
+from .solver import Outcome, Solver, jitted, unweighed
 from .transcribed import Derivatives, Given, Point
 from .watch import Status, Watch
 
 #: The most lanes that step together.
 LANES = 16
-#: What happens to a lane next: it begins at its point in its scales, goes into its scales, steps, or rests.
-_BEGIN, _RESCALE, _STEP, _REST = range(4)
+#: What happens to a lane next: its scales are measured, it begins at its point in its scales, goes into its scales,
+#: steps, or rests.
+_MEASURE, _BEGIN, _RESCALE, _STEP, _REST = range(5)
 
 
 class _Lane:
@@ -36,8 +37,8 @@ class _Lane:
 
     def take(self, case: int) -> None:
         """The next case; first its scales are measured."""
-        self.case, self.next = case, _BEGIN
-        self.watch: Watch | None = None  # none: the scales are to be measured
+        self.case, self.next = case, _MEASURE
+        self.watch: Watch | None = None  # none until then
         self.renewed = False  # whether its scales were renewed since the last step
         self.probed: Outcome | None = None  # the solution whose bends are looked at
 
@@ -68,8 +69,10 @@ class Lanes:
             probes: jax.Array,
         ) -> Iterate:
             probed = state._replace(damping=jnp.where(probes, solver.probe, state.damping))
+            begun = method.start(point, given, scales)
             ways = [
-                method.start(point, given, scales),
+                unweighed(begun),
+                begun,
                 method.rescaled(state, scales),
                 method.step(probed, slopes, given),
                 state,
@@ -141,7 +144,7 @@ class Lanes:
 
         if lane.watch is None:
             own, seen = solver.scales_of(state.point, slopes, self._unit)
-            lane.watch = solver.watch(seen, most)
+            lane.watch, lane.next = solver.watch(seen, most), _BEGIN
             _put(scales, k, jax.tree.map(lambda a: np.asarray(a)[None], own), 0)
             return
         watch = lane.watch
@@ -156,6 +159,9 @@ class Lanes:
             return
         status = watch.at_once(state) if watch.count == 0 else None
         fresh = None if lane.renewed or status is not None else watch.renewed(state, slopes, before)
+        if fresh is not None and watch.misled(state, fresh):
+            end(None)
+            return
         if fresh is not None:
             lane.next, lane.renewed = _RESCALE, True
             _put(scales, k, jax.tree.map(lambda a: np.asarray(a)[None], fresh), 0)

@@ -22,7 +22,7 @@ from .transcribed import Derivatives, Point, Step, Transcribed
 _TURN = 0.5
 #: A control that is constant counts as this share of its size.
 _CONSTANT = 0.1
-#: A spread of less than this share of another entry's counts as zero.
+#: A spread of less than this share of another entry's, or of what others move it by, counts as zero.
 _NOTHING = 1e-4
 #: Scales stay above this share of what they were.
 _SMALL = 1e-6
@@ -35,13 +35,18 @@ def unit_scales(shooting: Transcribed) -> Scales:
     return Scales(*map(np.ones, (*(a.shape for a in free), len(shooting.exists), ())))
 
 
-def measured(shooting: Transcribed, point: Point, slopes: Derivatives, scales: Scales) -> tuple[Scales, bool]:
+def measured(
+    shooting: Transcribed, point: Point, slopes: Derivatives, scales: Scales, bends: bool = False
+) -> tuple[Scales, bool]:
     """Scales at a point, from the derivatives there, taken in other scales; and whether the objective has slopes.
 
     States and controls count with half the spread of their values along the trajectory, or with what the leaf
     declares. What does not move yet gets a size from what it moves, or from what moves it. Durations count as they
     are, parameters with what changes states and rows as much as these sizes do. Rows are divided by
     their slope, the objective by what steps of these sizes do to it.
+
+    Args:
+        bends: whether second derivatives are those of the objective, and count: it may have no slope where a guess is.
     """
     unit, border = Scales(*map(np.asarray, scales)), shooting.border
     before, end_before = (np.asarray(a) for a in of_stages(Step(unit.d, unit.u, unit.border)))
@@ -71,8 +76,12 @@ def measured(shooting: Transcribed, point: Point, slopes: Derivatives, scales: S
     for part in shooting.segments:
         inner[part.stages] = inner[part.stages].max(axis=0, initial=0.0)
     rows = np.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
-    gradient = (np.abs(np.asarray(slopes.gradient)) / before * z).sum()
-    cost = float(gradient + np.abs(np.asarray(slopes.end_gradient)) / end_before @ end) * float(unit.cost)
+    z, end = z / before, end / end_before
+    moves = (np.abs(np.asarray(slopes.gradient)) * z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
+    if bends:
+        moves = moves + 0.5 * np.einsum("kab,ka,kb->", np.abs(np.asarray(slopes.hessian)), z, z)
+        moves = moves + 0.5 * end @ np.abs(np.asarray(slopes.end_hessian)) @ end
+    cost = float(moves) * float(unit.cost)
     sloped = bool(np.isfinite(cost)) and cost > 0.0
     return Scales(d, u, b, np.where(rows > 0.0, rows, unit.rows), np.array(cost if sloped else unit.cost)), sloped
 
@@ -178,19 +187,16 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
     Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m).
     """
     n = shooting.n
-    sizes = np.concatenate([d, u])
     reach = np.array(slopes)
     reach[np.arange(n), np.arange(n)] = 0.0
+    sizes = _without_noise(d, u, reach)
     limits = np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])
     for known in (None, limits, np.ones_like(sizes)):
         if known is not None:
             sizes = np.where(sizes > 0.0, sizes, known)
         for _ in range(len(sizes)):
             before = sizes
-            rows = sizes[:n, None]
-            with np.errstate(over="ignore"):  # it is infinite then
-                back = np.divide(rows, reach, out=np.full_like(reach, np.inf), where=(reach > 0.0) & (rows > 0.0))
-            back = back.min(axis=0)
+            back = _back(sizes[:n], reach)
             sizes = np.where((sizes > 0.0) | ~np.isfinite(back), sizes, back)
             ahead = (reach * sizes).max(axis=1)
             sizes = np.concatenate([np.where(sizes[:n] > 0.0, sizes[:n], ahead), sizes[n:]])
@@ -200,6 +206,22 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
             break
     # What hardly moves is not measured by how little it moves.
     return np.maximum(sizes[:n], _SMALL * (reach * sizes).max(axis=1)), sizes[n:]
+
+
+def _without_noise(d: Array, u: Array, reach: Array) -> Array:
+    """Sizes, zero where a guess at rest has noise: of states that others move far more, controls that move nothing."""
+    d = np.where(d < _NOTHING * (reach * np.concatenate([d, u])).max(axis=1), 0.0, d)
+    back = _back(d, reach)[len(d) :]
+    return np.concatenate([d, np.where(np.isfinite(back) & (u < _NOTHING * back), 0.0, u)])
+
+
+def _back(d: Array, reach: Array) -> Array:
+    """How large what moves a state is, to move it by its size; infinite where it moves none of known size."""
+    rows = d[:, None]
+    with np.errstate(over="ignore"):  # it is infinite then
+        back = np.divide(rows, reach, out=np.full_like(reach, np.inf), where=(reach > 0.0) & (rows > 0.0))
+    least: Array = back.min(axis=0)
+    return least
 
 
 def _from_limits(leaf: State | Control) -> Array:

@@ -26,8 +26,9 @@ Callback = Callable[[int, float, float], None]
 
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
-#: A feasible point is worth leaving the search for if it takes off so much of the violation.
-_WORTH = 0.5
+#: A feasible point is worth leaving the search for if it leaves so much of the violation and the filter does not know
+#: better, or if it leaves so little.
+_WORTH, _LITTLE = 0.5, 0.1
 #: Of a search for feasible points: relative slope of a stationary point, its damping, and how often it starts anew.
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
@@ -119,13 +120,13 @@ class Solver:
     def first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
         """Scales at a point, and the largest seen."""
         unit = scaling.unit_scales(self.shooting)
-        state = self._start(point, given, unit)
+        state = unweighed(self._start(point, given, unit))
         slopes, _ = self._looked_at(state, given)
         return self.scales_of(point, slopes, unit)
 
     def scales_of(self, point: Point, slopes: Derivatives, before: Scales) -> tuple[Scales, Scales]:
-        """Scales from derivatives at a point, taken in other scales, and the largest seen."""
-        scales, sloped = scaling.measured(self.shooting, point, slopes, before)
+        """Scales from derivatives at a point, with multipliers that are zero, in other scales; and the largest seen."""
+        scales, sloped = scaling.measured(self.shooting, point, slopes, before, bends=True)
         return scales, scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)[1]
 
     def run(
@@ -179,13 +180,14 @@ class Solver:
         status = watch.at_once(state)
         if status is not None:
             return ended(state, status)
-        searches, rests, shaken = 0, 0, False
+        searches, rests, shaken, before = 0, 0, False, float(state.barrier)
         while True:
-            before = float(state.barrier)
             slopes, state = self._looked_at(state, given)
             fresh = watch.renewed(state, slopes, before)
             if fresh is not None:
-                slopes, state = self._looked_at(self._rescaled(state, fresh), given)
+                anew = not isinstance(start, WarmStart) and watch.misled(state, fresh)
+                state = self._start(start, given, fresh) if anew else self._rescaled(state, fresh)
+                slopes, state = self._looked_at(state, given)
             status = watch.ended(state)
             if status is not None:
                 return ended(state, status)
@@ -193,9 +195,10 @@ class Solver:
                 callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
             last, state = state, self._step(state, slopes, given)
             watch.count += 1
+            before = float(state.barrier)
             if not bool(state.stuck):
                 continue
-            searches += 1
+            searches, before = searches + 1, np.inf
             if searches > _SEARCHES and shaken:
                 return ended(last, self.at_rest(last))
             if searches > _SEARCHES:
@@ -252,7 +255,7 @@ class Solver:
             reached, known, _ = self._judged(state, search)
             if float(search.largest) <= 0.1 * self.tolerance:
                 break
-            if float(reached) <= _WORTH * float(theta) and not bool(known):
+            if float(reached) <= (_LITTLE if bool(known) else _WORTH) * float(theta):
                 break
             if float(search.slope) <= _FLAT * float(search.size) ** 0.5 or float(search.damping) > _MOST_DAMPING:
                 stationary = float(search.largest) > self.tolerance
@@ -320,6 +323,11 @@ class Solver:
             status=status,
             iterations=max(count, 1),
         )
+
+
+def unweighed(state: Iterate) -> Iterate:
+    """A state whose multipliers are zero: second derivatives are the objective's."""
+    return state._replace(dynamics=jnp.zeros_like(state.dynamics), rows=jnp.zeros_like(state.rows))
 
 
 def jitted(function: Callable[..., Any], level: int = 1) -> Any:

@@ -16,6 +16,8 @@ from .transcribed import Derivatives, Transcribed
 
 #: Scales are renewed once they are off by this factor. A result stands in scales that are not.
 _RENEW = 3.0
+#: What was begun in scales that are off by this factor is worth nothing.
+_WORTHLESS = 1e3
 #: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
 _EARLY = (1, 3, 6)
 #: An unknown has run off that is so many times as large as the largest number and scale of unknowns at the start.
@@ -77,13 +79,17 @@ class Watch:
         """New scales for a measured state, where its own are off.
 
         Args:
-            before: the barrier parameter before the state was measured.
+            before: the barrier parameter before the state was measured; infinite after a search for feasible points.
         """
         if not (error(state) <= self._tolerance or self.count in _EARLY or float(state.barrier) < before):
             return None
         fresh, sloped = scaling.measured(self._shooting, state.point, slopes, state.scales)
         fresh, self._seen = scaling.not_below(fresh, self._seen, sloped)
         return fresh if scaling.change(fresh, state.scales) > _RENEW else None
+
+    def misled(self, state: Iterate, fresh: Scales) -> bool:
+        """Whether a run in its first steps began in scales so far from fresh ones that it does better to begin anew."""
+        return 0 < self.count <= max(_EARLY) and scaling.change(fresh, state.scales) > _WORTHLESS
 
     def ended(self, state: Iterate) -> Status | None:
         """How a measured state in good scales ends the run, if it does."""
