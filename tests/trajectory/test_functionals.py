@@ -223,7 +223,7 @@ def test_a_periodic_path_of_least_energy() -> None:
         at={5: p == 2.3},
         final=[p == Initial(p) + 1.0, v == Initial(v)],
     )
-    result = problem.solve()
+    result = problem.solve(tolerance=1e-9)
     assert result.solved
     z = reached()
     rows = np.stack([z[5, 0], z[-1, 0], z[-1, 1] - z[0, 1]])

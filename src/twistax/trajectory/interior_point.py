@@ -422,10 +422,14 @@ class InteriorPoint:
         """The largest share of a step that keeps turns, and changes of durations and of parameters, small enough."""
         scales = state.scales
         turn = jnp.where(self._shooting.turns, jnp.abs(step.d * scales.d), 0.0).max(initial=0.0) / _LARGEST_TURN
-        size = jnp.abs(state.point.border)
+        border, move = state.point.border, step.border * scales.border
+        size = jnp.abs(border)
         is_time = jnp.arange(len(size)) < self._shooting.border.phases
-        most = jnp.where(is_time, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
-        change = jnp.abs(step.border * scales.border) / most
+        large = jnp.maximum(size, scales.border)
+        # What is large in its scale keeps its sign.
+        shrinks = (border * move < 0.0) & (size > scales.border)
+        most = jnp.where(is_time | shrinks, _LARGEST_CHANGE * size, _LARGEST_GROWTH * large)
+        change = jnp.abs(move) / most
         return jnp.minimum(1.0, 1.0 / jnp.maximum(jnp.maximum(turn, change.max()), 1e-300))
 
 

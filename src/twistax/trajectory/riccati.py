@@ -86,9 +86,10 @@ def factorize(stages: Stages) -> Factors:
         whole = own + _lifted(softer, dynamics)
         lower = jnp.linalg.cholesky(whole[jnp.ix_(inner, inner)])
         controls = solve_triangular(lower, jnp.eye(m, dtype=own.dtype), lower=True)
-        # By solves, not by these: what cancels in the cost before tells whether there is a minimum.
-        gains = -cho_solve((lower, True), whole[jnp.ix_(inner, outer)])
-        before = whole[jnp.ix_(outer, outer)] + whole[jnp.ix_(outer, inner)] @ gains
+        # By solves and as a square, not by these: what cancels tells whether there is a minimum.
+        half = solve_triangular(lower, whole[jnp.ix_(inner, outer)], lower=True)
+        gains = -solve_triangular(lower, half, lower=True, trans="T")
+        before = whole[jnp.ix_(outer, outer)] - half.T @ half
         return 0.5 * (before + before.T), (gains, controls, softer, softening)
 
     first, (gains, controls, costs, softening) = jax.lax.scan(back, end, (condensed, slopes.defects), reverse=True)
