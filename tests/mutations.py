@@ -1640,9 +1640,15 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_optimality.py trajectory/test_known_answers.py",
         ),
         (
+            "a run that never begins anew",
+            "self.restarts += away",
+            "away = False",
+            "trajectory/test_noise.py",
+        ),
+        (
             "unknowns that may grow without end",
-            "_FAR = 1e20",
-            "_FAR = 1e200",
+            "_FAR, _CLOSED, _NEAR = 1e20,",
+            "_FAR, _CLOSED, _NEAR = 1e200,",
             "trajectory/test_statuses.py",
         ),
     ),
@@ -1711,6 +1717,12 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "trajectory/scaling.py",
+        (
+            "noise of a guess taken for a size",
+            "sizes = _without_noise(d, u, reach)",
+            "sizes = np.concatenate([d, u])",
+            "trajectory/test_noise.py",
+        ),
         (
             "bends along what moves alone",
             "sizes[:, columns].max(axis=1, keepdims=True)",

@@ -119,7 +119,7 @@ def test_what_is_no_way_of_a_control() -> None:
         problem({"w": Linear()})
     with pytest.raises(tx.ModelError, match=r"tx.trajectory.Held\(\), Linear\(\) or Spline"):
         problem("linear")
-    with pytest.raises(tx.ModelError, match="reads 'rate of u'"):
+    with pytest.raises(tx.ModelError, match="reads the rate of u, which is held"):
         problem(Held(), running=Rate(u) ** 2)
     with pytest.raises(tx.ModelError, match="positive"):
         Linear(rate=0.0)

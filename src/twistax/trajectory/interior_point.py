@@ -193,7 +193,7 @@ class InteriorPoint:
         )
 
     def rescaled(self, state: State, scales: Scales) -> State:
-        """The same state in other scales, its filter forgotten. The barrier parameter stays, scaled as tolerances are."""
+        """The same state in other scales, its filter forgotten. The scaled barrier parameter does not fall."""
         old, cost = state.scales, state.scales.cost / scales.cost
         ratio = old.rows / scales.rows
         slack = jnp.where(self.inequality, state.slack * ratio, 1.0)
@@ -203,6 +203,7 @@ class InteriorPoint:
             slack=slack,
             dynamics=state.dynamics * cost * scales.d[1:] / old.d[1:],
             rows=state.rows * cost / ratio,
+            barrier=state.barrier * jnp.maximum(cost, 1.0),
             scales=scales,
             filter=jnp.full_like(state.filter, jnp.inf),
             filtered=jnp.zeros_like(state.filtered),

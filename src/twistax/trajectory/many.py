@@ -154,7 +154,7 @@ class Lanes:
         if lane.probed is not None:
             end(None if float(state.raised) > solver.bent else lane.probed)
             return
-        if lane.next == _STEP and bool(state.stuck):
+        if lane.next == _STEP and (bool(state.stuck) or watch.astray(state)):
             end(None)
             return
         status = watch.at_once(state) if watch.count == 0 else None

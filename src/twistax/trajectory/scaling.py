@@ -35,6 +35,7 @@ def unit_scales(shooting: Transcribed) -> Scales:
     return Scales(*map(np.ones, (*(a.shape for a in free), len(shooting.exists), ())))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # starts far off may have slopes without end
 def measured(
     shooting: Transcribed, point: Point, slopes: Derivatives, scales: Scales, bends: bool = False
 ) -> tuple[Scales, bool]:
@@ -70,7 +71,10 @@ def measured(
     whole = np.concatenate([d[:-1], u, np.broadcast_to(times, (len(u), len(times)))], axis=1)
     others = np.einsum("kra,ka->kr", inner_slopes[..., : whole.shape[1]], whole)
     moved += [(inner_slopes.max(axis=0), others.max(axis=0)), (end_slopes, end_others)]
-    b = _border(border, np.asarray(point.border), moved)
+    values = np.asarray(point.border)
+    b = _border(border, values, moved)
+    if not bends:  # later on: a parameter whose slopes vanish, as at its optimum they may, keeps its size
+        b = np.minimum(b, np.maximum(unit.border, np.abs(values)))
     z, end = (np.asarray(a) for a in of_stages(Step(d, u, b)))
     inner = np.einsum("kra,ka->kr", inner_slopes, z) * unit.rows[: inner_slopes[..., 0].size].reshape(len(z), -1)
     for part in shooting.segments:
@@ -209,10 +213,20 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
 
 
 def _without_noise(d: Array, u: Array, reach: Array) -> Array:
-    """Sizes, zero where a guess at rest has noise: of states that others move far more, controls that move nothing."""
-    d = np.where(d < _NOTHING * (reach * np.concatenate([d, u])).max(axis=1), 0.0, d)
-    back = _back(d, reach)[len(d) :]
-    return np.concatenate([d, np.where(np.isfinite(back) & (u < _NOTHING * back), 0.0, u)])
+    """Sizes, zero where a guess at rest has noise: what would move no other, and what others move far more."""
+    n = len(d)
+    reach = np.minimum(reach, 1e100)  # products stay finite
+    small = d < _NOTHING * _finite(_back(d, reach)[:n])
+    moves = u >= _NOTHING * _finite(_back(np.where(small, 0.0, d), reach)[n:])
+    ahead = (reach * np.concatenate([np.where(small, 0.0, d), np.where(moves, u, 0.0)])).max(axis=1)
+    # Not where states drive each other far apart: there little may move much.
+    calm = (reach[:, :n] * reach[:, :n].T).max(axis=1) < 1.0 / _NOTHING
+    noise = calm & ((d < _NOTHING * ahead) | (small & (ahead == 0.0)))
+    return np.concatenate([np.where(noise, 0.0, d), np.where(moves, u, 0.0)])
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _back(d: Array, reach: Array) -> Array:

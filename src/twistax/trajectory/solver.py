@@ -33,6 +33,8 @@ _WORTH, _LITTLE = 0.5, 0.1
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
 _SLACK, _SHAKE = 1e-3, 0.1
+#: Where multipliers have run away: the step aside from the start, in scales, for a run that begins anew.
+_ASIDE = 0.01
 #: Steps away from a solution that is no minimum, in scales: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
 #: A solution that needs more than this on the diagonal, scaled, is no minimum; scales of entries of a vector may be
@@ -196,6 +198,11 @@ class Solver:
             last, state = state, self._step(state, slopes, given)
             watch.count += 1
             before = float(state.barrier)
+            if not isinstance(start, WarmStart) and watch.astray(state):
+                first, _ = self._begun(start, given)
+                state, _ = self._begun(self._step_away(first, _ASIDE, seed=watch.restarts), given)
+                searches, rests, shaken, before = 0, 0, False, float(state.barrier)
+                continue
             if not bool(state.stuck):
                 continue
             searches, before = searches + 1, np.inf
@@ -284,11 +291,9 @@ class Solver:
 
     def _shaken(self, state: Iterate, given: Given) -> Iterate:
         """A start after a small random step, for a stationary point may be a saddle."""
-        point = self._step_away(state)
-        scales, _ = self.first_scales(point, given)
-        return self._start(point, given, scales)
+        return self._begun(self._step_away(state), given)[0]
 
-    def _step_away(self, state: Iterate, size: float = _SHAKE, alone: bool = False) -> Point:
+    def _step_away(self, state: Iterate, size: float = _SHAKE, alone: bool = False, seed: int = 0) -> Point:
         """The point after a random step.
 
         Args:
@@ -296,7 +301,7 @@ class Solver:
             alone: of controls alone where there are some. Levelled scales of states can be steps of any size: an entry
                 of 1 beside one of 1e3 would move by 100.
         """
-        rng, free, scales = np.random.default_rng(0), self.shooting.free, state.scales
+        rng, free, scales = np.random.default_rng(seed), self.shooting.free, state.scales
         d = np.where(self.shooting.stirred, size * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = size * rng.normal(size=free.u.shape) * scales.u
         if alone and free.u.any():

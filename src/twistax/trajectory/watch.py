@@ -18,10 +18,13 @@ from .transcribed import Derivatives, Transcribed
 _RENEW = 3.0
 #: What was begun in scales that are off by this factor is worth nothing.
 _WORTHLESS = 1e3
+#: Scaled multipliers beyond this have run away; how often a run begins anew for it.
+_AWAY, _RESTARTS = 1e6, 4
 #: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
 _EARLY = (1, 3, 6)
-#: An unknown has run off that is so many times as large as the largest number and scale of unknowns at the start.
-_FAR = 1e20
+#: An unknown has run off that is so many times as large as the largest number and scale of unknowns at the start, on a
+#: trajectory whose gaps are less than so much of it; before so many times nothing runs off.
+_FAR, _CLOSED, _NEAR = 1e20, 1e-2, 1e5
 
 
 class Status(enum.Enum):
@@ -52,6 +55,7 @@ class Watch:
 
     Attributes:
         count: iterations so far.
+        restarts: how often multipliers have run away.
     """
 
     def __init__(
@@ -64,7 +68,7 @@ class Watch:
         self._shooting, self._tolerance = shooting, tolerance
         self._seen, self._most = seen, most
         self._far = np.inf
-        self.count = 0
+        self.count = self.restarts = 0
 
     def at_once(self, state: Iterate) -> Status | None:
         """How it ends before the first step."""
@@ -91,6 +95,17 @@ class Watch:
         """Whether a run in its first steps began in scales so far from fresh ones that it does better to begin anew."""
         return 0 < self.count <= max(_EARLY) and scaling.change(fresh, state.scales) > _WORTHLESS
 
+    def astray(self, state: Iterate) -> bool:
+        """Whether multipliers have run away, and the run should begin anew.
+
+        They do where many steps in a row need a large diagonal: it adds to them, they add to the second derivatives,
+        and these ask for a larger one.
+        """
+        largest = max(float(np.abs(a).max(initial=0.0)) for a in (state.dynamics, state.rows))
+        away = largest > _AWAY and self.restarts < _RESTARTS and _largest(state.point) < _NEAR / _FAR * self._far
+        self.restarts += away
+        return away
+
     def ended(self, state: Iterate) -> Status | None:
         """How a measured state in good scales ends the run, if it does."""
         size = error(state)
@@ -99,7 +114,8 @@ class Watch:
             return Status.INFEASIBLE if pinned.max(initial=0.0) > 10.0 * self._tolerance else Status.SOLVED
         if not np.isfinite(size):
             return Status.NON_FINITE
-        if _largest(state.point) > self._far:
+        size = _largest(state.point)
+        if size > self._far and _largest(state.values.defects) < _CLOSED * size:
             return Status.UNBOUNDED
         return Status.MAX_ITERATIONS if self.count >= self._most else None
 
