@@ -24,6 +24,8 @@ _TURN = 0.5
 _CONSTANT = 0.1
 #: A spread of less than this share of another entry's, or of what others move it by, counts as zero.
 _NOTHING = 1e-4
+#: Controls count with at least this share of what moves a state by its size.
+_WEAK = 1e-2
 #: Scales stay above this share of what they were.
 _SMALL = 1e-6
 _FLOORED = ("d", "u", "border", "cost")
@@ -208,8 +210,9 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
                 break
         if (sizes > 0.0).all():
             break
-    # What hardly moves is not measured by how little it moves.
-    return np.maximum(sizes[:n], _SMALL * (reach * sizes).max(axis=1)), sizes[n:]
+    # What hardly moves, and what hardly moves others, is not measured by how little it does.
+    d = np.maximum(sizes[:n], _SMALL * (reach * sizes).max(axis=1))
+    return d, np.maximum(sizes[n:], _WEAK * _finite(_back(d, reach)[n:]))
 
 
 def _without_noise(d: Array, u: Array, reach: Array) -> Array:
