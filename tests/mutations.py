@@ -1719,8 +1719,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/scaling.py",
         (
             "noise of a guess taken for a size",
-            "sizes = _without_noise(d, u, reach)",
-            "sizes = np.concatenate([d, u])",
+            "np.concatenate([d, u]), _without_noise(d, u, reach))",
+            "np.concatenate([d, u]), np.concatenate([d, u]))",
             "trajectory/test_noise.py",
         ),
         (

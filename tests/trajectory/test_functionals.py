@@ -69,7 +69,7 @@ def farthest(budget: float) -> float:
 
 
 def test_a_budget_of_an_integral_is_used_up_by_the_best_control() -> None:
-    result = with_budget().solve()
+    result = with_budget().solve(tolerance=1e-7)
     assert result.solved
     assert result.cost == pytest.approx(farthest(BUDGET), rel=1e-6)
     name = "final: Integral(u ** 2.) <= 3."

@@ -154,7 +154,7 @@ class Lanes:
         if lane.probed is not None:
             end(None if float(state.raised) > solver.bent else lane.probed)
             return
-        if lane.next == _STEP and (bool(state.stuck) or watch.astray(state)):
+        if lane.next == _STEP and bool(state.stuck):
             end(None)
             return
         status = watch.at_once(state) if watch.count == 0 else None
@@ -167,6 +167,9 @@ class Lanes:
             _put(scales, k, jax.tree.map(lambda a: np.asarray(a)[None], fresh), 0)
             return
         status = status or watch.ended(state)
+        if status is None and watch.astray(state):
+            end(None)
+            return
         outcome = None if status is None else solver.outcome(jax.tree.map(np.array, state), status, watch.count)
         if status is not None and status is not Status.SOLVED:
             end(outcome)

@@ -85,8 +85,9 @@ def measured(
     z, end = z / before, end / end_before
     moves = (np.abs(np.asarray(slopes.gradient)) * z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
     if bends:
-        moves = moves + 0.5 * np.einsum("kab,ka,kb->", np.abs(np.asarray(slopes.hessian)), z, z)
-        moves = moves + 0.5 * end @ np.abs(np.asarray(slopes.end_hessian)) @ end
+        bent = np.einsum("kab,ka,kb->", np.abs(np.asarray(slopes.hessian)), z, z)
+        bent = 0.5 * (bent + end @ np.abs(np.asarray(slopes.end_hessian)) @ end)
+        moves = moves + (bent if np.isfinite(bent) else 0.0)
     cost = float(moves) * float(unit.cost)
     sloped = bool(np.isfinite(cost)) and cost > 0.0
     return Scales(d, u, b, np.where(rows > 0.0, rows, unit.rows), np.array(cost if sloped else unit.cost)), sloped
@@ -195,7 +196,8 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
     n = shooting.n
     reach = np.array(slopes)
     reach[np.arange(n), np.arange(n)] = 0.0
-    sizes = _without_noise(d, u, reach)
+    declared = _declared(shooting)
+    sizes = np.where(declared, np.concatenate([d, u]), _without_noise(d, u, reach))
     limits = np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])
     for known in (None, limits, np.ones_like(sizes)):
         if known is not None:
@@ -211,8 +213,20 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
         if (sizes > 0.0).all():
             break
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
-    d = np.maximum(sizes[:n], _SMALL * (reach * sizes).max(axis=1))
-    return d, np.maximum(sizes[n:], _WEAK * _finite(_back(d, reach)[n:]))
+    floor = _SMALL * (reach * sizes).max(axis=1)
+    floor = np.concatenate([floor, _WEAK * _finite(_back(np.maximum(sizes[:n], floor), reach)[n:])])
+    sizes = np.where(declared, sizes, np.maximum(sizes, floor))
+    return sizes[:n], sizes[n:]
+
+
+def _declared(shooting: Shooting) -> Array:
+    """Which tangents and controls have a size from their leaf."""
+    found = np.zeros(shooting.n + shooting.m, bool)
+    places = [(name, part, 0) for name, part in shooting.dynamics.group.slices.items()]
+    places += [(name, part, shooting.n) for name, part in shooting.local.controls.slices.items()]
+    for name, part, before in places:
+        found[before:][part] = shooting.leaves[name].scale is not None
+    return found
 
 
 def _without_noise(d: Array, u: Array, reach: Array) -> Array:

@@ -183,26 +183,32 @@ class Solver:
         if status is not None:
             return ended(state, status)
         searches, rests, shaken, before = 0, 0, False, float(state.barrier)
+        origin = None if isinstance(start, WarmStart) else start  # where a run that begins anew begins
+        misled = False
         while True:
             slopes, state = self._looked_at(state, given)
             fresh = watch.renewed(state, slopes, before)
+            if fresh is not None and origin is not None and not misled and watch.misled(state, fresh):
+                misled, before, state = True, np.inf, self._start(origin, given, fresh)
+                watch.anew(fresh)
+                continue
             if fresh is not None:
-                anew = not isinstance(start, WarmStart) and watch.misled(state, fresh)
-                state = self._start(start, given, fresh) if anew else self._rescaled(state, fresh)
-                slopes, state = self._looked_at(state, given)
+                slopes, state = self._looked_at(self._rescaled(state, fresh), given)
             status = watch.ended(state)
             if status is not None:
                 return ended(state, status)
+            if origin is not None and watch.astray(state):
+                aside = self._step_away(self._begun(start, given)[0], _ASIDE, seed=watch.restarts)
+                other, seen = self._begun(aside, given)
+                if watch.at_once(other) is None:
+                    searches, shaken, before, origin, state = 0, False, np.inf, aside, other
+                    watch.anew(seen)
+                    continue
             if callback is not None:
                 callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
             last, state = state, self._step(state, slopes, given)
             watch.count += 1
             before = float(state.barrier)
-            if not isinstance(start, WarmStart) and watch.astray(state):
-                first, _ = self._begun(start, given)
-                state, _ = self._begun(self._step_away(first, _ASIDE, seed=watch.restarts), given)
-                searches, rests, shaken, before = 0, 0, False, float(state.barrier)
-                continue
             if not bool(state.stuck):
                 continue
             searches, before = searches + 1, np.inf

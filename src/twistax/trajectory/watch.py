@@ -79,6 +79,10 @@ class Watch:
         lost = np.where(shooting.decided & ~shooting.pinned, row_violations(shooting, state), 0.0)
         return Status.INFEASIBLE if lost.max(initial=0.0) > self._tolerance else None
 
+    def anew(self, seen: Scales) -> None:
+        """A run goes on from another start, where these are the largest scales seen."""
+        self._seen = seen
+
     def renewed(self, state: Iterate, slopes: Derivatives, before: float) -> Scales | None:
         """New scales for a measured state, where its own are off.
 
@@ -114,8 +118,8 @@ class Watch:
             return Status.INFEASIBLE if pinned.max(initial=0.0) > 10.0 * self._tolerance else Status.SOLVED
         if not np.isfinite(size):
             return Status.NON_FINITE
-        size = _largest(state.point)
-        if size > self._far and _largest(state.values.defects) < _CLOSED * size:
+        far = _largest(state.point)
+        if far > self._far and _largest(state.values.defects) < _CLOSED * far:
             return Status.UNBOUNDED
         return Status.MAX_ITERATIONS if self.count >= self._most else None
 
