@@ -314,7 +314,7 @@ def _as_jax_has_it(value: Any) -> NDArray[Any]:
     """An array in the type that JAX gives it.
 
     Raises:
-        InputError: no numbers, or integers that do not fit, as without x64.
+        InputError: entries are not numeric, or integers overflow, as without x64.
     """
     try:
         array = np.asarray(value)

@@ -132,7 +132,7 @@ def same_unit(place: str, value: Any, unit: Quantity) -> None:
     """Raise InputError, which names the place, where a value, alone or in lists, has another unit; none passes."""
     if isinstance(value, (list, tuple)):
         for entry in value:
-            if entry is not value:  # a list that holds itself is refused with what is no number
+            if entry is not value:  # a list that holds itself is refused as not numeric
                 same_unit(place, entry, unit)
     elif isinstance(value, Quantity) and value.exponents != unit.exponents:
         raise InputError(f"{place} expects {unit.unit}, got {value!r}.\n  fix: give it in a unit of {unit.unit}")

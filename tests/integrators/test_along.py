@@ -61,7 +61,7 @@ def test_the_last_row_is_a_start() -> None:
     assert repr(solution) == "Solution(ts (4,), R (4, 3, 3), x (4,); SUCCESS: the end time was reached)"
     assert repr(batch) == "Solution(ts (4, 1), R (4, 1, 3, 3), x (4, 1); a batch, or traced)"
     tangent = dataclasses.replace(solution, code=np.zeros((), jax.dtypes.float0))
-    assert repr(tangent) == "Solution(ts (4,), R (4, 3, 3), x (4,); no numbers)"
+    assert repr(tangent) == "Solution(ts (4,), R (4, 3, 3), x (4,); abstract values)"
 
 
 @pytest.mark.slow

@@ -92,6 +92,24 @@ def test_a_run_whose_multipliers_have_run_away_begins_anew(monkeypatch: pytest.M
     assert len({us.tobytes() for us in moved}) == len(moved) == 4
 
 
+def test_a_run_that_began_in_worthless_scales_begins_anew_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any renewal of the first steps counts: the run goes back to its start in the new scales, once."""
+    starts, start = [], fastest().solve().ts
+    anew = watch.Watch.anew
+
+    def noted(own: Any, seen: Any) -> None:
+        starts.append(seen)
+        anew(own, seen)
+
+    monkeypatch.setattr(watch.Watch, "anew", noted)
+    monkeypatch.setattr(watch, "_WORTHLESS", 0.0)
+    monkeypatch.setattr(watch, "_RENEW", 1.0)
+    result = fastest().solve()
+    assert result.solved
+    np.testing.assert_allclose(result.ts, start, rtol=1e-6)
+    assert len(starts) == 1
+
+
 def test_the_delta_iii_is_solved_from_its_guess() -> None:
     """Its multipliers run away on the way. Source of the mass: Betts, as `report --optimal` names it."""
     result = flights.delta_iii().solve()

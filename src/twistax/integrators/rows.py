@@ -25,7 +25,7 @@ class Stops(NamedTuple):
     limits: Any  # (m,) times in order, the last one the end; rates may jump there
     ts: Any  # (k,) limits and saved times in order
     leg: Any  # (k,) the limit that bounds the steps on the way to each
-    place: Any  # (n,) where the saved times stand in ts; None where there are none
+    place: Any  # (n,) indices of the saved times in ts; None if no times are saved
     count: Any  # how many of these were asked for; those that fill up the rest are at the end
 
     @classmethod

@@ -168,7 +168,7 @@ class Solution(Ended):
         try:
             ended = self.result if isinstance(self.result, Result) else "a batch, or traced"
         except (TypeError, ValueError):  # other leaves in the same pytree, such as those of jax.eval_shape and jax.jvp
-            ended = "no numbers"
+            ended = "abstract values"
         return f"Solution({', '.join(f'{name} {shape}' for name, shape in shapes.items())}; {ended})"
 
     @property

@@ -194,8 +194,8 @@ class InteriorPoint:
 
     def rescaled(self, state: State, scales: Scales) -> State:
         """The same state in other scales, its filter forgotten. The scaled barrier parameter does not fall."""
-        old, cost = state.scales, state.scales.cost / scales.cost
-        ratio = old.rows / scales.rows
+        old = state.scales
+        cost, ratio = old.cost / scales.cost, old.rows / scales.rows
         slack = jnp.where(self.inequality, state.slack * ratio, 1.0)
         values = self.scaled(state.values, scales)
         slack = jnp.where(self.inequality, jnp.maximum(slack, -values.rows), 1.0)
@@ -311,9 +311,7 @@ class InteriorPoint:
         own_slack = jnp.where(inequality, slack, 0.0)
 
         def trial(share: jax.Array, way: _Direction) -> _Trial:
-            step = way.step
-            natural = in_units(step, scales, share)
-            point = self.move(state.point, natural)
+            point = self.move(state.point, in_units(way.step, scales, share))
             raw = self.values(point, given)
             found = self.scaled(raw, scales)
             # A slack that is smaller than its row allows costs barrier and gains nothing.
@@ -327,7 +325,7 @@ class InteriorPoint:
             by_phi = (fall > 0.0) & (share * fall**_PHI_POWER > theta**_THETA_POWER) & (theta <= least)
             armijo = own.phi <= phi + _ARMIJO * share * tilt + noise
             either = (own.theta <= (1.0 - _THETA_GAIN) * theta) | (own.phi <= phi - _PHI_GAIN * theta)
-            finite = jnp.isfinite(own.theta) & jnp.isfinite(own.phi)
+            finite = jnp.isfinite(own.theta + own.phi)
             return finite & ~known & jnp.where(by_phi, armijo, either), by_phi & armijo
 
         def shortest(tilt: jax.Array) -> jax.Array:
@@ -426,10 +424,9 @@ class InteriorPoint:
         border, move = state.point.border, step.border * scales.border
         size = jnp.abs(border)
         is_time = jnp.arange(len(size)) < self._shooting.border.phases
-        large = jnp.maximum(size, scales.border)
         # What is large in its scale keeps its sign.
         shrinks = (border * move < 0.0) & (size > scales.border)
-        most = jnp.where(is_time | shrinks, _LARGEST_CHANGE * size, _LARGEST_GROWTH * large)
+        most = jnp.where(is_time | shrinks, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
         change = jnp.abs(move) / most
         return jnp.minimum(1.0, 1.0 / jnp.maximum(jnp.maximum(turn, change.max()), 1e-300))
 

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from ...precision import in_double
 from ...trajectory.program import Program, Reference
 
-#: A multiplier above this binds, scaled, if it is larger than its slack; a smaller bend than this is none.
+#: A scaled multiplier above this binds if it is larger than its slack; a curvature below this counts as zero.
 _BINDS, _FLAT = 1e-6, 1e-6
 
 
