@@ -24,6 +24,7 @@ LAYERS = [
     "checks",
     "progress",
     "units",
+    "layout",
     "groups",
     "plots",
     "view",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 import operator
 import pickle
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -15,7 +17,7 @@ import pytest
 import twistax as tx
 from twistax import units
 from twistax.mechanics import SpatialInertia
-from twistax.units import Quantity, degrees, feet, knots, metres, seconds, slugs, taken
+from twistax.units import Quantity, degrees, feet, knots, metres, minutes, seconds, slugs, taken
 
 #: Their definitions, in m, kg, s and K.
 EXACT = {
@@ -123,3 +125,26 @@ def test_numbers_of_numpy_keep_the_unit(number: Any) -> None:
         assert made.unit == words
     assert number * feet == 3 * 0.3048
     assert np.cos(60 * degrees) == pytest.approx(0.5)
+
+
+def test_times_refuse_other_units(unchecked: None) -> None:
+    x = tx.State("x")
+    fall = tx.compile(tx.System({x: -x}))
+    far, run = 3 * feet, functools.partial(tx.integrate, fall, {"x": 1.0})
+    calls: dict[str, Callable[[], Any]] = {
+        "t1": lambda: run(t1=far, dt=0.1),
+        "t0": lambda: run(t0=far, t1=2.0, dt=0.1),
+        "dt": lambda: run(t1=1.0, dt=far),
+        "save_at": lambda: run(t1=1.0, dt=0.1, save_at=[0.5, far]),
+        "jumps": lambda: run(t1=1.0, rtol=1e-6, jumps=[far]),
+        "ZeroOrderHold: ts": lambda: tx.ZeroOrderHold([0.0, far], [1.0, 2.0]),
+        "duration": lambda: tx.integrate_phases([tx.Phase(fall, duration=far)], {"x": 1.0}, dt=0.1),
+        "StepControl: dtmax": lambda: tx.StepControl(dtmax=far),
+        "final_time": lambda: tx.trajectory.Problem(fall, tx.Minimize(x), final_time=(1.0, far)),
+        "trim: t": lambda: tx.trim(fall, {"x": 1.0}, free="x", zero="x", t=far),
+        "evaluate: t": lambda: run(t1=1.0, dt=0.5, dense=True).evaluate(far),
+    }
+    for name, call in calls.items():
+        with pytest.raises(tx.InputError, match=f"{name} expects s, got .* m\\.\n  fix"):
+            call()
+    assert float(run(t1=0.01 * minutes, dt=0.1 * seconds).ts[-1]) == 0.6

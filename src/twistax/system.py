@@ -257,11 +257,7 @@ class System:
             except ShapeError as error:
                 raise error.located(f"{name}: {error.at}") from None
         for name, root in self._roots.items():
-            if (found := _not_finite(root)) is not None:
-                raise ModelError(
-                    f"{name} is never finite: it expects finite numbers, got {found!r}.\n"
-                    f"  at: {find_path(root, found)}\n  fix: what is not known yet is a tx.Parameter"
-                )
+            need_finite(name, root)
         for state in self.states:
             rate = self.rates[state.name]
             _check_rate("rate", "rates", state, rate)
@@ -299,6 +295,21 @@ def _kind(leaf: Leaf) -> str:
 def name_of(key: Any) -> str:
     """The name of a leaf, or the name itself."""
     return key if isinstance(key, str) else getattr(key, "name", repr(key))
+
+
+def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    """The name of every entry, row by row: "h" of a scalar, "V[0]" and on of a vector, "J[0, 1]" of a matrix."""
+    return [f"{name}{list(at) if at else ''}" for at in np.ndindex(*shape)]
+
+
+def need_finite(place: str, root: Expr) -> None:
+    """Raise ModelError if it is not finite whatever the states are; of a constraint its residual."""
+    root = root.residual() if isinstance(root, Constraint) else root
+    if (found := _not_finite(root)) is not None:
+        raise ModelError(
+            f"{place} is never finite: it expects finite numbers, got {found!r}.\n"
+            f"  at: {find_path(root, found)}\n  fix: what is not known yet is a tx.Parameter"
+        )
 
 
 def _not_finite(root: Expr) -> Constant | None:

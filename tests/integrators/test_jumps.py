@@ -11,6 +11,7 @@ import twistax as tx
 from twistax.tableaus import BOGACKI_SHAMPINE3, DOP853, DORMAND_PRINCE5, TSIT5
 
 TOL = 1e-9
+HALF_BELOW = tx.Event(tx.Control("F") + 0.5)
 
 
 @functools.cache
@@ -91,6 +92,32 @@ def test_a_solution_that_starts_at_a_jump_sees_what_comes_after() -> None:
     sol = solve({"F": tx.ZeroOrderHold(TS, VALUES)}, t0=0.5, t1=1.7)
     assert float(sol.xs["x"][0]) == pytest.approx(30.0 - 29.0 * np.exp(-1.2), abs=30 * TOL)
     assert sol.stats.rejected <= 2
+
+
+def test_a_first_step_that_is_longer_than_the_first_row_reads_that_row() -> None:
+    ts, values = np.array([0.0, 0.1]), np.array([1.0, 30.0])
+    sol = solve({"F": tx.ZeroOrderHold(ts, values)}, dt=1.0)
+    assert float(sol.xs["x"][0]) == pytest.approx(held_exact(ts, values, 3.0), abs=50 * TOL)
+    assert sol.stats.rejected <= 4
+
+
+@pytest.mark.parametrize("dt", [None, 2.0])
+def test_an_event_of_a_table_begins_in_its_first_row(dt: float | None) -> None:
+    """However long the first step is to be: a later row is on the other side."""
+    sol = solve({"F": tx.FirstOrderHold([0.0, 0.1, 2.0, 3.0], [0.0, -1.0, -4.0, 3.0])}, dt=dt, event=HALF_BELOW)
+    assert float(sol.ts[-1]) == pytest.approx(0.05, abs=1e-14)
+
+
+def test_a_traced_table_that_begins_later_has_no_value_before() -> None:
+    """Steps may be so long that their middles lie in its first row."""
+
+    def end(ts: jax.Array) -> jax.Array:
+        table = tx.ZeroOrderHold(ts, jnp.array([1.0, 2.0]))
+        return solve({"F": table}, t1=1.0, dt=0.3, tableau=DOP853, rtol=1e-3, atol=1e-3).xs["x"][0]
+
+    ends = jax.jit(jax.vmap(end))(jnp.array([[0.1, 0.9], [0.0, 0.9]]))
+    assert np.isnan(ends[0])
+    assert float(ends[1]) == pytest.approx(2.0 - np.exp(-0.1), abs=1e-6)
 
 
 def test_tables_with_different_times_are_all_met() -> None:

@@ -11,6 +11,7 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
+from twistax.jax_inside import all_equations
 from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel, check_kernel
 from twistax.lowering.native.machine_code import BuildError, Processor
@@ -64,6 +65,21 @@ def test_saved_times_limits_and_jumps() -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
     assert len(kernels(dynamics)) == 1
+
+
+def test_one_call_of_the_kernel_goes_on_across_jumps() -> None:
+    """Also where rows are filled on the way; of many limits it sees some at a time."""
+    table = tx.FirstOrderHold(np.linspace(0.0, 1.0, 9), np.random.default_rng(2).normal(size=(9, 3)))
+    rows = {"save_at": np.linspace(0.0, 1.0, 5), "between": tx.Between.POLYNOMIAL}
+    for more in ({}, rows):
+        given: dict[str, Any] = {"t1": 1.0, "rtol": 1e-6, "u": {"F": table}, **more}
+        program = jax.make_jaxpr(lambda x, given=given: tx.integrate(NATIVE, x, **given).xs)(START)
+        names = [eqn.primitive.name for eqn in all_equations(program.jaxpr)]
+        assert "while" not in names
+        assert names.count("repeated_step") == 1
+    many: dict[str, Any] = {"t1": 1.0, "rtol": 1e-4, "u": U, "jumps": np.linspace(0.0, 1.0, 151) ** 2}
+    for more in ({}, {"save_at": [0.0, 0.01, 0.33, 1.0]}):
+        near(tx.integrate(NATIVE, START, **many, **more), tx.integrate(PLAIN, START, **many, **more))
 
 
 def test_rows_on_polynomials_are_filled_by_the_kernel() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import functools
 import re
 from typing import Any
@@ -150,6 +151,8 @@ def test_explain_counts_what_simplification_saves() -> None:
     assert before == 5
     assert after < before
     assert explanation.nodes[0] > explanation.nodes[1]
+    # A tree that shares its parts again and again stands for more nodes than a float can hold.
+    assert "7.6e+2508 as written" in str(dataclasses.replace(explanation, nodes=(76 * 10**2507, 5)))
 
 
 # ---- parameters ----------------------------------------------------------------------------------------------------

@@ -457,6 +457,8 @@ def test_what_became_of_it_is_said() -> None:
     assert tx.fast(around_others).explain(A, X).count("while: scan: all iterations in one kernel") == 2
     assert "tx.fast(recursion" in repr(tx.fast(recursion))
     assert "operations" in tx.fast(straight).explain(A, X)
+    assert tx.fast(lambda a: a.T).explain(A) == "numbers are moved, nothing is computed"
+    assert tx.fast(lambda a: recursion(a.T, a[0])).explain(A) == "scan: all iterations in one kernel"
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -502,7 +504,12 @@ def test_like_operations_of_one_body_are_put_into_vectors(monkeypatch: pytest.Mo
     def turning(c: jax.Array) -> jax.Array:
         return c + 1e-3 * jnp.stack([c[1] * c[2], -2.0 * c[2] * c[0], c[0], c[0] + c[1] ** 2, jnp.sin(c[3])])
 
-    for step, start, found in ((products, x, True), (driven, x[0], True), (turning, x[0], False)):
+    def gated(c: jax.Array) -> jax.Array:
+        kept = jnp.exp(-jnp.abs(c))
+        return jnp.stack([c[0] - 0.1 * kept[0], kept[1] * c[0], kept[2] * kept[3] + 0.5, 0.9 * c[3], c[4] - c[0]])
+
+    kinds = ((products, x, True), (driven, x[0], True), (gated, x[0], True), (turning, x[0], False))
+    for step, start, found in kinds:
         packed.clear()
         own, plain = (
             f(lambda c, step=step: jax.lax.fori_loop(0, 900, lambda _, c: step(c), c)) for f in (tx.fast, jax.jit)

@@ -188,6 +188,21 @@ def test_emitters_choose_by_size() -> None:
     assert tx.JAX().emit(small).program is None
 
 
+def test_what_just_fits_has_derivatives_of_any_order() -> None:
+    # Sines of sums: 12 scalars, of the gradient and of the Hessian more than the limit.
+    closed = jax.make_jaxpr(lambda v: [jnp.sum(jnp.sin(v * v[::-1] + 0.1))])(jnp.ones(4))
+    found = tx.XLA(least=0, largest=30).emit(closed)
+    assert found.program is not None
+    at = jnp.array([0.3, -0.4, 0.9, 1.2])
+    angle = at * at[::-1] + 0.1
+    gradient = jax.grad(lambda v: found.function(v)[0])
+    np.testing.assert_allclose(gradient(at), 2.0 * jnp.cos(angle) * at[::-1], rtol=1e-14)
+    expected = np.diag(-2.0 * np.sin(angle) * at[::-1] ** 2)
+    expected += np.diag(2.0 * np.cos(angle) - 2.0 * np.sin(angle) * at * at[::-1])[::-1]
+    np.testing.assert_allclose(jax.hessian(lambda v: found.function(v)[0])(at), expected, rtol=1e-13, atol=1e-15)
+    assert len(found.program.graph.nodes) > 30
+
+
 @pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["plain", "inside a call"])
 def test_wide_arrays_stay_arrays(wrapped: Any) -> None:
     """Written out they would compile for minutes and gain nothing; also where only an inner function sees them."""

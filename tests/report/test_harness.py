@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from twistax import progress
 from twistax.__main__ import main
+from twistax.report import command
 from twistax.report.checks import (
     Absent,
     Check,
@@ -32,7 +34,7 @@ from twistax.report.checks import (
     refused,
     simulated,
 )
-from twistax.report.command import Progress, run_report
+from twistax.report.command import run_report
 from twistax.report.page import Picture, duration, render, renew, table_of
 from twistax.report.rows import Origin, Row, Store, number, plain, save_csv
 from twistax.report.timing import Repeats, Timed, compiled, in_turn
@@ -183,14 +185,20 @@ BROKEN = Check("without a bar", "RK4", between(), raising(RuntimeError("DISAGREE
 
 
 def run(
-    folder: Path, *more: Check, quick: bool = False, again: bool = False, renew: Any = None, only: Any = None
+    folder: Path,
+    *more: Check,
+    quick: bool = False,
+    again: bool = False,
+    renew: Any = None,
+    only: Any = None,
+    no_progress: bool = True,
 ) -> int:
     given = argparse.Namespace(
         out=folder,
         quick=quick,
         again=again,
         renew=renew,
-        no_progress=True,
+        no_progress=no_progress,
         only=only,
         stability=True,
         speed=False,
@@ -320,14 +328,16 @@ def test_only_whole_tables_are_put_into_a_document(tmp_path: Path, capsys: pytes
         assert f"--renew writes whole tables; leave out {named}\n" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("terminal", "shown"), [(True, True), (True, False), (False, True)])
-def test_the_progress_bar_is_for_terminals(terminal: bool, shown: bool) -> None:
+@pytest.mark.parametrize(("terminal", "hidden"), [(True, False), (True, True), (False, False)])
+def test_the_progress_bar_is_for_terminals(
+    terminal: bool, hidden: bool, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "_LIVE", 0.0)
     stream = io.StringIO()
     stream.isatty = lambda: terminal  # type: ignore[method-assign]
-    progress = Progress(stream, ["euler-top", "rocket"], shown)
-    progress.tell("euler-top", "timing", 0.5)
-    progress.show()
-    assert (" 25% " in stream.getvalue() and "euler-top  timing" in stream.getvalue()) == (terminal and shown)
+    monkeypatch.setattr(command.sys, "stderr", stream)
+    run(tmp_path, no_progress=hidden)
+    assert (" of all, long: " in stream.getvalue()) == (terminal and not hidden)
 
 
 # ---- the command -----------------------------------------------------------------------------------------------------

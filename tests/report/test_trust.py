@@ -89,8 +89,7 @@ def test_what_does_not_stay_is_counted() -> None:
     sweep = trust.Sweep(Known(problems.goddard, 3.0))
     stays = {3.0: True, 2.9999: True, 2.5: True, 2.0: True, 1.0: False, 9.0: True}
     sweep.__dict__["_came"] = [
-        trust.Tried(cost != 9.0, cost, 1, lambda own=own: own, lambda cost=cost: cost < 2.5)
-        for cost, own in stays.items()
+        trust.Tried(cost != 9.0, cost, 1, own, own and cost < 2.5) for cost, own in stays.items()
     ]
     assert sweep.best == 3.0
     assert [each.cost for each in sweep.elsewhere] == [2.5, 2.0, 1.0]

@@ -114,3 +114,20 @@ def test_nonsense_substeps_are_refused(substeps: int) -> None:
     dynamics, *_ = case(tx.LINEAR_FIRST, 1)
     with pytest.raises(tx.TrajectoryError, match="substeps"):
         discretize(dynamics, T, *sample(0), H, substeps=substeps)
+
+
+def test_a_commutator_free_step_has_derivatives_too() -> None:
+    """Its ends by the integrator itself, from starts that are moved along each tangent."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    dynamics = tx.compile(tx.System(rates={R: w, w: tx.linalg.Cross(np.array([1.0, 2.0, 3.0]) * w, w)}))
+    method, x = tx.CommutatorFree(), {"R": np.eye(3), "w": np.array([0.3, -1.0, 0.8])}
+    found = discretize(dynamics, 0.0, x, {}, 0.4, method=method, substeps=2)
+
+    def end(d: np.ndarray) -> dict:
+        sol = tx.integrate(dynamics, dynamics.retract(x, d), t1=0.4, steps=2, method=method)
+        return {name: value[-1] for name, value in sol.xs.items()}
+
+    assert found.hessian is None
+    for k, d in enumerate(1e-5 * np.eye(6)):
+        slope = (dynamics.difference(found.x1, end(d)) - dynamics.difference(found.x1, end(-d))) / 2e-5
+        np.testing.assert_allclose(found.A[:, k], slope, atol=1e-8)

@@ -4,12 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse
-from trajectory_systems import HEUN, double_integrator
+from trajectory_systems import EULER, HEUN, double_integrator
 
 import twistax as tx
 from twistax.trajectory.interior_point import InteriorPoint
 from twistax.trajectory.program import Program, Reference
 from twistax.trajectory.scaling import unit_scales
+from twistax.trajectory.solver import Solver
 from twistax.trajectory.transcribed import Given, Point
 
 casadi = pytest.importorskip("casadi")
@@ -138,10 +139,42 @@ def test_their_ends_are_said(
         pushing.solve(solver=type(solver)(options={"nonsense": 1}))
 
 
-def test_ipopt_says_infeasible(pushing: tx.trajectory.Problem) -> None:
-    far = {"p": 20.0, "v": 0.0}
-    assert pushing.solve(solver=SOLVERS[0], final=far).status is tx.trajectory.Status.INFEASIBLE
-    assert pushing.solve(solver=SOLVERS[1], final=far).status is tx.trajectory.Status.STALLED
+@pytest.mark.parametrize("solver", SOLVERS, ids=["ipopt", "fatrop"])
+def test_what_cannot_be_is_measured(
+    pushing: tx.trajectory.Problem, solver: tx.trajectory.IPOPT | tx.trajectory.Fatrop
+) -> None:
+    """Fatrop has no word for it."""
+    result = pushing.solve(solver=solver, final={"p": 20.0, "v": 0.0})
+    assert result.status is tx.trajectory.Status.INFEASIBLE
+    assert result.optimality.feasibility > 1e-3
+
+
+def test_what_they_find_is_looked_at(pushing: tx.trajectory.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Taken for a saddle it is searched for again, from beside it, as often as may be."""
+    plain = pushing.solve(solver=SOLVERS[0])
+    assert not plain.saddle
+    monkeypatch.setattr(Solver, "_bends_down", lambda *_: True)
+    again = pushing.solve(solver=SOLVERS[0])
+    assert again.saddle
+    assert again.iterations >= 2 * plain.iterations
+    assert again.cost == pytest.approx(plain.cost, rel=1e-6)
+
+
+def test_saddles_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """2 rad about z with rates in a box: straight it takes 2 s, and less by way of the other axes."""
+    R, w = tx.State("R", group=tx.SO3), tx.Control("w", shape=(3,), min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={R: w}))
+    ends = {"initial": {R: np.eye(3)}, "final": {R: np.asarray(tx.SO3.exp(jnp.array([0.0, 0.0, 2.0])))}}
+    objective = tx.Minimize(tx.Time())
+    problem = tx.trajectory.Problem(dynamics, objective, nodes=6, final_time=(0.5, 9.0), **ends, **EULER)
+    result = problem.solve(solver=SOLVERS[0])
+    assert result.solved
+    assert not result.saddle
+    assert result.final_time < 1.9
+    monkeypatch.setattr(tx.trajectory.solver, "_AWAY", ())
+    result = problem.solve(solver=SOLVERS[0])
+    assert result.saddle
+    assert result.final_time == pytest.approx(2.0, rel=1e-5)
 
 
 def test_what_is_no_solver_is_refused() -> None:

@@ -1,6 +1,7 @@
 """Parameters that the optimiser may move: known optima, their multipliers, and what is refused."""
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from trajectory_systems import EULER, HEUN
 import twistax as tx
 from twistax.errors import ModelError, TrajectoryError
 from twistax.trajectory import Problem, Status
+from twistax.trajectory.interior_point import InteriorPoint
+from twistax.trajectory.scaling import unit_scales
+from twistax.trajectory.transcribed import Point, Step
 
 #: Inertias of load and rotor, torque, and how far to turn.
 LOAD, ROTOR, TORQUE, TURN = 2.0, 0.5, 2.0, 3.0
@@ -111,6 +115,23 @@ def test_an_end_may_be_a_parameter_that_constraints_limit() -> None:
     assert result.solved
     assert result.params["place"] == pytest.approx(0.5, abs=1e-6)
     assert result.multipliers["near"] == pytest.approx([1.0], abs=1e-5)
+
+
+def test_parameters_keep_their_sign_in_a_step() -> None:
+    """What is large in its scale at most halves, and at most triples; what is small may change sign."""
+    shooting = fastest(free=["gear"]).shooting
+    method, unit = InteriorPoint(shooting, 1e-6), unit_scales(shooting)
+
+    def share(gear: float, move: float) -> float:
+        """How much of a step of the gear is taken, whose scale is 1."""
+        state = SimpleNamespace(point=Point(None, None, np.array([3.0, gear])), scales=unit)
+        return float(method.in_chart(Step(np.zeros_like(unit.d), unit.u, np.array([0.0, move])), state))
+
+    assert share(3.0, -5.0) == pytest.approx(1.5 / 5.0)
+    assert share(-3.0, 5.0) == pytest.approx(1.5 / 5.0)
+    assert share(3.0, 5.0) == 1.0
+    assert share(3.0, 60.0) == pytest.approx(6.0 / 60.0)
+    assert share(0.5, -5.0) == pytest.approx(2.0 / 5.0)
 
 
 BAD: list[tuple[Any, type[Exception], str]] = [

@@ -55,14 +55,33 @@ def test_every_case_ends_as_it_does_alone() -> None:
     assert "1 INFEASIBLE (case 4)" in repr(many)
 
 
+@pytest.mark.parametrize("start", [0.0, -1e4])
+@pytest.mark.parametrize("most", [500, 7])
+def test_steps_in_a_row_are_steps_one_at_a_time(most: int, start: float) -> None:
+    problem, seen = parking(), list[int]()
+    own: dict[str, Any] = {"initial": {"p": start}, "final_time": (0.5, 2000.0), "max_iterations": most}
+    alone = problem.solve(**own, callback=lambda iteration, cost, violation: seen.append(iteration))
+    together = problem.solve(**own)
+    assert together.status is alone.status
+    assert together.iterations == alone.iterations == len(seen)
+    assert together.cost == alone.cost
+
+
 def test_what_an_argument_shares_and_what_it_has_for_each() -> None:
     problem = parking()
-    # As many cases as above: their lanes are compiled.
     times, guesses = np.array([[0.5, 20.0]] + [[4.0, 20.0]] * 6), np.linspace(0.0, 1.0, 9) * np.ones((7, 1))
     many = problem.solve_many({"p": guesses}, final={"p": 1.0}, final_time=times)
     assert many.solved.all()
     assert many.final_time[0] < 3.0
     np.testing.assert_allclose(many.final_time[1:], 4.0, rtol=1e-5)
+
+
+def test_a_case_with_too_little_time_says_so_as_it_does_alone() -> None:
+    problem, times = parking(), np.array([[0.5, 20.0]] * 2 + [[0.5, 1.0]])
+    many = problem.solve_many(final_time=times)
+    assert many.solved.tolist() == [True, True, False]
+    assert many.status[2] is Status.INFEASIBLE
+    assert many[2].message == problem.solve(final_time=(0.5, 1.0)).message
 
 
 BAD: list[tuple[dict[str, Any], type[Exception], str]] = [

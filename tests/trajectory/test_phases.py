@@ -262,6 +262,7 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": [1.0, 2.0]}]}, tx.ShapeError, "'p'"),
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": tx.State("q")}]}, tx.ModelError, "'q'"),
     ([{"objective": tx.Minimize(tx.Time())}], {"params": {"mass": 1.0}}, tx.InputError, "'mass'"),
+    ([{"objective": tx.Minimize(tx.Time())}], {"nodes": 9}, tx.ModelError, "links, params and free alone, got 'nodes'"),
     ([{"objective": tx.Minimize(tx.Time())}], {"free": {"mass": (1.0, 2.0)}}, tx.ModelError, "'mass'"),
 ]
 

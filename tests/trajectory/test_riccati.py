@@ -1,10 +1,16 @@
 """The recursion over stages against dense linear algebra on the same quadratic problem."""
 
+import functools
+from typing import Any
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, solve
+from twistax.lowering.small_call import small_call
+from twistax.trajectory import riccati
+from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, refined, solve
 from twistax.trajectory.transcribed import Derivatives
 
 INTERVALS, N, M, BORDER, ROWS, END_ROWS = 4, 3, 2, 2, 3, 2
@@ -69,6 +75,34 @@ def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, 
 
 
 factors_of, solution_of = jax.jit(factorize), jax.jit(solve)
+
+
+def test_a_small_function_computes_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where products would call a library it has loops, of two kinds."""
+    stages = quadratic(1, 8.0, None, FREE["free start"])
+    constants = jnp.ones((INTERVALS, N)), Rows(jnp.ones((INTERVALS, ROWS)), jnp.ones(END_ROWS))
+
+    def whole(stages: Stages) -> tuple[Any, Any]:
+        factors = factorize(stages)
+        return factors, refined(stages, factors, *constants)
+
+    expected = jax.jit(whole)(stages)
+    for most in (riccati._SMALL, 0):
+        monkeypatch.setattr(riccati, "_SMALL", most)
+        found = jax.jit(lambda stages: small_call(whole, stages))(stages)
+        jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), found, expected)
+
+
+def test_a_solution_has_its_derivative_backward_too() -> None:
+    """Fixed starts leave zeros in the factors: a transpose must not divide by them."""
+    stages = jax.tree.map(jnp.asarray, quadratic(1, 8.0, None, FREE["fixed start"]))
+    factors, defects = factors_of(stages), jnp.ones((INTERVALS, N))
+    rows = Rows(jnp.ones((INTERVALS, ROWS)), jnp.ones(END_ROWS))
+    pulls = jnp.ones((INTERVALS, SIZE)), jnp.ones(N + BORDER)
+    border = lambda own: solve(stages, factors, *pulls, own, rows).step.border  # noqa: E731
+    backward, forward = jax.jit(lambda own: (jax.jacrev(border)(own), jax.jacfwd(border)(own)))(defects)
+    np.testing.assert_allclose(backward, forward, rtol=1e-9, atol=1e-12)
+    assert np.abs(forward).max() > 1e-3
 
 
 @pytest.mark.parametrize("soft", [None, 0.7])

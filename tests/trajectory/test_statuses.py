@@ -9,7 +9,12 @@ import pytest
 from trajectory_systems import EULER, HEUN, free_flyer
 
 import twistax as tx
-from twistax.trajectory import Problem, Status, TrajectoryResult
+from twistax.precision import in_double
+from twistax.trajectory import Problem, Status, TrajectoryResult, scaling, solver
+from twistax.trajectory.descent import Descent
+from twistax.trajectory.iterate import State
+from twistax.trajectory.scaling import unit_scales
+from twistax.trajectory.transcribed import Point, Values
 
 
 @functools.cache
@@ -44,6 +49,42 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
     assert not result.solved
 
 
+def test_a_violation_with_a_slope_is_no_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where every slope counts as one, and every step as none: nothing says that there is no trajectory."""
+    monkeypatch.setattr(solver, "_FLAT", -1.0)
+    monkeypatch.setattr(solver, "_MOST_DAMPING", 0.0)
+    result = stated().solve(final_time=1.0)
+    assert result.status is Status.STALLED
+    assert "Worst: " in result.message
+
+
+def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:
+    with in_double():
+        point, given, *_ = stated().started()
+        own = stated()._solver(1e-6, point, given)
+        _, state = own._run(point, given, 500, None)
+        watch = own.watch(state.scales, 500)
+        watch.at_once(state)
+        assert watch.ended(state) is Status.SOLVED
+        watch._seen = jax.tree.map(lambda a: 1e9 * a, state.scales)
+        state = own.rescaled(state, scaling.not_below(state.scales, watch._seen, True)[0], given)
+        assert watch.ended(state) is Status.SOLVED
+        near = watch.renewed(state, own._looked_at(state, given)[0], np.inf)
+        assert near is not None
+        state = own.rescaled(state, near, given)
+        assert watch.ended(state) is Status.SOLVED
+        assert watch.renewed(state, own._looked_at(state, given)[0], np.inf) is None
+
+
+def test_scales_are_forgotten_without_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last iteration that there is may be the one that solves it."""
+    enough = stated().solve().iterations
+    monkeypatch.setattr(Descent, "inflated", lambda *_: True)
+    again = stated().solve(max_iterations=enough)
+    assert again.solved
+    assert again.iterations == enough
+
+
 def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
     result = stated().solve(final={"p": 2.5, "v": 0.0})
     assert result.status is Status.INFEASIBLE
@@ -69,20 +110,59 @@ def test_values_that_are_not_finite_are_said() -> None:
     dynamics = tx.compile(tx.System(rates={p: u / p}))
     result = Problem(dynamics, tx.Minimize(p), nodes=4, final_time=1.0, initial={p: 0.0}, **EULER).solve()
     assert result.status is Status.NON_FINITE
-    assert "finite" in result.message
+    assert "'dynamics of p' between nodes 0 and 1 is nan" in result.message
 
 
-@pytest.mark.parametrize("goal", [{}, {"p": 1.0, "v": 0.0}], ids=["far away", "ends that can be met"])
-def test_an_objective_without_bound_is_said(goal: dict[str, float]) -> None:
-    """Anything meets these ends. A control that is worst has no slope either: from it the search goes on."""
+@functools.cache
+def farthest() -> Problem:
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))
-    objective = tx.Minimize(running=-(u**2)) if goal else tx.Maximize(p)
-    own = Problem(dynamics, objective, nodes=4, final_time=3.0, initial={p: 0.0, v: 0.0}, final=goal, **HEUN)
-    result = own.solve()
+    return Problem(dynamics, tx.Maximize(p), nodes=4, final_time=3.0, initial={p: 0.0, v: 0.0}, **HEUN)
+
+
+def test_an_objective_without_bound_is_said() -> None:
+    """Anything meets these ends. A control that is worst has no slope either: from it the search goes on."""
+    dynamics = farthest().dynamics
+    u, ends = dynamics.controls[0], {"p": 1.0, "v": 0.0}
+    start: dict[str, Any] = {"initial": {"p": 0.0, "v": 0.0}}
+    result = Problem(
+        dynamics, tx.Minimize(running=-(u**2)), nodes=4, final_time=3.0, final=ends, **start, **HEUN
+    ).solve()
     assert result.status is Status.UNBOUNDED
     assert "nothing limits" in result.message
     assert result.iterations < 200
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_an_objective_without_bound_is_said_in_any_unit_and_with_gaps(unit: float) -> None:
+    guess = {"p": [0.0, 5.0, -3.0, 0.7], "v": [0.0, 9.0, -4.0, 0.1], "u": [0.3, -0.1, 2.0]}
+    result = farthest().solve(guess={name: unit * np.array(values) for name, values in guess.items()})
+    assert result.status is Status.UNBOUNDED
+    assert result.xs["p"][-1] > 1e10 * unit
+    assert result.optimality.feasibility <= 1e-6
+
+
+def test_what_has_limits_is_not_without_end() -> None:
+    """However wide they are; and an unknown that runs off alone says nothing, nor does an objective far below."""
+    limits = {"min": -1e60, "max": 1e60}
+    p, u, k = tx.State("p", **limits), tx.Control("u", **limits), tx.Parameter("k", value=1.0)
+    dynamics = tx.compile(tx.System(rates={p: u + k}))
+
+    def beyond(size: float, fall: float, free: Any) -> bool:
+        """Of a run in which all unknowns become so large, and the objective so much less."""
+        problem = Problem(dynamics, tx.Maximize(p), nodes=3, final_time=(1.0, 2.0), free=free, **EULER)
+        point = Point({"p": np.ones(3)}, np.ones((2, 1)), np.ones(1 + len(free)))
+        scales = unit_scales(problem.shooting)
+        nothing = State(**dict.fromkeys(State._fields))
+        begun = nothing._replace(point=point, scales=scales, values=Values(7.0, None, None))
+        far = begun._replace(point=jax.tree.map(lambda a: size * a, point), values=Values(7.0 - fall, None, None))
+        return Descent(problem.shooting, begun).beyond(far, 1e16)
+
+    assert beyond(1e20, 1e20, {k: (None, 1.0)})
+    assert not beyond(1e20, 1e20, {k: (-1.0, 1.0)})
+    assert not beyond(1e20, 1e20, {})
+    assert not beyond(1e20, 1e7, {k: (None, 1.0)})
+    assert not beyond(1e15, 1e20, {k: (None, 1.0)})
 
 
 def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
@@ -120,6 +200,7 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"nodes": 1}, tx.TrajectoryError, "nodes"),
     ({"final_time": (5.0, 3.0)}, tx.TrajectoryError, "final_time"),
     ({"final_time": -1.0}, tx.TrajectoryError, "final_time"),
+    ({"final_time": None}, tx.TrajectoryError, "final_time expects a number in s, or limits"),
     ({"final_time": (1.0, 2.0, 3.0)}, tx.TrajectoryError, "final_time"),
     ({"final_time": (1.0, 4.0), "final_time_guess": 5.0}, tx.TrajectoryError, "final_time_guess"),
     ({"substeps": 0}, tx.TrajectoryError, "substeps"),
@@ -127,6 +208,8 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": {"p": np.zeros(2)}}, tx.ShapeError, "'p'"),
     ({"final": {"nope": 0.0}}, tx.ModelError, "nope"),
     ({"final": [3.0]}, tx.ModelError, "float"),
+    ({"final": [tx.State("p") <= np.nan]}, tx.ModelError, r"final: .* is never finite"),
+    ({"objective": tx.Minimize(np.nan * tx.State("p"))}, tx.ModelError, "the objective is never finite"),
     ({"final": [tx.Control("u") <= 1.0]}, tx.ModelError, "no value at a node"),
     ({"final": [tx.State("stranger") == 1.0]}, tx.ModelError, "stranger"),
     ({"objective": tx.Minimize(tx.State("stranger"))}, tx.ModelError, "stranger"),
@@ -149,6 +232,23 @@ def test_ends_outside_their_box_are_refused() -> None:
     dynamics = tx.compile(tx.System(rates={p: tx.Control("u")}))
     with pytest.raises(tx.TrajectoryError, match=r"initial value of p must keep its bound, but is 2: 2 > 1"):
         Problem(dynamics, tx.Minimize(p), final_time=1.0, initial={p: 2.0})
+
+
+def test_an_end_of_another_length_is_not_repeated() -> None:
+    q = tx.State("q", shape=(2,))
+    dynamics = tx.compile(tx.System(rates={q: tx.Control("u", shape=(2,))}))
+    with pytest.raises(tx.ShapeError, match=r"'q': final expects shape \(2,\) or a number, got \(1,\)"):
+        Problem(dynamics, tx.Minimize(tx.Time()), final_time=(1.0, 2.0), final={"q": [0.0]})
+
+
+def test_entries_of_matrices_have_two_numbers() -> None:
+    P, U = tx.State("P", shape=(2, 2)), tx.Control("U", shape=(2, 2), max=[[1.0, 2.0], [3.0, 4.0]])
+    dynamics = tx.compile(tx.System(rates={P: U}, constraints={"cap": P <= 5.0}))
+    final = [{P: np.ones((2, 2))}, P.T <= 9.0]
+    own = Problem(dynamics, tx.Minimize(tx.Time()), nodes=2, final_time=(1.0, 2.0), final=final, **EULER)
+    assert {"U[0, 1] <= 2", "U[1, 0] <= 3", "cap[0, 1]", "final P[1, 0]"} <= set(own.shooting.names)
+    assert any(name.endswith("<= 9.[1, 0]") for name in own.shooting.names)
+    assert own.shooting.defect(0, 2) == "'dynamics of P[1, 0]' between nodes 0 and 1"
 
 
 def test_an_end_that_is_no_pose_is_refused() -> None:

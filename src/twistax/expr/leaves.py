@@ -372,6 +372,8 @@ def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | No
     """A start or an end: an element of a group, or numbers of which some may be None."""
     if value is None or isinstance(group, Euclidean):
         found = _value(name, what, value, group.shape)
+        if np.ndim(value) and np.shape(value) != group.shape:  # a list that would be repeated is a slip
+            raise ShapeError(f"{name!r}: {what} expects shape {group.shape} or a number, got {np.shape(value)}")
         if found is not None and np.isinf(found).any():
             raise ModelError(f"{name!r}: {what} expects finite numbers, None where it is free, got {found}")
         return found

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..lowering.dynamics import Arrays
@@ -17,7 +16,7 @@ from ..lowering.scalar.loops import Filling
 from ..lowering.small_call import held, small_call
 from .charts import Blocks
 from .interpolant import Between
-from .kernels import kernel_tries
+from .kernels import Packed, beside, kernel_tries
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import Stops, first_rows, put, rows
@@ -30,6 +29,8 @@ from .tolerances import Tolerances
 _TOLD = 256
 #: A step that leaves less than this share of itself to the next stop goes there at once.
 _STRETCH = 0.01
+#: How many limits a kernel looks at: it compares the time with each.
+_SEEN = 64
 
 
 class _Path(NamedTuple):
@@ -112,23 +113,26 @@ class AdaptiveSteps(Steps):
         return self.between is Between.POLYNOMIAL
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
-        stops, read = self.stops, ravel_pytree(y)[1]
-        now, found = small_call(lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, y)
+        stops, packed = self.stops, Packed.of(y)
+        read = packed.read
+        now, found, carry = small_call(
+            lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, packed
+        )
         short = (now.code == Result.SUCCESS.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         outcome = Outcome(code, now.tried, now.accepted, now.evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
         saved = None
-        if stops.place is not None:
-            asked = jnp.arange(stops.place.size) < stops.count
+        if stops.ts is not None:
+            asked = jnp.arange(stops.ts.size) < stops.count
             if now.rows is not None:
                 # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
-                ts, ys = self.saved_times, jax.vmap(read)(now.rows.table)
+                ts, ys = jnp.asarray(stops.ts), jax.vmap(read)(now.rows.table)
                 saved = Saved((ts > self.t0).astype(int), ts, ys, (ts <= now.t) & asked, asked)
             else:
-                (times, starts), index, reached = jax.tree.map(lambda a: a[stops.place], found)
+                (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], found)
                 saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
-        return Run(read(now.y), outcome, saved, now.path, trail, now.watched)
+        return Run(Packed(now.y, read), outcome, saved, now.path, trail, now.watched, carry)
 
     def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
         """The packed state at a time up to the end of a step."""
@@ -137,180 +141,163 @@ class AdaptiveSteps(Steps):
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
-    def _all_steps(self, stepper: Stepper, y: Blocks, record: bool) -> tuple[_Now, Any]:
-        """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
+    def _all_steps(self, stepper: Stepper, y: Packed, record: bool) -> tuple[_Now, Any, Packed]:
+        """The loops over stops and steps: what they carry at the end, the method too, and what is found at stops."""
         stops = self.stops
-        beside = stepper.beside_loops
-        begun, first = small_call(AdaptiveSteps._begin, self, beside, y)
+        bare = dataclasses.replace(self._bare(stops.limits), between=Between.STEP)
+        begun, first = beside(AdaptiveSteps._begin, bare, stepper, y)
         now, packing = self._start(self.t0, y, begun, first)
-        (read, read_carry), zero = packing, jnp.zeros((), int)
+        zero, end = jnp.zeros((), int), jnp.asarray(stops.limits[-1])
         if record or self.dense:
             now = now._replace(path=rows(_Path(zero, self.t0, self.t0), self.bound))
         if self.dense:
             now = now._replace(every=put(rows(now.y, self.bound + 1), 0, now.y))
-        fills = not record and self.finds_rows and stops.place is not None
-        if fills:
-            ts = self.saved_times
+        if not record and self.finds_rows and stops.ts is not None:
+            ts = jnp.asarray(stops.ts)
             marks = jnp.where(jnp.arange(ts.size) < stops.count, ts, jnp.inf)
             now = now._replace(rows=Filling(marks, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
         if self.watch is not None:
-            advance = functools.partial(self.advance, stepper)
+            advance = functools.partial(self.advance, stepper, begun)
             now = now._replace(watched=self.watch.begin(advance, stepper, self.t0, first, y))
 
-        def to_stop(now: _Now, stop: tuple[jax.Array, jax.Array]) -> tuple[_Now, Any]:
-            t, leg = stop
-            if stops.limits.size > 1:
-                # Rates may have jumped at the limit before; at saved times they do not.
-                ahead = jnp.minimum(now.h, stops.limits[leg] - now.t)
-                field = beside.field(now.t, ahead)
-                resumed = stepper.method.resume(field, now.t, read(now.y), read_carry(now.carry))
-                carry = jnp.where(now.t == self._leg(leg)[0], ravel_pytree(resumed)[0], now.carry)
-                now = now._replace(carry=carry, evaluations=now.evaluations + stepper.method.resume_evaluations)
-            now = self._to(t, leg, stepper, packing, now)
-            if fills or stops.place is None:
-                return now, None
+        if now.rows is not None or stops.ts is None:
+            now = self._to(end, stepper, packing, now)
+            return now, None, Packed(now.carry, begun.read)
+
+        def to_stop(now: _Now, t: jax.Array) -> tuple[_Now, Any]:
+            now = self._to(t, stepper, packing, now)
             # A saved time that is the end of a step needs no other one.
             there = now.t <= t
             start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (now.t, now.y), now.last)
             return now, (start, now.accepted - (~there).astype(int), now.t >= t)
 
-        if fills:
-            # Steps pass saved times.
-            limits = stops.limits, jnp.arange(stops.limits.size)
-            return first_rows(to_stop, now, limits, stops.limits.size, None)
-        # Stops beyond these are ends, one of which they include.
-        loop = to_stop, now, (stops.ts, stops.leg), stops.limits.size + stops.count
-        return first_rows(*loop, None if stops.place is None else (now.last, zero, jnp.asarray(False)))
+        # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
+        like = now.last, zero, jnp.asarray(False)
+        now, found = first_rows(to_stop, now, jnp.append(stops.ts, end), stops.count + 1, like)
+        return now, found, Packed(now.carry, begun.read)
 
     @staticmethod
-    def _start(t: jax.Array, y: Blocks, begun: Carry, h: jax.Array) -> tuple[_Now, _Packing]:
+    def _start(t: jax.Array, y: Packed, carry: Packed, h: jax.Array) -> tuple[_Now, _Packing]:
         """What the loop carries before its first step, of length h."""
-        packed, read = ravel_pytree(y)
-        carry, read_carry = ravel_pytree(begun)
         zero, number = jnp.zeros((), int), jnp.zeros((), t.dtype)
         now = _Now(
             t=t,
             h=h,
-            y=packed,
-            carry=carry,
+            y=y.flat,
+            carry=carry.flat,
             errors=Errors(number, number),
             rejected=jnp.asarray(False),
             tried=zero,
             accepted=zero,
             evaluations=zero + 2,
             code=zero,
-            last=(t, packed),
+            last=(t, y.flat),
             path=None,
             every=None,
             watched=None,
             rows=None,
         )
-        return now, _Packing(read, read_carry)
+        return now, _Packing(y.read, carry.read)
 
-    def _begin(self, stepper: Stepper, y: Blocks) -> tuple[Carry, jax.Array]:
+    def _begin(self, stepper: Stepper, packed: Packed) -> tuple[Packed, jax.Array]:
         """What the method carries at the start, and the first step to try."""
+        y = packed.open()
         room = self.stops.limits[-1] - self.t0
         guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
-        rate = stepper.rate(self.t0, y, guess)
+        rate = stepper.rate(self.t0, y, jnp.minimum(guess, self._limit(self.t0) - self.t0))
         chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
         begun = stepper.method.begin(stepper.dynamics, y, rate)
-        return begun, jnp.where(self.first > 0.0, self.first, chosen)
+        return Packed.of(begun), jnp.where(self.first > 0.0, self.first, chosen)
 
-    def _to(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Now:
-        """Steps to a stop at t, or beyond it up to the end of the leg."""
+    def _to(self, t: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Now:
+        """Steps to a stop at t, or beyond it up to the next limit."""
         if self.meter is None:
-            return self._tries(t, leg, stepper, packing, now, self.bound)
+            return self._tries(t, stepper, packing, now, self.bound)
 
         def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
             tried = jnp.where((now.t < t) & (now.code == 0), now.tried, self.bound)
             return tried, now.t, (now.t - self.t0) / (self.stops.limits[-1] - self.t0)
 
         return self.meter.along(
-            lambda now, most: self._tries(t, leg, stepper, packing, now, most),
+            lambda now, most: self._tries(t, stepper, packing, now, most),
             now,
             jnp.asarray(self.bound),
             jnp.asarray(_TOLD),
             so_far,
         )
 
-    def _tries(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now, bound: Any) -> _Now:
+    def _tries(self, t: jax.Array, stepper: Stepper, packing: _Packing, now: _Now, bound: Any) -> _Now:
         """The same, until so many were tried."""
-        kernel = None
-        if now.path is None and now.every is None:
-            kernel = self._kernel(t, leg, stepper, packing, now._replace(watched=None, rows=None))
 
-        def by_kernel(kernel: _Kernel, now: _Now, stop: jax.Array) -> _Now:
+        def going(now: _Now) -> jax.Array:
+            return _going(now, t) & (now.tried < bound)
+
+        def kernel(now: _Now) -> _Kernel | None:
+            if now.path is not None or now.every is not None:
+                return None
+            return self._kernel(t, stepper, packing, now._replace(watched=None, rows=None))
+
+        def by_kernel(kernel: _Kernel, now: _Now, stop: Any) -> _Now:
             after, rows = kernel(now._replace(watched=None, rows=None), now.tried, stop, now.rows)
             return after._replace(rows=rows)
 
-        if kernel is not None and now.watched is None:
-            return by_kernel(kernel, now, jnp.where(_going(now, t), bound, now.tried))
+        first, watched = kernel(now), now.watched is not None
+        if first is not None and not watched and self.stops.limits.size <= _SEEN:
+            return by_kernel(first, now, jnp.where(going(now), bound, now.tried))
 
-        def one_try(now: _Now) -> _Now:
-            if kernel is not None:
-                after = by_kernel(kernel, now, now.tried + 1)
+        def one_round(now: _Now) -> _Now:
+            if (own := kernel(now)) is not None:
+                after = by_kernel(own, now, now.tried + 1 if watched else bound)
             else:
-                after, step = self._try(stepper, packing, now._replace(watched=None), leg)
+                after, step = self._try(stepper, packing, now._replace(watched=None))
                 if now.rows is not None and step is not None:
                     row = functools.partial(self._row, stepper, packing.state)
                     after = after._replace(rows=now.rows.up_to(after.t, row, held(step)))
-            if now.watched is None:
+            if not watched:
                 return after
-            return small_call(lambda *own: own[0]._watched(own[1], packing, *own[2:]), self, stepper, now, after)
+            return beside(AdaptiveSteps._watched, self, stepper, now, after, Packed(after.y, packing.state))
 
-        return jax.lax.while_loop(lambda n: _going(n, t) & (n.tried < bound), one_try, now)
+        return jax.lax.while_loop(going, one_round, now)
 
-    def _kernel(self, t: jax.Array, leg: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Kernel | None:
+    def _kernel(self, t: jax.Array, stepper: Stepper, packing: _Packing, now: _Now) -> _Kernel | None:
         """Tries in a kernel: what is carried, and rows, from the first of them to the last."""
         # Kernels count evaluations in the precision of the state.
         most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
         if most >= 2 ** jnp.finfo(self.t0.dtype).nmant:
             return None
+        limits = self.stops.limits
+        if limits.size > _SEEN:
+            limits = jax.lax.dynamic_slice_in_dim(limits, jnp.searchsorted(limits, now.t), _SEEN)
+            t = jnp.minimum(t, limits[-1])
 
         def one_try(given: Any, stepper: Stepper, now: _Now) -> tuple[_Now, jax.Array, _Step | None]:
-            steps, t, leg = given
-            found, step = steps._try(stepper, packing, now, leg)
+            steps, t = given
+            found, step = steps._try(stepper, packing, now)
             return found, _going(found, t), step if steps.finds_rows else None
 
-        # Neither saved times nor events are part of it: others need no other kernel. What rows are made of is.
-        own = self.stops._replace(ts=None, leg=None, place=None, count=None)
-        alone = dataclasses.replace(self, stops=own, watch=None, meter=None, dense=False)
         row = functools.partial(self._row, stepper, packing.state)
-        return kernel_tries(one_try, row, (alone, t, leg), stepper, now)
+        return kernel_tries(one_try, row, (self._bare(limits), t), stepper, now)
 
-    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """A try of unlimited tolerance to the end of a leg of this length."""
-        packings: list[_Packing] = []
+    def _bare(self, limits: Any) -> AdaptiveSteps:
+        """The same with these limits, without saved times and events: others need no other kernel."""
+        return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
-        def begun(steps: AdaptiveSteps, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Any:
-            limits = jnp.full_like(steps.stops.limits, t + h)
-            anything = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), steps.tolerances)
-            rate = stepper.rate(t, y, h)
-            start = stepper.method.begin(stepper.dynamics, y, rate)
-            now, packing = steps._start(t, y, start, jnp.full_like(h, jnp.inf))
-            packings.append(packing)
-            return limits, anything, now
+    def advance(self, stepper: Stepper, carry: Packed, t: jax.Array, y: Packed, h: jax.Array) -> Packed:
+        """A try of unlimited tolerance, as if its end were the next limit."""
+        now, packing = self._start(t, y, carry, jnp.full_like(h, jnp.inf))
+        stops = self.stops._replace(limits=jnp.where(self.stops.limits > t, t + h, self.stops.limits))
+        tolerances = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), self.tolerances)
+        kernel = dataclasses.replace(self, stops=stops, tolerances=tolerances)._kernel(t, stepper, packing, now)
+        if kernel is None:
+            return Packed.of(stepper.advance(t, y.open(), h))
+        moved, _ = kernel(now, now.tried, now.tried + 1, None)
+        return Packed(jnp.where(moved.accepted > 0, moved.y, jnp.nan), y.read)
 
-        def kernel(limits: Any, anything: Any, now: _Now) -> _Kernel | None:
-            stops = self.stops._replace(limits=limits)
-            steps = dataclasses.replace(self, stops=stops, tolerances=anything, between=Between.STEP)
-            return steps._kernel(t, none, stepper, packings[-1], now)
-
-        none, given = jnp.zeros((), int), (self, stepper.beside_loops, t, y, h)
-        like = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), jax.eval_shape(begun, *given))
-        if kernel(*like) is None:
-            return stepper.advance(t, y, h)
-        limits, anything, now = small_call(begun, *given)
-        take = kernel(limits, anything, now)
-        assert take is not None
-        moved, _ = take(now, none, none + 1, None)
-        return packings[-1].state(jnp.where(moved.accepted > 0, moved.y, jnp.nan))
-
-    def _watched(self, stepper: Stepper, packing: _Packing, before: _Now, after: _Now) -> _Now:
-        """After a try, or as before it with what is known of the event that it met: the loop halts there."""
+    def _watched(self, stepper: Stepper, before: _Now, after: _Now, state: Packed) -> _Now:
+        """After a try to a state, or as before it with what is known of the event it met: the loop halts there."""
         assert before.watched is not None
         good, step, end = after.accepted > before.accepted, after.t - before.t, self.stops.limits[-1]
-        state, first = packing.state(after.y), before.accepted == 0
+        first = before.accepted == 0
         watched = self.watch.after(stepper, before.t, step, state, before.watched, first, after.t == end)
         hit = good & watched.hits.any()
         watched = watched._replace(values=jnp.where(good & ~hit, watched.values, before.watched.values))
@@ -325,10 +312,11 @@ class AdaptiveSteps(Steps):
             watched=watched,
         )
 
-    def _try(self, stepper: Stepper, packing: _Packing, now: _Now, leg: jax.Array) -> tuple[_Now, _Step | None]:
+    def _try(self, stepper: Stepper, packing: _Packing, now: _Now) -> tuple[_Now, _Step | None]:
         """One step, taken or taken back, and what its polynomial is of, where the method has one."""
         control, order = self.control, stepper.method.error_order
-        limit = self.stops.limits[leg]
+        limits = self.stops.limits
+        limit = self._limit(now.t)
         room = limit - now.t
         eps = float(jnp.finfo(now.t.dtype).eps)
         least = jnp.maximum(8.0 * eps * jnp.abs(now.t), control.dtmin or 0.0)
@@ -342,7 +330,18 @@ class AdaptiveSteps(Steps):
         t = jnp.where(step == room, limit, now.t + step)
         step = t - now.t
         before = packing.state(now.y)
-        found = stepper.attempt(now.t, before, packing.carry(now.carry), step, self.tolerances)
+        resumed, evaluations = now.carry, now.evaluations
+        if limits.size > 1:
+            # Rates may have jumped where a step ended at a limit; at saved times they do not.
+            at_limit = (limits == now.t).any() & ~now.rejected
+            field, stored = stepper.field(now.t, step), packing.carry(now.carry)
+            resumed = jax.lax.cond(
+                at_limit,
+                lambda: ravel_pytree(stepper.method.resume(field, now.t, before, stored))[0],
+                lambda: now.carry,
+            )
+            evaluations = evaluations + jnp.where(at_limit, stepper.method.resume_evaluations, 0)
+        found = stepper.attempt(now.t, before, packing.carry(resumed), step, self.tolerances)
         y, carry = ravel_pytree(found.y)[0], ravel_pytree(found.carry)[0]
         finite = all_finite((y, carry))
         square = self._error(stepper, before, found.y, found.errors)
@@ -365,6 +364,7 @@ class AdaptiveSteps(Steps):
 
         path = now.path
         if path is not None:
+            leg = jnp.minimum((limits <= now.t).sum(), limits.size - 1)
             start, length = self._leg(leg)
             length = jnp.where(length > 0.0, length, 1.0)
             path = put(path, now.accepted, _Path(leg, (now.t - start) / length, (t - start) / length))
@@ -373,12 +373,12 @@ class AdaptiveSteps(Steps):
             t=pick(t, now.t),
             h=jnp.where(good, longer, jnp.where(failed, step, shorter)),
             y=pick(y, now.y),
-            carry=pick(carry, now.carry),
+            carry=pick(carry, resumed),
             errors=pick(errors, now.errors),
             rejected=~good,
             tried=now.tried + 1,
             accepted=now.accepted + good.astype(int),
-            evaluations=now.evaluations + found.evaluations,
+            evaluations=evaluations + found.evaluations,
             code=code,
             last=pick((now.t, now.y), now.last),
             # A step that is taken back leaves rows that a later one writes again.
@@ -401,7 +401,7 @@ class AdaptiveSteps(Steps):
 
     @property
     def saved_times(self) -> jax.Array:
-        return self.stops.ts[self.stops.place]
+        return jnp.asarray(self.stops.ts)
 
     def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
         y = stepper.coordinates.enter(x)
@@ -409,6 +409,11 @@ class AdaptiveSteps(Steps):
         found = stepper.attempt(outcome.t, y, carry, outcome.h, self.tolerances)
         parts = self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
         return max(parts, key=lambda name: float(parts[name]))
+
+    def _limit(self, t: jax.Array) -> jax.Array:
+        """The next limit after a time."""
+        limits = self.stops.limits
+        return jnp.where(limits > t, limits, limits[-1]).min()
 
     def _leg(self, leg: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Start and length of a leg."""

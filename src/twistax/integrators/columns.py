@@ -5,9 +5,8 @@ from __future__ import annotations
 import csv
 import dataclasses
 import functools
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -15,29 +14,11 @@ import numpy as np
 from ..checks import instance, listed, path_of, short
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SpecialEuclidean, SpecialOrthogonal, euler, quaternion
+from ..layout import Column, Layout
 from .rows import room_for
 
 if TYPE_CHECKING:
     from .solution import Solution
-
-
-class Column(NamedTuple):
-    """One column of a table.
-
-    Attributes:
-        name: what it is called.
-        unit: its unit, "" where none is known.
-        values: (n,), a number for each saved time.
-    """
-
-    name: str
-    unit: str
-    values: np.ndarray
-
-    @property
-    def header(self) -> str:
-        """The name, and the unit in brackets."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,14 +46,6 @@ QUATERNION = Rotations(("qw", "qx", "qy", "qz"), "", quaternion)
 EULER = Rotations(("roll", "pitch", "yaw"), "rad", euler)
 #: All nine entries, row by row.
 MATRIX = Rotations(tuple(f"R{i}{j}" for i in "123" for j in "123"), "", _entries)
-
-
-class Layout(ABC):
-    """Which columns a table of a solution has, in which order."""
-
-    @abstractmethod
-    def columns(self, solution: Solution) -> list[Column]:
-        """The columns, of one length."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from ..jax_inside import is_traced, of_one_device
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite, need_held, read_values
+from ..units import same_unit, seconds
 
 #: Tables of more times are searched by halving.
 _SHORT = 64
@@ -41,7 +42,7 @@ class Table(ABC):
 
     Raises:
         ShapeError: the two do not fit each other.
-        InputError: times that do not increase, or a value that is not finite.
+        InputError: times that do not increase, or have another unit than s; a value that is not finite.
     """
 
     #: The fewest rows that have a meaning; whether the last one holds on after its time.
@@ -50,6 +51,7 @@ class Table(ABC):
 
     def __init__(self, ts: Any, values: Any) -> None:
         name = type(self).__name__
+        same_unit(f"{name}: ts", ts, seconds)
         self.ts, self.values = _floats(f"{name}: ts", ts), _floats(f"{name}: values", values)
         if self.ts.ndim != 1 or self.ts.shape[0] < self.rows:
             raise ShapeError(f"{name} expects ts with shape (n,), n >= {self.rows}, got {self.ts.shape}")
@@ -98,26 +100,39 @@ class Table(ABC):
         """The times at which the value, or how it changes, jumps; of NumPy where they are known."""
         return self.times[1:] if self.holds_on else self.times
 
-    def during(self, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], jax.Array]:
+    def during(self, t: jax.Array, h: jax.Array, within: bool = False) -> Callable[[jax.Array], jax.Array]:
         """The value as a function of the times within the step from t to t + h.
 
         The table is read a hair nearer to the middle of the step: far less than a step, but more than round-off. So it
         shows the side of a jump or a kink that the step lies on, however short the step.
+
+        Args:
+            within: the step lies between two rows, which are looked up once for all of its times.
         """
         middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
         rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(h, float(jnp.finfo(t.dtype).tiny))
         hair = jax.lax.stop_gradient(jnp.clip(rounding, float(np.sqrt(eps)), 1.0))
 
+        def inner(time: jax.Array) -> jax.Array:
+            return time + hair * (middle - time)
+
+        if within:
+            # Of a table that is held the first row is no end of a step, which may begin before it.
+            row, missing = self._row(middle), self._missing(inner(t))
+            return lambda time: jnp.where(missing, jnp.nan, self._value(row, time))
+
         def value(time: jax.Array) -> jax.Array:
-            inner = time + hair * (middle - time)
-            outside = inner < self.ts[0] if self.holds_on else (inner < self.ts[0]) | (inner > self.ts[-1])
-            return jnp.where(outside, jnp.nan, self._value(time, inner))
+            return jnp.where(self._missing(inner(time)), jnp.nan, self._value(self._row(inner(time)), time))
 
         return value
 
+    def _missing(self, t: jax.Array) -> jax.Array:
+        """Whether there is no value at a time."""
+        return t < self.ts[0] if self.holds_on else (t < self.ts[0]) | (t > self.ts[-1])
+
     @abstractmethod
-    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
-        """The value at a time, read on the side of it where `inner` lies."""
+    def _value(self, row: jax.Array, time: jax.Array) -> jax.Array:
+        """The value at a time of the piece that begins with a row."""
 
     def check_span(self, place: str, t0: float, t1: float) -> None:
         """Raise InputError where a known table does not cover a span, up to round-off."""
@@ -157,8 +172,8 @@ class ZeroOrderHold(Table):
     rows = 1
     holds_on = True
 
-    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
-        return self.values[self._row(inner)]
+    def _value(self, row: jax.Array, time: jax.Array) -> jax.Array:
+        return self.values[row]
 
 
 class PiecewisePolynomial(Table):
@@ -188,8 +203,7 @@ class PiecewisePolynomial(Table):
     def first(self) -> Any:
         return super().first[0]
 
-    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
-        row = self._row(inner)
+    def _value(self, row: jax.Array, time: jax.Array) -> jax.Array:
         own, since = self.values[row], time - self.ts[row]
         found = own[-1]
         for order in range(self.values.shape[1] - 1, 0, -1):
@@ -206,8 +220,7 @@ class FirstOrderHold(Table):
     rows = 2
     holds_on = False
 
-    def _value(self, time: jax.Array, inner: jax.Array) -> jax.Array:
-        row = self._row(inner)
+    def _value(self, row: jax.Array, time: jax.Array) -> jax.Array:
         start, end = self.ts[row], self.ts[row + 1]
         return self.values[row] + (time - start) / (end - start) * (self.values[row + 1] - self.values[row])
 
@@ -238,9 +251,11 @@ class ByName:
         """The same controls in the precision of the state; `held` has the arrays already cast."""
         return ByName({n: v.astype(dtype) if isinstance(v, Table) else held[n] for n, v in self.values.items()})
 
-    def during(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
-        """The prepared controls as a function of the times within the step from t to t + h."""
-        tables = {name: value.during(t, h) for name, value in self.values.items() if isinstance(value, Table)}
+    def during(
+        self, dynamics: Dynamics, t: jax.Array, h: jax.Array, within: bool = False
+    ) -> Callable[[jax.Array], Arrays]:
+        """The prepared controls as a function of the times within the step from t to t + h, as of a `Table`."""
+        tables = {name: value.during(t, h, within) for name, value in self.values.items() if isinstance(value, Table)}
         held = {name: value for name, value in self.values.items() if name not in tables}
         return lambda time: held | {name: value(time) for name, value in tables.items()}
 
@@ -277,7 +292,9 @@ class OfTime:
         """Nothing to cast before the function is called."""
         return self
 
-    def during(self, dynamics: Dynamics, t: jax.Array, h: jax.Array) -> Callable[[jax.Array], Arrays]:
+    def during(
+        self, dynamics: Dynamics, t: jax.Array, h: jax.Array, within: bool = False
+    ) -> Callable[[jax.Array], Arrays]:
         """The function, its values checked and cast."""
         return lambda time: read_values("u(t)", dynamics.controls, self.sample(time), time.dtype)
 

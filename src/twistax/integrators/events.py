@@ -33,16 +33,17 @@ from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import need_held
-from ..lowering.small_call import small_call
+from .bracket import Bracket
 from .charts import Blocks
 from .controls import Signals
+from .kernels import beside, opened
 from .method import Stepper
 from .rows import put
 from .run import Part, Result, Run, Saved, Trail, Watched
 from .steps import Steps
 
 #: A step from a stored state: of its time, the state and a length.
-Advance: TypeAlias = Callable[[jax.Array, Blocks, jax.Array], Blocks]
+Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
 
 #: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
 #: of the one at the other end of the step.
@@ -130,13 +131,13 @@ class Watch:
     senses: tuple[int, ...] = dataclasses.field(metadata={"static": True})  # 1, -1, or 0 for both, each
     inputs: Any  # traced values the functions used to close over, so that derivatives find them
 
-    def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Blocks) -> jax.Array:
+    def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Any) -> jax.Array:
         """(m,) the conditions at a time and a stored state, within the step of length h from start."""
-        x, u = stepper.stored.value(y), stepper.field(start, h).controls(t)
+        x, u = stepper.stored.value(opened(y)), stepper.field(start, h).controls(t)
         found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
 
-    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks) -> Watched:
+    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any) -> Watched:
         """At the start of an integration whose first step is about h.
 
         The sign that counts is the one just after: where it goes on from an event, that at the start is noise.
@@ -145,15 +146,22 @@ class Watch:
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
         moved = advance(t, y, s)
 
-        def seen(watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, moved: Blocks) -> Watched:
-            now, soon = watch.values(stepper, t, h, t, y), watch.values(stepper, t, h, t + s, moved)
-            values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
-            return Watched(values, jnp.zeros(values.shape, bool), values)
+        return beside(Watch._before, self, stepper, t, y, s, moved)
 
-        return small_call(seen, self, stepper, t, h, y, moved)
+    def _before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> Watched:
+        """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h."""
+        now, soon = self.values(stepper, t, s, t, y), self.values(stepper, t, s, t + s, moved)
+        values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
+        return Watched(values, jnp.zeros(values.shape, bool), values)
+
+    def _narrowed(
+        self, stepper: Stepper, t: jax.Array, h: jax.Array, moved: Any, number: jax.Array, now: Bracket
+    ) -> Bracket:
+        """The bracket of the root of one condition, after the step from t to its place was taken."""
+        return now.narrowed(self.values(stepper, t, h, t + now.place, moved)[number])
 
     def after(
-        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Blocks, before: Watched, first: Any, last: Any
+        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any, before: Watched, first: Any, last: Any
     ) -> Watched:
         """Values at the end y of a step from t, and which became zero on the way. Zero at the end counts."""
         now = self.values(stepper, t, h, t + h, y)
@@ -276,15 +284,14 @@ def locate(steps: Steps, stepper: Stepper, seen: Watched, run: Run) -> Meeting:
     def root(_: None, entry: tuple[jax.Array, Watched]) -> tuple[None, tuple[jax.Array, jax.Array]]:
         number, (before, hit, after) = entry
 
-        def value(s: jax.Array) -> jax.Array:
-            moved = steps.advance(stepper, t, run.end, s)
-            return small_call(lambda *own: own[0].values(*own[1:])[number], watch, stepper, t, h, t + s, moved)
+        def narrowed(now: Bracket) -> Bracket:
+            moved = steps.advance(stepper, run.carry, t, run.end, now.place)
+            return beside(Watch._narrowed, watch, stepper, t, h, moved, number, now)
 
-        return None, jax.lax.cond(
-            met & hit,
-            lambda: bracketed_root(value, jnp.zeros_like(h), h, before, after, finest),
-            lambda: (jnp.full_like(h, jnp.inf), jnp.zeros((), int)),
-        )
+        start = Bracket.between(jnp.zeros_like(h), h, before, after, finest)
+        start = start._replace(done=start.done | ~(met & hit))
+        end = jax.lax.while_loop(lambda now: ~now.done, narrowed, start)
+        return None, (jnp.where(met & hit, end.root, jnp.inf), end.tries)
 
     _, (roots, tries) = jax.lax.scan(root, None, (jnp.arange(seen.values.size), seen))
     which = jnp.argmin(roots)
@@ -309,7 +316,7 @@ def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Me
     return meeting._replace(s=root)
 
 
-def to_event(advance: Advance, run: Run, meeting: Meeting) -> Blocks:
+def to_event(advance: Advance, run: Run, meeting: Meeting) -> Any:
     """The state at the event, or where the loop came to its end."""
     return jax.lax.cond(meeting.met, lambda y: advance(meeting.t, y, meeting.s), lambda y: y, run.end)
 
@@ -341,72 +348,3 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
     h = jnp.where(within, ts - meeting.t, jnp.where(reached, parts.h, 0.0))
     saved = Saved(steps, pick(meeting.t, saved.t), ys, reached, saved.asked)
     return saved, Part(pick(meeting.t, parts.t), h)
-
-
-#: More evaluations than halving a bracket down to the smallest number that matters would take.
-_MOST = 120
-
-
-class _Bracket(NamedTuple):
-    a: tuple[jax.Array, jax.Array]  # the last place tried, with its value
-    b: tuple[jax.Array, jax.Array]  # the other end of the bracket
-    c: tuple[jax.Array, jax.Array]  # the place before
-    share: jax.Array  # of the way to b, where to look next
-    tries: jax.Array
-
-
-def bracketed_root(
-    function: Callable[[jax.Array], jax.Array],
-    low: jax.Array,
-    high: jax.Array,
-    at_low: jax.Array,
-    at_high: jax.Array,
-    finest: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """The root between low and high, where the values are known, to `finest`; and the number of evaluations. Traceable.
-
-    Halves the bracket, or interpolates where that is known to be safe. A zero counts as past the root, NaN
-    as before it, so of many zeros in a row the first is found. Where the signs at the two ends are the same,
-    because of round-off, the root is at the end with the smaller value; where at_low is zero it is low.
-
-    Source: Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
-    without using derivatives (1997).
-    """
-    past = -jnp.sign(at_low) * float(jnp.finfo(at_low.dtype).tiny)
-
-    def signed(value: jax.Array) -> jax.Array:
-        return jnp.where(jnp.isnan(value), at_low, jnp.where(value == 0.0, past, value))
-
-    def unsolved(now: _Bracket) -> jax.Array:
-        apart = jnp.sign(now.a[1]) * jnp.sign(now.b[1]) < 0.0
-        return apart & (jnp.abs(now.b[0] - now.a[0]) > 2.0 * finest) & (now.tries < _MOST)
-
-    def narrow(now: _Bracket) -> _Bracket:
-        x = now.a[0] + now.share * (now.b[0] - now.a[0])
-        return small_call(narrower, now, x, signed(function(x)))
-
-    def narrower(now: _Bracket, x: jax.Array, fx: jax.Array) -> _Bracket:
-        (a, fa), (b, fb) = now.a, now.b
-        same = jnp.sign(fx) == jnp.sign(fa)
-        # What the new place replaces becomes the third one.
-        c, fc = jnp.where(same, a, b), jnp.where(same, fa, fb)
-        b, fb = jnp.where(same, b, a), jnp.where(same, fb, fa)
-        a, fa = x, fx
-        width = jnp.where(b == a, 1.0, jnp.abs(b - a))
-        xi, phi = (a - b) / _nonzero(c - b), (fa - fb) / _nonzero(fc - fb)
-        safe = (phi * phi < xi) & ((1.0 - phi) * (1.0 - phi) < 1.0 - xi)
-        quadratic = fa / _nonzero(fb - fa) * (fc / _nonzero(fb - fc)) + (c - a) / _nonzero(b - a) * (
-            fa / _nonzero(fc - fa)
-        ) * (fb / _nonzero(fc - fb))
-        edge = jnp.minimum(finest / width, 0.5)
-        share = jnp.clip(jnp.where(safe, quadratic, 0.5), edge, 1.0 - edge)
-        return _Bracket((a, fa), (b, fb), (c, fc), share, now.tries + 1)
-
-    half, none = jnp.full_like(low, 0.5), jnp.zeros((), int)
-    start = _Bracket((high, signed(at_high)), (low, at_low), (low, at_low), half, none)
-    end = jax.lax.while_loop(unsolved, narrow, start)
-    return jnp.where(jnp.abs(end.a[1]) < jnp.abs(end.b[1]), end.a[0], end.b[0]), end.tries
-
-
-def _nonzero(a: jax.Array) -> jax.Array:
-    return jnp.where(a == 0.0, 1.0, a)

@@ -118,7 +118,7 @@ def integrate(
 
     Raises:
         InputError: what a call of `dynamics` raises; values that are not finite; a matrix that is no rotation; times,
-            steps or tolerances that make no sense.
+            steps or tolerances that make no sense; a quantity of `tx.units` that is not a time.
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration ended early. Names the time, the state and the likely cause.
     """
@@ -214,7 +214,7 @@ def planned(
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(jnp.asarray(inputs.t))
-    stepper = Stepper(dynamics, method, signals, dict(inputs.params), inward=jumps is not None)
+    stepper = Stepper(dynamics, method, signals, dict(inputs.params), within=adaptive, inward=jumps is not None)
     taken: AdaptiveSteps | FixedSteps
     saves, count = save_at, np.asarray(0)
     if save_at is not None:

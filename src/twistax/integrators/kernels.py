@@ -5,21 +5,47 @@ Each is made once for a structure and types of its inputs, and kept with the sys
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from ..lowering.scalar.loops import Filling, Repeated, repeat
 from ..lowering.scalar.primitive import Derived, call_program
+from ..lowering.small_call import inside_small_call, small_call
 from .charts import Blocks
 from .method import Attempt, Carry, Stepper
 
 Now = TypeVar("Now")
+Result = TypeVar("Result")
 
 #: States of more numbers are left to XLA, whose vectors run along them.
 _WIDEST = 400
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Packed:
+    """A pytree in one array: XLA would compile a piece of code for each of many scalars."""
+
+    flat: jax.Array
+    read: Callable[[jax.Array], Any] = dataclasses.field(metadata={"static": True})
+
+    @classmethod
+    def of(cls, tree: Any) -> Packed:
+        return cls(*ravel_pytree(tree))
+
+    def open(self) -> Any:
+        """The pytree."""
+        return self.read(self.flat)
+
+
+def opened(tree: Any) -> Any:
+    """The pytree, whether it is packed or not."""
+    return tree.open() if isinstance(tree, Packed) else tree
 
 
 def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) -> Any:
@@ -129,6 +155,38 @@ def kernel_tries(
         return cast(found), None if rows is None else filled
 
     return run
+
+
+def beside(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: Any) -> Result:
+    """function(of, stepper, *rest), which stands beside loops in kernels, as a kernel that all its places share.
+
+    XLA would compile it for each place. Where there is no kernel it is one small function.
+
+    Args:
+        function: a value; what it does depends on the structure of its arguments alone. Traceable.
+    """
+    if inside_small_call():
+        return function(of, stepper, *rest)
+    leaves, structure = jax.tree.flatten((of, stepper, rest))
+    types = _types(leaves)
+
+    def make() -> tuple[Derived, Any] | None:
+        shapes: list[Any] = []
+
+        def flat(*leaves: jax.Array) -> list[jax.Array]:
+            of, stepper, rest = jax.tree.unflatten(structure, leaves)
+            results, shape = jax.tree.flatten(function(of, stepper.in_arrays, *rest))
+            shapes.append(shape)
+            return results
+
+        program = stepper.dynamics.backend.beside(flat, types)
+        return None if program is None else (program, shapes[-1])
+
+    made = _made(stepper, rest, (beside, function, structure, types), make)
+    if made is None:
+        return small_call(function, of, stepper.beside_loops, *rest)
+    program, shape = made
+    return jax.tree.unflatten(shape, call_program(program, *leaves))
 
 
 def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:

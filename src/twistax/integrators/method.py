@@ -219,6 +219,8 @@ class Stepper:
     method: Method = dataclasses.field(metadata={"static": True})
     signals: Signals  # the prepared controls
     params: dict[str, Any]  # prepared; not `Arrays`: JAX rebuilds pytrees with stand-ins for arrays
+    #: Whether steps end at the rows of tables.
+    within: bool = dataclasses.field(default=False, metadata={"static": True})
     #: Whether rates see times just inside of a step in place of its ends, because they may jump there: a step that ends
     #: at a jump must not see the other side.
     inward: bool = dataclasses.field(default=False, metadata={"static": True})
@@ -245,7 +247,7 @@ class Stepper:
 
     def field(self, t: jax.Array, h: jax.Array) -> VectorField:
         """The right-hand side within the step from t to t + h."""
-        during = self.signals.during(self.dynamics, t, h)
+        during = self.signals.during(self.dynamics, t, h, self.within)
         if not self.inward:
             return VectorField(self.dynamics, during, self.params)
 

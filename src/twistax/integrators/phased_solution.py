@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import listed, real_array
+from ..checks import listed
 from ..errors import InputError, in_phase
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..plots import chosen, draw, group_of, panels
 from .columns import Column, columns_of
 from .rollout import wide
-from .solution import Ended, Solution, Stats, need_one, need_within
+from .solution import Ended, Solution, Stats, need_one, need_within, times_to_evaluate
 
 if TYPE_CHECKING:
     from ..view import Scene
@@ -95,7 +95,7 @@ class PhasedSolution(Ended):
         Raises:
             InputError: no dense output was kept; times outside of the flight.
         """
-        ts = jnp.asarray(real_array("evaluate: t", t), self.phases[0].ts.dtype)
+        ts = times_to_evaluate(t, self.phases[0].ts.dtype)
         ends = [phase.ts[-1] for phase in self.phases]
         if not is_traced((ts, ends, self.t_starts)):
             need_within(ts, self.t_starts[0], ends[-1], "those of the flight")

@@ -16,6 +16,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import precision
 from ..system import free_name
+from ..units import same_unit, seconds
 from .integrate import integrate
 from .interpolant import Between
 from .links import Link, check_link, linked
@@ -120,6 +121,7 @@ def integrate_phases(
     params, controls = dict(params or {}), u
     joins = _checked(phases, labels, links, params, controls)
     dtype, on_grid = precision(x0, params), False
+    same_unit("t0", t0, seconds)
     if save_at is not None:
         known = not is_traced((t0, save_at))
         first = float(number("t0", t0, "a finite time in s")) if known else 0.0
@@ -226,6 +228,7 @@ def _checked(
                     "  fix: with an event, duration is how long to wait for it at most"
                 )
             for what, values in (("duration", phase.duration), ("t1", phase.t1)):
+                same_unit(what, values, seconds)
                 if values is not None:
                     number(what, values, "a finite time in s" if what == "t1" else "a finite length of time in s")
             if not isinstance(phase.params, Mapping | None):

@@ -15,7 +15,7 @@ from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before, to_event
-from .kernels import advance_again
+from .kernels import advance_again, opened
 from .method import Stepper, jitted
 from .rows import first_rows
 from .run import Outcome, Part, Result, Run, Saved, Trail
@@ -70,7 +70,7 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
     seen = run.watched
     meeting = None if seen is None else small_call(locate, steps, stepper, seen, run)
-    moved = None if meeting is None else to_event(functools.partial(steps.advance, stepper), run, meeting)
+    moved = None if meeting is None else to_event(functools.partial(steps.advance, stepper, run.carry), run, meeting)
     if run.saved is None:
         return small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
 
@@ -101,18 +101,19 @@ def _to_saved_times(
     x: Arrays,
     run: Run,
     meeting: Meeting | None,
-    moved: Blocks | None,
+    moved: Any,
     advance_all: Callable[[Saved, Part], Blocks] | None = None,
 ) -> Rollout:
     """From the states before the saved times, and before an event, on to them."""
     parts = None if run.saved is None else steps.parts(run.path, run.saved)
-    saved = run.saved
+    saved, moved, end = run.saved, opened(moved), opened(run.end)
+    run = run._replace(end=end)
     if meeting is not None and moved is not None:
-        halted, run = run, cut_at(moved, run, meeting)
+        halted, run, end = run, cut_at(moved, run, meeting), moved
         if saved is not None and parts is not None:
             saved, parts = saved_before(saved, parts, steps.saved_times, halted, meeting)
     stored, outcome = stepper.stored, run.outcome
-    end = _or_start(stored.value(run.end), outcome.accepted == 0, x)
+    end = _or_start(stored.value(end), outcome.accepted == 0, x)
     event = None if meeting is None else meeting.which
     if saved is None or parts is None or advance_all is None:
         return Rollout(

@@ -13,6 +13,7 @@ from ..checks import real_array
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.inputs import is_finite, need_held
+from ..units import same_unit, seconds
 from .controls import Signals
 
 #: So many numbers are written in no time.
@@ -20,18 +21,17 @@ _LIGHT = 2**15
 
 
 class Stops(NamedTuple):
-    """Where the loop over steps halts: at saved times, which it may pass, and at limits, where a step must end."""
+    """Where the loop over steps halts, at saved times, which a step may pass; and limits, where a step must end."""
 
     limits: Any  # (m,) times in order, the last one the end; rates may jump there
-    ts: Any  # (k,) limits and saved times in order
-    leg: Any  # (k,) the limit that bounds the steps on the way to each
-    place: Any  # (n,) indices of the saved times in ts; None if no times are saved
+    ts: Any  # (n,) the saved times in order; None if no times are saved
     count: Any  # how many of these were asked for; those that fill up the rest are at the end
 
     @classmethod
     def given(cls, t0: Any, t1: Any, save_at: Any, count: Any, jumps: Any, signals: Signals) -> Stops:
         """The stops of what a user gave: saved times; the end, jumps and those of tables as limits."""
         if jumps is not None:
+            same_unit("jumps", jumps, seconds)
             given = real_array("jumps", jumps)
             falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
             if given.ndim != 1 or not is_finite(given) or falls:
@@ -55,14 +55,9 @@ class Stops(NamedTuple):
             first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
             limits = 0.5 * (limits[first] + limits[last - 1])
         if save_at is None:
-            return cls(limits, limits, array.arange(limits.size), None, 0)
+            return cls(limits, None, 0)
         saves = array.asarray(save_at, t0.dtype)
-        saves = array.where(saves < t0, t0, array.where(saves > t1, t1, saves))
-        joined = array.concatenate([saves, limits])
-        order = array.argsort(joined if array is np else jax.lax.stop_gradient(joined), stable=True)
-        ts = joined[order]
-        leg = array.minimum(array.searchsorted(limits, ts, side="left"), limits.size - 1).astype(int)
-        return cls(limits, ts, leg, array.argsort(order)[: saves.size], count)
+        return cls(limits, array.where(saves < t0, t0, array.where(saves > t1, t1, saves)), count)
 
 
 def rows(like: Any, count: int) -> Any:

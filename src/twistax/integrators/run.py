@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 
 from .charts import Blocks
+from .kernels import Packed
 
 
 class Result(enum.IntEnum):
@@ -73,12 +74,13 @@ class Watched(NamedTuple):
 class Run(NamedTuple):
     """What a loop over steps leaves behind. It halts before the step with an event."""
 
-    end: Blocks  # the stored state it reached
+    end: Blocks | Packed  # the stored state it reached
     outcome: Outcome
     saved: Saved | None  # None where the end alone is asked for
     path: Any  # what is needed to take the same steps again, where it was asked for
     trail: Trail | None  # where it is kept
     watched: Watched | None = None  # what is known of the conditions, where there are any
+    carry: Any = ()  # what the method carries at the end, where the steps go on from it
 
 
 class Part(NamedTuple):

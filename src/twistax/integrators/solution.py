@@ -19,6 +19,7 @@ from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
 from ..plots import chosen, draw, group_of, panels
+from ..units import same_unit, seconds
 from .charts import Blocks, Exponential, StateCoordinates
 from .method import Stepper, jitted
 from .run import Outcome, Result, Trail
@@ -130,6 +131,12 @@ def need_one(what: str, solution: Solution) -> None:
         )
 
 
+def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
+    """Times at which a solution is asked for, in its precision. Raises InputError."""
+    same_unit("evaluate: t", t, seconds)
+    return jnp.asarray(real_array("evaluate: t", t), dtype)
+
+
 def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
     """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
     start, end, times = float(start), float(end), np.ravel(ts)
@@ -219,7 +226,7 @@ class Solution(Ended):
         if self.dense is None:
             raise InputError("this solution kept no dense output.\n  fix: tx.integrate(..., dense=True)")
         trail = self.dense.trail
-        ts = jnp.asarray(real_array("evaluate: t", t), trail.t.dtype)
+        ts = times_to_evaluate(t, trail.t.dtype)
         if ts.ndim > 1:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, trail)):

@@ -12,6 +12,7 @@ import numpy as np
 from ..checks import number
 from ..errors import ModelError
 from ..lowering.small_call import held
+from ..units import same_unit, seconds
 from .charts import Blocks
 from .method import Stepper
 from .tolerances import Tolerances
@@ -48,6 +49,7 @@ class StepControl:
 
     Raises:
         ModelError: a number that makes no sense.
+        InputError: a length of time in another unit.
 
     Source: Soderlind, Digital filters in adaptive time-stepping (2003); Hairer, Norsett, Wanner, Solving Ordinary
     Differential Equations I (1993), section II.4.
@@ -68,6 +70,8 @@ class StepControl:
             value = getattr(self, field.name)
             if value is not None:
                 number(f"StepControl: {field.name}", value, error=ModelError)
+            if field.name in ("dtmin", "dtmax"):
+                same_unit(f"StepControl: {field.name}", value, seconds)
             if isinstance(value, np.generic):
                 # A Python number takes the precision of the state, a NumPy one does not.
                 object.__setattr__(self, field.name, value.item())
@@ -125,7 +129,7 @@ def first_step(
     short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
     z = jax.tree.map(lambda k: short * k, slope)
     moved = held(local.move(y, z))
-    later = local.slope(z, moved, held(stepper.rate(t + short, moved, short)))
+    later = local.slope(z, moved, held(stepper.rate(t + short, moved, 1e-3 * short)))
     bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
     largest = jnp.maximum(speed, bend)
     h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))

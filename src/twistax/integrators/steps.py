@@ -17,8 +17,9 @@ from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
+from ..units import Quantity, same_unit, seconds
 from .charts import Blocks
-from .kernels import kernel_steps
+from .kernels import beside, kernel_steps
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import first_rows, put, rows
@@ -55,10 +56,13 @@ class Steps(ABC):
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         """Take all steps; `record` keeps the path, for a known bound. Traceable, not differentiable in reverse."""
 
-    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """The stored state after one more step, from any state: by the kernel of the loop where it has one.
+    def advance(self, stepper: Stepper, carry: Any, t: jax.Array, y: Any, h: jax.Array) -> Any:
+        """The stored state after one more step: by the kernel of the loop where it has one.
 
         Traceable, not differentiable.
+
+        Args:
+            carry, y: what the method carries there, and the state, as `run` left them.
         """
         return stepper.advance(t, y, h)
 
@@ -160,7 +164,7 @@ class FixedSteps(Steps):
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
         watched = None
         if self.watch is not None:
-            watched = self.watch.begin(functools.partial(self.advance, stepper), stepper, self.t0, self.h, y)
+            watched = self.watch.begin(functools.partial(self.advance, stepper, ()), stepper, self.t0, self.h, y)
         start = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
         kernel = None if every is not None else kernel_steps(stepper, self.t0, self.h, none, y, carry)
 
@@ -180,7 +184,7 @@ class FixedSteps(Steps):
 
         def one_step(now: _Now) -> _Now:
             after = self._one_step(stepper, now) if kernel is None else in_kernel(now, now.steps + 1)
-            return after if now.watched is None else self._watched(stepper, now, after)
+            return after if now.watched is None else beside(FixedSteps._watched, self, stepper, now, after)
 
         def steps_to(now: _Now, stop: jax.Array) -> _Now:
             if kernel is not None and now.watched is None:
@@ -238,7 +242,7 @@ class FixedSteps(Steps):
             watched=watched,
         )
 
-    def advance(self, stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+    def advance(self, stepper: Stepper, carry: Carry, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         none, carry = jnp.zeros_like(jnp.asarray(self.steps)), stepper.method.before(stepper.dynamics, y)
         kernel = kernel_steps(stepper, t, h, none, y, carry)
         if kernel is None:
@@ -272,6 +276,9 @@ def all_finite(tree: Any) -> jax.Array:
 
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
     """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
+    for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
+        if isinstance(value, Quantity):
+            same_unit(name, value, seconds)
     for name, value in (("t0", t0), ("t1", t1)):
         number(name, value, "a finite time in s")
     if dt is not None:
@@ -286,6 +293,7 @@ def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
 
 def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
     """Check saved times as far as they are known; returns whether they are. Raises InputError."""
+    same_unit("save_at", save_at, seconds)
     given = real_array("save_at", save_at)
     if given.ndim != 1 or given.size == 0:
         raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {given.shape}")

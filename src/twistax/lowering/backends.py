@@ -18,7 +18,7 @@ from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxpr
 from .scalar.graph import LIMITS, Limits, TooLarge
 from .scalar.loops import Repeated, Ring
 from .scalar.primitive import Derived, Rows, call_program
-from .scalar.program import ScalarProgram, emitted_form, scalarize
+from .scalar.program import ScalarProgram, called_names, emitted_form, scalarize
 from .scalar.table import entry_of
 from .small_call import is_key, known_inside
 from .written import on_any_mesh
@@ -36,7 +36,7 @@ _LONGEST_CHAIN = 30_000
 #: Matrices are mostly zeros where scalars take at most such a part of the operations of arrays. Where those are more
 #: than so many times the most scalars it is not tried.
 _MOSTLY, _MOST_WORK = 0.25, 10
-#: A step has derivatives of any order, and nothing else to fall back on.
+#: What became scalars has derivatives of any order, and nothing else to fall back on.
 ANY_SIZE = 10**9
 
 
@@ -89,6 +89,10 @@ class Backend(ABC):
 
     def step(self, step: Step, shapes: Shapes) -> Derived | None:
         """A step of arrays to arrays as one program, to be differentiated in a loop; None: it runs as it is."""
+        return None
+
+    def beside(self, function: Step, shapes: Shapes) -> Derived | None:
+        """A function that stands beside loops in kernels as one too, however small; None: it runs as it is."""
         return None
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
@@ -154,8 +158,9 @@ class XLA(Backend):
         calls = emitted_form(program).calls if program.calls else []
         foreign = [c for c in calls if not known_inside(c.jaxpr.jaxpr)]
         if foreign:
-            names = ", ".join(sorted({e.primitive.name for c in foreign for e in c.jaxpr.jaxpr.eqns}))
+            names = called_names(foreign)
             return Emission(arrays, None, f"arrays: it calls {names}, around which scalars would be slow")
+        program.graph.largest = ANY_SIZE
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
 
@@ -188,7 +193,7 @@ class XLA(Backend):
         raise TooLarge(f"one of the arrays has more than {self.widest} entries")
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
-        """A jaxpr as a scalar program, of at most so many scalars, derivatives included."""
+        """A jaxpr as a scalar program, of at most so many scalars."""
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Sequence
+from decimal import Decimal
 from typing import Any
 
 import jax
@@ -84,7 +85,7 @@ class Explanation:
         before, after = (sum(counts.values()) for counts in self.operations)
         lines = [f"{kind}: {', '.join(names) or 'none'}" for kind, names in self.leaves.items()]
         # A tree that shares its parts may stand for more nodes than there are atoms.
-        written = str(self.nodes[0]) if self.nodes[0] < 10**9 else f"{self.nodes[0]:.1e}"
+        written = str(self.nodes[0]) if self.nodes[0] < 10**9 else f"{Decimal(self.nodes[0]):.1e}"
         lines.append(f"nodes of the rates: {written} as written, {self.nodes[1]} distinct after simplification")
         lines.append(
             f"equations of the rates: {self.equations[0]} as written, {self.equations[1]} after simplification"

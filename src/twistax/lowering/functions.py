@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
@@ -29,18 +28,16 @@ from ..expr import (
     substitute,
 )
 from ..jax_inside import is_traced
-from ..system import System
+from ..system import System, entry_names
 from ..walk import uncollected
 from .backends import Backend, Emission
 from .inputs import Values, prepare
-from .jacobian import Differentiated, RateJacobian, by_columns, fewer
+from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
 from .scalar.graph import TooLarge
 from .scalar.primitive import Derived, call_program
 from .small_call import no_small_call
 
 Arrays = dict[str, jax.Array]
-#: What the arguments of a flat function are: ("t", "t"), then "x", "u" or "params" with a name.
-Places = tuple[tuple[str, str], ...]
 Made = TypeVar("Made")
 #: What the numbers of a trace depend on beyond its arguments.
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
@@ -208,7 +205,7 @@ class Functions:
     def constraint_names(self) -> dict[str, list[str]]:
         """The name of every entry of the constraints, for messages."""
         return {
-            kind: [f"{name}[{i}]" if e.shape else name for name, e in own.items() for i in range(math.prod(e.shape))]
+            kind: [entry for name, e in own.items() for entry in entry_names(name, e.shape)]
             for kind, own in self.constraints.items()
         }
 
@@ -248,16 +245,10 @@ class Functions:
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
-            shapes: list[Any] = []
-
-            def function(*leaves: jax.Array) -> list[jax.Array]:
-                results, shape = jax.tree.flatten(self.as_written(family, *jax.tree.unflatten(structure, leaves)))
-                shapes.append(shape)
-                return results
-
-            closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(*each) for each in types))
+            written = jax.make_jaxpr(lambda *given: self.as_written(family, *given), return_shape=True)
+            closed, shape = written(*jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*each) for each in types]))
             places = jax.tree.unflatten(structure, range(len(types)))
-            return backend.emit(closed, jax.tree.leaves(places[3])), shapes[0]
+            return backend.emit(closed, jax.tree.leaves(places[3])), jax.tree.structure(shape)
 
         return self._made.get((backend, family, structure, types), make)
 
@@ -304,11 +295,11 @@ class Functions:
         return (traceable if is_traced(arrays) else jitted)(*arrays)
 
     def _columns(self, places: Places, wrt: tuple[str, ...], *arrays: jax.Array) -> Arrays:
-        def rates(*given: Any) -> jax.Array:
-            found = self.evaluate("rates", *given, in_loop=False)
+        def rates(*arrays: jax.Array) -> jax.Array:
+            found = self.evaluate("rates", *self.by_kind(places, arrays), in_loop=False)
             return jnp.concatenate([found[state.name].reshape(-1) for state in self.states])
 
-        return by_columns(rates, self.group, wrt, *self.by_kind(places, arrays))
+        return blocks_in_arrays(rates, self.group, places, wrt, arrays)
 
     def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
         """The program of the Jacobian for arguments of these types, and the arguments.

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from ..checks import listed
 from ..errors import InputError, ModelError
 from ..expr import Expr, Inputs
-from ..groups import Euclidean, Group, Product
+from ..groups import Euclidean, Group
 from ..jax_inside import ClosedJaxpr, all_equations
 from .functions import Functions, Places, check_kinds
 from .inputs import Values, read_values
-from .jacobian import Differentiated, tangents_of
+from .jacobian import Differentiated, along, tangents_of
 from .scalar.derivatives import columns_of, contracted_program, cotangent_program, needed, reached
 from .scalar.entry import Nodes, flat
 from .scalar.graph import TooLarge
@@ -140,32 +140,6 @@ def _key(weighted: Sequence[_Weighted], places: Places, inputs: Inputs, wrt: tup
 # ---- in arrays -------------------------------------------------------------------------------------------------------
 
 
-def along(
-    group: Product, places: Sequence[tuple[str, str]], wrt: Sequence[str], arrays: Sequence[jax.Array]
-) -> tuple[int, Callable[[jax.Array], list[jax.Array]]]:
-    """How many tangents arguments of these kinds have; and the function that moves arguments by a vector of them."""
-    own = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
-    sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in own.items()}
-    if "x" in own:
-        sizes["x"] = group.dimension
-
-    def moved(d: jax.Array) -> list[jax.Array]:
-        found, at = list(arrays), 0
-        for kind, numbers in own.items():
-            if kind == "x":
-                x = group.retract({places[k][1]: arrays[k] for k in numbers}, d[at : at + group.dimension])
-                for k in numbers:
-                    found[k] = x[places[k][1]]
-                at += group.dimension
-                continue
-            for k in numbers:
-                found[k] = arrays[k] + d[at : at + arrays[k].size].reshape(arrays[k].shape)
-                at += arrays[k].size
-        return found
-
-    return sum(sizes.values()), moved
-
-
 def hessian_in_arrays(total: Callable[[jax.Array], jax.Array], zero: jax.Array) -> jax.Array:
     """The second derivatives of a function of a vector by JAX, made exactly symmetric."""
     try:
@@ -189,12 +163,12 @@ def _in_arrays(
     weights: Sequence[jax.Array],
 ) -> jax.Array:
     """By JAX: of the weighted sum as a function of all tangents."""
-    size, moved = along(functions.group, places, wrt, arrays)
+    sizes, moved = along(functions.group, places, wrt, arrays)
 
     def total(d: jax.Array) -> jax.Array:
         return sum(map(jnp.vdot, weights, _values(functions, weighted, places, *moved(d))), jnp.zeros((), d.dtype))
 
-    return hessian_in_arrays(total, jnp.zeros(size, arrays[0].dtype))
+    return hessian_in_arrays(total, jnp.zeros(sum(sizes.values()), arrays[0].dtype))
 
 
 # ---- on the graph ----------------------------------------------------------------------------------------------------

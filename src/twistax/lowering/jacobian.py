@@ -22,11 +22,15 @@ from .scalar.program import Reader, ScalarProgram, one_by_one, scalarize
 _SMALL = 1000
 
 
+#: What arguments are: ("t", "t"), then "x", "u" or "params" with a name.
+Places: TypeAlias = Sequence[tuple[str, str]]
+
+
 class Differentiated(NamedTuple):
     """Functions of flat arguments, and what their derivatives are by."""
 
     closed: ClosedJaxpr  # each result a flat vector
-    places: Sequence[tuple[str, str]]  # what each argument is: ("t", "t"), or "x", "u" or "params" with a name
+    places: Places
     group: Product  # of the states, in the order of declaration
     wrt: Sequence[str]  # the kinds of arguments
 
@@ -105,39 +109,44 @@ def fewer(plain: Callable[[], Differentiated], own: RateJacobian) -> RateJacobia
     return other if other.program.operations < own.program.operations else own
 
 
-def by_columns(
-    rates: Callable[..., jax.Array],
-    group: Product,
-    wrt: Sequence[str],
-    t: jax.Array,
-    x: dict[str, jax.Array],
-    u: dict[str, jax.Array],
-    params: dict[str, jax.Array],
+def along(
+    group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
+) -> tuple[dict[str, int], Callable[[jax.Array], list[jax.Array]]]:
+    """How many tangents arguments have, by kind; and the function that moves arguments by a vector of them."""
+    own = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
+    sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in own.items()}
+    if "x" in own:
+        sizes["x"] = group.dimension
+
+    def moved(d: jax.Array) -> list[jax.Array]:
+        found, at = list(arrays), 0
+        for kind, numbers in own.items():
+            if kind == "x":
+                x = group.retract({places[k][1]: arrays[k] for k in numbers}, d[at : at + group.dimension])
+                for k in numbers:
+                    found[k] = x[places[k][1]]
+                at += group.dimension
+                continue
+            for k in numbers:
+                found[k] = arrays[k] + d[at : at + arrays[k].size].reshape(arrays[k].shape)
+                at += arrays[k].size
+        return found
+
+    return sizes, moved
+
+
+def blocks_in_arrays(
+    rates: Callable[..., jax.Array], group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
 ) -> dict[str, jax.Array]:
-    """The blocks of a Jacobian too large for one program: the derivatives along all tangents, as a batch of bodies.
+    """The blocks of a Jacobian by JAX: the derivatives along all tangents, as a batch of bodies.
 
     Args:
-        rates: from t, x, u and params, to one vector.
+        rates: of the arrays, one vector.
     """
-
-    def shifted(kind: str, values: dict[str, jax.Array], move: jax.Array) -> dict[str, jax.Array]:
-        if kind == "x":
-            return group.retract(values, move)
-        ends = itertools.accumulate((value.size for value in values.values()), initial=0)
-        places = itertools.pairwise(ends)
-        return {n: v + move[a:b].reshape(v.shape) for (n, v), (a, b) in zip(values.items(), places, strict=True)}
-
-    given = {"x": x, "u": u, "params": params}
-
-    def moved(moves: dict[str, jax.Array]) -> jax.Array:
-        now = {kind: shifted(kind, own, moves[kind]) if kind in moves else own for kind, own in given.items()}
-        return rates(t, *now.values())
-
-    sizes = {kind: sum(value.size for value in own.values()) for kind, own in given.items()}
-    sizes["x"] = group.dimension
-    dtype = next(iter(x.values())).dtype
-    found: dict[str, jax.Array] = jax.jacfwd(moved)({kind: jnp.zeros(sizes[kind], dtype) for kind in wrt})
-    return found
+    sizes, moved = along(group, places, wrt, arrays)
+    slopes = jax.jacfwd(lambda d: rates(*moved(d)))(jnp.zeros(sum(sizes.values()), arrays[0].dtype))
+    ends = list(itertools.accumulate(sizes.values()))
+    return dict(zip(sizes, jnp.split(slopes, ends[:-1], axis=1), strict=True))
 
 
 def _along(seeds: Seeds, wanted: Callable[[int], bool]) -> Seeds:

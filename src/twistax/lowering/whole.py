@@ -219,8 +219,8 @@ def _parts(program: ClosedJaxpr, backend: Backend) -> list[Part]:
 
 def _straight(constants: _Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend) -> Part:
     own = constants.close(eqns, outputs)
-    emission = backend.emit(own)
-    return Part(own.jaxpr.invars, outputs, emission.function, [emission.reason] if eqns else [])
+    emission, computes = backend.emit(own), array_operations(own.jaxpr).total() > 0
+    return Part(own.jaxpr.invars, outputs, emission.function, [emission.reason] if computes else [])
 
 
 # ---- loops -----------------------------------------------------------------------------------------------------------

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib
 import importlib.util
 import json
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 
+from ..progress import Progress
 from .checks import Report
 from .page import Picture, Table, render, renew, table_of
 from .rows import Origin, Row, Store, save_csv
+from .timing import Tell, quiet, within
 
 #: Where each report is made of the options, by the name of its files. Loaded where it is run: each brings much of the
 #: package with it.
@@ -30,7 +29,6 @@ _REPORTS = {
 }
 #: What leaves rows out of tables, and what leaves out whole tables.
 _PARTIAL = ("quick", "scene", "method", "case")
-_WIDTH = 24
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -75,13 +73,16 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
         _say("absent", f"{name}: {why}")
     if report.store.dropped:
         _say("rows", f"{report.store.dropped} of other versions, code, machine or effort dropped")
-    progress = Progress(sys.stderr, report.parts, shown=not arguments.no_progress)
-    for part in report.parts:
+    progress = Progress("report")
+    shown = sys.stderr.isatty() and not arguments.no_progress
+    for number, part in enumerate(report.parts):
         if arguments.again:
             report.store.forget(part)
         lap, before = time.perf_counter(), len(report.store)
-        report.measure(part, functools.partial(progress.tell, part))
-        progress.show()
+        tell: Tell = (lambda what, share: progress.done(share, f"all, {what}"[:90])) if shown else quiet
+        report.measure(part, within(tell, number, len(report.parts), f"{part}: "))
+        if shown:
+            progress.close()
         print(f"{part:<18} {len(report.store) - before:4d} rows in {time.perf_counter() - lap:5.1f} s", flush=True)
         for row in report.bars(part):
             what = f"{row.what}, {row.by} {row.setting}".rstrip()
@@ -95,26 +96,6 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
         _say("renewed", f"{arguments.renew}: {', '.join(names) or 'no table of this report is marked there'}")
     _say("time", f"{time.perf_counter() - begin:.1f} s in all")
     return 1 if problems else 0
-
-
-class Progress:
-    """One line that is overwritten; silent where the stream is no terminal, or when told to be."""
-
-    def __init__(self, stream: Any, parts: Sequence[str], shown: bool) -> None:
-        self._stream, self._parts, self._shown = stream, list(parts), shown and stream.isatty()
-        self._begin = time.perf_counter()
-
-    def tell(self, part: str, what: str, share: float) -> None:
-        """Show what is going on, and how much of a part is done; parts are of equal weight."""
-        whole = (self._parts.index(part) + share) / len(self._parts)
-        bar, seconds = "=" * round(_WIDTH * whole), time.perf_counter() - self._begin
-        self.show(f"[{bar:<{_WIDTH}}] {whole:4.0%} {seconds:4.0f} s  {part}  {what}"[:150])
-
-    def show(self, text: str = "") -> None:
-        """The line, or nothing: that makes room for what is printed."""
-        if self._shown:
-            self._stream.write(f"\r\033[K{text}")
-            self._stream.flush()
 
 
 def _say(word: str, line: str) -> None:

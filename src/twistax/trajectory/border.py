@@ -15,7 +15,8 @@ from numpy import ndarray as Array
 from ..checks import listed, number, reals, short
 from ..errors import ModelError, TrajectoryError
 from ..expr import Control, Parameter
-from ..system import name_of
+from ..system import entry_names, name_of
+from ..units import same_unit, seconds
 from .discretize import Controls
 
 
@@ -54,8 +55,7 @@ class Border:
     @functools.cached_property
     def names(self) -> list[str]:
         """Of every entry."""
-        entries = [(box.name, np.ndindex(box.shape)) for box in self.boxes]
-        return [*self.times, *(f"{name}{list(at) if at else ''}" for name, places in entries for at in places)]
+        return [*self.times, *(entry for box in self.boxes for entry in entry_names(box.name, box.shape))]
 
     @functools.cached_property
     def _finite(self) -> list[tuple[int, int]]:
@@ -164,7 +164,12 @@ def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
 
     Raises:
         TrajectoryError: times that cannot be.
+        InputError: another unit than s.
     """
+    for name, value in (("final_time", final_time), ("final_time_guess", guess)):
+        same_unit(name, value, seconds)
+    if final_time is None:
+        raise TrajectoryError("final_time expects a number in s, or limits (low, high) to leave it free, got None")
     limits = reals("final_time", final_time, TrajectoryError)
     if limits.shape not in ((), (2,)):
         raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")

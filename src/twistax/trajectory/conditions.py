@@ -29,7 +29,7 @@ from ..expr import (
 from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
-from ..system import free_name, name_of
+from ..system import entry_names, free_name, name_of
 from .statement import bounds_of, check_leaves
 
 
@@ -72,7 +72,7 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
         check_leaves(dynamics, name, constraint, controls=False)
         residual = _residual(constraint)
         shape = residual.check_shape()
-        names += [f"{name}[{i}]" for i in range(prod(shape))] if shape else [name]
+        names += entry_names(name, shape)
         residuals.append(residual.canonicalize())
         equality += [isinstance(constraint, Equality)] * prod(shape)
     return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))

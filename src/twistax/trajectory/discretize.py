@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ..checks import number, real_array, short, whole
 from ..errors import InputError, TrajectoryError
 from ..expr import Control, Inputs
-from ..integrators import RKMK, VectorField
+from ..integrators import RKMK, ImplicitRKMK, VectorField
 from ..integrators.method import Method
 from ..integrators.tableaus import RK4
 from ..lowering import Dynamics
@@ -103,17 +103,17 @@ def discretize(
 
     With weights, value, Jacobian and Hessian are one program on the graph of scalars, of any explicit method:
     $d1 = Log(x1^-1 end)$ is differentiated as `Dynamics.hessian` does it, exponential coordinates at both ends. Other
-    weights compile nothing. What the graph does not hold is differentiated by JAX.
+    weights compile nothing. What the graph does not hold, and other methods without weights, JAX differentiates.
 
     Args:
         u: the controls, held over the interval.
         h: its length in s; may be traced.
-        method: RKMK with an explicit tableau; RK4 if left out. With weights any explicit method.
+        method: explicit; RKMK with RK4 if left out.
         substeps: steps of the method within the interval.
         weights: (n,), multipliers of the tangent difference d1, for the Hessian.
     Raises:
         InputError: as a call of the dynamics does; weights of another shape, or not finite.
-        TrajectoryError: substeps is no positive whole number.
+        TrajectoryError: substeps is no positive whole number, or an implicit method.
         ModelError: the system is not compiled.
     """
     need_compiled("discretize", dynamics)
@@ -121,11 +121,13 @@ def discretize(
     inputs = dynamics._functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(number("h", h), inputs.dtype)
-    if weights is not None:
-        chosen = method if isinstance(method, Method) else method_of(method)
-        return _with_hessian(dynamics, chosen, inputs, length, substeps, weights)
+    chosen = method if isinstance(method, Method) else method_of(method)
+    if isinstance(chosen, ImplicitRKMK):
+        raise TrajectoryError(f"method must be an explicit one, like tx.RKMK(tx.tableaus.RK4), got {chosen!r}")
+    if weights is not None or not isinstance(chosen, RKMK):
+        return _differentiated(dynamics, chosen, inputs, length, substeps, weights)
     x, params = dict(inputs.x), dict(inputs.params)
-    path = rollout(dynamics, method_of(method), inputs.t, x, flat, length, params, substeps)
+    path = rollout(dynamics, chosen, inputs.t, x, flat, length, params, substeps)
     n, m, last = dynamics.dimension, flat.shape[0], path.sensitivity[-1]
     x1 = {name: values[-1] for name, values in path.xs.items()}
     return Discretization(x1, last[:, :n], last[:, n : n + m], last[:, n + m], last[:, n + m + 1])
@@ -140,23 +142,27 @@ def value_and_jacobian(function: Callable[[jax.Array], jax.Array], z: jax.Array)
 def method_of(method: Any) -> RKMK:
     """The method that was given, RK4 if none was. Raises TrajectoryError unless it gives derivatives of its steps."""
     if method is not None and not isinstance(method, RKMK):
-        raise TrajectoryError(f"method must be an explicit one like tx.RKMK(tx.tableaus.RK4), got {method!r}")
+        raise TrajectoryError(
+            f"method must be a tx.RKMK, whose steps have derivatives in closed form, got {method!r}.\n"
+            "  fix: tx.RKMK(tx.tableaus.RK4)"
+        )
     return method or RKMK(RK4)
 
 
-def _with_hessian(
+def _differentiated(
     dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: Any
 ) -> Discretization:
     n, controls = dynamics.dimension, Controls(dynamics.controls)
-    given = real_array("weights", weights)
-    if given.shape != (n,):
-        raise InputError(f"weights expects shape ({n},), one number for each tangent of the end, got {given.shape}")
-    if not is_finite(given):
-        raise InputError(f"weights expects finite numbers, got {short(given)}")
+    multipliers = None
+    if weights is not None:
+        given = real_array("weights", weights)
+        if given.shape != (n,):
+            raise InputError(f"weights expects shape ({n},), one number for each tangent of the end, got {given.shape}")
+        if not is_finite(given):
+            raise InputError(f"weights expects finite numbers, got {short(given)}")
+        multipliers = jnp.asarray(given, inputs.dtype)
     held = controls.split(controls.join(inputs.u, inputs.dtype))
-    x1, slopes, hessian = second_order(
-        dynamics, method, dataclasses.replace(inputs, u=held), h, substeps, jnp.asarray(given, inputs.dtype)
-    )
+    x1, slopes, hessian = second_order(dynamics, method, dataclasses.replace(inputs, u=held), h, substeps, multipliers)
     A, B, by_h, by_t = jnp.split(slopes, [n, n + controls.dimension, n + controls.dimension + 1], axis=1)
     return Discretization(x1, A, B, by_h[:, 0], by_t[:, 0], hessian)
 

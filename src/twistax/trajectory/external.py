@@ -15,6 +15,7 @@ import numpy as np
 
 from ..checks import short
 from ..errors import TrajectoryError
+from .iterate import State
 from .program import Program, Reference
 from .solver import Callback, Outcome, Solver, Status
 from .transcribed import Given, Point
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 #: How often nodes may move to what was found; the first barrier parameter and distance from limits then; no turn, rad.
 _PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
+#: Words of theirs for an end that another start does not mend. What it is, is measured.
+_OVER = ("Infeasible_Problem_Detected", "Diverging_Iterates")
 
 
 @runtime_checkable
@@ -53,8 +56,6 @@ class _Casadi:
 
     plugin: ClassVar[str]
     copies: ClassVar[bool] = False
-    #: What its words for an end mean that another start does not mend.
-    ends: ClassVar[dict[str, Status]] = {}
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
@@ -92,11 +93,27 @@ class _Casadi:
     def run(
         self, solver: Solver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
-        """Solve from a start."""
+        """Solve from a start; a solution that is no minimum is left."""
         key = type(self), repr(sorted(self.options.items()))
         if key not in solver.made:
             solver.made[key] = self._made(solver.program(self.copies), solver.tolerance)
         made = solver.made[key]
+
+        def search(own: Point | WarmStart, most: int) -> tuple[Outcome, State]:
+            return self._search(made, solver, own, given, most, callback)
+
+        return solver.to_minimum(search, start, given, max_iterations)
+
+    def _search(
+        self,
+        made: CasadiProgram,
+        solver: Solver,
+        start: Point | WarmStart,
+        given: Given,
+        max_iterations: int,
+        callback: Callback | None,
+    ) -> tuple[Outcome, State]:
+        """Passes of the solver, from a start until it has nothing left to turn."""
         program = made.program
         multipliers, failed = None, False
         if isinstance(start, WarmStart):
@@ -132,13 +149,14 @@ class _Casadi:
                 scales, state = fresh, solver.rescaled(state, fresh, given)
             multipliers = program.flat_multipliers(state.dynamics, state.rows)
             status = watch.ended(state)
-            if status is None:
-                status = self.ends.get(attempt.word)
+            if status is None and attempt.word == "Invalid_Number_Detected":
+                status = Status.NON_FINITE
             settled = reached.turn <= _SMALL_TURN and fresh is None
-            if status is None and (settled or (failed and not attempt.success) or passes >= _PASSES):
-                status = solver.at_rest(state)
+            over = attempt.word in _OVER or (failed and not attempt.success)
+            if status is None and (settled or over or passes >= _PASSES):
+                state, status = solver.judged_at_rest(state, given, max_iterations - watch.count)
             failed = not attempt.success
-        return solver.outcome(state, status, watch.count)
+        return solver.outcome(state, status, watch.count), state
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,11 +173,6 @@ class IPOPT(_Casadi):
     """
 
     plugin: ClassVar[str] = "ipopt"
-    ends: ClassVar[dict[str, Status]] = {
-        "Infeasible_Problem_Detected": Status.INFEASIBLE,
-        "Diverging_Iterates": Status.UNBOUNDED,
-        "Invalid_Number_Detected": Status.NON_FINITE,
-    }
 
     def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
         quiet = {"print_level": 0, "sb": "yes"}

@@ -61,6 +61,8 @@ class Found:
         compile_seconds, solve_seconds: wall time; of `solve(refine=...)` that of all meshes.
         warm: what `solve(warm=...)` starts from.
         slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
+        saddle: whether the objective falls to second order from here, along what the constraints leave free, and
+            searches from beside it found nothing better.
     """
 
     final_time: float
@@ -79,6 +81,7 @@ class Found:
     solve_seconds: float
     warm: WarmStart
     slacks: Array
+    saddle: bool
 
     @property
     def solved(self) -> bool:
@@ -88,6 +91,16 @@ class Found:
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
         return _explained(self)
+
+    def shifted(self, steps: int = 1) -> WarmStart:
+        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
+
+        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
+
+        Raises:
+            TrajectoryError: steps is no positive whole number; intervals are not equally long; several phases.
+        """
+        return self.warm.shifted(steps)
 
     def __repr__(self) -> str:
         return (
@@ -113,6 +126,8 @@ def _explained(result: Any) -> str:
         f"misses of a finer rollout at the end: {missed}",
         "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
     ]
+    if result.saddle:
+        lines.append("a saddle: the objective falls to second order from here; searches from beside it found no better")
     for m in result.meshes:
         lines.append(f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}")
     return "\n".join(lines)
@@ -174,6 +189,7 @@ class Tried:
             "solve_seconds": self.solve_seconds,
             "warm": WarmStart(problem, point, best.dynamics, best.rows, best.scales, params),
             "slacks": best.slack,
+            "saddle": best.saddle,
         }
 
 
@@ -197,6 +213,8 @@ def _message(
     if outcome.status in (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE):
         return f"{outcome.status}."
     rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
+    if outcome.status is Status.NON_FINITE:
+        return f"{outcome.status}. {_first_not_finite(shooting, outcome)}."
     if rows.max(initial=0.0) > tolerance:
         row = int(rows.argmax())
         name, place = shooting.names[row], shooting.places[row]
@@ -207,3 +225,14 @@ def _message(
         size = abs(float(outcome.values.defects[stage, column]))
         worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
     return f"{outcome.status}. Worst: {'; '.join(worst)}." if worst else f"{outcome.status}."
+
+
+def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
+    """What it is, and where."""
+    values = outcome.values
+    rows, defects = np.asarray(values.rows), np.asarray(values.defects)
+    for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.decided)):
+        return f"{shooting.names[row]!r} {shooting.places[row]} is {rows[row]:g}"
+    for stage, column in np.argwhere(~np.isfinite(defects)):
+        return f"{shooting.defect(int(stage), int(column))} is {defects[stage, column]:g}"
+    return "Its values are, its slopes are not" if np.isfinite(outcome.cost) else f"The objective is {outcome.cost:g}"

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..jax_inside import any_of_batch
+from ..lowering.small_call import small_call
 from .iterate import FILTER, Errors, Scales, State
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
@@ -257,15 +257,14 @@ class InteriorPoint:
         stages, factors = self._inertia(slopes, weights, state)
         shift = jnp.where(inequality, slack + barrier / w, jnp.where(equality, _EQUALITY * w, 0.0))
 
-        @jax.jit  # traced once
-        def direction(defects: jax.Array, rows: jax.Array) -> _Direction:
+        def computed(defects: jax.Array, rows: jax.Array) -> _Direction:
             found = refined(stages, factors, defects, self.split(rows + shift))
             moved = self.join(along_rows(slopes, found.step))
             d_slack = jnp.where(inequality, -(rows + slack) - moved, 0.0)
             d_rows = self.join(found.rows) - w
             near = jnp.maximum(_BOUNDARY, 1.0 - barrier)
             inner, end = of_stages(found.step)
-            tilt = (slopes.gradient * inner).sum() + slopes.end_gradient @ end
+            tilt = (slopes.gradient * inner).sum() + (slopes.end_gradient * end).sum()
             return _Direction(
                 found.step,
                 d_slack,
@@ -275,6 +274,8 @@ class InteriorPoint:
                 _to_boundary(w, d_rows, inequality, near),
                 tilt - barrier * jnp.where(inequality, d_slack / slack, 0.0).sum(),
             )
+
+        direction = jax.jit(lambda *own: small_call(computed, *own))  # traced once
 
         search = self._search(state, given, values, direction)
         found, done, first = search.found, search.done, search.first
@@ -336,12 +337,7 @@ class InteriorPoint:
             return jnp.maximum(_LEAST_SHARE * jnp.where(tilt < 0.0, small, _THETA_GAIN), 1e-14)
 
         def advance(search: _Search) -> _Search:
-            def fresh() -> _Direction:
-                found = direction(search.defects, search.rows)
-                return jax.tree.map(lambda a, b: jnp.where(search.pending, a, b), found, search.way)
-
-            # Of a batch: computed only where some member needs one.
-            way = jax.lax.cond(any_of_batch(search.pending), fresh, lambda: search.way)
+            way = jax.lax.cond(search.pending, lambda: direction(search.defects, search.rows), lambda: search.way)
             begins = search.pending & (search.corrections == 0)
             first = jax.tree.map(lambda a, b: jnp.where(begins, a, b), way, search.first)
             share = jnp.where(search.pending, way.primal, search.share)
@@ -410,7 +406,7 @@ class InteriorPoint:
             damping = jnp.where(tries == 0, 0.0, jnp.where(tries == 1, start, grow * damping))
             return damping, factors(damping), tries + 1
 
-        factors = jax.jit(lambda damping: factorize(stages(damping)))  # traced once
+        factors = jax.jit(lambda damping: small_call(lambda own: factorize(stages(own)), damping))  # traced once
         zero = jnp.zeros_like(last)
         none = jax.tree.map(jnp.zeros_like, jax.eval_shape(factors, zero))
         wrong = lambda c: ~c[1].exist & (c[0] < _MOST_DAMPING)  # noqa: E731

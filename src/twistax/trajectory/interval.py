@@ -101,15 +101,11 @@ class Interval:
     ) -> tuple[jax.Array, jax.Array]:
         """The stages (s, n) of a substep and their slopes (s, n)."""
 
-        def stage(slopes: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
-            i, weights, share = own
-            at = eta + length * (weights @ slopes)
-            return slopes.at[i].set(self._rate(_joined(at, u, border), share, base, params)), at
-
-        count = len(self._b)
-        rows = jnp.arange(count), jnp.asarray(self._a, u.dtype), shares
-        slopes, points = jax.lax.scan(stage, jnp.zeros((count, self._n), u.dtype), rows)
-        return points, slopes
+        points, slopes = list[jax.Array](), list[jax.Array]()
+        for i, weights in enumerate(self._a):
+            points.append(eta + length * _weighted(weights, slopes))
+            slopes.append(self._rate(_joined(points[-1], u, border), shares[i], base, params))
+        return jnp.stack(points), jnp.stack(slopes)
 
     def at_points(
         self, slot: Slot, base: Arrays, rolled: Rolled, u: jax.Array, border: jax.Array, params: Arrays
@@ -165,7 +161,7 @@ class Interval:
 
         def ahead(sensitivity: jax.Array, own: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             at, moved = self._sensitivities(own, sensitivity, length)
-            after = sensitivity + length * jnp.einsum("i,ijk->jk", jnp.asarray(self._b, u.dtype), moved)
+            after = sensitivity + length * _weighted(self._b, moved)
             return after, (after, at)
 
         last, (ends, inner) = jax.lax.scan(ahead, sensitivity, slopes)
@@ -214,14 +210,11 @@ class Interval:
     def _sensitivities(self, slopes: jax.Array, start: jax.Array, length: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Of the stages of a substep and of their slopes, (s, n, size) both, from that of its start."""
 
-        def stage(moved: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
-            i, weights, slope = own
-            at = start + length * jnp.tensordot(weights, moved, 1)
-            return moved.at[i].set(_along(slope, at)), at
-
-        rows = jnp.arange(len(self._b)), jnp.asarray(self._a, slopes.dtype), slopes
-        moved, points = jax.lax.scan(stage, jnp.zeros_like(slopes), rows)
-        return points, moved
+        points, moved = [], list[jax.Array]()
+        for weights, slope in zip(self._a, slopes):
+            points.append(start + length * _weighted(weights, moved))
+            moved.append(_along(slope, points[-1]))
+        return jnp.stack(points), jnp.stack(moved)
 
     def _adjoints(
         self, slopes: jax.Array, adjoint: jax.Array, pulls: jax.Array | None, length: jax.Array
@@ -234,15 +227,12 @@ class Interval:
             pulls: (s, n) what pulls at the stages themselves, or None.
         """
 
-        def stage(through: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
-            i, weight, weights, slope = own
-            pulled = length * (weight * adjoint + weights @ through)
-            return through.at[i].set(pulled @ slope), pulled
-
-        a, b = jnp.asarray(self._a, slopes.dtype), jnp.asarray(self._b, slopes.dtype)
-        none = jnp.zeros_like(slopes[..., 0])
-        through, found = jax.lax.scan(stage, none, (jnp.arange(len(b)), b, a.T, slopes), reverse=True)
-        return found, through.sum(axis=0)
+        found, through = list[jax.Array](), list[jax.Array]()  # the last stage first
+        for i in reversed(range(len(self._b))):
+            later = self._a[:i:-1, i]
+            found.append(length * (self._b[i] * adjoint + _weighted(later, through)))
+            through.append(found[-1] @ slopes[i])
+        return jnp.stack(found[::-1]), jnp.stack(through).sum(axis=0)
 
 
 class Collocated(Interval):
@@ -324,6 +314,11 @@ def _along(rows: jax.Array, maps: jax.Array) -> jax.Array:
     """Slopes (..., n + m + g) by q along the sensitivities of eta; the rest of q are unknowns themselves."""
     n = maps.shape[-2]
     return rows[..., :n] @ maps + jnp.concatenate([jnp.zeros_like(rows[..., :n]), rows[..., n:]], axis=-1)
+
+
+def _weighted(weights: Array, terms: Any) -> Any:
+    """The sum of the terms that count."""
+    return sum(float(w) * term for w, term in zip(weights, terms) if w)
 
 
 def _joined(eta: jax.Array, u: jax.Array, border: jax.Array) -> jax.Array:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import reals, short
+from ..checks import listed, reals, short
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Parameter, State, leaves_of
 from ..groups import Euclidean
@@ -84,6 +84,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             return super().__new__(cls)
         from .phases import PhasedProblem
 
+        if strangers := set(options) - {"links", "params", "free"}:
+            raise ModelError(
+                f"Problem of phases expects links, params and free alone, got {listed(sorted(strangers))}.\n"
+                "  fix: give it to each tx.trajectory.Phase"
+            )
         return PhasedProblem(dynamics, *args, **options)
 
     def __init__(
@@ -232,7 +237,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         return {
             k: v
             for k, v in self.__dict__.items()
-            if k not in ("shooting", "advanced", "shown_rows", "path_rows", "_solvers", "_all_lanes")
+            if k not in ("shooting", "advanced", "shown_rows", "path_rows", "_solvers")
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:

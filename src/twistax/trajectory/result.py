@@ -21,7 +21,6 @@ from .replay import Replay, replayed
 from .solver import Outcome
 from .statement import largest_by_name, violations
 from .transcribed import Point
-from .warm import WarmStart
 
 if TYPE_CHECKING:
     from ..view import Scene
@@ -137,16 +136,6 @@ class TrajectoryResult(Found, Trajectory):
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
         """As `Trajectory.plot`, with the multipliers of what is active."""
         return drawn([self], names, units, self.message, {name: self.multipliers[name] for name in self.active})
-
-    def shifted(self, steps: int = 1) -> WarmStart:
-        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
-
-        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
-
-        Raises:
-            TrajectoryError: steps is no positive whole number.
-        """
-        return self.warm.shifted(steps)
 
 
 def best_result(problem: Problem, tried: Tried) -> TrajectoryResult:

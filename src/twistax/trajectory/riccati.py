@@ -13,17 +13,21 @@ Source: Rao, Wright, Rawlings, Application of interior-point methods to model pr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve, solve_triangular
+from jax.scipy.linalg import cho_solve
 
+from ..lowering.small_call import inside_small_call
 from .transcribed import Derivatives, Step
 
 #: How often a solution is refined.
 _REFINEMENTS = 2
+#: The most entries of an array in a small function.
+_SMALL = 4096
 
 
 class Rows(NamedTuple):
@@ -53,7 +57,7 @@ class Factors(NamedTuple):
     controls: Any  # (intervals, m, m) inverse Cholesky factors: products cost less than solves of a few rows
     costs: Any  # (intervals, n + g, n + g) softened cost of what follows
     softening: Any  # (intervals, n, n) Cholesky factors of I + soft P, None where the dynamics are hard
-    start: Any  # (n + g, n + g) Cholesky factor
+    start: Any  # (n + g, n + g) upper Cholesky factor
     exist: Any
 
 
@@ -69,32 +73,34 @@ def factorize(stages: Stages) -> Factors:
     """Factor from the end to the start."""
     slopes, weights, soft = stages.slopes, stages.weights, stages.soft
     n, m, g = _sizes(slopes)
-    outer, inner = _indices(n, m, g)
-    end = slopes.end_hessian + (slopes.end_rows.T * weights.end[None]) @ slopes.end_rows
-    end = end + stages.damping * jnp.eye(n + g, dtype=end.dtype)
-    condensed = slopes.hessian + jnp.einsum("kra,kr,krb->kab", slopes.rows, weights.inner, slopes.rows)
-    lift = jnp.repeat(jnp.array([1.0, 0.0], end.dtype), np.array([n + m, g]))
-    condensed = condensed + stages.damping * jnp.diag(lift)[None]
+    dtype = slopes.hessian.dtype
+    end = slopes.end_hessian + _product(slopes.end_rows * weights.end[:, None], slopes.end_rows)
+    end = end + stages.damping * jnp.eye(n + g, dtype=dtype)
+    lift = jnp.asarray(np.diag(np.repeat([1.0, 0.0], [n + m, g])), dtype)
+    shared = jnp.eye(g, n + m + g, n + m, dtype=dtype)
 
-    def back(cost: jax.Array, stage: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, Any]:
-        own, dynamics = stage
+    def back(cost: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
+        hessian, dynamics, rows, weight = stage
         softer, softening = cost, None
         if soft is not None:
-            softening = jnp.linalg.cholesky(jnp.eye(n, dtype=own.dtype) + soft * cost[:n, :n])
+            softening = jnp.linalg.cholesky(jnp.eye(n, dtype=dtype) + soft * cost[:n, :n])
             halved = cho_solve((softening, True), cost[:n])
             softer = jnp.concatenate([halved, cost[n:] - soft * cost[n:, :n] @ halved])
-        whole = own + _lifted(softer, dynamics)
-        lower = jnp.linalg.cholesky(whole[jnp.ix_(inner, inner)])
-        controls = solve_triangular(lower, jnp.eye(m, dtype=own.dtype), lower=True)
-        # By solves and as a square, not by these: what cancels tells whether there is a minimum.
-        half = solve_triangular(lower, whole[jnp.ix_(inner, outer)], lower=True)
-        gains = -solve_triangular(lower, half, lower=True, trans="T")
-        before = whole[jnp.ix_(outer, outer)] - half.T @ half
-        return 0.5 * (before + before.T), (gains, controls, softer, softening)
+        ahead = jnp.concatenate([dynamics, shared])
+        whole = hessian + stages.damping * lift + _product(rows * weight[:, None], rows)
+        whole = whole + _product(ahead, _product(softer, ahead))
+        # By substitution and as squares, not by inverses: what cancels tells whether there is a minimum.
+        upper, left = _eliminated(whole, n, m)
+        own = upper[:, n : n + m]
+        solved = _substituted(own, jnp.concatenate([_without(upper.T, n, m).T, jnp.eye(m, dtype=dtype)], axis=1))
+        before = _without(_without(left, n, m).T, n, m)
+        return 0.5 * (before + before.T), (-solved[:, : n + g], solved[:, n + g :].T, softer, softening)
 
-    first, (gains, controls, costs, softening) = jax.lax.scan(back, end, (condensed, slopes.defects), reverse=True)
+    first, (gains, controls, costs, softening) = jax.lax.scan(
+        back, end, (slopes.hessian, slopes.defects, slopes.rows, weights.inner), reverse=True
+    )
     free = stages.free_start
-    start = jnp.linalg.cholesky(jnp.where(free[:, None] & free[None, :], first, jnp.eye(n + g, dtype=first.dtype)))
+    start, _ = _eliminated(jnp.where(free[:, None] & free[None, :], first, jnp.eye(n + g, dtype=dtype)), 0, n + g)
     exist = jnp.stack([jnp.isfinite(a).all() for a in jax.tree.leaves((controls, start, softening))]).all()
     return Factors(gains, controls, costs, softening, start, exist)
 
@@ -104,47 +110,54 @@ def solve(
 ) -> Solution:
     """The step for the linear terms a (intervals, n + m + g) and (n + g,), the constants c, and the constants r."""
     slopes, weights, soft = stages.slopes, stages.weights, stages.soft
-    n, m, g = _sizes(slopes)
-    outer, inner = _indices(n, m, g)
-    pull = pull + jnp.einsum("kra,kr->ka", slopes.rows, weights.inner * rows.inner)
-    end_pull = end_pull + slopes.end_rows.T @ (weights.end * rows.end)
+    n, m, _ = _sizes(slopes)
+    end_pull = end_pull + _product(slopes.end_rows, weights.end * rows.end)
 
     def back(tilt: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
-        own, dynamics, constant, gains, controls, cost, softening = stage
+        own, jacobian, pushed, dynamics, constant, gains, controls, cost, softening = stage
         softer = tilt
         if soft is not None:
             halved = cho_solve((softening, True), tilt[:n])
             softer = jnp.concatenate([halved, tilt[n:] - soft * cost[:n, n:].T @ tilt[:n]])
-        slope = softer + cost[:, :n] @ constant
-        whole = own + dynamics.T @ slope[:n]
-        whole = whole.at[n + m :].add(slope[n:])
-        push = -controls.T @ (controls @ whole[inner])
-        return whole[outer] + gains.T @ whole[inner], (push, softer)
+        slope = softer + _along(cost[:, :n], constant)
+        whole = own + _product(jacobian, pushed) + _product(dynamics, slope[:n])
+        whole = whole + jnp.concatenate([jnp.zeros(n + m, whole.dtype), slope[n:]])
+        inner = whole[n : n + m]
+        push = -_product(controls, _along(controls, inner))
+        return _without(whole, n, m) + _product(gains, inner), (push, softer)
 
     tilt, (pushes, softer) = jax.lax.scan(
         back,
         end_pull,
-        (pull, slopes.defects, defects, factors.gains, factors.controls, factors.costs, factors.softening),
+        (
+            *(pull, slopes.rows, weights.inner * rows.inner, slopes.defects, defects),
+            *(factors.gains, factors.controls, factors.costs, factors.softening),
+        ),
         reverse=True,
     )
-    free = stages.free_start
-    begin = -cho_solve((factors.start, True), jnp.where(free, tilt, 0.0))
+    begin = -_solved(factors.start, jnp.where(stages.free_start, tilt, 0.0))
     border = begin[n:]
 
     def ahead(d: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
-        dynamics, constant, gains, push, cost, tilt = stage
-        u = gains @ jnp.concatenate([d, border]) + push
-        reached = dynamics @ jnp.concatenate([d, u, border]) + constant
-        multipliers = (cost @ jnp.concatenate([reached, border]) + tilt)[:n]
-        return reached if soft is None else reached - soft * multipliers, (d, u, multipliers)
+        dynamics, constant, jacobian, weight, own, gains, push, cost, tilt = stage
+        u = _along(gains, jnp.concatenate([d, border])) + push
+        z = jnp.concatenate([d, u, border])
+        reached = _along(dynamics, z) + constant
+        multipliers = _along(cost[:n], jnp.concatenate([reached, border])) + tilt[:n]
+        grown = weight * (_along(jacobian, z) + own)
+        return reached if soft is None else reached - soft * multipliers, (d, u, multipliers, grown)
 
-    last, (ds, us, multipliers) = jax.lax.scan(
-        ahead, begin[:n], (slopes.defects, defects, factors.gains, pushes, factors.costs, softer)
+    last, (ds, us, multipliers, grown) = jax.lax.scan(
+        ahead,
+        begin[:n],
+        (
+            *(slopes.defects, defects, slopes.rows, weights.inner, rows.inner),
+            *(factors.gains, pushes, factors.costs, softer),
+        ),
     )
     step = Step(jnp.concatenate([ds, last[None]]), us, border)
-    moved = along_rows(slopes, step)
-    grown = Rows(weights.inner * (moved.inner + rows.inner), weights.end * (moved.end + rows.end))
-    return Solution(step, multipliers, grown)
+    at_end = weights.end * (_along(slopes.end_rows, jnp.concatenate([last, border])) + rows.end)
+    return Solution(step, multipliers, Rows(grown, at_end))
 
 
 def refined(stages: Stages, factors: Factors, defects: jax.Array, rows: Rows) -> Solution:
@@ -171,31 +184,37 @@ def _correction(stages: Stages, factors: Factors, found: Solution, defects: jax.
     """The solution for what a solution leaves of the equations."""
     slopes, weights = stages.slopes, stages.weights
     z, end = of_stages(found.step)
-    moved = along_rows(slopes, found.step)
     n, m, g = _sizes(slopes)
-    lift = jnp.repeat(jnp.array([1.0, 0.0], z.dtype), np.array([n + m, g]))
-    inner = slopes.gradient + jnp.einsum("kab,kb->ka", slopes.hessian, z) + stages.damping * lift[None] * z
-    inner = inner + jnp.einsum("kn,kna->ka", found.dynamics, slopes.defects)
-    inner = inner + jnp.einsum("kr,kra->ka", found.rows.inner, slopes.rows)
-    inner = inner.at[1:, :n].add(-found.dynamics[:-1])
-    last = slopes.end_gradient + slopes.end_hessian @ end + stages.damping * end + found.rows.end @ slopes.end_rows
-    last = last.at[:n].add(-found.dynamics[-1])
-    gap = jnp.einsum("kna,ka->kn", slopes.defects, z) + defects - found.step.d[1:]
+    lift = jnp.asarray(np.repeat([1.0, 0.0], [n + m, g]), z.dtype)
 
     def left(weight: jax.Array, moved: jax.Array, own: jax.Array, grown: jax.Array) -> jax.Array:
         return jnp.where(weight > 0.0, moved + own - grown / jnp.where(weight > 0.0, weight, 1.0), 0.0)
 
-    rows = Rows(
-        left(weights.inner, moved.inner, constant.inner, found.rows.inner),
-        left(weights.end, moved.end, constant.end, found.rows.end),
+    def stage(own: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+        gradient, hessian, dynamics, jacobian, weight, z, y, w, defect, row = own
+        pull = gradient + _along(hessian, z) + stages.damping * lift * z + _product(dynamics, y) + _product(jacobian, w)
+        return pull, _along(dynamics, z) + defect, left(weight, _along(jacobian, z), row, w)
+
+    inner, gap, rows = _each(
+        stage,
+        (
+            *(slopes.gradient, slopes.hessian, slopes.defects, slopes.rows, weights.inner),
+            *(z, found.dynamics, found.rows.inner, defects, constant.inner),
+        ),
     )
-    return solve(stages, factors, inner, last, gap, rows)
+    before = jnp.concatenate([jnp.zeros_like(found.dynamics[:1]), found.dynamics[:-1]])
+    inner = inner - jnp.concatenate([before, jnp.zeros((len(z), m + g), z.dtype)], axis=1)
+    last = slopes.end_gradient + _along(slopes.end_hessian, end) + stages.damping * end
+    last = last + _product(slopes.end_rows, found.rows.end)
+    last = last - jnp.concatenate([found.dynamics[-1], jnp.zeros(g, z.dtype)])
+    at_end = left(weights.end, _along(slopes.end_rows, end), constant.end, found.rows.end)
+    return solve(stages, factors, inner, last, gap - found.step.d[1:], Rows(rows, at_end))
 
 
 def along_rows(slopes: Derivatives, step: Step) -> Rows:
     """J z of all rows."""
     z, end = of_stages(step)
-    return Rows(jnp.einsum("kra,ka->kr", slopes.rows, z), slopes.end_rows @ end)
+    return Rows(_each(lambda own: _along(*own), (slopes.rows, z)), _along(slopes.end_rows, end))
 
 
 def of_stages(step: Step) -> tuple[Any, Any]:
@@ -211,21 +230,78 @@ def to_step(inner: jax.Array, end: jax.Array, n: int) -> Step:
     return Step(jnp.concatenate([d, end[None, :n]]), u, border.sum(axis=0) + end[n:])
 
 
-def _lifted(cost: jax.Array, dynamics: jax.Array) -> jax.Array:
-    """The cost of what follows in terms of [d, u, b]."""
-    n = dynamics.shape[0]
-    own = dynamics.shape[1] - cost.shape[0] + n
-    corner = dynamics.T @ cost[:n, n:]
-    whole = dynamics.T @ cost[:n, :n] @ dynamics
-    return whole.at[:, own:].add(corner).at[own:].add(corner.T).at[own:, own:].add(cost[n:, n:])
+# ---- algebra of small matrices: by loops inside of a small function, where products would call a library -------------
+
+
+def _eliminated(matrix: jax.Array, first: int, count: int) -> tuple[jax.Array, jax.Array]:
+    """Cholesky's elimination of some columns: its rows (count, N), and matrix - rows.T @ rows; NaN if not positive."""
+
+    def eliminate(left: jax.Array, j: jax.Array) -> tuple[jax.Array, jax.Array]:
+        row = jax.lax.dynamic_index_in_dim(left, j, keepdims=False)
+        pivot = jax.lax.dynamic_index_in_dim(row, j, keepdims=False)
+        row = row / jnp.sqrt(jnp.where(pivot > 0.0, pivot, jnp.nan))
+        return left - row[:, None] * row[None], row
+
+    left, rows = jax.lax.scan(eliminate, matrix, jnp.arange(first, first + count))
+    return rows, left
+
+
+def _substituted(upper: jax.Array, right: jax.Array) -> jax.Array:
+    """upper^-1 right (k, c), of a triangular matrix. What is below its diagonal is not used."""
+    if not len(right):  # a stage without controls
+        return right
+
+    def row(found: jax.Array, own: Any) -> tuple[jax.Array, None]:
+        j, coefficients, values = own
+        pivot = jax.lax.dynamic_index_in_dim(coefficients, j, keepdims=False)
+        here = (values - _product(found, coefficients)) / pivot
+        return jax.lax.dynamic_update_index_in_dim(found, here, j, 0), None
+
+    return jax.lax.scan(row, jnp.zeros_like(right), (np.arange(len(right)), upper, right), reverse=True)[0]
+
+
+def _solved(upper: jax.Array, right: jax.Array) -> jax.Array:
+    """(upper.T @ upper)^-1 right (k,)."""
+
+    def ahead(left: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
+        j, row = own
+        # Not left / row: the transpose of that would divide zeros by the zeros before the diagonal.
+        entry, pivot = (jax.lax.dynamic_index_in_dim(a, j, keepdims=False) for a in (left, row))
+        value = entry / pivot
+        return left - row * value, value
+
+    found = jax.lax.scan(ahead, right, (np.arange(len(right)), upper))[1]
+    return _substituted(upper, found[:, None])[:, 0]
+
+
+def _product(a: jax.Array, b: jax.Array) -> jax.Array:
+    """a.T @ b."""
+    if not inside_small_call():
+        return a.T @ b
+    if b.ndim == 1:
+        return (a * b[:, None]).sum(axis=0)
+    if a.size * b.shape[1] <= _SMALL:
+        return (a[:, :, None] * b[:, None]).sum(axis=0)
+    add = lambda total, own: (total + own[0][:, None] * own[1][None], None)  # noqa: E731
+    return jax.lax.scan(add, jnp.zeros((a.shape[1], b.shape[1]), a.dtype), (a, b))[0]
+
+
+def _along(a: jax.Array, x: jax.Array) -> jax.Array:
+    """a @ x of a vector."""
+    return (a * x[None]).sum(axis=1) if inside_small_call() else a @ x
+
+
+def _each(function: Callable[[Any], Any], stages: Any) -> Any:
+    """A function of every stage."""
+    return (jax.lax.map if inside_small_call() else lambda f, own: jax.vmap(f)(own))(function, stages)
+
+
+def _without(a: jax.Array, first: int, count: int) -> jax.Array:
+    """Without so many rows."""
+    return jnp.concatenate([a[:first], a[first + count :]])
 
 
 def _sizes(slopes: Derivatives) -> tuple[int, int, int]:
     """n, m and g."""
     n, g = slopes.defects.shape[1], slopes.end_gradient.shape[0] - slopes.defects.shape[1]
     return n, slopes.defects.shape[2] - n - g, g
-
-
-def _indices(n: int, m: int, g: int) -> tuple[Any, Any]:
-    """Where [d, b] and u sit in [d, u, b]."""
-    return np.array([*range(n), *range(n + m, n + m + g)]), np.arange(n, n + m)

@@ -10,8 +10,8 @@ from ..integrators import VectorField
 from ..integrators.method import Method
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
-from ..lowering.hessian import REFUSALS, WeightedHessian, along, hessian_in_arrays
-from ..lowering.jacobian import Differentiated
+from ..lowering.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
+from ..lowering.jacobian import Differentiated, along
 from ..lowering.scalar.primitive import Derived, call_program
 
 #: What the end is differentiated by: the start, the controls, the length, and the time of the start.
@@ -19,8 +19,8 @@ _BY = ("x", "u", "h", "t")
 
 
 def second_order(
-    dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: jax.Array
-) -> tuple[Arrays, jax.Array, jax.Array]:
+    dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: jax.Array | None
+) -> tuple[Arrays, jax.Array, jax.Array | None]:
     """The end of an interval, its Jacobian (n, N), and the Hessian (N, N) of its weighted tangent difference.
 
     With e(z) = Log(x1^-1 end(z)), z the tangents of [start, controls, length, time of the start] and x1 = end(0), they
@@ -28,6 +28,7 @@ def second_order(
 
     Args:
         inputs: prepared, with every control.
+        weights: None leaves the Hessian out.
     """
     functions = dynamics._functions
     places, arrays = functions.flat(inputs)
@@ -60,14 +61,15 @@ def second_order(
         return functions.backend.derived(program)
 
     key = (functions.backend, method, substeps, places, inputs.dtype)
-    derived = functions.hessians.get(key, make)
+    derived = None if weights is None else functions.hessians.get(key, make)
     if derived is None:
-        size, moved = along(dynamics.group, [*places, ("h", "h")], _BY, arrays)
-        found, zero = end(*arrays), jnp.zeros(size, h.dtype)
+        sizes, moved = along(dynamics.group, [*places, ("h", "h")], _BY, arrays)
+        found, zero = end(*arrays), jnp.zeros(sum(sizes.values()), h.dtype)
 
         def apart(z: jax.Array) -> jax.Array:
             return gap(*moved(z), *(found[name] for name in names))[0]
 
-        return found, jax.jacfwd(apart)(zero), hessian_in_arrays(lambda z: weights @ apart(z), zero)
+        hessian = None if weights is None else hessian_in_arrays(lambda z: weights @ apart(z), zero)
+        return found, jax.jacfwd(apart)(zero), hessian
     _, *ends, slopes, matrix = call_program(derived, *arrays, weights)
     return dict(zip(names, ends, strict=True)), slopes, matrix

@@ -22,12 +22,13 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from ..groups import SpecialEuclidean, SpecialOrthogonal
+from ..groups import Euclidean, SpecialEuclidean, SpecialOrthogonal
 from ..jax_inside import quick_compile
 from ..lowering import XLA, Dynamics
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
+from ..system import entry_names
 from .border import Border
 from .conditions import Conditions, Ends
 from .cones import NormControls
@@ -93,9 +94,9 @@ class Shooting(Transcribed):
         self._seen = np.array([*range(self.n), *range(self.n + self.m, self.size)])
         self.turns = _turns(dynamics)
         self.states = [
-            f"{name}{_entry(i, part)}"
-            for name, part in dynamics.group.slices.items()
-            for i in range(part.stop - part.start)
+            entry
+            for name, factor in dynamics.group.factors.items()
+            for entry in entry_names(name, factor.shape if isinstance(factor, Euclidean) else (factor.dimension,))
         ]
         self._row_count = len(path.names)
         layout = laid_out(self.states, self.intervals, self.substeps, path, ends, final, at_nodes, border, phase)
@@ -364,7 +365,3 @@ def _turns(dynamics: Dynamics) -> Array:
 def _sides(xs: Arrays) -> tuple[Arrays, Arrays]:
     """The nodes at which intervals begin, and those at which they end."""
     return {name: a[:-1] for name, a in xs.items()}, {name: a[1:] for name, a in xs.items()}
-
-
-def _entry(number: int, part: slice) -> str:
-    return f"[{number}]" if part.stop - part.start > 1 else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -17,9 +18,10 @@ from .interior_point import InteriorPoint
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
 from .program import Program
+from .stride import Stride, no_slopes, stride
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
 from .warm import WarmStart
-from .watch import Status, Watch, error, row_violations
+from .watch import RENEW, Status, Watch, error, row_violations
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
@@ -56,6 +58,7 @@ class Outcome(NamedTuple):
     scales: Scales
     status: Status
     iterations: int
+    saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
 
     @property
     def cost(self) -> float:
@@ -82,8 +85,8 @@ class Solver:
         self._move = jitted(shooting.move, 0)
         self._start = jitted(method.start, 0)
         self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
-        self._looked_at = jitted(method.looked_at)
-        self._step = jitted(method.step)
+        self._stride = jitted(functools.partial(stride, method, tolerance))
+        self._none = no_slopes(shooting)
         self._rescaled = jitted(method.rescaled, 0)
         self._begin = jitted(lambda state: feasibility.begin(method, state), 0)
         self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
@@ -104,9 +107,8 @@ class Solver:
 
             jobs: list[Future[Any]] = []
             state = result(self._start, point, given, unit)
-            slopes, state = result(self._looked_at, state, given)
-            result(self._step, state, slopes, given)
-            self._start, self._looked_at, self._step = (job.result() for job in jobs)
+            result(self._stride, state, self._none, given, np.int64(0), np.float64(0.0))
+            self._start, self._stride = (job.result() for job in jobs)
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step."""
@@ -134,24 +136,38 @@ class Solver:
     def run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
     ) -> Outcome:
-        """Solve from a start; where a solution is no minimum again, a random step away, until there is a better one."""
-        first, state = self._run(start, given, max_iterations, callback)
-        if first.status is not Status.SOLVED:
-            return first
-        levels = self.levels(state.scales)
-        state = state if levels is None else self._rescaled(state, levels)
-        if not self._bends_down(state, given):
-            return first
-        count, lower = first.iterations, first.cost - self.tolerance * float(state.scales.cost)
-        for size in _AWAY:
-            if count >= max_iterations:
+        """Solve from a start; a solution that is no minimum is left."""
+        return self.to_minimum(lambda own, most: self._run(own, given, most, callback), start, given, max_iterations)
+
+    def to_minimum(
+        self,
+        search: Callable[[Any, int], tuple[Outcome, Iterate]],
+        start: Point | WarmStart,
+        given: Given,
+        max_iterations: int,
+    ) -> Outcome:
+        """What a search finds from a start; where that is no minimum, what it finds a random step away, if better.
+
+        Args:
+            search: gives the outcome from a start within so many iterations, and the state there.
+        """
+        found, state = search(start, max_iterations)
+        count, saddle = found.iterations, False
+        while found.status is Status.SOLVED and not saddle:
+            levels = self.levels(state.scales)
+            state = state if levels is None else self._rescaled(state, levels)
+            if not self._bends_down(state, given):
                 break
-            away = self._step_away(state, size, alone=True)
-            other, _ = self._run(away, given, max_iterations - count, callback)
-            count += other.iterations
-            if other.status in (Status.SOLVED, Status.UNBOUNDED) and other.cost < lower:
-                return other._replace(iterations=count)
-        return first._replace(iterations=count)
+            saddle, lower = True, found.cost - self.tolerance * float(state.scales.cost)
+            for size in _AWAY:
+                if count >= max_iterations:
+                    break
+                other, there = search(self._step_away(state, size, alone=True), max_iterations - count)
+                count += other.iterations
+                if other.status in (Status.SOLVED, Status.UNBOUNDED) and other.cost < lower:
+                    found, state, saddle = other, there, False
+                    break
+        return found._replace(iterations=count, saddle=saddle)
 
     def levels(self, scales: Scales) -> Scales | None:
         """Scales in which bends count along what hardly moves at a saddle, too; None if these are such scales."""
@@ -159,9 +175,25 @@ class Solver:
         return found if scaling.change(found, scales) > _LEVEL else None
 
     def _bends_down(self, state: Iterate, given: Given) -> bool:
-        """Whether the objective falls to second order along what the constraints leave free."""
-        probed = state._replace(damping=jnp.full_like(state.damping, self.probe))
-        return float(self._step(probed, self._looked_at(state, given)[0], given).raised) > self.bent
+        """Whether the objective falls to second order along what the constraints leave free.
+
+        Solvers of others end with slacks of zero: with their multipliers they make the barrier parameter at least.
+        """
+        barrier = state.barrier
+        slack = jnp.maximum(state.slack, barrier / jnp.maximum(state.rows, jnp.sqrt(barrier)))
+        slack = jnp.where(self.method.inequality, slack, state.slack)
+        rows = jnp.where(self.method.inequality, jnp.maximum(state.rows, barrier / slack), state.rows)
+        probed = state._replace(slack=slack, rows=rows, damping=jnp.full_like(state.damping, self.probe))
+        return float(self._steps(probed, self._looked_at(state, given)[0], given).state.raised) > self.bent
+
+    def _looked_at(self, state: Iterate, given: Given) -> tuple[Derivatives, Iterate]:
+        """The derivatives at a state, and the state measured."""
+        found = self._steps(state, self._none, given, 0)
+        return found.slopes, found.state
+
+    def _steps(self, state: Iterate, slopes: Derivatives, given: Given, most: int = 1, low: float = -np.inf) -> Stride:
+        found: Stride = self._stride(state, slopes, given, np.int64(most), np.float64(low))
+        return found
 
     def _begun(self, start: Point | WarmStart, given: Given) -> tuple[Iterate, Scales]:
         """The first state, and the largest scales seen."""
@@ -182,14 +214,16 @@ class Solver:
         status = watch.at_once(state)
         if status is not None:
             return ended(state, status)
+        slopes: Derivatives | None = None
         searches, rests, shaken, before = 0, 0, False, float(state.barrier)
         origin = None if isinstance(start, WarmStart) else start  # where a run that begins anew begins
         misled = False
         while True:
-            slopes, state = self._looked_at(state, given)
+            if slopes is None:
+                slopes, state = self._looked_at(state, given)
             fresh = watch.renewed(state, slopes, before)
             if fresh is not None and origin is not None and not misled and watch.misled(state, fresh):
-                misled, before, state = True, np.inf, self._start(origin, given, fresh)
+                misled, before, slopes, state = True, np.inf, None, self._start(origin, given, fresh)
                 watch.anew(fresh)
                 continue
             if fresh is not None:
@@ -201,35 +235,52 @@ class Solver:
                 aside = self._step_away(self._begun(start, given)[0], _ASIDE, seed=watch.restarts)
                 other, seen = self._begun(aside, given)
                 if watch.at_once(other) is None:
-                    searches, shaken, before, origin, state = 0, False, np.inf, aside, other
+                    searches, shaken, before, origin, slopes, state = 0, False, np.inf, aside, None, other
                     watch.anew(seen)
                     continue
             if callback is not None:
                 callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
-            last, state = state, self._step(state, slopes, given)
-            watch.count += 1
-            before = float(state.barrier)
-            if not bool(state.stuck):
-                continue
-            searches, before = searches + 1, np.inf
+            if not watch.runs_off(state):
+                taken = self._steps(state, slopes, given, watch.until if callback is None else 1, watch.low)
+                slopes, state, before = taken.slopes, taken.state, float(taken.before)
+                watch.count += int(taken.count)
+                if not bool(state.stuck):
+                    continue
+            searches, before, slopes = searches + 1, np.inf, None
             if searches > _SEARCHES and shaken:
-                return ended(last, self.at_rest(last))
+                return ended(state, self._at_rest(state))
             if searches > _SEARCHES:
-                searches, shaken, state = 0, True, self._shaken(last, given)
+                searches, shaken, state = 0, True, self._shaken(state, given)
                 continue
-            state, used, stationary = self._feasible(state, given, max_iterations - watch.count)
+            state, used, rest = self._feasible(state, given, max_iterations - watch.count)
             watch.count += used
-            rests += stationary
-            if rests > 1:
-                return ended(state, Status.INFEASIBLE)
-            if stationary:
+            rests += rest is not None
+            if rest is not None and rests > 1:
+                return ended(self._looked_at(state, given)[1], rest)
+            if rest is not None:
                 state = self._shaken(state, given)
 
-    def at_rest(self, state: Iterate) -> Status:
+    def _at_rest(self, state: Iterate) -> Status:
         """The status where no step does better."""
         return Status.ACCEPTABLE if error(state) <= _ACCEPTABLE * self.tolerance else Status.STALLED
 
     # ---- for solvers of others --------------------------------------------------------------------------------------
+
+    def judged_at_rest(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, Status]:
+        """The status where a solver does no better; INFEASIBLE where the violation comes to rest, and once more."""
+        if self._at_rest(state) is Status.ACCEPTABLE:
+            return state, Status.ACCEPTABLE
+        here, rests = state, 0
+        while budget > 0 and float(self._begin(here).largest) > self.tolerance:
+            here, used, rest = self._feasible(here, given, budget)
+            budget, rests = budget - used, rests + (rest is not None)
+            if rest is Status.INFEASIBLE and rests > 1:
+                return self._looked_at(here, given)[1], rest
+            if rest is not None and rests > 1:
+                break
+            if rest is not None:
+                here = self._shaken(here, given)
+        return state, Status.STALLED
 
     def program(self, with_copies: bool) -> Program:
         """The problem as a nonlinear program."""
@@ -256,11 +307,14 @@ class Solver:
 
     # ---- a search for feasible points -------------------------------------------------------------------------------
 
-    def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, bool]:
-        """A point that violates less; how many steps it took; whether the violation is stationary instead."""
+    def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, Status | None]:
+        """A point that violates less; how many steps it took; INFEASIBLE or STALLED if no step helps.
+
+        INFEASIBLE where the violation has no slope, in scales of that point; STALLED where it has, but no step helps.
+        """
         search = self._begin(state)
         theta, _, _ = self._judged(state, search)
-        count, stationary = 0, False
+        count, rest, in_scale = 0, None, False
         while count < budget:
             slopes, _ = self._looked_at(feasibility.at(search, state), given)
             search = self._reduce(search, state, slopes, given)
@@ -270,8 +324,17 @@ class Solver:
                 break
             if float(reached) <= (_LITTLE if bool(known) else _WORTH) * float(theta):
                 break
-            if float(search.slope) <= _FLAT * float(search.size) ** 0.5 or float(search.damping) > _MOST_DAMPING:
-                stationary = float(search.largest) > self.tolerance
+            flat = float(search.slope) <= _FLAT * float(search.size) ** 0.5
+            if flat and not in_scale:  # a slope may be small in scales that are far off
+                in_scale, fresh = True, scaling.measured(self.shooting, search.point, slopes, state.scales)[0]
+                if scaling.change(fresh, state.scales) > RENEW:
+                    state = self._rescaled(state._replace(point=search.point, values=search.values), fresh)
+                    search = self._begin(state)
+                    theta = self._judged(state, search)[0]
+                    continue
+            if flat or float(search.damping) > _MOST_DAMPING:
+                if float(search.largest) > self.tolerance:
+                    rest = Status.INFEASIBLE if flat else Status.STALLED
                 break
         _, _, slack = self._judged(state, search)
         rows = jnp.where(self.method.inequality, state.barrier / slack, 0.0)
@@ -284,7 +347,7 @@ class Solver:
             filter=jnp.full_like(state.filter, jnp.inf),
             filtered=jnp.zeros_like(state.filtered),
         )
-        return state, count, stationary
+        return state, count, rest
 
     def _judge(self, state: Iterate, search: feasibility.Search) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Violation, whether the filter knows better, and slacks of a feasible point."""

@@ -21,7 +21,7 @@ from .border import Border
 from .cases import Cases, prepared
 from .external import SolvedBy
 from .found import Tried
-from .many import LANES, Lanes, solve_all
+from .many import solve_all
 from .mesh import Remeshed
 from .pinned import stirred
 from .refine import refined
@@ -109,7 +109,6 @@ class Solvable(ABC, Generic[One, Many]):
     def built(self) -> None:
         """Forget what was compiled."""
         self._solvers: dict[float, Solver] = {}
-        self._all_lanes: dict[tuple[Solver, int], Lanes] = {}
 
     def solve(
         self,
@@ -254,8 +253,7 @@ class Solvable(ABC, Generic[One, Many]):
         Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
         A guess with an axis of cases has one of nodes or intervals too.
 
-        Cases step together, in lanes on all processors; a lane whose case has ended takes the next. Those that need a
-        search for feasible points, or another search after a saddle, are solved one by one afterwards.
+        As many cases at a time as there are processors.
 
         Raises:
             ShapeError: arguments for different numbers of cases.
@@ -269,9 +267,8 @@ class Solvable(ABC, Generic[One, Many]):
             begin = time.perf_counter()
             points, givens, own = prepared(self, cases)
             solver = self._solver(float(tolerance), *jax.tree.map(lambda a: jnp.asarray(a[0]), (points, givens)))
-            lanes = self._lanes(solver, cases.count)
             compiled = time.perf_counter()
-            outcomes = solve_all(solver, lanes, points, givens, max_iterations)
+            outcomes = solve_all(solver, points, givens, max_iterations)
             done = time.perf_counter()
         times = (compiled - begin) / cases.count, (done - compiled) / cases.count
         return self.results([Tried([o], params, float(tolerance), *times) for o, params in zip(outcomes, own)])
@@ -285,13 +282,6 @@ class Solvable(ABC, Generic[One, Many]):
             solver.prepare(point, given)
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
-
-    def _lanes(self, solver: Solver, count: int) -> Lanes:
-        """Lanes for so many cases, compiled once for each width."""
-        width = min(LANES, count)
-        if (solver, width) not in self._all_lanes:
-            self._all_lanes[solver, width] = Lanes(solver, width)
-        return self._all_lanes[solver, width]
 
 
 def check_options(max_iterations: Any, tolerance: Any) -> None:

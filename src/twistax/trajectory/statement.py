@@ -23,6 +23,7 @@ from ..expr import (
     to_expr,
 )
 from ..lowering import Dynamics
+from ..system import entry_names, need_finite
 from .cones import NormControls, without_norms
 from .controls import is_rate
 
@@ -166,7 +167,7 @@ def describe_path(
             for row in [residual] if kind == "equality" else without_norms(residual):
                 entries, leaves = prod(row.shape), list(leaves_of(row))
                 residuals.append(row)
-                names += [f"{name}[{i}]" for i in range(entries)] if row.shape else [name]
+                names += entry_names(name, row.shape)
                 equality += [kind == "equality"] * entries
                 reads += [_reads(leaves)] * entries
                 states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
@@ -213,9 +214,9 @@ def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
     for leaf in leaves:
         reads = Reads.CONTROL if isinstance(leaf, Control) else Reads.STATE
         for sign, limits in ((1.0, leaf.max), (-1.0, leaf.min)):
-            for entry, limit in enumerate([] if limits is None else limits.ravel()):
+            places = enumerate(entry_names(leaf.name, leaf.shape))
+            for (entry, place), limit in zip(places, [] if limits is None else limits.ravel()):
                 if np.isfinite(limit):
-                    place = f"{leaf.name}[{entry}]" if leaf.shape else leaf.name
                     found.append(Bound(leaf.name, entry, sign, float(limit), place, reads))
     return found
 
@@ -234,7 +235,8 @@ def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
 
 
 def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:
-    """Raise ModelError if an expression reads something the compiled system cannot give it."""
+    """Raise ModelError if an expression reads something the compiled system cannot give it, or is never finite."""
+    need_finite(place, expr)
     known: dict[str, Leaf] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
     baked = {leaf.name for leaf in dynamics.system.parameters} - set(known)
     for leaf in leaves_of(expr):

@@ -18,6 +18,7 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import Values
 from ..precision import in_double
+from ..units import same_unit, seconds
 from .linearize import Linearization, linearize
 from .trim_conditions import Conditions
 from .trim_unknowns import Unknowns
@@ -129,6 +130,7 @@ def trim(
     """
     need_compiled("trim", dynamics)
     number("tolerance", tolerance, "a positive number", lambda v: 0.0 < v < np.inf)
+    same_unit("trim: t", t, seconds)
     number("trim: t", t)
     sought = _mapping("free", free)
     named = {str(name).partition("[")[0] for name in sought}

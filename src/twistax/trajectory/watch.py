@@ -5,26 +5,29 @@ from __future__ import annotations
 import enum
 from typing import Any
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
 from . import scaling
+from .descent import Descent
 from .iterate import Scales
 from .iterate import State as Iterate
+from .stride import AWAY
 from .transcribed import Derivatives, Transcribed
 
 #: Scales are renewed once they are off by this factor. A result stands in scales that are not.
-_RENEW = 3.0
+RENEW = 3.0
 #: What was begun in scales that are off by this factor is worth nothing.
 _WORTHLESS = 1e3
-#: Scaled multipliers beyond this have run away; how often a run begins anew for it.
-_AWAY, _RESTARTS = 1e6, 4
+#: How often a run begins anew because multipliers have run away.
+_RESTARTS = 4
 #: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
 _EARLY = (1, 3, 6)
-#: An unknown has run off that is so many times as large as the largest number and scale of unknowns at the start, on a
-#: trajectory whose gaps are less than so much of it; before so many times nothing runs off.
-_FAR, _CLOSED, _NEAR = 1e20, 1e-2, 1e5
+#: An unknown that is so many times as large as at the start has lost all digits of it, and has run off; where it is so
+#: many times as large, scales are looked at again and again.
+_FAR, _NEAR = 1e16, 1e5
+#: Where a solution stands in scales that are so many times too large, for they were once, these are forgotten.
+_INFLATED = 10.0
 
 
 class Status(enum.Enum):
@@ -37,7 +40,9 @@ class Status(enum.Enum):
     EXCEEDED = "the first-order conditions hold, but between nodes limits are exceeded by more than was asked for"
     COARSE = "the first-order conditions hold, but the mesh could not be refined to what was asked for"
     INFEASIBLE = "no trajectory was found that meets every constraint"
-    UNBOUNDED = "unknowns grow without end; most often nothing limits what the objective pushes"
+    UNBOUNDED = (
+        "the objective improves without end while the constraints hold; most often nothing limits what it pushes"
+    )
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
     STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
     NON_FINITE = "the problem has values or slopes that are not finite"
@@ -66,22 +71,32 @@ class Watch:
         most: int,
     ) -> None:
         self._shooting, self._tolerance = shooting, tolerance
-        self._seen, self._most = seen, most
-        self._far = np.inf
+        self._first = self._seen = seen
+        self._most, self._forgot = most, False
         self.count = self.restarts = 0
+
+    @property
+    def until(self) -> int:
+        """How many steps may be taken without a look at them."""
+        return min(k for k in (*_EARLY, self._most) if k > self.count) - self.count
+
+    @property
+    def low(self) -> float:
+        """The objective that runs do not fall below unless they seem to have no end."""
+        return self._descent.low(_NEAR)
 
     def at_once(self, state: Iterate) -> Status | None:
         """How it ends before the first step."""
         if not all(np.isfinite(np.asarray(a)).all() for a in (*state.scales, *state.values)):
             return Status.NON_FINITE
-        self._far = _FAR * _largest((state.point, state.scales.d, state.scales.u, state.scales.border))
         shooting = self._shooting
+        self._descent = Descent(shooting, state)
         lost = np.where(shooting.decided & ~shooting.pinned, row_violations(shooting, state), 0.0)
         return Status.INFEASIBLE if lost.max(initial=0.0) > self._tolerance else None
 
     def anew(self, seen: Scales) -> None:
         """A run goes on from another start, where these are the largest scales seen."""
-        self._seen = seen
+        self._first = self._seen = seen
 
     def renewed(self, state: Iterate, slopes: Derivatives, before: float) -> Scales | None:
         """New scales for a measured state, where its own are off.
@@ -89,11 +104,17 @@ class Watch:
         Args:
             before: the barrier parameter before the state was measured; infinite after a search for feasible points.
         """
-        if not (error(state) <= self._tolerance or self.count in _EARLY or float(state.barrier) < before):
+        there = error(state) <= self._tolerance
+        due = there or self.count in _EARLY or float(state.barrier) < before
+        if not due and not self._descent.beyond(state, _NEAR):
             return None
-        fresh, sloped = scaling.measured(self._shooting, state.point, slopes, state.scales)
-        fresh, self._seen = scaling.not_below(fresh, self._seen, sloped)
-        return fresh if scaling.change(fresh, state.scales) > _RENEW else None
+        measured, sloped = scaling.measured(self._shooting, state.point, slopes, state.scales)
+        fresh, seen = scaling.not_below(measured, self._seen, sloped)
+        if there and not self._forgot and self._descent.inflated(state._replace(scales=fresh), _INFLATED):
+            self._forgot = True
+            fresh, seen = scaling.not_below(measured, self._first, sloped)
+        self._seen = seen
+        return fresh if scaling.change(fresh, state.scales) > RENEW else None
 
     def misled(self, state: Iterate, fresh: Scales) -> bool:
         """Whether a run in its first steps began in scales so far from fresh ones that it does better to begin anew."""
@@ -106,9 +127,18 @@ class Watch:
         and these ask for a larger one.
         """
         largest = max(float(np.abs(a).max(initial=0.0)) for a in (state.dynamics, state.rows))
-        away = largest > _AWAY and self.restarts < _RESTARTS and _largest(state.point) < _NEAR / _FAR * self._far
+        away = largest > AWAY and self.restarts < _RESTARTS and not self._descent.beyond(state, _NEAR)
         self.restarts += away
         return away
+
+    def runs_off(self, state: Iterate) -> bool:
+        """Whether it seems to have no end; a feasible point from there tells."""
+        return self._descent.beyond(state, _FAR)
+
+    def _holds(self, state: Iterate) -> bool:
+        """Whether every constraint does, in scales without memory."""
+        lost = np.where(self._shooting.exists, row_violations(self._shooting, state), 0.0).max(initial=0.0)
+        return max(float(lost), self._descent.gaps(state)) <= self._tolerance
 
     def ended(self, state: Iterate) -> Status | None:
         """How a measured state in good scales ends the run, if it does."""
@@ -118,8 +148,7 @@ class Watch:
             return Status.INFEASIBLE if pinned.max(initial=0.0) > 10.0 * self._tolerance else Status.SOLVED
         if not np.isfinite(size):
             return Status.NON_FINITE
-        far = _largest(state.point)
-        if far > self._far and _largest(state.values.defects) < _CLOSED * far:
+        if self.runs_off(state) and self._holds(state):
             return Status.UNBOUNDED
         return Status.MAX_ITERATIONS if self.count >= self._most else None
 
@@ -127,11 +156,6 @@ class Watch:
 def error(state: Iterate) -> float:
     """The largest of what SOLVED asks for."""
     return max(float(e) for e in (state.errors.stationarity, state.errors.feasibility, state.errors.gap))
-
-
-def _largest(tree: Any) -> float:
-    """The largest magnitude among arrays."""
-    return max(float(np.abs(np.asarray(a)).max(initial=0.0)) for a in jax.tree.leaves(tree))
 
 
 def row_violations(shooting: Transcribed, state: Any) -> Array:

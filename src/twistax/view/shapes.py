@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy import ndarray as Array
@@ -35,9 +35,19 @@ class Shape:
     at: Any = (0.0, 0.0, 0.0)
     color: Color = STEEL
     opacity: float = 1.0
+    #: Fields that are positive lengths, m, a number or three.
+    single: ClassVar[tuple[str, ...]] = ()
+    triple: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         name = type(self).__name__
+        for field in self.single:
+            number(f"{name}: {field}", getattr(self, field), "a positive length", lambda x: 0.0 < x < np.inf)
+        for field in self.triple:
+            found = reals(f"{name}: {field}", given := getattr(self, field), InputError)
+            if found.shape != (3,) or not ((found > 0.0) & np.isfinite(found)).all():
+                raise InputError(f"{name} expects {field} as three positive lengths, got {given!r}")
+            object.__setattr__(self, field, found)
         at = reals(f"{name}: at", self.at, InputError)
         if at.shape == (3,):
             at, p = np.eye(4), at
@@ -59,21 +69,12 @@ class Shape:
         return self.mesh()[0] @ self.at[:3, :3].T + self.at[:3, 3]
 
 
-def _sizes(shape: Shape, **sizes: Any) -> None:
-    """Raise InputError unless all are positive, finite lengths."""
-    for name, value in sizes.items():
-        number(f"{type(shape).__name__}: {name}", value, "a positive length", lambda x: 0.0 < x < np.inf)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Box(Shape):
     """A box about its place, with lengths (3,) along x, y and z, m."""
 
     lengths: Any
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "lengths", _three(self, "lengths", self.lengths))
+    triple = ("lengths",)
 
     def mesh(self) -> tuple[Array, Array]:
         corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)])
@@ -86,10 +87,7 @@ class Ellipsoid(Shape):
     """An ellipsoid about its place, with semi-axes `radii` (3,) along x, y and z, m."""
 
     radii: Any
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "radii", _three(self, "radii", self.radii))
+    triple = ("radii",)
 
     @classmethod
     def of_inertia(cls, mass: Any, center_of_mass: Any, inertia: Any, **looks: Any) -> Ellipsoid:
@@ -123,10 +121,7 @@ class Sphere(Shape):
     """A ball about its place, of a radius in m, a number."""
 
     radius: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _sizes(self, radius=self.radius)
+    single = ("radius",)
 
     def mesh(self) -> tuple[Array, Array]:
         return Ellipsoid((self.radius,) * 3).mesh()
@@ -138,10 +133,7 @@ class Cylinder(Shape):
 
     radius: float
     length: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _sizes(self, radius=self.radius, length=self.length)
+    single = ("radius", "length")
 
     def mesh(self) -> tuple[Array, Array]:
         half = 0.5 * self.length
@@ -157,10 +149,7 @@ class Capsule(Shape):
 
     radius: float
     length: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _sizes(self, radius=self.radius, length=self.length)
+    single = ("radius", "length")
 
     def mesh(self) -> tuple[Array, Array]:
         up = np.linspace(0.0, 0.5 * np.pi, _ROUND // 4 + 1)
@@ -175,21 +164,14 @@ class Cone(Shape):
     height: float
     half_angle: float
     opacity: float = dataclasses.field(default=0.25, kw_only=True)
+    single = ("height",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _sizes(self, height=self.height)
         number("Cone: half_angle", self.half_angle, "an angle from 0 to pi/2", lambda x: 0.0 < x < 0.5 * np.pi)
 
     def mesh(self) -> tuple[Array, Array]:
         return _turned(np.array([0.0, self.height * np.tan(self.half_angle)]), np.array([0.0, self.height]))
-
-
-def _three(shape: Shape, name: str, value: Any) -> Array:
-    found = reals(f"{type(shape).__name__}: {name}", value, InputError)
-    if found.shape != (3,) or not ((found > 0.0) & np.isfinite(found)).all():
-        raise InputError(f"{type(shape).__name__} expects {name} as three positive lengths, got {value!r}")
-    return found
 
 
 def _turned(radii: Array, heights: Array) -> tuple[Array, Array]:

@@ -14,9 +14,9 @@ import numpy as np
 from ...errors import ModelError
 from ...expr import Inputs
 from ..functions import Functions
-from ..hessian import along
+from ..jacobian import blocks_in_arrays
 from ..scalar.graph import Limits
-from ..scalar.program import ScalarProgram, emitted_form, scalarize
+from ..scalar.program import ScalarProgram, called_names, emitted_form, scalarize
 
 #: LU with pivots is unrolled up to the size that Cholesky is.
 _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
@@ -85,12 +85,10 @@ class Exporter:
             zeros = [jnp.zeros(p.shape, self.dtype) for p in self.arguments]
             inputs = Inputs(*self.dynamics.by_kind(self._places, zeros), self.dtype)
             found, _ = self.dynamics.rate_jacobian(inputs, tuple(wrt))
-            ends = np.cumsum([nodes.shape[1] for nodes in found.blocks.values()])
+            rates = lambda *values: self.dynamics.flat_rates(self._places, *values)[0]  # noqa: E731
 
             def arrays(*values: jax.Array) -> list[jax.Array]:
-                size, moved = along(self.dynamics.group, self._places, wrt, values)
-                rates = lambda d: self.dynamics.flat_rates(self._places, *moved(d))[0]  # noqa: E731
-                return jnp.split(jax.jacfwd(rates)(jnp.zeros(size, self.dtype)), ends[:-1], axis=1)
+                return list(blocks_in_arrays(rates, self.dynamics.group, self._places, wrt, values).values())
 
             return self._exported("jacobian", "jacobian", list(found.blocks), found.program, arrays)
 
@@ -105,12 +103,10 @@ class Exporter:
         """A function with every call unrolled, without results that have no entry."""
         form = emitted_form(program, limits=_LIMITS)
         if form.calls:
-            unread = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})
             raise ModelError(
-                f"the {name} call {', '.join(unread)}, which {'has' if len(unread) == 1 else 'have'} no form in "
-                "scalars.\n  fix: bake the parameters it works on, write it with other nodes, or leave this function "
-                f"out; solves are unrolled up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to "
-                f"{_LIMITS.table} places"
+                f"the {name} call {called_names(form.calls)}, without a form in scalars.\n  fix: bake the parameters "
+                "it works on, write it with other nodes, or leave this function out; solves are unrolled up to "
+                f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"
             )
         kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
         ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)

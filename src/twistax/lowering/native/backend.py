@@ -37,8 +37,6 @@ KERNEL_EVENT = "/twistax/kernel"
 _XLA = XLA()
 #: Operations of functions that XLA compiles for many seconds.
 _LONG = 5000
-#: The most scalars of a derivative.
-_LARGEST_DERIVATIVE = 500_000
 #: What kernels are written from, between the time when that was looked at and the first kernel.
 _FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
@@ -113,8 +111,12 @@ class Native(Backend):
         program = self._whole_step(step, shapes)
         if program is None:
             return self.scalars.step(step, shapes)
-        program.graph.largest = ANY_SIZE  # for derivatives of any order, which nothing else could run
+        program.graph.largest = ANY_SIZE
         return Derived(program, None, self)
+
+    def beside(self, function: Step, shapes: Shapes) -> Derived | None:
+        program = self._whole_step(function, shapes)
+        return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
         if max((math.prod(own.shape) for own in shapes), default=0) > self.scalars.widest:
@@ -156,16 +158,17 @@ class Native(Backend):
             return None, str(error)
         if form is not program:  # which would hold itself
             _FORMS[program] = form
-        size = f"{form.operations} operations"
-        return Derived(program, None, self), f"native: {size}; as XLA has them where a call has fewer than {self.least}"
+        if not form.operations:
+            return Derived(program, None, self), "numbers are moved, nothing is computed"
+        said = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
+        return Derived(program, None, self), said
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
         derived, reason = self._kernels(program)
         if derived is None:
             found = otherwise()
             return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
-        # Derivatives of what has a kernel have one, however long it takes to compile.
-        program.graph.largest = max(program.graph.largest, _LARGEST_DERIVATIVE)
+        program.graph.largest = ANY_SIZE
         return Emission(lambda *a: call_program(derived, *a), program, reason)
 
     def _say_missing(self) -> None:

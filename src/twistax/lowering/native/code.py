@@ -37,9 +37,6 @@ NAMES: dict[np.dtype[Any], str] = {
     np.dtype(bool): "i1",
 }
 
-#: Bits of the vectors within one body.
-_PACKED = 256
-
 #: LLVM's names of vectors in the names of functions on them.
 _SUFFIXES = {"double": "f64", "float": "f32"}
 
@@ -55,14 +52,13 @@ class Module:
         self.tables: dict[str, str] = {}
         #: Whether it is a long straight program, of which more of LLVM's work takes time and gains nothing.
         self.long = False
-        #: Whether LLVM looks for operations of one body that vectors can do side by side.
-        self.packed = False
+        #: Bits of vectors into which LLVM puts operations of one body that are alike; 0: it does not look for them.
+        self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
 
     def text(self) -> str:
-        # Within one body wider vectors are seldom filled.
-        bits = min(self.processor.bits, _PACKED) if self.packed else self.processor.bits
+        bits = min(self.processor.bits, self.packed or self.processor.bits)
         vectors = f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"'
         attributes = [f'attributes #0 = {{ noinline nounwind "no-builtins" {vectors} }}']
         attributes.append('!0 = !{!"branch_weights", i32 1, i32 2000}')
@@ -247,10 +243,8 @@ class Code:
 
     def _exponential(self, x: str) -> str:
         d, (series, high, low) = "double", self._reduced(x, -800.0, 800.0)
-        found = self.instruction("fadd", d, self.constant(d, 1.0), series)
-        for half in (high, low):
-            found = self.instruction("fmul", d, found, self._power_of_two(half))
-        return found
+        scale = self._power_of_two(high)
+        return self.instruction("fmul", d, self.multiply_add(d, scale, series, scale), self._power_of_two(low))
 
     def _exponential_less_one(self, x: str) -> str:
         # (2^h s + (2^h - 2^-l)) 2^l with k = h + l and the series s.
@@ -267,10 +261,11 @@ class Code:
         d, two = "double", self.constant("double", 2.0)
         size = self.chosen("fcmp olt", d, self.constant(d, 30.0), self.intrinsic("fabs", d, x))
         raised = self._exponential_less_one(self.instruction("fmul", d, two, size))
-        below = self.instruction("fadd", d, raised, two)
-        near = self.instruction("fdiv", d, raised, below)
-        far = self.instruction("fsub", d, self.constant(d, 1.0), self.instruction("fdiv", d, two, below))
+        # Near zero a / (a + 2), beyond 1 - 2 / (a + 2): one division for both.
         large = self.instruction("fcmp ogt", d, size, self.constant(d, 0.55))
+        above, below = self.select(d, large, two, raised), self.instruction("fadd", d, raised, two)
+        near = self.instruction("fdiv", d, above, below)
+        far = self.instruction("fsub", d, self.constant(d, 1.0), near)
         return self.intrinsic("copysign", d, self.select(d, large, far, near), x)
 
     def _reduced(self, x: str, least: float, most: float) -> tuple[str, str, str]:
@@ -306,6 +301,27 @@ class Code:
         if self.module.processor.fma:
             return self.intrinsic("fma", kind, a, b, c)
         return self.instruction("fadd", kind, self.instruction("fmul", kind, a, b), c)
+
+    def loop(self, carried: Sequence[tuple[str, str, str]]) -> Callable[[Sequence[str], str], None]:
+        """Begins what is done once, and again while it says so; its values are then those of the last time.
+
+        Args:
+            carried: names, their types, and their values the first time.
+        Returns:
+            what ends it, given the values of the next time and whether there is one.
+        """
+        before, head, latch, done = (self.label() for _ in range(4))
+        self.lines += [f"br label %{before}", f"{before}:", f"br label %{head}", f"{head}:"]
+        start = len(self.lines)
+
+        def end(following: Sequence[str], more: str) -> None:
+            self.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {more}, label %{head}, label %{done}", f"{done}:"]
+            self.lines[start:start] = [
+                f"{name} = phi {kind} [ {first}, %{before} ], [ {new}, %{latch} ]"
+                for (name, kind, first), new in zip(carried, following, strict=True)
+            ]
+
+        return end
 
     def any(self, flags: str) -> str:
         """Whether a truth value holds in any lane."""

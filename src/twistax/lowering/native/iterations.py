@@ -79,32 +79,24 @@ class Iterations(Tile):
         changing = step.depending([0, *range(self._first_state, len(step.inputs))])
         scalars.compute([i for i in step.live if i not in changing])
         filling = None if self._row is None else _Filling(code, self._row, rows, self.arguments, len(self.results) - 1)
-        going = code.emit(f"icmp slt {counters} {first}, {stop}")
-        before, loop, latch, done = (code.label() for _ in range(4))
-        code.lines += [f"br label %{before}", f"{before}:", f"br label %{loop}", f"{loop}:"]
-        # What comes round is known at the end of the loop.
-        heads = len(code.lines)
+        carried = [(now[place], numbers, start) for place, start in zip(states, starts, strict=True)]
+        carried.append((count, counters, first))
+        if filling is not None:
+            carried.append((number := code.name(), counters, filling.first))
+        carried.append((live, flags, code.emit(f"icmp slt {counters} {first}, {stop}")))
+        end = code.loop(carried)
         values = scalars.compute(step.flat)
         found, said = values[: len(states)], values[len(states) :]
         more = said[0] if self._says else _finite(code, kind, found)
         good = live if self._says else code.instruction("and", "i1", live, more)
-        after = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
-        next_count = code.instruction("add", counter, count, code.convert("zext", "i1", counter, good))
-        going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {next_count}, {stop}"), good)
+        ends = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
+        ends.append(code.instruction("add", counter, count, code.convert("zext", "i1", counter, good)))
+        going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {ends[-1]}, {stop}"), good)
         if self._says:
             going_on = code.instruction("and", "i1", going_on, more)
-        round_ = [(count, counters, first, next_count), (live, flags, going, going_on)]
-        round_ += [(now[p], numbers, a, b) for p, a, b in zip(states, starts, after, strict=True)]
-        ends = [*after, next_count]
         if filling is not None:
-            number = code.name()
             ends.append(filling.write(number, live, said[1:]))
-            round_.append((number, counters, filling.first, ends[-1]))
-        any_left = code.any(going_on)
-        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {any_left}, label %{loop}, label %{done}", f"{done}:"]
-        code.lines[heads:heads] = [
-            f"{name} = phi {kind_} [ {start}, %{before} ], [ {end}, %{latch} ]" for name, kind_, start, end in round_
-        ]
+        end([*ends, going_on], code.any(going_on))
         left = iter(ends)
         for k in self.written:
             if k not in self.in_place:

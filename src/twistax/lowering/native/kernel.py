@@ -48,7 +48,7 @@ class _Lease:
         written = cache.kept(self._key)
         self._unchecked = None
         if written is None:
-            written = self._unchecked = compiled(text, module.processor, module.long, module.packed)
+            written = self._unchecked = compiled(text, module.processor, module.long, bool(module.packed))
         self.code = load(written, module.library, module.processor, names)
 
     @property

@@ -18,6 +18,8 @@ from .tile import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
 
 #: The most operations that are put into vectors within one body: it takes LLVM twice as long.
 _PACKED = 3000
+#: Of many instructions each, without a branch. Four of them gain by themselves; sixteen fill wide vectors.
+_LONG = {"exp", "expm1", "logistic", "tanh"}
 #: How much of what goes round is computed alike where that gains: products of matrices, not steps of a rigid body.
 _MOST = 0.75
 
@@ -44,13 +46,12 @@ class Loop(Tile):
         results = [*found[: ring.state], *(_long(a) for a in self._results)]
         states = range(ring.fixed + 1, ring.fixed + ring.state + 1)
         carried = [i for nodes in program.outputs[ring.length is None :][: ring.state] for i in flat(nodes)]
-        self.packed = program.operations <= _PACKED and _alike(program, carried)
+        self.packed = _width(program, carried)
         super().__init__(program, lanes, arguments, results, {k + 1 for k in needed_by(program)} | {0, *states})
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
         step, ring = self.program, self.ring
         first_row = ring.fixed + ring.state
-        flags = code.vector("i1")
         states = [(k, j) for k in range(ring.fixed, first_row) for j in range(step.inputs[k].size)]
         kinds = [NAMES[self.arguments[k + 1].dtype] for k, _ in states]
         starts = [rows[f"a{k + 1}"].read(j) for k, j in states]
@@ -68,10 +69,11 @@ class Loop(Tile):
         one = code.entry("i32", rows["a0"].read(0), 0)
         count, k, live = code.emit(f"sext i32 {one} to i64"), code.name(), code.name()
         last = code.emit(f"sub i64 {count}, 1")
-        before, loop, latch, done = (code.label() for _ in range(4))
-        code.lines += [f"br label %{before}", f"{before}:", f"br label %{loop}", f"{loop}:"]
-        # What comes round is known at the end of the loop.
-        heads = len(code.lines)
+        carried = [(k, "i64", "0")]
+        if ring.length is None:
+            carried.append((live, code.vector("i1"), code.constant("i1", True)))
+        carried += [(now[p], code.vector(kind), start) for p, kind, start in zip(states, kinds, starts, strict=True)]
+        end = code.loop(carried)
         place = code.emit(f"sub i64 {last}, {k}") if ring.reverse else k
 
         def window(name: str, array: Array) -> Rows:
@@ -80,22 +82,16 @@ class Loop(Tile):
         own |= {n: window(f"a{n + 1}", a) for n, a in enumerate(self._rows, first_row) if n + 1 in self.read}
         found = scalars.compute(step.flat)
         after = found[ring.length is None :][: len(states)]
-        following = code.emit(f"add i64 {k}, 1")
+        following, flags = code.emit(f"add i64 {k}, 1"), list[str]()
         again = code.emit(f"icmp ult i64 {following}, {count}")
-        lines = [f"{k} = phi i64 [ 0, %{before} ], [ {following}, %{latch} ]"]
         if ring.length is None:
-            going = code.instruction("and", "i1", live, found[0])
+            flags.append(going := code.instruction("and", "i1", live, found[0]))
             after = [code.select(kind, going, new, now[p]) for kind, p, new in zip(kinds, states, after, strict=True)]
-            lines.append(f"{live} = phi {flags} [ {code.constant('i1', True)}, %{before} ], [ {going}, %{latch} ]")
             again = code.emit(f"and i1 {again}, {code.any(going)}")
         for n, array in enumerate(self._results, ring.state):
             if array.size:
                 window(f"r{n}", array).write(scalars.compute(flat(step.outputs[n])))
-        code.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {again}, label %{loop}, label %{done}", f"{done}:"]
-        code.lines[heads:heads] = lines + [
-            f"{now[p]} = phi {code.vector(kind)} [ {start}, %{before} ], [ {end}, %{latch} ]"
-            for p, kind, start, end in zip(states, kinds, starts, after, strict=True)
-        ]
+        end([following, *flags, *after], again)
         ends = iter(after)
         for n in range(ring.state):
             values = [next(ends) for _ in range(self.results[n].size)]
@@ -122,6 +118,14 @@ class Loop(Tile):
             for a, own, new in zip(rows, self._results, found[ring.state :], strict=True):
                 _part(a, place, own.size)[:] = new
         return [*state, *rows]
+
+
+def _width(program: ScalarProgram, carried: Sequence[int]) -> int:
+    """Bits of vectors within one body; 0 where they do not pay."""
+    long = sum(count for name, count in program.counts().items() if name in _LONG)
+    if program.operations > _PACKED:
+        return 0
+    return 512 if long >= 16 else 256 if long >= 4 or _alike(program, carried) else 0
 
 
 def _alike(program: ScalarProgram, nodes: Sequence[int]) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..scalar.entry import Operation, flat
 from ..scalar.graph import Limits, TooLarge
-from ..scalar.program import ScalarProgram, emitted_form
+from ..scalar.program import ScalarProgram, called_names, emitted_form
 from ..scalar.table import OPERATIONS
 from .code import NAMES, Code, Module, NotNative
 from .pieces import Scratch, Values, in_pieces
@@ -44,8 +44,7 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
         raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph
     if form.calls:
-        names = sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns})
-        raise NotNative(f"{', '.join(names)} has no native form")
+        raise NotNative(f"{called_names(form.calls)} has no native form")
     for i in form.live:
         if g.dtypes[i] not in NAMES:
             raise NotNative(f"{g.dtypes[i]} has no native form")
@@ -141,11 +140,11 @@ class Tile(ABC):
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
         tried: the length that long arrays have where the function is checked.
-        packed: whether LLVM is to put operations of one body into vectors.
+        packed: the bits of vectors into which LLVM is to put operations of one body; 0: it is not.
         in_place: results that stand where an argument stood, and that argument: what is not written stays.
     """
 
-    tried, packed = 0, False
+    tried, packed = 0, 0
     in_place: Mapping[int, int] = {}
 
     def __init__(
@@ -166,7 +165,7 @@ class Tile(ABC):
 
     def write(self, module: Module) -> None:
         """Adds the function, and what it calls."""
-        module.packed = self.lanes == 1 and self.packed
+        module.packed = self.packed if self.lanes == 1 else 0
         code = Code(module, self.lanes)
         self.body(code, self._moved(code))
         module.functions["tile"] = code.function(f"internal void @tile(i64 %last{self._heads('ptr noalias')})")

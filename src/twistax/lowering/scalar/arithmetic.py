@@ -13,17 +13,13 @@ import numpy as np
 from jax import lax
 
 from .entry import ALWAYS, NEVER, SMALL, Entry, Nodes, Operation, convert, default, each, gathered, nodes, up_to
-from .operations import LARGEST, OPERATIONS, SMALLEST, on
+from .operations import LARGEST, OPERATIONS, SMALLEST, inverse_root, on
 
 if TYPE_CHECKING:
     from .graph import Graph
     from .program import Reader
 
 # ---- entry by entry --------------------------------------------------------------------------------------------------
-
-
-def _rsqrt(g: Graph, x: int) -> int:
-    return g.div(g.one, on(g, "sqrt", x))
 
 
 def _power(g: Graph, x: int, n: int) -> int:
@@ -92,7 +88,7 @@ def _same(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
 ELEMENTWISE = [
     Entry(
         "rsqrt",
-        lambda reader, eqn, a: [each(functools.partial(_rsqrt, reader.graph), a)],
+        lambda reader, eqn, a: [each(functools.partial(inverse_root, reader.graph), a)],
         "|accuracy",
         when=default("accuracy"),
         inside=SMALL,

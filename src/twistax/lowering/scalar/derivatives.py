@@ -59,32 +59,41 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
 @_alone
 def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
-    g, inputs = program.graph, list(program.inputs)
-    found: dict[int, int] = {}
-    for own, dtype in zip(program.outputs, program.types, strict=True):
-        if is_real(dtype):
-            inputs.append(_new_inputs(g, len(inputs), own))
-            for i, c in zip(flat(own), flat(inputs[-1]), strict=True):
-                _accumulate(g, found, i, c)
+    g, found = program.graph, dict[int, int]()
+    inputs, weights = _with_cotangents(program)
+    for i, c in zip(program.flat, weights, strict=True):
+        _accumulate(g, found, i, c)
     _pull(g, program.live, found, program.depending(active))
-    outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
-    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype_of(program.inputs[k]) for k in active))
+    return _by_arguments(program, inputs, found, active)
 
 
 @_alone
 def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
-    g, inputs = program.graph, list(program.inputs)
-    columns, weights = flat(*(program.inputs[k] for k in active)), []
+    g, found = program.graph, dict[int, int]()
+    inputs, weights = _with_cotangents(program)
+    columns = flat(*(program.inputs[k] for k in active))
+    for (place, column), entry in jacobian(program, active).items():
+        _accumulate(g, found, columns[column], g.mul(entry, weights[place]))
+    return _by_arguments(program, inputs, found, active)
+
+
+def _with_cotangents(program: ScalarProgram) -> tuple[list[Nodes], list[int]]:
+    """The arguments and new ones, cotangents of the real results; and for each entry of all results its cotangent."""
+    g, inputs, weights = program.graph, list(program.inputs), list[int]()
     for own, dtype in zip(program.outputs, program.types, strict=True):
         if is_real(dtype):
             inputs.append(_new_inputs(g, len(inputs), own))
         weights += flat(inputs[-1]) if is_real(dtype) else [g.zero] * own.size
-    found: dict[int, int] = {}
-    for (place, column), entry in jacobian(program, active).items():
-        _accumulate(g, found, columns[column], g.mul(entry, weights[place]))
-    outputs = tuple(_gathered(g, found, program.inputs[k]) for k in active)
-    return ScalarProgram(g, tuple(inputs), outputs, tuple(g.dtype_of(program.inputs[k]) for k in active))
+    return inputs, weights
+
+
+def _by_arguments(
+    program: ScalarProgram, inputs: Sequence[Nodes], found: Mapping[int, int], active: Sequence[int]
+) -> ScalarProgram:
+    """What was found of the entries of the arguments `active`, as a program."""
+    g, own = program.graph, [program.inputs[k] for k in active]
+    return ScalarProgram(g, tuple(inputs), tuple(_gathered(g, found, a) for a in own), tuple(map(g.dtype_of, own)))
 
 
 def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -298,15 +298,22 @@ class Graph:
 
     def live(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
         """All nodes that the outputs need and that are not known, arguments first."""
-        return sorted(self.one_by_one(outputs, known))
-
-    def one_by_one(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
-        """The same, each output with what only it and later ones need: few numbers are waiting at any time."""
 
         def needed(node: int) -> list[int]:
-            return [] if node in known else self.sources(node)[::-1]
+            return [] if node in known else self.sources(node)
 
-        return [node for node in walk(map(int, outputs), needed, int) if node not in known]
+        return sorted(node for node in walk(map(int, outputs), needed, int) if node not in known)
+
+    def one_by_one(self, outputs: Sequence[int]) -> list[int]:
+        """The same, each output with what only it and later ones need: few numbers are waiting at any time.
+
+        Of several arguments the one that takes most numbers at a time comes first (R. Sethi and J. Ullman 1970).
+        """
+        most: dict[int, int] = {}
+        for node in self.live(outputs):
+            own = sorted((most[a] for a in self.sources(node)), reverse=True)
+            most[node] = max((number + k for k, number in enumerate(own)), default=1)
+        return list(walk(outputs, lambda node: sorted(self.sources(node), key=lambda a: -most[a]), int))
 
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
         found = self._known.get(key)

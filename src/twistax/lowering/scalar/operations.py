@@ -189,7 +189,8 @@ def _inverse(g: Graph, x: int) -> int:
     return g.div(g.one, x)
 
 
-def _inverse_root(g: Graph, x: int) -> int:
+def inverse_root(g: Graph, x: int) -> int:
+    """1 / sqrt(x)."""
     return g.div(g.one, on(g, "sqrt", x))
 
 
@@ -355,14 +356,14 @@ _ROWS = [
     _function("sin", np.sin, lambda g, x, y: on(g, "cos", x), parity=-1, llvm=Forms(code("turned", 0))),
     _function("cos", np.cos, lambda g, x, y: g.neg(on(g, "sin", x)), parity=1, llvm=Forms(code("turned", 1))),
     _function("tan", np.tan, lambda g, x, y: _square_plus(g, y), parity=-1),
-    _function("asin", np.arcsin, lambda g, x, y: _inverse_root(g, _beside_one(g, x)), parity=-1),
-    _function("acos", np.arccos, lambda g, x, y: g.neg(_inverse_root(g, _beside_one(g, x)))),
+    _function("asin", np.arcsin, lambda g, x, y: inverse_root(g, _beside_one(g, x)), parity=-1),
+    _function("acos", np.arccos, lambda g, x, y: g.neg(inverse_root(g, _beside_one(g, x)))),
     _function("atan", np.arctan, lambda g, x, y: _inverse(g, _square_plus(g, x)), parity=-1),
     _function("sinh", np.sinh, lambda g, x, y: on(g, "cosh", x), parity=-1),
     _function("cosh", np.cosh, lambda g, x, y: on(g, "sinh", x), parity=1),
     _function("tanh", np.tanh, lambda g, x, y: _beside_one(g, y), parity=-1, llvm=Forms(code("hyperbolic_tangent"))),
-    _function("asinh", np.arcsinh, lambda g, x, y: _inverse_root(g, _square_plus(g, x)), parity=-1),
-    _function("acosh", np.arccosh, lambda g, x, y: _inverse_root(g, g.mul(g.sub(x, g.one), g.add(x, g.one)))),
+    _function("asinh", np.arcsinh, lambda g, x, y: inverse_root(g, _square_plus(g, x)), parity=-1),
+    _function("acosh", np.arccosh, lambda g, x, y: inverse_root(g, g.mul(g.sub(x, g.one), g.add(x, g.one)))),
     _function("atanh", np.arctanh, lambda g, x, y: _inverse(g, _beside_one(g, x)), parity=-1),
     # ---- logic
     _comparison("==", "eq", np.equal),

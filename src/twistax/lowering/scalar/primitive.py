@@ -32,7 +32,7 @@ from ...jax_inside import (
 from ..small_call import apart, inside_small_call, small_call
 from .derivatives import cotangent_program, is_real, tangent_program
 from .emitter import as_function
-from .program import ScalarProgram, emitted_form
+from .program import ScalarProgram, called_names, emitted_form
 
 #: Of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
@@ -375,7 +375,7 @@ def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bod
     """Taylor series: those of the operations on scalars, `as_function` has barriers, which have none."""
     form = emitted_form(program.program)
     if form.calls:
-        names = ", ".join(sorted({e.primitive.name for call in form.calls for e in call.jaxpr.jaxpr.eqns}))
+        names = called_names(form.calls)
         raise NotImplementedError(f"jet: no Taylor series of {names} in a compiled system; use backend=tx.JAX()")
 
     def function(*arguments: jax.Array) -> list[jax.Array]:

@@ -267,6 +267,11 @@ class ScalarProgram:
         return ScalarProgram(self.graph, self.inputs, tuple(outputs), tuple(map(self.graph.dtype_of, outputs)))
 
 
+def called_names(calls: Iterable[Call]) -> str:
+    """The operations of JAX that are called, for messages."""
+    return ", ".join(sorted({eqn.primitive.name for call in calls for eqn in call.jaxpr.jaxpr.eqns}))
+
+
 def scalarize(
     function: Callable[..., Any] | ClosedJaxpr,
     *shapes: Any,

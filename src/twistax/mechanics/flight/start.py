@@ -48,13 +48,19 @@ def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> n
         if not isinstance(leaf, Leaf):
             raise ModelError(f"numbers expects values by leaf, such as {{vehicle.pose: ...}}, got {short(leaf)}")
     known = {leaf.key(): Constant(value) for leaf, value in (values or {}).items()}
-    (found,) = canonicalize_all([substitute(to_expr(expression), known)])
-    if not isinstance(found, Constant):
-        raise ModelError(
-            f"numbers expects an expression with finite numbers at the values given, got {short(found)}.\n"
-            "  fix: give a value for each of its states, controls and parameters"
-        )
-    return np.array(found.value, float)
+    return _folded(substitute(to_expr(expression), known))[0]
+
+
+def _folded(*expressions: Expr) -> list[np.ndarray]:
+    """The numbers that expressions of numbers amount to, what they share computed once. Raises ModelError."""
+    found = canonicalize_all(expressions)
+    for expr in found:
+        if not isinstance(expr, Constant):
+            raise ModelError(
+                f"numbers expects an expression with finite numbers at the values given, got {short(expr)}.\n"
+                "  fix: give a value for each of its states, controls and parameters"
+            )
+    return [np.array(expr.value, float) for expr in found if isinstance(expr, Constant)]
 
 
 def start(
@@ -101,7 +107,8 @@ def start(
         "rate": _taken("rate", rate, radians / seconds, (3,)),
         "t": _taken("t", t, seconds),
     }
-    own = {name: Parameter(name, np.shape(value)) for name, value in given.items()}
+    traced = is_traced(given)
+    own: dict[str, Any] = {k: Parameter(k, np.shape(v)) if traced else Constant(v) for k, v in given.items()}
     north, east, up, over_ground = (own[name] for name in ("latitude", "longitude", "altitude", "ned_velocity"))
     turn = planet.figure.to_inertial(own["t"])
     local, attitude = turn @ north_east_down(north, east), EulerRotation(own["euler"])
@@ -110,9 +117,8 @@ def start(
     velocity = attitude.T @ (over_ground + local.T @ carried)
     turning = own["rate"] + attitude.T @ relative_to(planet, north, up, over_ground)
     state: dict[str, Expr] = {pose: Pose(local @ attitude, position), twist: Concat(velocity, turning)}
-    if not is_traced(given):
-        known: dict[Leaf, Any] = {own[name]: value for name, value in given.items()}
-        return {name: numbers(value, known) for name, value in state.items()}
+    if not traced:
+        return dict(zip(state, _folded(*state.values()), strict=True))
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in given.items()}, dtype)
     return dict(zip(state, evaluate_all([*state.values()], lambda leaf: leaf.read(inputs)), strict=True))

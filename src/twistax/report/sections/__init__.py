@@ -7,6 +7,7 @@ from . import (
     calls,
     costs,
     edges,
+    hessians,
     identities,
     keeping,
     lookups,
@@ -49,6 +50,7 @@ FIGURES: dict[str, Section] = {
     "lookups": lookups.LOOKUPS,
     "gradients": steps.GRADIENTS,
     "operations": scalars.OPERATIONS,
+    "hessians": hessians.HESSIANS,
     "kernels": scalars.KERNELS,
     "small": small.SMALL,
     "mechanisms": mechanisms.MECHANISMS,
@@ -62,6 +64,7 @@ OPTIMAL: dict[str, Section] = {
     "trust": trust.TRUST,
     "solvers": optimal.SOLVERS,
     "ratios": optimal.RATIOS,
+    "times": optimal.TIMES,
 }
 
 EVERY = FIGURES | STABILITY | OPTIMAL

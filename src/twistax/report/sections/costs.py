@@ -45,7 +45,7 @@ def chain_equations() -> dict[str, int]:
     return {name: count_equations(jax.make_jaxpr(form)({"x": jnp.ones(3)}).jaxpr) for name, form in forms.items()}
 
 
-def _printed(code: str, **environment: str) -> float:
+def printed(code: str, **environment: str) -> float:
     """The number that a program of Python prints in a process of its own."""
     given: dict[str, Any] = {"capture_output": True, "text": True, "check": True, "env": os.environ | environment}
     return float(subprocess.run([sys.executable, "-c", code], **given).stdout)
@@ -54,7 +54,7 @@ def _printed(code: str, **environment: str) -> float:
 def import_seconds(runs: int = 7) -> float:
     """Median over fresh processes of the time `import twistax` takes once JAX is imported."""
     code = "import time, jax; t = time.perf_counter(); import twistax; print(time.perf_counter() - t)"
-    return median(_printed(code) for _ in range(runs))
+    return median(printed(code) for _ in range(runs))
 
 
 def compile_seconds() -> float:
@@ -88,7 +88,7 @@ print(sum(spent))
 def _starts() -> list[float]:
     """The seconds that a script of the Panda spends on kernels when it first starts, and the second time."""
     with tempfile.TemporaryDirectory() as folder:
-        return [_printed(_START, TWISTAX_CACHE=folder, JAX_PLATFORMS="cpu") for _ in range(2)]
+        return [printed(_START, TWISTAX_CACHE=folder, JAX_PLATFORMS="cpu") for _ in range(2)]
 
 
 COSTS: Section = [

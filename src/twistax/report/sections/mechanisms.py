@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import importlib.util
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from ...mechanics import Drive, Mechanism, chain_models
 from ...mechanics.derivatives import inverse_dynamics_derivatives
 from ..checks import Absent, Check, Section, agree, at_most, needed, slow
 from ..speed.contenders import pinocchio_model
-from ..timing import Repeats, Timed, in_turn
+from ..timing import Repeats, Timed, batch, in_turn
 
 _BATCH = 4096
 _REPEATS = Repeats(15, 5, 2.0)
@@ -64,21 +64,6 @@ def _points(robot: str) -> tuple[dict[str, Any], dict[str, Any]]:
     return x, {"tau": jnp.asarray(rng.normal(size=(_BATCH, *system.controls[0].shape)))}
 
 
-def _batch(function: Callable[..., Any], *given: Any) -> tuple[Timed, float]:
-    """A batch that writes where the one before wrote, and the processor's seconds to its first result."""
-    run = jax.jit(lambda *a: jax.vmap(function)(*a[:-1]), donate_argnums=len(given), keep_unused=True)
-    begin = time.process_time()
-    shapes = jax.eval_shape(jax.vmap(function), *given)
-    kept = [jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)]
-
-    def call() -> Any:
-        kept[0] = run(*given, kept[0])
-        return kept[0]
-
-    jax.block_until_ready(call())
-    return Timed(call, _BATCH), time.process_time() - begin
-
-
 @functools.cache
 def _ours(robot: str, part: str) -> tuple[Timed, float]:
     """The batch of a robot by one thread, and the processor's seconds from the expression on."""
@@ -87,8 +72,8 @@ def _ours(robot: str, part: str) -> tuple[Timed, float]:
     dynamics = tx.compile(system, backend=tx.Native(threads=1))
     before = time.process_time() - begin
     function = dynamics if part == "dynamics" else dynamics.jacobian
-    timed, seconds = _batch(lambda x, u: function(0.0, x, u), x, u)
-    return timed, seconds + before
+    timed = batch(lambda x, u: function(0.0, x, u), x, u)
+    return timed, timed.compile_seconds + before
 
 
 @functools.cache
@@ -172,7 +157,7 @@ def _rnea(links: int) -> float:
     dynamics = tx.compile(system, backend=tx.Native(threads=1))
     points = np.random.default_rng(3).normal(size=(3, _BATCH, n))
     call = lambda q, v, a: dynamics.jacobian(0.0, {"qd": v}, {"q": q, "qdd": a})  # noqa: E731
-    timed, _ = _batch(call, *map(jnp.asarray, points))
+    timed = batch(call, *map(jnp.asarray, points))
     found, data = timed.call(), model.createData()
     by_q, by_v, _ = pin.computeRNEADerivatives(model, data, *points[:, 0])
     _agree((found["u"][0][:, :n], by_q), (found["x"][0], by_v))

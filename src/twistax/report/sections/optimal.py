@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import functools
 import statistics
+import tempfile
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+import twistax as tx
+
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, TrajectoryResult
 from ..checks import Absent, Check, Section, at_most, between, needed, slow
 from . import flights, problems
+from .costs import printed
 from .problems import FIVE_SWITCHES, Known
 
 #: Solves of which the fastest counts, starts tried, and the relative difference of costs of one optimum.
@@ -172,4 +177,48 @@ RATIOS: Section = [
     slow(f"ours over IPOPT's, {word}", by, at_most(bar), _ratios, measure, of)
     for measure, by, bars in ((_iterations, "steps", (1.0, 3.0)), (_milliseconds, "time", (0.3, 1.5)))
     for word, of, bar in zip(("median", "worst"), (statistics.median, max), bars, strict=True)
+]
+
+# ---- many cases, and the first solve of a process --------------------------------------------------------------------
+
+_CASES = 64
+
+_FIRST_SOLVE = """import time, jax
+jax.config.update("jax_enable_x64", True)
+from twistax.report.sections import flights
+problem = flights.quadrotor(25)
+begin = time.process_time()
+problem.solve()
+print(time.process_time() - begin)
+"""
+
+
+def _at_once() -> float:
+    """Seconds of a case by `solve_many` over those of one alone, quadrotors that start at different places."""
+    problem, rng = flights.quadrotor(20), np.random.default_rng(0)
+    starts = np.array([tx.pose(position=place) for place in rng.normal(size=(_CASES, 3)) * [0.1, 0.3, 0.3]])
+    if not problem.solve_many(initial={"g": starts}).solved.all():
+        raise Absent("not all are SOLVED")
+    begin = time.perf_counter()
+    for start in starts:
+        problem.solve(initial={"g": start})
+    alone = time.perf_counter() - begin
+    begin = time.perf_counter()
+    problem.solve_many(initial={"g": starts})
+    return (time.perf_counter() - begin) / alone
+
+
+def _first_solve(cached: bool) -> float:
+    """Seconds of processor time of the first solve of a process that is not the first one."""
+    with tempfile.TemporaryDirectory() as folder:
+        own = {"JAX_COMPILATION_CACHE_DIR": folder} if cached else {}
+        printed(_FIRST_SOLVE, **own)
+        return printed(_FIRST_SOLVE, **own)
+
+
+_FIRST = "first solve of a process, quadrotor of 25 nodes"
+TIMES: Section = [
+    slow(f"{_CASES} quadrotors of 20 nodes by solve_many", "a case over one alone", at_most(0.3), _at_once),
+    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, False),
+    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, True),
 ]

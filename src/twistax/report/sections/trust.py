@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import gc
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -131,14 +132,18 @@ class _Units:
 
 @dataclasses.dataclass(frozen=True)
 class Tried:
-    """One solve: whether it was SOLVED, at which cost in the old unit, in how many steps; whether a closer solve stays
-    at that cost, and whether the objective falls to second order there."""
+    """One solve: whether it was SOLVED, at which cost in the old unit, in how many steps; where that is not the cost
+    plainly found, whether a closer solve stays there, and whether the objective falls to second order."""
 
     solved: bool
     cost: float
     iterations: int
-    stays: Callable[[], bool]
-    is_saddle: Callable[[], bool]
+    stays: bool = True
+    is_saddle: bool = False
+
+
+def _alike(cost: float, other: float) -> bool:
+    return abs(cost / other - 1.0) <= _SAME
 
 
 class Sweep:
@@ -180,15 +185,17 @@ class Sweep:
 
     def _of(self, restated: Restated) -> Iterator[Tried]:
         problem = restated(self.known.problem)
-
-        def stays(result: Any) -> bool:
-            closer = problem.solve(warm=result, tolerance=_CLOSER)
-            return closer.solved and abs(closer.cost / result.cost - 1.0) <= _SAME
-
         for start in range(STARTS):
             result = problem.solve(seed=start or None)
-            later = functools.partial(stays, result), functools.partial(is_saddle, result)
-            yield Tried(result.solved, result.cost * restated.size, result.iterations, *later)
+            found = Tried(result.solved, result.cost * restated.size, result.iterations)
+            # At once, so that the problem can go: of a hundred compiled ones the memory maps of a process run out.
+            if found.solved and not _alike(found.cost, self.known.result.cost):
+                closer = problem.solve(warm=result, tolerance=_CLOSER)
+                stays = closer.solved and _alike(closer.cost, result.cost)
+                found = dataclasses.replace(found, stays=stays, is_saddle=stays and is_saddle(result))
+            yield found
+        del problem, result
+        gc.collect()
 
     @functools.cached_property
     def best(self) -> float:
@@ -200,17 +207,17 @@ class Sweep:
     @functools.cached_property
     def elsewhere(self) -> list[Tried]:
         """SOLVED at other costs than the best one."""
-        return [each for each in self.tried if each.solved and not abs(each.cost / self.best - 1.0) <= _SAME]
+        return [each for each in self.tried if each.solved and not _alike(each.cost, self.best)]
 
-    @functools.cached_property
+    @property
     def wrong(self) -> list[Tried]:
         """Those of them at no stationary point: a closer solve does not stay."""
-        return [each for each in self.elsewhere if not each.stays()]
+        return [each for each in self.elsewhere if not each.stays]
 
-    @functools.cached_property
+    @property
     def saddles(self) -> list[Tried]:
         """Those of the others where the objective falls to second order."""
-        return [each for each in self.elsewhere if each not in self.wrong and each.is_saddle()]
+        return [each for each in self.elsewhere if each.is_saddle]
 
     def apart(self) -> float:
         """The best, relative to the known optimum."""
@@ -218,7 +225,7 @@ class Sweep:
 
     def spread(self) -> float:
         """The largest relative difference of those at the best."""
-        same = [each.cost for each in self.tried if each.solved and each not in self.elsewhere]
+        same = [each.cost for each in self.tried if each.solved and _alike(each.cost, self.best)]
         return max((abs(cost / self.best - 1.0) for cost in same), default=math.nan)
 
 

@@ -1,0 +1,35 @@
+"""What a table of a solution is made of: what lays one out derives from `Layout`, without loading integrators."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Column(NamedTuple):
+    """One column of a table.
+
+    Attributes:
+        name: what it is called.
+        unit: its unit, "" where none is known.
+        values: (n,), a number for each saved time.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+    @property
+    def header(self) -> str:
+        """The name, and the unit in brackets."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+class Layout(ABC):
+    """Which columns a table of a solution has, in which order."""
+
+    @abstractmethod
+    def columns(self, solution: Any) -> list[Column]:
+        """The columns of a `Solution`, of one length."""
