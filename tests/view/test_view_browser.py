@@ -30,17 +30,29 @@ PENDULUM = """
 """
 
 
-def picture(page: Path, milliseconds: int) -> tuple[np.ndarray, str]:
-    """The page after so much time, and what its console says."""
+def picture(page: Path, milliseconds: int, tries: int = 4) -> tuple[np.ndarray, str]:
+    """The page after so much time, and what its console says.
+
+    Chromium's own time may run out before its processes have loaded the page, and once in 24 runs it did not
+    end on busy cores. Then it is started again.
+    """
     from matplotlib.image import imread
 
     file = page.with_suffix(f".{milliseconds}.png")
     command = f"{CHROMIUM} --headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader".split()
-    command += [f"--user-data-dir={page.parent / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND"]
+    command += [
+        f"--user-data-dir={page.parent / f'profile-{milliseconds}-{tries}'}",
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+    ]
     command += ["--window-size=800,600", "--enable-logging=stderr", f"--virtual-time-budget={milliseconds}"]
     command += [f"--screenshot={file}", page.as_uri()]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=120).stderr
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, timeout=60).stderr
+    except subprocess.TimeoutExpired:
+        said = ""
     console = "\n".join(line for line in said.splitlines() if "CONSOLE" in line)
+    if tries > 1 and not (file.exists() and "Embedded data loaded" in console):
+        return picture(page, milliseconds, tries - 1)
     return imread(file)[200:550, :, :3], console
 
 
