@@ -1744,6 +1744,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/casadi_program.py",
+        (
+            "a solver that hangs ended late",
+            "faulthandler.dump_traceback_later(seconds,",
+            "faulthandler.dump_traceback_later(20.0 * seconds,",
+            "trajectory/test_external.py::test_a_solver_that_hangs_is_ended",
+        ),
+    ),
+    *_at(
         "trajectory/external.py",
         (
             "a saddle of another solver as the best",

@@ -1,5 +1,8 @@
 """IPOPT and Fatrop on the same transcription: their derivatives, their answers, and what their ends mean."""
 
+import gc
+import time
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,7 +18,9 @@ from twistax.trajectory.transcribed import Given, Point
 
 casadi = pytest.importorskip("casadi")
 
+#: Fatrop runs in a process of its own unless it has no limit of time, IPOPT if it has one.
 SOLVERS = [tx.trajectory.IPOPT(), tx.trajectory.Fatrop()]
+IDS = ["ipopt", "fatrop"]
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +127,7 @@ def pushing() -> tx.trajectory.Problem:
     return tx.trajectory.Problem(dynamics, tx.Minimize(running=u**2), nodes=6, final_time=1.0, **ends, **HEUN)
 
 
-@pytest.mark.parametrize("solver", SOLVERS, ids=["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", SOLVERS, ids=IDS)
 def test_their_ends_are_said(
     pushing: tx.trajectory.Problem, solver: tx.trajectory.IPOPT | tx.trajectory.Fatrop
 ) -> None:
@@ -139,7 +144,7 @@ def test_their_ends_are_said(
         pushing.solve(solver=type(solver)(options={"nonsense": 1}))
 
 
-@pytest.mark.parametrize("solver", SOLVERS, ids=["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", SOLVERS, ids=IDS)
 def test_what_cannot_be_is_measured(
     pushing: tx.trajectory.Problem, solver: tx.trajectory.IPOPT | tx.trajectory.Fatrop
 ) -> None:
@@ -147,6 +152,51 @@ def test_what_cannot_be_is_measured(
     result = pushing.solve(solver=solver, final={"p": 20.0, "v": 0.0})
     assert result.status is tx.trajectory.Status.INFEASIBLE
     assert result.optimality.feasibility > 1e-3
+
+
+@pytest.mark.parametrize("kind", [tx.trajectory.IPOPT, tx.trajectory.Fatrop], ids=IDS)
+def test_a_process_of_their_own_finds_the_same(pushing: tx.trajectory.Problem, kind: type) -> None:
+    here, there = (pushing.solve(solver=kind(max_seconds=own)) for own in (None, 100.0))
+    assert here.solved
+    assert here.cost == there.cost
+    assert here.iterations == there.iterations
+    assert np.array_equal(here.us["u"], there.us["u"])
+
+
+def test_a_solver_that_hangs_is_ended() -> None:
+    """Fatrop raises the diagonal until the inertia is right, by nothing here: a loop that calls nothing back."""
+    u, p = tx.Control("u", min=-20.0, max=20.0), tx.State("p")
+    dynamics = tx.compile(tx.System(rates={p: u}))
+    ends = {"initial": {p: 0.0}, "final": {p: 1.0}}
+    problem = tx.trajectory.Problem(dynamics, tx.Minimize(running=-(u**2)), nodes=4, final_time=1.0, **ends, **EULER)
+    plain = problem.solve(solver=tx.trajectory.Fatrop())  # compiles
+    for _ in range(2):
+        begin = time.monotonic()
+        result = problem.solve(solver=tx.trajectory.Fatrop({"delta_w0": 0.0, "delta_wmin": 0.0}, max_seconds=0.5))
+        assert 0.5 <= time.monotonic() - begin < 5.0
+        assert result.status is tx.trajectory.Status.OUT_OF_TIME
+    assert problem.solve(solver=tx.trajectory.Fatrop()).cost == plain.cost
+
+
+def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> None:
+    solver = tx.trajectory.Fatrop({"max_soc": 4})
+    pushing.solve(solver=solver)
+    (own,) = pushing._solvers.values()
+    (made,) = (made for (_, options, _), made in own.made.items() if "max_soc" in options)
+    process = made._process
+
+    def broken(count: int, cost: float, violation: float) -> None:
+        process.kill()
+        process.wait()
+
+    with pytest.raises(tx.TrajectoryError, match="ended its process"):
+        pushing.solve(solver=solver, callback=broken)
+    assert pushing.solve(solver=solver).solved
+    process = made._process
+    del made, own
+    pushing.built()
+    gc.collect()
+    assert process.poll() is not None
 
 
 def test_what_they_find_is_looked_at(pushing: tx.trajectory.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,6 +232,9 @@ def test_what_is_no_solver_is_refused() -> None:
     for solver in ("ipopt", tx.trajectory.IPOPT):
         with pytest.raises(tx.TrajectoryError, match="solver expects"):
             problem.solve(solver=solver)
+    for seconds in (0.0, float("inf")):
+        with pytest.raises(tx.TrajectoryError, match="max_seconds"):
+            tx.trajectory.Fatrop(max_seconds=seconds)
     for options, text in (("ma27", "dict of options, got 'ma27'"), ({"max_iter": 3}, "max_iterations")):
         with pytest.raises(tx.TrajectoryError, match=text):
             tx.trajectory.IPOPT(options)

@@ -2,19 +2,30 @@
 
 CasADi derives what its solvers need from reverse derivatives, so the program is four functions: f and g; their
 Jacobian; the gradient of weight f + multipliers . g; and its Jacobian, the Hessian.
+
+Run as a script this file is the other side of `apart.py`, a process with CasADi and NumPy alone; so it imports no more.
 """
 
 from __future__ import annotations
 
+import faulthandler
+import os
+import pickle
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import casadi
 import numpy as np
 from numpy import ndarray as Array
 
-from ..errors import TrajectoryError
-from .program import Entries, Program, Reference
+if TYPE_CHECKING:
+    from .program import Entries, Program, Reference
+
+
+class Refused(RuntimeError):
+    """A solver that does not run as it was asked to."""
 
 
 class Attempt(NamedTuple):
@@ -42,9 +53,15 @@ class CasadiProgram:
         self._options = options
 
     def solve(
-        self, reference: Reference, multipliers: Array | None, own: Mapping[str, Any], seen: Callable[..., None] | None
+        self,
+        reference: Reference,
+        multipliers: Array | None,
+        own: Mapping[str, Any],
+        seen: Callable[..., None] | None = None,
+        seconds: float = np.inf,
     ) -> Attempt:
-        """Solve from the reference itself; `own` are options of the plugin on top of those it was made with."""
+        """Solve from the reference itself; `own` are options of the plugin on top of those it was made with. There is
+        no clock here."""
         self._reference, self._seen, self._memory = reference, seen, {}
         key, program = tuple(sorted(own.items())), self.program
         whole = dict(self._options)
@@ -58,7 +75,7 @@ class CasadiProgram:
             found = solver(x0=np.zeros(program.size), lbg=program.lower, ubg=program.upper, **start)
         except RuntimeError as error:
             if self._raised is None:
-                raise TrajectoryError(
+                raise Refused(
                     f"{self._plugin} of CasADi does not run, with the options {whole[self._plugin]}: "
                     f"{str(error).strip().splitlines()[-1]}"
                 ) from None
@@ -238,3 +255,43 @@ class _Hessian(_Callback):
         across = casadi.DM(sparsity(own.count, own.size, jacobian), numbers).T
         first, one, two = self._outputs[:3]
         return [casadi.DM(first, bend), casadi.DM(one), casadi.DM(two), casadi.DM(gradient), across]
+
+
+def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
+    """Solve what comes in, until nothing does; values and derivatives are asked for.
+
+    The clock that ends a solve is a thread without Python's lock, which whoever hangs in a library holds.
+    """
+
+    def say(*words: Any) -> None:
+        pickle.dump(words, outbox, protocol=5)
+        outbox.flush()
+
+    def asked(what: str) -> Callable[..., Any]:
+        def ask(z: Array, reference: Reference, *more: Any) -> Any:
+            say(what, z, *more)
+            return pickle.load(inbox)
+
+        return ask
+
+    facts, plugin, options = pickle.load(inbox)
+    program: Any = SimpleNamespace(**facts, **{what: asked(what) for what in ("values", "slopes", "bend")})
+    made, nowhere = CasadiProgram(program, plugin, options), open(os.devnull, "w")  # noqa: SIM115
+    while True:
+        try:
+            seconds, multipliers, own = pickle.load(inbox)
+        except EOFError:
+            return
+        faulthandler.dump_traceback_later(seconds, exit=True, file=nowhere)
+        try:
+            say("done", tuple(made.solve(program, multipliers, own)))
+        except Refused as error:
+            say("refused", str(error))
+        faulthandler.cancel_dump_traceback_later()
+
+
+if __name__ == "__main__":
+    spoken = os.dup(1)
+    os.dup2(2, 1)  # what solvers print is not taken for an answer
+    with os.fdopen(spoken, "wb") as outbox:
+        _answer(sys.stdin.buffer, outbox)

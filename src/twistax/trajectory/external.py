@@ -8,12 +8,13 @@ conditions, in this package's own scales.
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..checks import short
+from ..checks import number, short
 from ..errors import TrajectoryError
 from .iterate import State
 from .program import Program, Reference
@@ -22,6 +23,7 @@ from .transcribed import Given, Point
 from .warm import WarmStart
 
 if TYPE_CHECKING:
+    from .apart import Apart
     from .casadi_program import CasadiProgram
 
 #: How often nodes may move to what was found; the first barrier parameter and distance from limits then; no turn, rad.
@@ -47,12 +49,14 @@ class _Casadi:
 
     Args:
         options: of the solver itself, on top of what this package sets.
+        max_seconds: of a try.
 
     Raises:
-        TrajectoryError: options that are no dict, or that `solve` sets.
+        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
     """
 
     options: Any = dataclasses.field(default_factory=dict)
+    max_seconds: float | None = None
 
     plugin: ClassVar[str]
     copies: ClassVar[bool] = False
@@ -67,9 +71,12 @@ class _Casadi:
             raise TrajectoryError(
                 f"{kind}: max_iter is what is left of max_iterations.\n  fix: solve(max_iterations=...)"
             )
+        if self.max_seconds is not None:
+            number("max_seconds", self.max_seconds, "above zero", lambda it: 0.0 < it < np.inf, TrajectoryError)
 
-    def _made(self, program: Program, tolerance: float) -> CasadiProgram:
+    def _made(self, program: Program, tolerance: float) -> CasadiProgram | Apart:
         try:
+            from .apart import Apart
             from .casadi_program import CasadiProgram
         except ImportError as error:
             raise TrajectoryError(
@@ -78,7 +85,8 @@ class _Casadi:
         inequalities = int((program.lower < program.upper).sum())
         # What SOLVED asks of complementarity is the sum over all inequalities.
         own = {**self._settings(0.1 * tolerance, 0.1 * tolerance / max(1, inequalities)), **self.options}
-        return CasadiProgram(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: own})
+        kind: Any = CasadiProgram if self.max_seconds is None else Apart
+        return kind(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: own})
 
     def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
         """Options for a tolerance, and for the largest product of a slack and its multiplier."""
@@ -94,26 +102,29 @@ class _Casadi:
         self, solver: Solver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
         """Solve from a start; a solution that is no minimum is left."""
-        key = type(self), repr(sorted(self.options.items()))
+        key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
         if key not in solver.made:
             solver.made[key] = self._made(solver.program(self.copies), solver.tolerance)
-        made = solver.made[key]
+        made, due = solver.made[key], time.monotonic() + (self.max_seconds or np.inf)
 
         def search(own: Point | WarmStart, most: int) -> tuple[Outcome, State]:
-            return self._search(made, solver, own, given, most, callback)
+            return self._search(made, solver, own, given, most, callback, due)
 
         return solver.to_minimum(search, start, given, max_iterations)
 
     def _search(
         self,
-        made: CasadiProgram,
+        made: CasadiProgram | Apart,
         solver: Solver,
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
         callback: Callback | None,
+        due: float,
     ) -> tuple[Outcome, State]:
-        """Passes of the solver, from a start until it has nothing left to turn."""
+        """Passes of the solver, from a start until it has nothing left to turn, or until a time is over."""
+        from .casadi_program import Refused
+
         program = made.program
         multipliers, failed = None, False
         if isinstance(start, WarmStart):
@@ -136,7 +147,10 @@ class _Casadi:
         while status is None:
             reference, passes = Reference(point, scales, given), passes + 1
             own = self._of_pass(multipliers is None, max_iterations - watch.count)
-            attempt = made.solve(reference, multipliers, own, seen)
+            try:
+                attempt = made.solve(reference, multipliers, own, seen, max(due - time.monotonic(), 1e-3))
+            except Refused as error:
+                raise TrajectoryError(str(error)) from None
             watch.count += attempt.iterations
             if not np.isfinite(attempt.z).all():
                 status = Status.NON_FINITE
@@ -151,6 +165,8 @@ class _Casadi:
             status = watch.ended(state)
             if status is None and attempt.word == "Invalid_Number_Detected":
                 status = Status.NON_FINITE
+            if status is None and time.monotonic() >= due:
+                status = Status.OUT_OF_TIME
             settled = reached.turn <= _SMALL_TURN and fresh is None
             over = attempt.word in _OVER or (failed and not attempt.success)
             if status is None and (settled or over or passes >= _PASSES):
@@ -167,9 +183,12 @@ class IPOPT(_Casadi):
 
     Args:
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
+        max_seconds: after which a try ends as OUT_OF_TIME where it had come to, by the clock on the wall, with what
+            compiles meanwhile. IPOPT then runs in a process of its own, which can be ended whatever it does, and prints to
+            standard error. None: in this process, without a limit, and a little faster.
 
     Raises:
-        TrajectoryError: options that are no dict, or that `solve` sets.
+        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
     """
 
     plugin: ClassVar[str] = "ipopt"
@@ -194,10 +213,14 @@ class Fatrop(_Casadi):
 
     Args:
         options: Fatrop's own, such as {"print_level": 1}.
+        max_seconds: as of `IPOPT`. Fatrop 1.1.8 can go round without end while it regularises a step, and calls nothing
+            back there, so it has a limit unless this is None.
 
     Raises:
-        TrajectoryError: options that are no dict, or that `solve` sets.
+        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
     """
+
+    max_seconds: float | None = 600.0
 
     plugin: ClassVar[str] = "fatrop"
     copies: ClassVar[bool] = True

@@ -44,6 +44,7 @@ class Status(enum.Enum):
         "the objective improves without end while the constraints hold; most often nothing limits what it pushes"
     )
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
+    OUT_OF_TIME = "the time ran out before the first-order conditions held"
     STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
     NON_FINITE = "the problem has values or slopes that are not finite"
 
