@@ -184,8 +184,8 @@ class IPOPT(_Casadi):
     Args:
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
         max_seconds: after which a try ends as OUT_OF_TIME where it had come to, by the clock on the wall, with what
-            compiles meanwhile. IPOPT then runs in a process of its own, which can be ended whatever it does, and prints to
-            standard error. None: in this process, without a limit, and a little faster.
+            compiles meanwhile. IPOPT then runs in a process of its own, which can be ended whatever it does, and prints
+            to standard error. None: in this process, without a limit, and a little faster.
 
     Raises:
         TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
