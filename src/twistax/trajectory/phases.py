@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
@@ -270,9 +269,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
             for side in ("initial", "final")
         )
         margins = np.zeros(len(self.shooting.exists))
-        return Started(
-            point, jax.tree.map(jnp.asarray, Given(dict(found), PhaseEnds(first, last), limits, margins)), found, ends
-        )
+        return Started(point, jax.device_put(Given(dict(found), PhaseEnds(first, last), limits, margins)), found, ends)
 
     def _by_phase(self, what: str, given: Any) -> dict[str, Any]:
         """An argument by the name of the phase."""
@@ -329,7 +326,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
             segment = self.shooting.segments[index]
             us[segment.stages, : segment.shooting.m] = point.us
             xs.append(point.xs)
-        return Point(tuple(xs), jnp.asarray(us), jnp.asarray(point.border))
+        return jax.device_put(Point(tuple(xs), us, point.border))
 
     def _between(self, index: int, ends: Sequence[Ends], durations: Array) -> dict[str, Array]:
         """Values at both ends of a phase, of states that go on from others or into them, along geodesics."""

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
@@ -31,7 +30,7 @@ from .result import TrajectoryResult, best_result
 from .shooting import Shooting
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
-from .transcribed import Given, Point
+from .transcribed import Given, Point, jitted
 from .transcription import transcription_of
 from .warm import other_problem
 
@@ -228,7 +227,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.built()
         self.advanced = jax.jit(self.shooting.advanced)
         #: The path rows as users wrote them, at many points.
-        self.shown_rows = jax.jit(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)))
+        self.shown_rows = jitted(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)), 0)
         #: The same as the solver sees them.
         self.path_rows = jax.jit(jax.vmap(self.shooting.local.rows, in_axes=(0, 0, 0, None)))
 
@@ -359,7 +358,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         norms = self.norms.guess(us, {**params, **self.border.params(border)})
-        return jax.tree.map(jnp.asarray, Point(xs, np.concatenate([*flat, *norms], axis=1), border))
+        return jax.device_put(Point(xs, np.concatenate([*flat, *norms], axis=1), border))
 
     def _extremes(
         self, xs: dict[str, Array], us: dict[str, Array], params: Mapping[str, Array], durations: Array
@@ -375,7 +374,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
         """What a solve with these ends, parameters and limits of the border is for."""
         margins = np.zeros(len(self.shooting.exists))
-        return jax.tree.map(jnp.asarray, Given(dict(params), self.filled(ends.final), limits, margins))
+        return jax.device_put(Given(dict(params), self.filled(ends.final), limits, margins))
 
     def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
         """Values of the states, with anything where they are free."""

@@ -20,10 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..jax_inside import quick_compile
 from .interior_point import InteriorPoint
 from .iterate import Scales
-from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
+from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
 
 
 class Entries(NamedTuple):
@@ -104,9 +103,8 @@ class Program:
         equality[row_places[row_places >= 0]] = shooting.equality[row_places >= 0]
         self.lower, self.upper = np.where(equality, 0.0, -np.inf), np.zeros(self.count)
         self._describe(copies, inner_rows, end_rows)
-        compiled = lambda f: jax.jit(f, compiler_options=quick_compile())  # noqa: E731
-        self._values_of, self._derivatives_of = compiled(self._values), compiled(self._derivatives)
-        self._reached = compiled(self._moved)
+        self._values_of, self._derivatives_of = jitted(self._values), jitted(self._derivatives)
+        self._reached = jitted(self._moved)
 
     def _number(self, places: Array, which: Array) -> int:
         """Give the next numbers to some unknowns."""

@@ -28,8 +28,7 @@ from ..system import name_of
 from .interior_point import InteriorPoint, in_units
 from .iterate import Scales, State
 from .riccati import Factors, Rows, Stages, factorize, refined
-from .solver import jitted
-from .transcribed import Given, Point, Step
+from .transcribed import Given, Point, Step, jitted
 
 if TYPE_CHECKING:
     from .problem import Problem

@@ -23,7 +23,6 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..groups import Euclidean, SpecialEuclidean, SpecialOrthogonal
-from ..jax_inside import quick_compile
 from ..lowering import XLA, Dynamics
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
@@ -39,7 +38,7 @@ from .mesh import Mesh
 from .pinned import spanned, stirred
 from .smooth import Smooth
 from .statement import Objective, PathRows
-from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
+from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values, jitted
 from .transcription import Collocation, MultipleShooting
 
 
@@ -139,13 +138,12 @@ class Shooting(Transcribed):
         others = [stirred(np.random.default_rng(i), given.params) for i in range(2)]
         pairs = [(p, given._replace(params=own)) for p, own in zip(itertools.cycle(samples), (given.params, *others))]
         inner, zero = self.intervals * self.rows_per_interval, np.zeros(self.n + self.border.size)
-        quick = functools.partial(jax.jit, compiler_options=quick_compile(0))
-        ends = quick(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1])
+        ends = jitted(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1], 0)
         self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda *own: ends(zero, *own), pairs)
         held = np.eye(self.n, self.size)[~self.free.d[0]]
         asked = self.layout.asked
         for k in sorted({0, *self._nodes}):
-            slopes = quick(functools.partial(self._slopes_at_node, k))
+            slopes = jitted(functools.partial(self._slopes_at_node, k), 0)
             at_start = np.flatnonzero(asked < self._row_count)
             places = np.concatenate([at_start, len(asked) + np.arange(self.layout.counts.get(k, 0))])
             places = k * self.rows_per_interval + places

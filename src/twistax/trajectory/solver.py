@@ -12,14 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..jax_inside import quick_compile
 from . import feasibility, scaling, warm
 from .interior_point import InteriorPoint
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
 from .program import Program
 from .stride import Stride, no_slopes, stride
-from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
+from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
 from .warm import WarmStart
 from .watch import RENEW, Status, Watch, error, row_violations
 
@@ -82,7 +81,7 @@ class Solver:
     def __init__(self, shooting: Transcribed, tolerance: float) -> None:
         self.shooting, self.tolerance = shooting, tolerance
         method = self.method = InteriorPoint(shooting, tolerance)
-        self._move = jitted(shooting.move, 0)
+        self._move = shooting.moved
         self._start = jitted(method.start, 0)
         self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
         self._stride = jitted(functools.partial(stride, method, tolerance))
@@ -179,11 +178,11 @@ class Solver:
 
         Solvers of others end with slacks of zero: with their multipliers they make the barrier parameter at least.
         """
-        barrier = state.barrier
-        slack = jnp.maximum(state.slack, barrier / jnp.maximum(state.rows, jnp.sqrt(barrier)))
-        slack = jnp.where(self.method.inequality, slack, state.slack)
-        rows = jnp.where(self.method.inequality, jnp.maximum(state.rows, barrier / slack), state.rows)
-        probed = state._replace(slack=slack, rows=rows, damping=jnp.full_like(state.damping, self.probe))
+        own_slack, own_rows, barrier = (np.asarray(a) for a in (state.slack, state.rows, state.barrier))
+        slack = np.maximum(own_slack, barrier / np.maximum(own_rows, np.sqrt(barrier)))
+        slack = np.where(self.method.inequality, slack, own_slack)
+        rows = np.where(self.method.inequality, np.maximum(own_rows, barrier / slack), own_rows)
+        probed = state._replace(slack=slack, rows=rows, damping=np.float64(self.probe))
         return float(self._steps(probed, self._looked_at(state, given)[0], given).state.raised) > self.bent
 
     def _looked_at(self, state: Iterate, given: Given) -> tuple[Derivatives, Iterate]:
@@ -370,7 +369,7 @@ class Solver:
             alone: of controls alone where there are some. Levelled scales of states can be steps of any size: an entry
                 of 1 beside one of 1e3 would move by 100.
         """
-        rng, free, scales = np.random.default_rng(seed), self.shooting.free, state.scales
+        rng, free, scales = np.random.default_rng(seed), self.shooting.free, jax.tree.map(np.asarray, state.scales)
         d = np.where(self.shooting.stirred, size * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = size * rng.normal(size=free.u.shape) * scales.u
         if alone and free.u.any():
@@ -381,19 +380,19 @@ class Solver:
         return Watch(self.shooting, self.tolerance, seen, most)
 
     def outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
-        scales = state.scales
-        defects = np.abs(np.asarray(state.values.defects) / np.asarray(scales.d)[1:]).ravel()
+        scales, w = jax.tree.map(np.asarray, (state.scales, state.rows))
+        defects = np.abs(np.asarray(state.values.defects) / scales.d[1:]).ravel()
         rows = np.where(self.shooting.exists | self.shooting.decided, row_violations(self.shooting, state), 0.0)
         return Outcome(
             point=state.point,
             values=state.values,
             errors=Errors(*(float(e) for e in state.errors)),
-            dynamics=np.asarray(state.dynamics * scales.cost / scales.d[1:]),
-            rows=np.where(self.shooting.exists, np.asarray(state.rows * scales.cost / scales.rows), 0.0),
-            scaled_rows=np.where(self.shooting.exists, np.asarray(state.rows), 0.0),
-            slack=np.asarray(state.slack * scales.rows),
+            dynamics=np.asarray(state.dynamics) * scales.cost / scales.d[1:],
+            rows=np.where(self.shooting.exists, w * scales.cost / scales.rows, 0.0),
+            scaled_rows=np.where(self.shooting.exists, w, 0.0),
+            slack=np.asarray(state.slack) * scales.rows,
             violations=np.concatenate([defects, rows]),
-            scales=jax.tree.map(np.asarray, scales),
+            scales=scales,
             status=status,
             iterations=max(count, 1),
         )
@@ -401,8 +400,4 @@ class Solver:
 
 def unweighed(state: Iterate) -> Iterate:
     """A state whose multipliers are zero: second derivatives are the objective's."""
-    return state._replace(dynamics=jnp.zeros_like(state.dynamics), rows=jnp.zeros_like(state.rows))
-
-
-def jitted(function: Callable[..., Any], level: int = 1) -> Any:
-    return jax.jit(function, compiler_options=quick_compile(level))
+    return state._replace(dynamics=np.zeros(state.dynamics.shape), rows=np.zeros(state.rows.shape))

@@ -25,7 +25,7 @@ from .many import solve_all
 from .mesh import Remeshed
 from .pinned import stirred
 from .refine import refined
-from .solver import Callback, Outcome, Solver, jitted
+from .solver import Callback, Outcome, Solver
 from .transcribed import Given, Point, Step, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
@@ -293,7 +293,7 @@ def check_options(max_iterations: Any, tolerance: Any) -> None:
 def _moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
     """Points whose nodes, controls, free durations and free parameters are moved at random."""
     rng, free, found = np.random.default_rng(0), shooting.free, []
-    here, move = (np.asarray(point.us), np.asarray(point.border)), jitted(shooting.move, 0)
+    here, move = (np.asarray(point.us), np.asarray(point.border)), shooting.moved
     for _ in range(2):
         d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
         u, border = (np.where(which, stirred(rng, a) - a, 0.0) for which, a in zip(free[1:], here))

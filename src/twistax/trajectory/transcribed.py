@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 from numpy import ndarray as Array
 
+from ..jax_inside import quick_compile
 from .border import Border
 
 if TYPE_CHECKING:
     from .shooting import Shooting
+
+
+def jitted(function: Callable[..., Any], level: int = 1) -> Any:
+    return jax.jit(function, compiler_options=quick_compile(level))
 
 
 class Point(NamedTuple):
@@ -133,6 +139,11 @@ class Transcribed(ABC):
     @abstractmethod
     def move(self, point: Point, step: Step) -> Point:
         """The point after a step."""
+
+    @functools.cached_property
+    def moved(self) -> Callable[[Point, Step], Point]:
+        """The same, compiled."""
+        return jitted(self.move, 0)
 
     @abstractmethod
     def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
