@@ -16,6 +16,7 @@ from numpy import ndarray as Array
 from ..checks import callable_with, number, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
+from ..walk import uncollected
 from .between import held
 from .border import Border
 from .cases import Cases, prepared
@@ -276,10 +277,11 @@ class Solvable(ABC, Generic[One, Many]):
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
         """The solver for a tolerance, compiled."""
         if tolerance not in self._solvers:
-            if not self._solvers:
-                self.shooting.drop_pinned(_moved_at_random(self.shooting, point), given)
-            solver = Solver(self.shooting, tolerance)
-            solver.prepare(point, given)
+            with uncollected():
+                if not self._solvers:
+                    self.shooting.drop_pinned(_moved_at_random(self.shooting, point), given)
+                solver = Solver(self.shooting, tolerance)
+                solver.prepare(point, given)
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
 

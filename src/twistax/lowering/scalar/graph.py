@@ -7,6 +7,7 @@ results, so that the list is in an order in which nodes can be computed.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import threading
 from collections.abc import Callable, Container, Iterable, Sequence
 from typing import Any
@@ -49,6 +50,11 @@ class Call:
     arguments: tuple[Nodes, ...]
     results: tuple[Nodes, ...]
     inline: bool
+
+    @functools.cached_property
+    def sources(self) -> list[int]:
+        """The nodes of all arguments."""
+        return flat(*self.arguments)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,6 +99,8 @@ class Graph:
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
         self.calls: list[Call] = []
+        #: The nodes that an operation reads; none for numbers, inputs and results of calls.
+        self._arguments: list[tuple[int, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._called: dict[Any, Call] = {}
         self.zero: int = self.constant(0.0)
@@ -263,13 +271,12 @@ class Graph:
 
     def arguments(self, node: int) -> tuple[int, ...]:
         """The nodes that an operation reads; none for numbers, inputs and results of calls."""
-        entry = self.nodes[node]
-        return entry[1:] if isinstance(entry[0], Operation) else ()
+        return self._arguments[node]
 
-    def sources(self, node: int) -> list[int]:
+    def sources(self, node: int) -> Sequence[int]:
         """The nodes that a node is computed from, those of a call included."""
         call = self.call_of(node)
-        return list(self.arguments(node)) if call is None else flat(*call.arguments)
+        return self._arguments[node] if call is None else call.sources
 
     def call_of(self, node: int) -> Call | None:
         """The call whose result a node is."""
@@ -298,11 +305,13 @@ class Graph:
 
     def live(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
         """All nodes that the outputs need and that are not known, arguments first."""
-
-        def needed(node: int) -> list[int]:
-            return [] if node in known else self.sources(node)
-
-        return sorted(node for node in walk(map(int, outputs), needed, int) if node not in known)
+        found, waiting = set[int](), [*map(int, outputs)]
+        while waiting:
+            node = waiting.pop()
+            if node not in found and node not in known:
+                found.add(node)
+                waiting.extend(self.sources(node))
+        return sorted(found)
 
     def one_by_one(self, outputs: Sequence[int]) -> list[int]:
         """The same, each output with what only it and later ones need: few numbers are waiting at any time.
@@ -328,4 +337,5 @@ class Graph:
             self.nodes.append(key)
             self.dtypes.append(dtype)
             self.numbers.append(number)
+            self._arguments.append(key[1:] if isinstance(key[0], Operation) else ())
         return found

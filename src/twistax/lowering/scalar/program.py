@@ -28,7 +28,7 @@ from ...jax_inside import (
 )
 from .entry import Nodes, flat, nodes
 from .graph import LIMITS, Call, Graph, Limits
-from .table import OPERATIONS, entry_of, say_unread
+from .table import OPERATIONS, WHERE, entry_of, say_unread
 
 Value = TypeVar("Value")
 
@@ -152,6 +152,10 @@ class Reader:
         return any(jnp.issubdtype(dtype, jnp.inexact) and dtype != self.graph.dtype for dtype in dtypes)
 
 
+#: Of a jitted function what no number depends on.
+_MOVED = frozenset(WHERE.split())
+
+
 def _fingerprint(program: ClosedJaxpr) -> Any:
     """Equal for jaxprs that do the same to arguments of the same types."""
     jaxpr = program.jaxpr
@@ -159,19 +163,24 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
 
     def name(variable: Any) -> Any:
         if isinstance(variable, Literal):
-            return (str(variable.aval), np.asarray(variable.val).tobytes())
+            return (variable.aval, np.asarray(variable.val).tobytes())
         return names.setdefault(variable, len(names))
 
-    head = tuple((name(v), str(v.aval)) for v in (*jaxpr.constvars, *jaxpr.invars))
+    head = tuple((name(v), v.aval) for v in (*jaxpr.constvars, *jaxpr.invars))
     body = []
     for eqn in jaxpr.eqns:
         # Callables are the rules of a function with a derivative of its own, which `_OwnDerivative` compares.
         # Elsewhere, as in a callback, they are the operation itself.
         rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
-        own = {k: v for k, v in eqn.params.items() if not (_holds_jaxprs(v) or (rules and callable(v)))}
+        moved = _MOVED if eqn.primitive.name == "jit" else ()
+        own = [
+            (k, v)
+            for k, v in sorted(eqn.params.items())
+            if not (k in moved or _holds_jaxprs(v) or (rules and callable(v)))
+        ]
         inner = tuple(_fingerprint(each) for each in inner_jaxprs(eqn))
         ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
-        body.append((eqn.primitive.name, str(sorted(own.items(), key=lambda e: e[0])), inner, ins, outs))
+        body.append((eqn.primitive.name, str(own), inner, ins, outs))
     consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
     return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
 

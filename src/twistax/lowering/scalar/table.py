@@ -115,11 +115,11 @@ def _operations(eqn: Any) -> dict[str, int]:
 # ---- the entries -----------------------------------------------------------------------------------------------------
 
 #: Where arrays of a jitted function lie, and how it is kept: nothing that changes numbers.
-_WHERE = "in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"
+WHERE = "in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"
 _SCAN = "jaxpr length reverse unroll"
 
 _CONTROL = [
-    moving("jit", _jit, f"jaxpr compiler_options_kvs {_WHERE}", when=lambda p: not p["compiler_options_kvs"]),
+    moving("jit", _jit, f"jaxpr compiler_options_kvs {WHERE}", when=lambda p: not p["compiler_options_kvs"]),
     moving("custom_vmap_call", _batched_by_rule, "call rule in_tree out_tree"),
     moving("remat2", _jit, "jaxpr prevent_cse differentiated policy"),
     moving("call_hi_primitive", _composite, "_prim"),  # JAX 0.12
