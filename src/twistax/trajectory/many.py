@@ -13,6 +13,11 @@ from .solver import Outcome, Solver
 from .transcribed import Given, Point
 
 
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def solve_all(solver: Solver, points: Point, givens: Given, most: int) -> list[Outcome]:
     """The outcomes of all cases, arrays with a leading axis.
 
@@ -24,5 +29,5 @@ def solve_all(solver: Solver, points: Point, givens: Given, most: int) -> list[O
             point, given = jax.tree.map(lambda a: jnp.asarray(a[case]), (points, givens))
             return solver.run(point, given, most)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
         return list(pool.map(alone, range(len(points.us))))

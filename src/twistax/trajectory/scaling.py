@@ -99,6 +99,8 @@ def _border(border: Border, values: Array, moved: Sequence[tuple[Array, Array]])
     Moved are the slopes of rows, and how far the sizes of other unknowns move these.
     """
     count = border.phases
+    if border.size == count:
+        return np.abs(values)
     found = np.full(border.size - count, np.inf)
     for rows, others in moved:
         by, size = rows[:, rows.shape[1] - len(found) :], others[:, None]
@@ -198,10 +200,11 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
     reach[np.arange(n), np.arange(n)] = 0.0
     declared = _declared(shooting)
     sizes = np.where(declared, np.concatenate([d, u]), _without_noise(d, u, reach))
-    limits = np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])
-    for known in (None, limits, np.ones_like(sizes)):
-        if known is not None:
-            sizes = np.where(sizes > 0.0, sizes, known)
+    limits = lambda _: np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])  # noqa: E731
+    for known in (np.zeros_like, limits, np.ones_like):
+        if (sizes > 0.0).all():
+            break
+        sizes = np.where(sizes > 0.0, sizes, known(sizes))
         for _ in range(len(sizes)):
             before = sizes
             back = _back(sizes[:n], reach)
@@ -210,8 +213,6 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
             sizes = np.concatenate([np.where(sizes[:n] > 0.0, sizes[:n], ahead), sizes[n:]])
             if (before == sizes).all():
                 break
-        if (sizes > 0.0).all():
-            break
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
     floor = _SMALL * (reach * sizes).max(axis=1)
     floor = np.concatenate([floor, _WEAK * _finite(_back(np.maximum(sizes[:n], floor), reach)[n:])])

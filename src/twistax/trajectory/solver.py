@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,8 @@ from .watch import RENEW, Status, Watch, error, row_violations
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
+
+Tree = TypeVar("Tree")
 
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
@@ -210,7 +212,7 @@ class Solver:
         def ended(state: Iterate, status: Status) -> tuple[Outcome, Iterate]:
             return self.outcome(state, status, watch.count), state
 
-        status = watch.at_once(state)
+        status = watch.at_once(_seen(state))
         if status is not None:
             return ended(state, status)
         slopes: Derivatives | None = None
@@ -220,26 +222,28 @@ class Solver:
         while True:
             if slopes is None:
                 slopes, state = self._looked_at(state, given)
-            fresh = watch.renewed(state, slopes, before)
-            if fresh is not None and origin is not None and not misled and watch.misled(state, fresh):
+            here, known = _seen((state, slopes))
+            fresh = watch.renewed(here, known, before)
+            if fresh is not None and origin is not None and not misled and watch.misled(here, fresh):
                 misled, before, slopes, state = True, np.inf, None, self._start(origin, given, fresh)
                 watch.anew(fresh)
                 continue
             if fresh is not None:
                 slopes, state = self._looked_at(self._rescaled(state, fresh), given)
-            status = watch.ended(state)
+                here = _seen(state)
+            status = watch.ended(here)
             if status is not None:
                 return ended(state, status)
-            if origin is not None and watch.astray(state):
+            if origin is not None and watch.astray(here):
                 aside = self._step_away(self._begun(start, given)[0], _ASIDE, seed=watch.restarts)
                 other, seen = self._begun(aside, given)
-                if watch.at_once(other) is None:
+                if watch.at_once(_seen(other)) is None:
                     searches, shaken, before, origin, slopes, state = 0, False, np.inf, aside, None, other
                     watch.anew(seen)
                     continue
             if callback is not None:
-                callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
-            if not watch.runs_off(state):
+                callback(watch.count, float(here.values.cost), float(here.errors.feasibility))
+            if not watch.runs_off(here):
                 taken = self._steps(state, slopes, given, watch.until if callback is None else 1, watch.low)
                 slopes, state, before = taken.slopes, taken.state, float(taken.before)
                 watch.count += int(taken.count)
@@ -396,6 +400,12 @@ class Solver:
             status=status,
             iterations=max(count, 1),
         )
+
+
+def _seen(tree: Tree) -> Tree:
+    """The same by NumPy, without a copy: a number of an array of JAX's takes several times as long to read."""
+    found: Tree = jax.tree.map(np.asarray, tree)
+    return found
 
 
 def unweighed(state: Iterate) -> Iterate:

@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import json
 import math
-import os
 import subprocess
 from collections.abc import Callable, Sequence
 from importlib import metadata
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...trajectory.many import processors
 from ..checks import Report, at_most, judged
 from ..page import Table, as_svg, duration, panels, texts
 from ..rows import Row, Store, first_line, now
@@ -183,7 +183,7 @@ class Speed(Report):
             "agreement": AGREEMENT,
             "wrong": self._wrong(),
             "quantities": [_quantity(rows, quantity, self._contenders) for quantity in QUANTITIES],
-            "usable": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+            "usable": processors(),
             "empty_call": empty_call_seconds(),
             "contenders": [[name, how] for name, how in texts("speed")["contenders"].items() if name in present],
         }
