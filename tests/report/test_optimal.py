@@ -1,11 +1,13 @@
 """The report of published optima: a problem of it, and what its ratios leave out."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import twistax as tx
 from twistax.report.checks import Absent
 from twistax.report.sections import OPTIMAL, optimal, problems
 
@@ -52,6 +54,26 @@ def test_ratios_are_over_what_both_solve(monkeypatch: pytest.MonkeyPatch) -> Non
     found.clear()
     with pytest.raises(Absent, match="none"):
         optimal._ratios(optimal._iterations, max)
+
+
+def test_what_hangs_has_a_limit_and_what_is_timed_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first solve is of the solver with a limit; what is slow, or not SOLVED, is not repeated in vain."""
+    asked: list[float | None] = []
+
+    class Problem:
+        def solve(self, solver: tx.trajectory.IPOPT) -> SimpleNamespace:
+            asked.append(solver.max_seconds)
+            return SimpleNamespace(solved=solved, status=tx.trajectory.Status.OUT_OF_TIME, solve_seconds=1.0)
+
+    monkeypatch.setattr(optimal, "PROBLEMS", {name: SimpleNamespace(problem=Problem()) for name in ("ends", "hangs")})
+    solved = True
+    optimal._timed("ends", "IPOPT")
+    assert asked == [optimal._LONGEST, *[None] * optimal._REPEATS]
+    solved = False
+    for _ in range(2):
+        with pytest.raises(Absent, match="ends in OUT_OF_TIME"):
+            optimal._timed("hangs", "IPOPT")
+    assert asked[1 + optimal._REPEATS :] == [optimal._LONGEST]
 
 
 def test_the_half_turn_with_five_switches() -> None:

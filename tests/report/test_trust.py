@@ -21,9 +21,8 @@ def test_every_problem_is_asked_the_same() -> None:
     assert {text for by, text in asked if by == "SOLVED"} == {"at least 36", "at least 0"}
     assert {text for by, text in asked if by == "SOLVED at saddles"} == {"at most 0"}
     assert {text for by, text in asked if by == "SOLVED at no stationary point"} == {"at most 0"}
-    assert {text for by, text in asked if by == "SOLVED at other stationary points"} == {
-        "at most 0", "at most 11", "at most 16", "at most 36",
-    }  # fmt: skip
+    # Other minima are not wrong.
+    assert {text for by, text in asked if by == "SOLVED at other stationary points"} == {""}
 
 
 def test_a_restated_problem_is_the_same_in_other_units() -> None:

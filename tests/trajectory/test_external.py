@@ -182,7 +182,7 @@ def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> No
     solver = tx.trajectory.Fatrop({"max_soc": 4})
     pushing.solve(solver=solver)
     (own,) = pushing._solvers.values()
-    (made,) = (made for (_, options, _), made in own.made.items() if "max_soc" in options)
+    (made,) = (made for key, made in own.made.items() if "max_soc" in str(key))
     process = made._process
 
     def broken(count: int, cost: float, violation: float) -> None:

@@ -103,8 +103,10 @@ class _Casadi:
     ) -> Outcome:
         """Solve from a start; a solution that is no minimum is left."""
         key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
+        if self.copies not in solver.made:
+            solver.made[self.copies] = solver.program(self.copies)
         if key not in solver.made:
-            solver.made[key] = self._made(solver.program(self.copies), solver.tolerance)
+            solver.made[key] = self._made(solver.made[self.copies], solver.tolerance)
         made, due = solver.made[key], time.monotonic() + (self.max_seconds or np.inf)
 
         def search(own: Point | WarmStart, most: int) -> tuple[Outcome, State]:

@@ -127,19 +127,30 @@ REFINED: Section = [check for name, it in KNOWN.items() for check in _on_meshes(
 
 # ---- beside other solvers --------------------------------------------------------------------------------------------
 
-_SOLVERS: dict[str, Any] = {"twistax": None, "IPOPT": IPOPT(), "Fatrop": Fatrop()}
+_SOLVERS: dict[str, Any] = {"twistax": None, "IPOPT": IPOPT, "Fatrop": Fatrop}
+#: The longest that a solver of others may take, and what all repeats may take together, s.
+_LONGEST, _TOGETHER = 120.0, 10.0
 
 
 @functools.cache
+def _tried(name: str, by: str) -> TrajectoryResult:
+    """The fastest of several equal solves, after one that compiles and may hang; that one unless it is SOLVED."""
+    kind, problem = _SOLVERS[by], PROBLEMS[name].problem
+    first = problem.solve(solver=kind and kind(max_seconds=_LONGEST))
+    found, begin = [], time.perf_counter()
+    while first.solved and len(found) < _REPEATS and time.perf_counter() - begin < _TOGETHER:
+        found.append(problem.solve(solver=kind and kind(max_seconds=None)))
+    return min(found, key=lambda result: result.solve_seconds, default=first)
+
+
 def _timed(name: str, by: str) -> TrajectoryResult:
-    """The fastest of several equal solves, after one that compiles. Raises Absent unless SOLVED."""
+    """Raises Absent unless SOLVED."""
     if _SOLVERS[by] is not None:
         needed("casadi")
-    solve = functools.partial(PROBLEMS[name].problem.solve, solver=_SOLVERS[by])
-    first = solve()
-    if not first.solved:
-        raise Absent(f"ends in {first.status.name}")
-    return min((solve() for _ in range(_REPEATS)), key=lambda result: result.solve_seconds)
+    result = _tried(name, by)
+    if not result.solved:
+        raise Absent(f"ends in {result.status.name}")
+    return result
 
 
 def _iterations(name: str, by: str) -> float:
