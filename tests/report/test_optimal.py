@@ -61,15 +61,17 @@ def test_what_hangs_has_a_limit_and_what_is_timed_has_none(monkeypatch: pytest.M
     asked: list[float | None] = []
 
     class Problem:
-        def solve(self, solver: tx.trajectory.IPOPT) -> SimpleNamespace:
+        def solve(self, solver: tx.trajectory.IPOPT) -> tx.trajectory.TrajectoryResult:
             asked.append(solver.max_seconds)
-            return SimpleNamespace(solved=solved, status=tx.trajectory.Status.OUT_OF_TIME, solve_seconds=1.0)
+            result = object.__new__(tx.trajectory.TrajectoryResult)
+            vars(result).update(status=status, solve_seconds=1.0)
+            return result
 
     monkeypatch.setattr(optimal, "PROBLEMS", {name: SimpleNamespace(problem=Problem()) for name in ("ends", "hangs")})
-    solved = True
+    status = tx.trajectory.Status.SOLVED
     optimal._timed("ends", "IPOPT")
     assert asked == [optimal._LONGEST, *[None] * optimal._REPEATS]
-    solved = False
+    status = tx.trajectory.Status.OUT_OF_TIME
     for _ in range(2):
         with pytest.raises(Absent, match="ends in OUT_OF_TIME"):
             optimal._timed("hangs", "IPOPT")

@@ -137,7 +137,8 @@ def _tried(name: str, by: str) -> TrajectoryResult:
     """The fastest of several equal solves, after one that compiles and may hang; that one unless it is SOLVED."""
     kind, problem = _SOLVERS[by], PROBLEMS[name].problem
     first = problem.solve(solver=kind and kind(max_seconds=_LONGEST))
-    found, begin = [], time.perf_counter()
+    found: list[TrajectoryResult] = []
+    begin = time.perf_counter()
     while first.solved and len(found) < _REPEATS and time.perf_counter() - begin < _TOGETHER:
         found.append(problem.solve(solver=kind and kind(max_seconds=None)))
     return min(found, key=lambda result: result.solve_seconds, default=first)
