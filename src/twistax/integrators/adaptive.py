@@ -154,8 +154,7 @@ class AdaptiveSteps(Steps):
             now = now._replace(every=put(rows(now.y, self.bound + 1), 0, now.y))
         if not record and self.finds_rows and stops.ts is not None:
             ts = jnp.asarray(stops.ts)
-            marks = jnp.where(jnp.arange(ts.size) < stops.count, ts, jnp.inf)
-            now = now._replace(rows=Filling(marks, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
+            now = now._replace(rows=Filling(ts, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
         if self.watch is not None:
             advance = functools.partial(self.advance, stepper, begun)
             now = now._replace(watched=self.watch.begin(advance, stepper, self.t0, first, y))

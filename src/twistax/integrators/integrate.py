@@ -221,7 +221,9 @@ def planned(
         known = check_saves(save_at, span)
         count = np.asarray(len(save_at))
         if known and not traced and not is_tracing():
-            saves = filled(save_at, t1, sum(value.size for value in x.values()))
+            # A polynomial is asked for as far as the time has come: never for what fills up the rows.
+            beyond = np.inf if between is Between.POLYNOMIAL else t1
+            saves = filled(save_at, beyond, sum(value.size for value in x.values()))
     if adaptive:
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")

@@ -13,6 +13,8 @@ from .tableaus import ButcherTableau
 
 #: How far conditions may be off that can be met.
 _ROUND_OFF = 1e-9
+#: Weights of stages that are not read come out below this.
+_UNREAD = 1e-6
 
 
 class Between(enum.Enum):
@@ -74,8 +76,12 @@ def _solved(a: Any, ends: Any, first: Any, last: Any, order: int) -> tuple[NDArr
     # Rows of equations for w, read row by row: order conditions, slope at the start, value and slope at the end.
     equations = [np.kron(r, np.eye(order)), *(np.kron(one, v) for v in (np.eye(order)[:1], [powers**0], [powers]))]
     matrix, target = np.concatenate(equations), np.concatenate([(q.T @ wanted).ravel(), first, ends, last])
-    found = np.linalg.lstsq(matrix, target, rcond=1e-12)[0]
-    found += np.linalg.lstsq(matrix, target - matrix @ found, rcond=1e-12)[0]  # what rounding left
+    found, read = np.zeros(order * stages), np.full(order * stages, True)
+    for _ in range(3):  # what rounding left, then without stages that are not read: of DOP853 four
+        found[read] += np.linalg.lstsq(matrix[:, read], target - matrix @ found, rcond=1e-12)[0]
+        read = np.repeat(np.abs(found.reshape(stages, order)).max(1) > _UNREAD, order)
+        found[~read] = 0.0
+    found[::order] = first  # the slope at the start, to the last bit
     weights, off = found.reshape(stages, order), np.abs(matrix @ found - target).max()
     return weights, float(max(off, np.abs(phi @ weights - wanted).max()))
 

@@ -15,7 +15,7 @@ from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .events import Meeting, cut_at, locate, refined, saved_before, to_event
-from .kernels import advance_again, opened
+from .kernels import Packed, advance_again, beside, opened
 from .method import Stepper, jitted
 from .rows import first_rows
 from .run import Outcome, Part, Result, Run, Saved, Trail
@@ -73,13 +73,42 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     moved = None if meeting is None else to_event(functools.partial(steps.advance, stepper, run.carry), run, meeting)
     if run.saved is None:
         return small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
+    if steps.finds_rows and meeting is None:
+        return _with_rows(steps, stepper, x, run)
 
     def advance_all(saved: Saved, parts: Part) -> Blocks:
-        if steps.finds_rows and meeting is None:
-            return saved.y
         return small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum())
 
     return _to_saved_times(steps, stepper, x, run, meeting, moved, advance_all)
+
+
+def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> Rollout:
+    """With the saved states that the loop over steps found.
+
+    A kernel reads them: where XLA itself counts a thousand operations it runs the whole on another thread, which takes
+    10 us.
+    """
+    found = small_call(_to_saved_times, steps, stepper, x, run._replace(saved=None), None, None)
+    saved, outcome = run.saved, found.outcome
+    assert saved is not None
+
+    def row(y: Blocks, t: jax.Array) -> tuple[jax.Array, jax.Array, Arrays]:
+        return beside(_row, None, stepper, x, Packed.of(y), t, steps.t0, outcome.t)
+
+    reached, lost, xs = jax.vmap(row)(saved.y, saved.t)
+    lost = (outcome.code == Result.SUCCESS.value) & lost.any()
+    code = jnp.where(lost, Result.NON_FINITE.value, outcome.code)
+    return found._replace(xs=xs, reached=reached, outcome=outcome._replace(code=code))
+
+
+def _row(
+    _: None, stepper: Stepper, x: Arrays, y: Packed, t: jax.Array, t0: jax.Array, end: jax.Array
+) -> tuple[jax.Array, jax.Array, Arrays]:
+    """Whether a saved time was reached, whether it was lost though the steps came so far, and the values there."""
+    within = t <= end
+    reached = within & all_finite(y.flat)
+    values = _or_start(stepper.stored.value(y.open()), t <= t0, x)
+    return reached, within & ~reached, jax.tree.map(lambda a: jnp.where(reached, a, jnp.nan), values)
 
 
 def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
