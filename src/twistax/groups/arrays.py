@@ -6,6 +6,7 @@ arrays inside a loop become calls. The public maps unpack their arguments here a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -94,15 +95,16 @@ def determinant(g: Array) -> Array:
 
 def element_defect(value: np.ndarray) -> float:
     """`defect` of an array of NumPy, without JAX; NaN where it is not finite."""
-    if not np.isfinite(value).all():
-        return np.nan
     # Python's numbers: of so few NumPy's operations take twice as long.
     rows = value.tolist()
-    x, y, z = columns = list(zip(*(row[:3] for row in rows[:3]), strict=True))
-    normal = [y[k - 2] * z[k - 1] - y[k - 1] * z[k - 2] for k in range(3)]
-    pairs = [(a, b, float(a is b)) for k, a in enumerate(columns) for b in columns[k:]] + [(x, normal, 1.0)]
-    off = [a[0] * b[0] + a[1] * b[1] + a[2] * b[2] - wanted for a, b, wanted in pairs]
-    off += [own - unit for own, unit in zip(rows[3], (0.0, 0.0, 0.0, 1.0), strict=True)] if len(rows) == 4 else []
+    (a, b, c), (d, e, f), (g, h, i) = (row[:3] for row in rows[:3])
+    off = [a * a + d * d + g * g - 1.0, b * b + e * e + h * h - 1.0, c * c + f * f + i * i - 1.0]
+    off += [a * b + d * e + g * h, a * c + d * f + g * i, b * c + e * f + h * i]
+    off.append(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) - 1.0)
+    if len(rows) == 4:
+        off += rows[3][:3] + [rows[3][3] - 1.0]
+    if not math.isfinite(sum(off)):
+        return np.inf if np.isfinite(value).all() else np.nan
     return float(max(map(abs, off)))
 
 

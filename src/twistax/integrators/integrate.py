@@ -324,15 +324,15 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 
 def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome, watching, known = found.outcome, steps.watch is not None, not is_traced(found.outcome)
-    counts = [outcome.tried, outcome.accepted, outcome.evaluations]
-    # By NumPy: `int` of an array of JAX takes 4 us.
-    tried, accepted, evaluations = (int(np.asarray(count)) for count in counts) if known else counts
+    outcome, xs, watching, known = found.outcome, found.xs, steps.watch is not None, not is_traced(found.outcome.code)
+    code, tried, accepted, evaluations, _, _ = outcome
+    if known:
+        tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)
     stats = Stats(tried, accepted, tried - accepted, evaluations)
-    result = Result(int(np.asarray(outcome.code))) if known else outcome.code
+    result = Result(int(code)) if known else code
     if known and throw and not ended_well(result):
-        raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, found.end)))
-    xs = found.xs
+        end = found.end or {name: value[0] for name, value in xs.items()}
+        raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, end)))
     if end_only:
         if not known:
             xs = {name: _or_nan(ended_well(outcome.code), value) for name, value in xs.items()}
@@ -349,7 +349,7 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
             kept = int(np.cumprod(np.asarray(found.reached)[:kept]).sum())
         ts, xs = ts[:kept], {name: array.asarray(value)[:kept] for name, value in xs.items()}
         if watching:
-            end = found.end
+            end = found.end or {}
             if not known:
                 end = {name: _or_nan(ended_well(outcome.code), value) for name, value in end.items()}
             ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, outcome.t, end)

@@ -77,7 +77,7 @@ def _solved(a: Any, ends: Any, first: Any, last: Any, order: int) -> tuple[NDArr
     equations = [np.kron(r, np.eye(order)), *(np.kron(one, v) for v in (np.eye(order)[:1], [powers**0], [powers]))]
     matrix, target = np.concatenate(equations), np.concatenate([(q.T @ wanted).ravel(), first, ends, last])
     found, read = np.zeros(order * stages), np.full(order * stages, True)
-    for _ in range(3):  # what rounding left, then without stages that are not read: of DOP853 four
+    for _ in range(3):  # then what rounding left, then without stages that need not be read, of DOP853 four
         found[read] += np.linalg.lstsq(matrix[:, read], target - matrix @ found, rcond=1e-12)[0]
         read = np.repeat(np.abs(found.reshape(stages, order)).max(1) > _UNREAD, order)
         found[~read] = 0.0

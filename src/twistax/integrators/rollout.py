@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..jax_inside import any_of_batch, batched_branches_transpose
+from ..jax_inside import any_of_batch, batched_branches_transpose, is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
@@ -27,9 +28,9 @@ class Rollout(NamedTuple):
 
     #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
     xs: Arrays
-    end: Arrays  # the state they reached
-    reached: jax.Array  # (n,) whether they came so far
-    outcome: Outcome  # how they went, those of saved times included in the evaluations
+    end: Arrays | None  # the state they reached; None: that of the only row
+    reached: jax.Array | None  # (n,) whether they came so far; None without saved times
+    outcome: Any  # how they went, an `Outcome`, those of saved times included in the evaluations
     trail: Trail | None  # where it is kept
     event: jax.Array | None  # the number of the event that ended it, -1 for none; None where none is watched for
 
@@ -41,8 +42,27 @@ def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
     that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
     all times are right.
     """
-    found: Rollout = jitted(differentiable, stepper, steps, x)
-    return found
+    return handed_over(jitted(in_few_arrays, stepper, steps, x))
+
+
+def in_few_arrays() -> Callable[[Stepper, Steps, Arrays], Rollout]:
+    """What makes a rollout for `handed_over`: JAX takes 2 us for each array of a result."""
+    whole = differentiable()
+
+    def packed(stepper: Stepper, steps: Steps, x: Arrays) -> Rollout:
+        found = whole(stepper, steps, x)
+        *counts, t, h = found.outcome
+        end = None if found.reached is None else found.end
+        return found._replace(end=end, outcome=(jnp.stack(counts), jnp.stack([t, h])))
+
+    return packed
+
+
+def handed_over(found: Rollout) -> Rollout:
+    """With its outcome, in numbers of NumPy where they are known."""
+    array: Any = jnp if is_traced(found.outcome) else np
+    counts, times = map(array.asarray, found.outcome)
+    return found._replace(outcome=Outcome(*counts, *times))
 
 
 def differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
@@ -145,9 +165,7 @@ def _to_saved_times(
     end = _or_start(stored.value(end), outcome.accepted == 0, x)
     event = None if meeting is None else meeting.which
     if saved is None or parts is None or advance_all is None:
-        return Rollout(
-            {name: value[None] for name, value in end.items()}, end, jnp.zeros(0, bool), outcome, run.trail, event
-        )
+        return Rollout({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
     parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
     ys = advance_all(saved, parts)

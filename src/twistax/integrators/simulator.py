@@ -22,7 +22,7 @@ from .controls import Table
 from .integrate import integrate, need_element, planned, solution_of
 from .method import flattened
 from .projected import need_start_on_manifold
-from .rollout import differentiable
+from .rollout import handed_over, in_few_arrays
 from .solution import Solution
 
 #: What a call may change, and the options of `integrate` that stay.
@@ -82,7 +82,7 @@ class Simulator:
             )
         self._stepper, self._steps, self._end_only = plan.stepper, plan.steps, options.get("save_at") is None
         self._ts, self._dtype = jax.device_put(plan.ts), plan.t0.dtype
-        self._run, leaves, structure = flattened(differentiable, plan.stepper, plan.steps, plan.x)
+        self._run, leaves, structure = flattened(in_few_arrays, plan.stepper, plan.steps, plan.x)
         self._leaves = jax.device_put([jnp.asarray(leaf) for leaf in leaves])
         stepper, _, x = jax.tree.unflatten(structure, range(len(leaves)))
         held: Any = plan.stepper.signals
@@ -138,7 +138,7 @@ class Simulator:
             stepper = dataclasses.replace(stepper, params=stepper.params | changed["params"])
         if self.dynamics.system.corrections and changed:
             self._need_manifold(stepper, changed.get("x0", {}))
-        found = self._run(*leaves)
+        found = handed_over(self._run(*leaves))
         return solution_of(stepper, self._steps, found, self._ts, self._end_only, self._throw)
 
     def _placed(self, kind: str, values: Any, leaves: list[Any]) -> dict[str, Any]:
@@ -153,22 +153,21 @@ class Simulator:
                 raise InputError(
                     f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
                 )
-            place = f"{kind}[{name!r}]"
             if isinstance(slot.value, Table) or isinstance(value, Table):
-                found[name] = self._table(place, slot.value, value)
+                found[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
+                for k, leaf in zip(slot.places, jax.tree.leaves(found[name]), strict=True):
+                    leaves[k] = leaf
             else:
-                found[name] = self._array(place, kind, slot, value)
-            for k, leaf in zip(slot.places, jax.tree.leaves(found[name]), strict=True):
-                leaves[k] = leaf
+                found[name] = leaves[slot.places[0]] = self._array(kind, slot, value)
         return found
 
-    def _array(self, place: str, kind: str, slot: _Slot, value: Any) -> Any:
+    def _array(self, kind: str, slot: _Slot, value: Any) -> Any:
         as_before = isinstance(value, (np.ndarray, jax.Array)) and value.dtype == self._dtype
         if not (as_before and value.shape == slot.leaf.shape):
             value = read_values(kind, (slot.leaf,), {slot.leaf.name: value}, self._dtype, on_host=True)[slot.leaf.name]
         known = np.asarray(value)
         if not np.isfinite(known).all():
-            raise InputError(f"{place} expects finite numbers, got {known}")
+            raise InputError(f"{kind}[{slot.leaf.name!r}] expects finite numbers, got {known}")
         if slot.check is not None:
             slot.check(known)
         return value

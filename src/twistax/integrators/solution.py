@@ -306,7 +306,7 @@ _FAR = 2.0
 
 def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
     """The error for an integration that ended early at the state x."""
-    stepper, steps = jax.tree.map(jnp.asarray, (stepper, steps))
+    stepper, steps, outcome = jax.tree.map(jnp.asarray, (stepper, steps, outcome))
     result, t, h = Result(int(outcome.code)), float(outcome.t), float(outcome.h)
     last = "last state"
     if result is Result.NON_FINITE:

@@ -37,6 +37,7 @@ def ended_well(code: Any) -> Any:
 class Steps(ABC):
     """The loop over steps. A pytree: times and tolerances are inputs, rules and bounds are structure."""
 
+    t0: Any  # when they begin
     dense: bool  # whether the starts of all steps are kept
     watch: Any  # the `Watch`, the conditions that end an integration
     meter: Meter | None  # who is told how far it is
