@@ -13,7 +13,7 @@ import numpy as np
 
 import twistax as tx
 
-from ...trajectory import IPOPT, Fatrop, Linear, Mesh, TrajectoryResult
+from ...trajectory import IPOPT, Fatrop, Linear, Mesh, Problem, TrajectoryResult
 from ..checks import Absent, Check, Section, at_most, between, needed, slow
 from . import flights, problems
 from .costs import printed
@@ -193,7 +193,8 @@ RATIOS: Section = [
 
 # ---- many cases, and the first solve of a process --------------------------------------------------------------------
 
-_CASES = 64
+#: Cases that are solved alone, too.
+_ALONE = 64
 
 _FIRST_SOLVE = """import time, jax
 jax.config.update("jax_enable_x64", True)
@@ -205,19 +206,30 @@ print(time.process_time() - begin)
 """
 
 
-def _at_once() -> float:
-    """Seconds of a case by `solve_many` over those of one alone, quadrotors that start at different places."""
-    problem, rng = flights.quadrotor(20), np.random.default_rng(0)
-    starts = np.array([tx.pose(position=place) for place in rng.normal(size=(_CASES, 3)) * [0.1, 0.3, 0.3]])
-    if not problem.solve_many(initial={"g": starts}).solved.all():
+def _quadrotors() -> tuple[Problem, str, Any]:
+    places = np.random.default_rng(0).normal(size=(64, 3)) * [0.1, 0.3, 0.3]
+    return flights.quadrotor(20), "g", np.array([tx.pose(position=place) for place in places])
+
+
+def _integrators() -> tuple[Problem, str, Any]:
+    return problems.fastest(1.0, (0.5, 6.0), 1.0), "p", np.random.default_rng(0).uniform(-1.0, 0.5, 1024)
+
+
+def _at_once(made: Callable[[], tuple[Problem, str, Any]]) -> float:
+    """Seconds of a case by `solve_many` over those of one alone: a problem, a state, and where it starts."""
+    problem, state, starts = made()
+    some = starts[:: len(starts) // _ALONE]
+    problem.solve_many(initial={state: some})  # what is rare compiles, too
+    begin = time.perf_counter()
+    for start in some:
+        problem.solve(initial={state: start})
+    alone = (time.perf_counter() - begin) / len(some)
+    begin = time.perf_counter()
+    many = problem.solve_many(initial={state: starts})
+    share = (time.perf_counter() - begin) / len(starts) / alone
+    if not many.solved.all():
         raise Absent("not all are SOLVED")
-    begin = time.perf_counter()
-    for start in starts:
-        problem.solve(initial={"g": start})
-    alone = time.perf_counter() - begin
-    begin = time.perf_counter()
-    problem.solve_many(initial={"g": starts})
-    return (time.perf_counter() - begin) / alone
+    return share
 
 
 def _first_solve(cached: bool) -> float:
@@ -230,7 +242,8 @@ def _first_solve(cached: bool) -> float:
 
 _FIRST = "first solve of a process, quadrotor of 25 nodes"
 TIMES: Section = [
-    slow(f"{_CASES} quadrotors of 20 nodes by solve_many", "a case over one alone", at_most(0.3), _at_once),
+    slow("64 quadrotors of 20 nodes by solve_many", "a case over one alone", at_most(0.3), _at_once, _quadrotors),
+    slow("1,024 double integrators by solve_many", "a case over one alone", at_most(0.3), _at_once, _integrators),
     slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, False),
     slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, True),
 ]
