@@ -1651,6 +1651,12 @@ MUTATIONS: list[Mutation] = [
             "& (at_known_time | ~self.timed)",
             "trajectory/test_free_parameters.py",
         ),
+        (
+            "limits at infinity as rows",
+            "return np.asarray(offset != -np.inf)",
+            "return np.ones(offset.shape, bool)",
+            "trajectory/test_conditions.py::test_a_limit_at_infinity_is_none",
+        ),
     ),
     *_at(
         "trajectory/riccati.py",
@@ -1756,8 +1762,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/external.py",
         (
             "a saddle of another solver as the best",
-            "return solver.to_minimum(search, start, given, max_iterations)",
-            "return search(start, max_iterations)[0]",
+            "return solver.to_minimum(search, start, given, max_iterations, callback)",
+            "return search(start, max_iterations, callback)[0]",
             "trajectory/test_external.py::test_what_they_find_is_looked_at",
         ),
     ),
@@ -1864,6 +1870,18 @@ MUTATIONS: list[Mutation] = [
             "return float(self._steps(probed, self._looked_at(state, given)[0], given).state.raised) > self.bent",
             "return False",
             "trajectory/test_optimality.py",
+        ),
+        (
+            "random starts however large the gaps there are",
+            "if gap(found) <= most:",
+            "if share == 1.0:",
+            "trajectory/test_noise.py",
+        ),
+        (
+            "iterations counted from zero again beside a saddle",
+            "callback(count + own, *rest)",
+            "callback(own, *rest)",
+            "trajectory/test_optimality.py::test_a_worst_trajectory_is_left_or_told",
         ),
         (
             "a worst trajectory of a problem without bound as the best",

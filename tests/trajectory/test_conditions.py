@@ -7,6 +7,7 @@ import pytest
 from trajectory_systems import EULER, double_integrator, free_flyer
 
 import twistax as tx
+from twistax.errors import ModelError
 from twistax.trajectory import Problem, TrajectoryResult
 
 
@@ -188,3 +189,40 @@ def test_conditions_that_cannot_be_are_refused(changes: dict[str, Any], error: t
 def test_single_entries_of_a_pose_are_constraints() -> None:
     with pytest.raises(tx.ModelError, match=r"(?s)whole position or the whole attitude.*use constraints"):
         flown(final={"g": half(POSE, np.s_[0, 3])})
+
+
+def test_a_limit_at_infinity_is_none() -> None:
+    """As in a box: along the path, at a node and at the end, of vectors, magnitudes, norms, and of all entries."""
+    x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,))
+    path = {
+        "high": x <= np.array([1.5, np.inf]),
+        "low": x >= np.array([-np.inf, -0.5]),
+        "size": tx.Abs(u) <= np.array([np.inf, 1.0]),
+        "norm": tx.linalg.Norm(x) <= np.inf,
+    }
+    problem = Problem(
+        tx.compile(tx.System(rates={x: u}, constraints=path)),
+        tx.Maximize(x[0] + x[1]),
+        nodes=5,
+        final_time=2.0,
+        initial={x: [0.0, 0.0]},
+        final=[x <= np.array([np.inf, 1.25]), x[0] <= np.inf],
+        at={2: x <= np.array([0.5, np.inf])},
+        **EULER,
+    )
+    result = problem.solve()
+    assert result.solved
+    np.testing.assert_allclose(result.xs["x"][-1], [1.5, 1.25], atol=1e-6)
+    assert result.xs["x"][2, 0] <= 0.5 + 1e-6
+    asked = {"high[0]", "low[1]", "size[1]", "node 2: x <= [0.5, inf][0]", "final: x <= [ inf, 1.25][1]"}
+    assert set(problem.shooting.names) - {""} == asked
+
+
+@pytest.mark.parametrize("end", [False, True])
+@pytest.mark.parametrize("beyond", [lambda x: x >= np.inf, lambda x: x <= -np.inf, lambda x: x == np.inf])
+def test_what_no_value_can_meet_is_refused(beyond: Any, end: bool) -> None:
+    x, u = tx.State("x"), tx.Control("u")
+    rates, asked = {x: u}, [beyond(x)]
+    dynamics = tx.compile(tx.System(rates=rates, constraints=[] if end else asked))
+    with pytest.raises(ModelError, match="expects numbers that a value can meet, got an infinite one"):
+        Problem(dynamics, tx.Minimize(running=u**2), nodes=3, final_time=1.0, final=asked if end else None, **EULER)

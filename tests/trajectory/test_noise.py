@@ -119,3 +119,29 @@ def test_the_delta_iii_is_solved_from_its_guess() -> None:
     # Perturbed starts lie deep inside of the Earth, under air of 1e200 kg/m3: whatever comes of it, there is a way.
     for seed in (1, 4, 7):
         assert problem.solve(seed=seed).status not in (Status.INFEASIBLE, Status.UNBOUNDED)
+
+
+@pytest.mark.parametrize("rate", [lambda x: 0.1 * tx.Exp(-40.0 * x), lambda x: 0.05 * tx.Log(x + 0.05)])
+def test_random_starts_mean_something(rate: Any) -> None:
+    """Where a step of the usual size makes rates of a million, or such as are not numbers."""
+    x, u = tx.State("x"), tx.Control("u")
+    objective, ends = tx.Minimize(running=u**2), {"initial": {x: 0.0}, "final": {x: 1.0}}
+    dynamics = tx.compile(tx.System(rates={x: u + rate(x)}))
+    problem = Problem(dynamics, objective, nodes=21, final_time=1.0, **ends, **HEUN)
+    plain = problem.solve()
+    assert plain.solved
+    for seed in range(1, 5):
+        result = problem.solve(seed=seed)
+        assert result.solved
+        assert result.cost == pytest.approx(plain.cost, rel=1e-5)
+
+
+def test_strides_are_as_short_as_python_needs_to_see_signals(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 0.0, 0.5, 0.9, 0.9001, 5.0])
+    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
+    own = watch.Watch(fastest().shooting, 1e-6, scaling.unit_scales(fastest().shooting), 500)
+    steps = []
+    for count in (0, 1, 6, 26, 27):
+        own.count = count
+        steps.append(own.until())
+    assert steps == [1, 1, 2, 474, 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from math import prod
 from typing import Any
@@ -30,7 +31,7 @@ from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
 from ..system import entry_names, free_name, name_of
-from .statement import bounds_of, check_leaves
+from .statement import bounds_of, check_leaves, limited
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,10 +72,12 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
         name = f"{place}: {own}"
         check_leaves(dynamics, name, constraint, controls=False)
         residual = _residual(constraint)
-        shape = residual.check_shape()
-        names += entry_names(name, shape)
-        residuals.append(residual.canonicalize())
-        equality += [isinstance(constraint, Equality)] * prod(shape)
+        shape, is_equality = residual.check_shape(), isinstance(constraint, Equality)
+        row = residual.canonicalize()
+        asked = limited(name, row, is_equality)
+        names += itertools.compress(entry_names(name, shape), asked.ravel())
+        residuals += [row if asked.all() else row[np.nonzero(asked)]] if asked.any() else []
+        equality += [is_equality] * int(asked.sum())
     return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))
 
 

@@ -109,10 +109,10 @@ class _Casadi:
             solver.made[key] = self._made(solver.made[self.copies], solver.tolerance)
         made, due = solver.made[key], time.monotonic() + (self.max_seconds or np.inf)
 
-        def search(own: Point | WarmStart, most: int) -> tuple[Outcome, State]:
+        def search(own: Point | WarmStart, most: int, callback: Callback | None) -> tuple[Outcome, State]:
             return self._search(made, solver, own, given, most, callback, due)
 
-        return solver.to_minimum(search, start, given, max_iterations)
+        return solver.to_minimum(search, start, given, max_iterations, callback)
 
     def _search(
         self,

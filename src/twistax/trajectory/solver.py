@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from . import feasibility, scaling, warm
-from .interior_point import InteriorPoint
+from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
 from .program import Program
@@ -40,6 +40,8 @@ _SLACK, _SHAKE = 1e-3, 0.1
 _ASIDE = 0.01
 #: Steps away from a solution that is no minimum, in scales: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
+#: Random starts: how much larger than scales, or than those of the guess, gaps may be, and shares of steps to them.
+_LOST, _SHARES = 30.0, tuple(0.5**k for k in range(11))
 #: A solution that needs more than this on the diagonal, scaled, is no minimum; scales of entries of a vector may be
 #: so far apart then.
 _CURVED, _LEVEL = 1e-6, 10.0
@@ -112,15 +114,26 @@ class Solver:
             self._start, self._stride = (job.result() for job in jobs)
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
-        """A point with every free entry of states, controls and border moved by a random step."""
+        """A point with every free entry of states, controls and border moved by a random step.
+
+        The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point:
+        what is exponential in a state, as air is in a height, else makes starts that mean nothing.
+        """
         scales, _ = self.first_scales(point, given)
         free = self.shooting.free
         d = np.where(self.shooting.stirred, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
         here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
         spread = np.minimum((high - low) / 6.0, 0.4 * np.asarray(scales.border))
-        border = np.clip(here + np.where(free.border, rng.normal(size=here.shape) * spread, 0.0), low, high)
-        return self._move(point, Step(d, u, border - here))
+        border = np.where(free.border, rng.normal(size=here.shape) * spread, 0.0)
+        gap = lambda at: float(largest(self._start(at, given, scales).values.defects / scales.d[1:]))  # noqa: E731
+        most = _LOST * max(1.0, gap(point))
+        for share in _SHARES:
+            moves = np.clip(here + share * border, low, high) - here
+            found = self._move(point, Step(share * d, share * u, moves))
+            if gap(found) <= most:
+                break
+        return found
 
     def first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
         """Scales at a point, and the largest seen."""
@@ -138,22 +151,25 @@ class Solver:
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
     ) -> Outcome:
         """Solve from a start; a solution that is no minimum is left."""
-        return self.to_minimum(lambda own, most: self._run(own, given, most, callback), start, given, max_iterations)
+        search = lambda own, most, callback: self._run(own, given, most, callback)  # noqa: E731
+        return self.to_minimum(search, start, given, max_iterations, callback)
 
     def to_minimum(
         self,
-        search: Callable[[Any, int], tuple[Outcome, Iterate]],
+        search: Callable[[Any, int, Callback | None], tuple[Outcome, Iterate]],
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
+        callback: Callback | None,
     ) -> Outcome:
         """What a search finds from a start; where that is no minimum, what it finds a random step away, if better.
 
         Args:
             search: gives the outcome from a start within so many iterations, and the state there.
         """
-        found, state = search(start, max_iterations)
+        found, state = search(start, max_iterations, callback)
         count, saddle = found.iterations, False
+        later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
         while found.status is Status.SOLVED and not saddle:
             levels = self.levels(state.scales)
             state = state if levels is None else self._rescaled(state, levels)
@@ -163,7 +179,7 @@ class Solver:
             for size in _AWAY:
                 if count >= max_iterations:
                     break
-                other, there = search(self._step_away(state, size, alone=True), max_iterations - count)
+                other, there = search(self._step_away(state, size, alone=True), max_iterations - count, later)
                 count += other.iterations
                 if other.status in (Status.SOLVED, Status.UNBOUNDED) and other.cost < lower:
                     found, state, saddle = other, there, False
@@ -244,7 +260,7 @@ class Solver:
             if callback is not None:
                 callback(watch.count, float(here.values.cost), float(here.errors.feasibility))
             if not watch.runs_off(here):
-                taken = self._steps(state, slopes, given, watch.until if callback is None else 1, watch.low)
+                taken = self._steps(state, slopes, given, watch.until() if callback is None else 1, watch.low)
                 slopes, state, before = taken.slopes, taken.state, float(taken.before)
                 watch.count += int(taken.count)
                 if not bool(state.stuck):

@@ -152,7 +152,8 @@ class Solvable(ABC, Generic[One, Many]):
             seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
                 moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
                 parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
-                at most (and stay within them).
+                at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
+                large as its scale, and as the guess's gaps.
             callback: called with (iteration, cost, violation) before each step.
             max_iterations: iterations a try may use.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.

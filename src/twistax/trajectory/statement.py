@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import itertools
 from collections.abc import Collection, Mapping, Sequence
-from math import prod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 
 from ..errors import ModelError, ShapeError
 from ..expr import (
+    Constant,
     Control,
     Expr,
     Leaf,
@@ -24,7 +25,7 @@ from ..expr import (
 )
 from ..lowering import Dynamics
 from ..system import entry_names, need_finite
-from .cones import NormControls, without_norms
+from .cones import NormControls, linear_terms, without_norms
 from .controls import is_rate
 
 
@@ -164,10 +165,11 @@ def describe_path(
     loose: list[bool] = []
     for kind, own in functions.constraints.items():
         for name, residual in own.items():
-            for row in [residual] if kind == "equality" else without_norms(residual):
-                entries, leaves = prod(row.shape), list(leaves_of(row))
-                residuals.append(row)
-                names += entry_names(name, row.shape)
+            asked = limited(name, residual, kind == "equality")
+            for row in [residual] if kind == "equality" else without_norms(residual) if asked.any() else []:
+                entries, leaves = int(asked.sum()), list(leaves_of(row))
+                residuals.append(row if asked.all() else row[np.nonzero(asked)])
+                names += itertools.compress(entry_names(name, row.shape), asked.ravel())
                 equality += [kind == "equality"] * entries
                 reads += [_reads(leaves)] * entries
                 states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
@@ -199,6 +201,19 @@ def describe_path(
         shown=(*named["inequality"], *named["equality"], *boxes),
         shown_equality=np.concatenate(shown),
     )
+
+
+def limited(place: str, residual: Expr, is_equality: bool) -> Array:
+    """Which entries of a constraint ask for something: those whose limit is not infinitely far.
+
+    Raises:
+        ModelError: no value can meet it.
+    """
+    numbers = [factor * part.value for factor, part in linear_terms(residual) if isinstance(part, Constant)]
+    offset = np.broadcast_to(sum(numbers, np.zeros(())), residual.shape)
+    if (np.isinf(offset) if is_equality else offset == np.inf).any():
+        raise ModelError(f"{place} expects numbers that a value can meet, got an infinite one")
+    return np.asarray(offset != -np.inf)
 
 
 def _reads(leaves: Sequence[Leaf]) -> Reads:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import time
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ _WORTHLESS = 1e3
 _RESTARTS = 4
 #: Iterations after which scales are looked at, beside those at which the barrier parameter falls.
 _EARLY = (1, 3, 6)
+#: Seconds after which Python is to see signals, Ctrl-C among them.
+_PATIENCE = 0.2
 #: An unknown that is so many times as large as at the start has lost all digits of it, and has run off; where it is so
 #: many times as large, scales are looked at again and again.
 _FAR, _NEAR = 1e16, 1e5
@@ -75,11 +78,14 @@ class Watch:
         self._first = self._seen = seen
         self._most, self._forgot = most, False
         self.count = self.restarts = 0
+        self._looked = 0, time.perf_counter()
 
-    @property
     def until(self) -> int:
-        """How many steps may be taken without a look at them."""
-        return min(k for k in (*_EARLY, self._most) if k > self.count) - self.count
+        """How many steps may be taken without a look at them, or at signals: as long as the last ones took."""
+        (before, then), self._looked = self._looked, (self.count, time.perf_counter())
+        pace = (self.count - before) / max(self._looked[1] - then, 1e-9)
+        free = min(k for k in (*_EARLY, self._most) if k > self.count) - self.count
+        return min(free, max(1, int(_PATIENCE * pace)))
 
     @property
     def low(self) -> float:
