@@ -1,7 +1,8 @@
-"""Larger problems of the page of optima: an ascent in four phases, a quadrotor past spheres, an arm in haste."""
+"""Larger problems of the page of optima: an ascent in phases, a quadrotor past spheres, an arm, a chain of masses."""
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -166,3 +167,21 @@ def panda(nodes: int = 41, **options: Any) -> Problem:
         "final": {q: np.array([0.9, 0.3, 0.3, -1.0, 0.2, 2.6, 0.8]), qd: np.zeros(7)},
     }
     return Problem(dynamics, tx.Minimize(tx.Time()), nodes=nodes, final_time=(0.2, 4.0), **ends, **options)
+
+
+def chain_of_masses(count: int = 10, nodes: int = 21) -> Problem:
+    """Masses on springs between a wall and an end that is led to rest: 6 count + 3 states; nothing is published.
+
+    Source: Wirsching, Bock, Diehl, Fast NMPC of a chain of masses connected by springs (2006), its masses and lengths.
+    """
+    mass, rest, goal = 0.033, 0.033, np.array([1.0, 0.0, 0.0])
+    x, v = tx.State("x", shape=(3 * count,)), tx.State("v", shape=(3 * count,))
+    end, u = tx.State("end", shape=(3,)), tx.Control("u", shape=(3,), min=-1.0, max=1.0)
+    places: list[Any] = [np.zeros(3), *(x[3 * k : 3 * k + 3] for k in range(count)), end]
+    pulls = [(1.0 - rest / tx.linalg.Norm(b - a)) * (b - a) for a, b in itertools.pairwise(places)]
+    falls = [(b - a) / mass - np.array([0.0, 0.0, 9.81]) for a, b in itertools.pairwise(pulls)]
+    line = np.linspace(0.0, 1.0, count + 2)[1:-1, None] * goal
+    start: dict[Any, Any] = {x: line.ravel(), v: np.zeros(3 * count), end: goal + np.array([0.0, 0.5, 0.0])}
+    cost = tx.Minimize(running=25.0 * (end - goal) @ (end - goal) + v @ v + 0.01 * u @ u)
+    dynamics = tx.compile(tx.System(rates={x: v, v: tx.Concat(*falls), end: u}))
+    return Problem(dynamics, cost, nodes=nodes, final_time=4.0, substeps=2, initial=start)

@@ -196,10 +196,11 @@ RATIOS: Section = [
 #: Cases that are solved alone, too.
 _ALONE = 64
 
+#: With the problem in place of the braces.
 _FIRST_SOLVE = """import time, jax
 jax.config.update("jax_enable_x64", True)
 from twistax.report.sections import flights
-problem = flights.quadrotor(25)
+problem = flights.{}
 begin = time.process_time()
 problem.solve()
 print(time.process_time() - begin)
@@ -232,18 +233,27 @@ def _at_once(made: Callable[[], tuple[Problem, str, Any]]) -> float:
     return share
 
 
-def _first_solve(cached: bool) -> float:
+def _first_solve(problem: str, cached: bool) -> float:
     """Seconds of processor time of the first solve of a process that is not the first one."""
+    code = _FIRST_SOLVE.format(problem)
     with tempfile.TemporaryDirectory() as folder:
         own = {"JAX_COMPILATION_CACHE_DIR": folder} if cached else {}
-        printed(_FIRST_SOLVE, **own)
-        return printed(_FIRST_SOLVE, **own)
+        printed(code, **own)
+        return printed(code, **own)
 
 
-_FIRST = "first solve of a process, quadrotor of 25 nodes"
+def _nothing_there(problem: str) -> float:
+    """The same of a process that finds no kernels on the disk."""
+    with tempfile.TemporaryDirectory() as folder:
+        return printed(_FIRST_SOLVE.format(problem), TWISTAX_CACHE=folder)
+
+
+_FIRST, _CHAIN = (f"first solve of a process, {it}" for it in ("quadrotor of 25 nodes", "ten masses, 63 states"))
 TIMES: Section = [
     slow("64 quadrotors of 20 nodes by solve_many", "a case over one alone", at_most(0.3), _at_once, _quadrotors),
     slow("1,024 double integrators by solve_many", "a case over one alone", at_most(0.3), _at_once, _integrators),
-    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, False),
-    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, True),
+    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, "quadrotor(25)", False),
+    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, "quadrotor(25)", True),
+    slow(_CHAIN, "processor time, nothing on the disk, s", at_most(15.0), _nothing_there, "chain_of_masses()"),
+    slow(_CHAIN, "processor time, kernels on the disk, s", at_most(15.0), _first_solve, "chain_of_masses()", False),
 ]
