@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..lowering.on_disk import compiled
 from . import feasibility, scaling, warm
 from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
@@ -102,15 +103,15 @@ class Solver:
         unit = scaling.unit_scales(self.shooting)
         with ThreadPoolExecutor() as pool:
 
-            def result(function: Any, *args: Any) -> Any:
+            def result(function: Any, level: int, *args: Any) -> Any:
                 """The shapes of what a function gives; it is traced here and compiled in another thread."""
-                lowered = function.lower(*args)
-                jobs.append(pool.submit(lowered.compile))
-                return lowered.out_info
+                program = function.trace(*args)
+                jobs.append(pool.submit(compiled, program, program.lower(), level))
+                return program.out_info
 
             jobs: list[Future[Any]] = []
-            state = result(self._start, point, given, unit)
-            result(self._stride, state, self._none, given, np.int64(0), np.float64(0.0))
+            state = result(self._start, 0, point, given, unit)
+            result(self._stride, 1, state, self._none, given, np.int64(0), np.float64(0.0))
             self._start, self._stride = (job.result() for job in jobs)
 
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:

@@ -321,6 +321,16 @@ def _transpose(
     return result
 
 
+class _Held:
+    """Keeps a program alive; on disk, where compiled code may go, it is nothing."""
+
+    def __init__(self, program: Computed | None = None) -> None:
+        self.program = program
+
+    def __reduce__(self) -> tuple[type[_Held], tuple[()]]:
+        return _Held, ()
+
+
 def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
     """Tell JAX how an equation runs, for one body or for batches of them."""
 
@@ -342,7 +352,7 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
             # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
             module = context.module_context
             if not module.lowering_parameters.for_export:
-                module.add_keepalive(own["program"])
+                module.add_keepalive(_Held(own["program"]))
 
             # JAX keeps what it traced as long as the function: a new one each time.
             def once(*a: Any) -> list[jax.Array]:
