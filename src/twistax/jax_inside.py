@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import jax
 import jaxlib
 from jax.experimental import jet
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 

@@ -8,9 +8,8 @@ import os
 from typing import Any, NamedTuple
 
 import jax
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
-from ..jax_inside import jax_versions, quick_compile
+from ..jax_inside import deserialize_and_load, jax_versions, quick_compile, serialize
 from .native import cache
 from .native.backend import installed
 from .native.machine_code import Processor, written_by
