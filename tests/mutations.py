@@ -1807,6 +1807,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/estimate.py",
+        (
+            "no multipliers at a start where nothing bends the objective along a control",
+            "return bool((bends[free] > FIRST_DAMPING).all())",
+            "return bool((bends[free] > -1.0).all())",
+            "trajectory/test_known_answers.py",
+        ),
+        (
+            "multipliers by least squares of the wrong sign",
+            "jnp.where(known, found.dynamics, state.dynamics)",
+            "jnp.where(known, -found.dynamics, state.dynamics)",
+            "trajectory/test_known_answers.py",
+        ),
+    ),
+    *_at(
         "trajectory/warm.py",
         (
             "a warm start with the barrier of a cold one",

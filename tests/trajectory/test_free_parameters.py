@@ -117,21 +117,26 @@ def test_an_end_may_be_a_parameter_that_constraints_limit() -> None:
     assert result.multipliers["near"] == pytest.approx([1.0], abs=1e-5)
 
 
-def test_parameters_keep_their_sign_in_a_step() -> None:
-    """What is large in its scale at most halves, and at most triples; what is small may change sign."""
+def test_parameters_and_controls_change_so_far_in_a_step() -> None:
+    """A parameter that is large in its scale at most halves, and at most triples; one that is small may change sign.
+
+    A control goes ten times as far as it and its scale are large.
+    """
     shooting = fastest(free=["gear"]).shooting
     method, unit = InteriorPoint(shooting, 1e-6), unit_scales(shooting)
 
-    def share(gear: float, move: float) -> float:
-        """How much of a step of the gear is taken, whose scale is 1."""
-        state = SimpleNamespace(point=Point(None, None, np.array([3.0, gear])), scales=unit)
-        return float(method.in_chart(Step(np.zeros_like(unit.d), unit.u, np.array([0.0, move])), state))
+    def share(gear: float, move: float, size: float = 0.0, pushes: float = 1.0) -> float:
+        """How much of a step of the gear and the control is taken, whose scales are 1."""
+        state = SimpleNamespace(point=Point(None, size * unit.u, np.array([3.0, gear])), scales=unit)
+        return float(method.in_chart(Step(np.zeros_like(unit.d), pushes * unit.u, np.array([0.0, move])), state))
 
     assert share(3.0, -5.0) == pytest.approx(1.5 / 5.0)
     assert share(-3.0, 5.0) == pytest.approx(1.5 / 5.0)
     assert share(3.0, 5.0) == 1.0
     assert share(3.0, 60.0) == pytest.approx(6.0 / 60.0)
     assert share(0.5, -5.0) == pytest.approx(2.0 / 5.0)
+    assert share(3.0, 0.0, 0.5, 20.0) == pytest.approx(10.0 / 20.0)
+    assert share(3.0, 0.0, 2.0, -40.0) == pytest.approx(20.0 / 40.0)
 
 
 BAD: list[tuple[Any, type[Exception], str]] = [

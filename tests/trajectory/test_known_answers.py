@@ -163,3 +163,28 @@ def test_free_entries_of_the_start_are_chosen_too() -> None:
     assert result.solved
     np.testing.assert_allclose(result.xs["x"][-1], [1.0, 2.0], atol=1e-4)
     assert result.xs["x"][0, 0] == 0.0
+
+
+def test_a_direction_without_limit_or_cost() -> None:
+    """From the orbit of the Earth as far out as 193 days of a small thrust lead, 1.525 astronomical units.
+
+    Only multipliers bend the objective along the direction, so without any at the start the first step is worthless.
+    Source: Bryson and Ho, Applied Optimal Control (1975), section 2.5.
+    """
+    r, vr, vt, a = tx.State("r"), tx.State("vr"), tx.State("vt"), tx.Control("a")
+    thrust = 0.1405 / (1.0 - 0.0749 * tx.Time())
+    rates = {r: vr, vr: vt**2 / r - 1.0 / r**2 + thrust * tx.Sin(a), vt: -vr * vt / r + thrust * tx.Cos(a)}
+    problem = Problem(
+        tx.compile(tx.System(rates=rates)),
+        tx.Maximize(r),
+        nodes=60,
+        final_time=3.3193,
+        initial={r: 1.0, vr: 0.0, vt: 1.0},
+        final=[vr == 0.0, vt == 1.0 / tx.Sqrt(r)],
+        controls=tx.trajectory.Linear(),
+        guess={a: np.repeat([0.3, 5.9], 30)},
+    )
+    result = problem.solve()
+    assert result.solved
+    assert abs(result.cost - 1.525) < 1e-3
+    assert result.iterations < 50

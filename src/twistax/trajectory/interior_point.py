@@ -34,13 +34,13 @@ _BOUNDARY, _CENTRAL = 0.99, 1e10
 _THETA_GAIN, _PHI_GAIN, _THETA_POWER, _PHI_POWER, _ARMIJO = 1e-5, 1e-8, 1.1, 2.3, 1e-8
 _LEAST_SHARE, _CORRECTIONS, _CORRECTION_SHARE = 0.05, 4, 0.99
 #: What is added to the diagonal where the inertia is wrong (algorithm IC).
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-20, 1e40
+FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-20, 1e40
 _FASTER, _FAST, _SLOW = 100.0, 8.0, 1.0 / 3.0
 #: Equations other than the dynamics hold to this times the change of their multipliers.
 _EQUALITY = 1e-8
-#: The largest turn of a step, rad, its largest change of a duration, relative, and of a parameter, relative or in its
-#: scale: beyond them nothing is linear.
-_LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH = 1.5, 0.5, 2.0
+#: The largest turn of a step, rad, its largest change of a duration, relative, and of a parameter and of a control,
+#: relative or in its scale: beyond them nothing is linear.
+_LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH, _FARTHEST = 1.5, 0.5, 2.0, 10.0
 #: The least first slack.
 _FIRST_SLACK = 1e-2
 
@@ -88,6 +88,7 @@ class InteriorPoint:
     def __init__(self, shooting: Transcribed, tolerance: float) -> None:
         self._shooting = shooting
         self.exists, self.move, self.values = shooting.exists, shooting.move, shooting.values
+        self.free, self.size = shooting.free, (shooting.n, shooting.m)
         self.free_start = np.concatenate([shooting.free.d[0], shooting.free.border])
         self.inequality = shooting.exists & ~shooting.equality
         self.equality = shooting.exists & shooting.equality
@@ -401,7 +402,7 @@ class InteriorPoint:
 
         def more(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
             damping, _, tries = carry
-            start = jnp.where(last > 0.0, jnp.maximum(_LEAST_DAMPING, _SLOW * last), _FIRST_DAMPING)
+            start = jnp.where(last > 0.0, jnp.maximum(_LEAST_DAMPING, _SLOW * last), FIRST_DAMPING)
             grow = jnp.where(last > 0.0, _FAST, _FASTER)
             damping = jnp.where(tries == 0, 0.0, jnp.where(tries == 1, start, grow * damping))
             return damping, factors(damping), tries + 1
@@ -414,7 +415,7 @@ class InteriorPoint:
         return stages(damping), found
 
     def in_chart(self, step: Step, state: Any) -> jax.Array:
-        """The largest share of a step that keeps turns, and changes of durations and of parameters, small enough."""
+        """The largest share of a step that keeps turns, changes of controls, durations and parameters small enough."""
         scales = state.scales
         turn = jnp.where(self._shooting.turns, jnp.abs(step.d * scales.d), 0.0).max(initial=0.0) / _LARGEST_TURN
         border, move = state.point.border, step.border * scales.border
@@ -423,8 +424,9 @@ class InteriorPoint:
         # What is large in its scale keeps its sign.
         shrinks = (border * move < 0.0) & (size > scales.border)
         most = jnp.where(is_time | shrinks, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
-        change = jnp.abs(move) / most
-        return jnp.minimum(1.0, 1.0 / jnp.maximum(jnp.maximum(turn, change.max()), 1e-300))
+        us = _FARTHEST * jnp.maximum(jnp.abs(state.point.us), scales.u).max(axis=0, keepdims=True)
+        far = (jnp.abs(step.u * scales.u) / us).max(initial=0.0)
+        return 1.0 / jnp.stack([jnp.ones_like(turn), turn, far, (jnp.abs(move) / most).max()]).max()
 
 
 def in_units(step: Step, scales: Scales, share: jax.Array) -> Step:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..lowering.on_disk import compiled
-from . import feasibility, scaling, warm
+from . import estimate, feasibility, scaling, warm
 from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
@@ -95,6 +95,7 @@ class Solver:
         self._begin = jitted(lambda state: feasibility.begin(method, state), 0)
         self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
         self._judged = jitted(self._judge, 0)
+        self._estimated = jitted(functools.partial(estimate.estimated, method))
         #: What solvers of others made of the problem, by solver.
         self.made: dict[Any, Any] = {}
 
@@ -138,10 +139,12 @@ class Solver:
 
     def first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
         """Scales at a point, and the largest seen."""
+        return self.scales_of(point, *self._first_look(point, given))
+
+    def _first_look(self, point: Point, given: Given) -> tuple[Derivatives, Scales]:
+        """Derivatives at a point, second ones of the objective, and their scales: 1."""
         unit = scaling.unit_scales(self.shooting)
-        state = unweighed(self._start(point, given, unit))
-        slopes, _ = self._looked_at(state, given)
-        return self.scales_of(point, slopes, unit)
+        return self._looked_at(unweighed(self._start(point, given, unit)), given)[0], unit
 
     def scales_of(self, point: Point, slopes: Derivatives, before: Scales) -> tuple[Scales, Scales]:
         """Scales from derivatives at a point, with multipliers that are zero, in other scales; and the largest seen."""
@@ -217,8 +220,13 @@ class Solver:
         """The first state, and the largest scales seen."""
         if isinstance(start, WarmStart):
             return self._warm(start.point, start.dynamics, start.rows, start.scales, given), start.scales
-        scales, seen = self.first_scales(start, given)
-        return self._start(start, given, scales), seen
+        slopes, unit = self._first_look(start, given)
+        scales, seen = self.scales_of(start, slopes, unit)
+        state = self._start(start, given, scales)
+        if not estimate.is_bound(self.method, state, slopes):
+            slopes, state = self._looked_at(state, given)
+            state = self._estimated(state, slopes)
+        return state, seen
 
     def _run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None

@@ -1,0 +1,55 @@
+"""Multipliers of a first point by least squares, where nothing else says how far controls may go.
+
+A thrust of given size in a free direction, least time: no limit and no cost bends the objective along the control, so
+the first Newton step is as long as what is added to the diagonal makes it. Multipliers bend it.
+Source: Wachter and Biegler, Mathematical Programming 106 (2006), section 3.6.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+
+from .interior_point import FIRST_DAMPING, InteriorPoint, largest
+from .iterate import State
+from .riccati import Stages, factorize, refined
+from .transcribed import Derivatives
+
+#: Larger multipliers are of dependent constraints, and worse than none.
+_MOST = 1e3
+
+
+def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
+    """Whether limits and costs say of every free control how far it may go.
+
+    Args:
+        state: a first one, without multipliers of the dynamics.
+        slopes: in scales of 1, second ones of the objective.
+    """
+    scales, free, (n, m) = state.scales, method.free.u, method.size
+    along = np.asarray(slopes.rows)[:, :, n : n + m] * np.asarray(scales.u)[:, None]
+    grown, sizes = (
+        np.asarray(a)[: along[..., 0].size].reshape(*along.shape[:2], 1)
+        for a in (np.where(method.equality, 1.0, state.rows / state.slack), scales.rows)
+    )
+    bends = np.diagonal(np.asarray(slopes.hessian)[:, n : n + m, n : n + m], axis1=1, axis2=2)
+    bends = bends * np.asarray(scales.u) ** 2 / scales.cost + (grown * (along / sizes) ** 2).sum(axis=1)
+    return bool((bends[free] > FIRST_DAMPING).all())
+
+
+def estimated(method: InteriorPoint, state: State, slopes: Derivatives) -> State:
+    """The state with the multipliers of equations that leave least of the Lagrangian's gradient, as squares (36)."""
+    n, m = method.size
+    unit = np.diag(np.repeat([1.0, 0.0], [n + m, slopes.hessian.shape[-1] - n - m]))
+    flat = slopes._replace(
+        hessian=jnp.broadcast_to(unit, slopes.hessian.shape), end_hessian=jnp.eye(len(slopes.end_hessian))
+    )
+    hard = method.weights(jnp.ones_like(state.slack), jnp.ones_like(state.rows))
+    stages = Stages(flat, hard, jnp.zeros(()), None, method.free_start)
+    pulled = method.split(jnp.where(method.inequality, state.rows, 0.0))
+    found = refined(stages, factorize(stages), jnp.zeros_like(state.dynamics), pulled)
+    rows = jnp.where(method.equality, method.join(found.rows), state.rows)
+    known = largest((found.dynamics, jnp.where(method.equality, rows, 0.0))) <= _MOST
+    return state._replace(
+        dynamics=jnp.where(known, found.dynamics, state.dynamics), rows=jnp.where(known, rows, state.rows)
+    )
