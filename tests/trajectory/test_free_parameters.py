@@ -120,7 +120,7 @@ def test_an_end_may_be_a_parameter_that_constraints_limit() -> None:
 def test_parameters_and_controls_change_so_far_in_a_step() -> None:
     """A parameter that is large in its scale at most halves, and at most triples; one that is small may change sign.
 
-    A control goes ten times as far as it and its scale are large.
+    A control goes thirty times as far as it and its scale are large.
     """
     shooting = fastest(free=["gear"]).shooting
     method, unit = InteriorPoint(shooting, 1e-6), unit_scales(shooting)
@@ -135,8 +135,8 @@ def test_parameters_and_controls_change_so_far_in_a_step() -> None:
     assert share(3.0, 5.0) == 1.0
     assert share(3.0, 60.0) == pytest.approx(6.0 / 60.0)
     assert share(0.5, -5.0) == pytest.approx(2.0 / 5.0)
-    assert share(3.0, 0.0, 0.5, 20.0) == pytest.approx(10.0 / 20.0)
-    assert share(3.0, 0.0, 2.0, -40.0) == pytest.approx(20.0 / 40.0)
+    assert share(3.0, 0.0, 0.5, 40.0) == pytest.approx(30.0 / 40.0)
+    assert share(3.0, 0.0, 2.0, -80.0) == pytest.approx(60.0 / 80.0)
 
 
 BAD: list[tuple[Any, type[Exception], str]] = [

@@ -27,6 +27,8 @@ def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
         slopes: in scales of 1, second ones of the objective.
     """
     scales, free, (n, m) = state.scales, method.free.u, method.size
+    if not free.any():
+        return True
     along = np.asarray(slopes.rows)[:, :, n : n + m] * np.asarray(scales.u)[:, None]
     grown, sizes = (
         np.asarray(a)[: along[..., 0].size].reshape(*along.shape[:2], 1)

@@ -40,7 +40,7 @@ _FASTER, _FAST, _SLOW = 100.0, 8.0, 1.0 / 3.0
 _EQUALITY = 1e-8
 #: The largest turn of a step, rad, its largest change of a duration, relative, and of a parameter and of a control,
 #: relative or in its scale: beyond them nothing is linear.
-_LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH, _FARTHEST = 1.5, 0.5, 2.0, 10.0
+_LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH, _FARTHEST = 1.5, 0.5, 2.0, 30.0
 #: The least first slack.
 _FIRST_SLACK = 1e-2
 
