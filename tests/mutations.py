@@ -1810,7 +1810,7 @@ MUTATIONS: list[Mutation] = [
         "trajectory/estimate.py",
         (
             "no multipliers at a start where nothing bends the objective along a control",
-            "return bool((bends[free] > FIRST_DAMPING).all())",
+            "return bool((bends[free] > _BENT).all())",
             "return bool((bends[free] > -1.0).all())",
             "trajectory/test_known_answers.py",
         ),

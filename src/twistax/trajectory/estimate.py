@@ -10,13 +10,15 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from .interior_point import FIRST_DAMPING, InteriorPoint, largest
+from .interior_point import InteriorPoint, largest
 from .iterate import State
 from .riccati import Stages, factorize, refined
 from .transcribed import Derivatives
 
 #: Larger multipliers are of dependent constraints, and worse than none.
 _MOST = 1e3
+#: Less than this, scaled, bends nothing.
+_BENT = 1e-8
 
 
 def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
@@ -36,7 +38,7 @@ def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
     )
     bends = np.diagonal(np.asarray(slopes.hessian)[:, n : n + m, n : n + m], axis1=1, axis2=2)
     bends = bends * np.asarray(scales.u) ** 2 / scales.cost + (grown * (along / sizes) ** 2).sum(axis=1)
-    return bool((bends[free] > FIRST_DAMPING).all())
+    return bool((bends[free] > _BENT).all())
 
 
 def estimated(method: InteriorPoint, state: State, slopes: Derivatives) -> State:

@@ -34,7 +34,7 @@ _BOUNDARY, _CENTRAL = 0.99, 1e10
 _THETA_GAIN, _PHI_GAIN, _THETA_POWER, _PHI_POWER, _ARMIJO = 1e-5, 1e-8, 1.1, 2.3, 1e-8
 _LEAST_SHARE, _CORRECTIONS, _CORRECTION_SHARE = 0.05, 4, 0.99
 #: What is added to the diagonal where the inertia is wrong (algorithm IC).
-FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-20, 1e40
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-20, 1e40
 _FASTER, _FAST, _SLOW = 100.0, 8.0, 1.0 / 3.0
 #: Equations other than the dynamics hold to this times the change of their multipliers.
 _EQUALITY = 1e-8
@@ -402,7 +402,7 @@ class InteriorPoint:
 
         def more(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
             damping, _, tries = carry
-            start = jnp.where(last > 0.0, jnp.maximum(_LEAST_DAMPING, _SLOW * last), FIRST_DAMPING)
+            start = jnp.where(last > 0.0, jnp.maximum(_LEAST_DAMPING, _SLOW * last), _FIRST_DAMPING)
             grow = jnp.where(last > 0.0, _FAST, _FASTER)
             damping = jnp.where(tries == 0, 0.0, jnp.where(tries == 1, start, grow * damping))
             return damping, factors(damping), tries + 1
