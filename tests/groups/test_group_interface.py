@@ -154,6 +154,14 @@ def test_normalize_repairs_a_pose():
     assert STATE.defect({**STATE.identity(), "a": np.diag([1.5, 1.0 / 1.5, 1.0])}) == 1.25
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_pose_somewhere_infinite_is_refused(bad):
+    T = np.eye(4)
+    T[1, 3] = bad
+    with pytest.raises(InputError, match="off by nan"):
+        SE3.normalize(T)
+
+
 # --- arguments
 
 SHAPES = {

@@ -113,6 +113,19 @@ def test_a_traced_failure_stays_in_the_solution() -> None:
     assert not np.isfinite(bad.xs["x"][1])
 
 
+@pytest.mark.parametrize("throw", [True, False])
+@pytest.mark.parametrize("rows", [{}, {"save_at": np.linspace(0.0, 2.0, 8)}], ids=["end", "rows"])
+def test_a_failure_under_eager_derivatives_is_that_under_jit(throw: bool, rows: dict) -> None:
+    """There counts are numbers while states are traced."""
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: x * x}))
+    end = lambda x0: tx.integrate(dynamics, {"x": x0}, t1=2.0, rtol=1e-7, throw=throw, **rows).xs["x"]  # noqa: E731
+    found, expected = (jax.jvp(f, (jnp.ones(()),), (jnp.ones(()),)) for f in (end, jax.jit(end)))
+    assert not np.isfinite(found[0][-1])
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)
+
+
 def test_a_traced_end_needs_the_number_of_steps(body: tx.Dynamics) -> None:
     with pytest.raises(tx.InputError, match="give steps=<whole number> instead of dt"):
         jax.grad(lambda t1: tx.integrate(body, start(), t1=t1, dt=0.1, u={"F": np.ones(6)}).xs["V"].sum())(1.0)

@@ -11,6 +11,7 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
+from twistax.integrators.integrate import planned
 from twistax.jax_inside import all_equations
 from twistax.lowering.native.iterations import Iterations
 from twistax.lowering.native.kernel import Kernel, check_kernel
@@ -65,6 +66,16 @@ def test_saved_times_limits_and_jumps() -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
     assert len(kernels(dynamics)) == 1
+
+
+def test_rows_that_fill_up_are_never_reached() -> None:
+    """There is room for 512 rows where 65 are asked for; polynomials are read for those alone."""
+    dynamics = tx.compile(windy_body())
+    at = np.linspace(0.0, 0.7, 65)
+    plan = planned(dynamics, START, t1=0.7, rtol=1e-6, u=U, save_at=at, between=tx.Between.POLYNOMIAL)
+    np.testing.assert_allclose(plan.steps.stops.ts[:65], at)
+    assert len(plan.steps.stops.ts) > 65
+    assert np.isinf(plan.steps.stops.ts[65:]).all()
 
 
 def test_one_call_of_the_kernel_goes_on_across_jumps() -> None:

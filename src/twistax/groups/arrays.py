@@ -103,7 +103,7 @@ def element_defect(value: np.ndarray) -> float:
     off.append(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) - 1.0)
     if len(rows) == 4:
         off += rows[3][:3] + [rows[3][3] - 1.0]
-    if not math.isfinite(sum(off)):
+    if not math.isfinite(sum(off) + sum(row[-1] for row in rows)):
         return np.inf if np.isfinite(value).all() else np.nan
     return float(max(map(abs, off)))
 

@@ -324,7 +324,7 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 
 def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome, xs, watching, known = found.outcome, found.xs, steps.watch is not None, not is_traced(found.outcome.code)
+    outcome, xs, watching, known = found.outcome, found.xs, steps.watch is not None, not is_traced(found.outcome)
     code, tried, accepted, evaluations, _, _ = outcome
     if known:
         tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)

@@ -24,7 +24,7 @@ class Stops(NamedTuple):
     """Where the loop over steps halts, at saved times, which a step may pass; and limits, where a step must end."""
 
     limits: Any  # (m,) times in order, the last one the end; rates may jump there
-    ts: Any  # (n,) the saved times in order; None if no times are saved
+    ts: Any  # (n,) the saved times in order, infinite where rows stay as they are; None if no times are saved
     count: Any  # how many of these were asked for; those that fill up the rest are at the end
 
     @classmethod
@@ -57,7 +57,7 @@ class Stops(NamedTuple):
         if save_at is None:
             return cls(limits, None, 0)
         saves = array.asarray(save_at, t0.dtype)
-        return cls(limits, array.where(saves < t0, t0, array.where(saves > t1, t1, saves)), count)
+        return cls(limits, array.where(saves < t0, t0, array.where((saves > t1) & (saves < np.inf), t1, saves)), count)
 
 
 def rows(like: Any, count: int) -> Any:
