@@ -1810,8 +1810,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/estimate.py",
         (
             "no multipliers at a start where nothing bends the objective along a control",
-            "return bool((bends[free] > _BENT).all())",
-            "return bool((bends[free] > -1.0).all())",
+            "return bool((whole[free] > _BENT).all())",
+            "return bool((whole[free] > -1.0).all())",
             "trajectory/test_known_answers.py",
         ),
         (

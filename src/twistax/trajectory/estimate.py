@@ -21,6 +21,7 @@ _MOST = 1e3
 _BENT = 1e-8
 
 
+@np.errstate(over="ignore", invalid="ignore")  # starts far off may have slopes without end
 def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
     """Whether limits and costs say of every free control how far it may go.
 
@@ -31,14 +32,21 @@ def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
     scales, free, (n, m) = state.scales, method.free.u, method.size
     if not free.any():
         return True
-    along = np.asarray(slopes.rows)[:, :, n : n + m] * np.asarray(scales.u)[:, None]
-    grown, sizes = (
+    sizes = np.concatenate([np.asarray(scales.d)[:-1], np.asarray(scales.u)], axis=1)
+    along = np.asarray(slopes.rows)[:, :, : n + m] * sizes[:, None]
+    grown, lengths = (
         np.asarray(a)[: along[..., 0].size].reshape(*along.shape[:2], 1)
         for a in (np.where(method.equality, 1.0, state.rows / state.slack), scales.rows)
     )
-    bends = np.diagonal(np.asarray(slopes.hessian)[:, n : n + m, n : n + m], axis1=1, axis2=2)
-    bends = bends * np.asarray(scales.u) ** 2 / scales.cost + (grown * (along / sizes) ** 2).sum(axis=1)
-    return bool((bends[free] > _BENT).all())
+    bends = np.diagonal(np.asarray(slopes.hessian)[:, : n + m, : n + m], axis1=1, axis2=2)
+    bends = np.abs(bends) * sizes**2 / scales.cost + (grown * (along / lengths) ** 2).sum(axis=1)
+    # A linear control is a state: what bends it bends its rate.
+    moved = np.asarray(slopes.defects)[:-1, :, n : n + m] * sizes[:-1, None, n:] / sizes[1:, :n, None]
+    through = (bends[1:, :n, None] * moved**2).sum(axis=1)
+    whole = bends[:, n:]
+    whole[:-1] += through
+    whole[-1:] += through[-1:].sum(axis=0)
+    return bool((whole[free] > _BENT).all())
 
 
 def estimated(method: InteriorPoint, state: State, slopes: Derivatives) -> State:
