@@ -7,6 +7,7 @@ Source: Wachter and Biegler, Mathematical Programming 106 (2006), section 3.6.
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -29,23 +30,24 @@ def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
         state: a first one, without multipliers of the dynamics.
         slopes: in scales of 1, second ones of the objective.
     """
+    state, slopes = jax.tree.map(np.asarray, (state, slopes))
     scales, free, (n, m) = state.scales, method.free.u, method.size
     if not free.any():
         return True
-    sizes = np.concatenate([np.asarray(scales.d)[:-1], np.asarray(scales.u)], axis=1)
-    along = np.asarray(slopes.rows)[:, :, : n + m] * sizes[:, None]
+    sizes = np.concatenate([scales.d[:-1], scales.u], axis=1)
+    along = slopes.rows[:, :, : n + m] * sizes[:, None]
     grown, lengths = (
-        np.asarray(a)[: along[..., 0].size].reshape(*along.shape[:2], 1)
+        a[: along[..., 0].size].reshape(*along.shape[:2], 1)
         for a in (np.where(method.equality, 1.0, state.rows / state.slack), scales.rows)
     )
-    bends = np.diagonal(np.asarray(slopes.hessian)[:, : n + m, : n + m], axis1=1, axis2=2)
-    bends = np.abs(bends) * sizes**2 / scales.cost + (grown * (along / lengths) ** 2).sum(axis=1)
+    bends = np.abs(np.diagonal(slopes.hessian[:, : n + m, : n + m], axis1=1, axis2=2)) * sizes**2 / scales.cost
+    bends = bends + (grown * (along / lengths) ** 2).sum(axis=1)
     # A linear control is a state: what bends it bends its rate.
-    moved = np.asarray(slopes.defects)[:-1, :, n : n + m] * sizes[:-1, None, n:] / sizes[1:, :n, None]
+    moved = slopes.defects[:-1, :, n : n + m] * sizes[:-1, None, n:] / sizes[1:, :n, None]
     through = (bends[1:, :n, None] * moved**2).sum(axis=1)
     whole = bends[:, n:]
     whole[:-1] += through
-    whole[-1:] += through[-1:].sum(axis=0)
+    whole[-1] += through[-1:].sum(axis=0)
     return bool((whole[free] > _BENT).all())
 
 
