@@ -1807,6 +1807,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "lowering/on_disk.py",
+        (
+            "programs on the disk that are mixed up where arguments were dropped",
+            "installed() and alone and whole",
+            "installed() and alone",
+            "trajectory/test_on_disk.py",
+        ),
+    ),
+    *_at(
         "trajectory/estimate.py",
         (
             "no multipliers at a start where nothing bends the objective along a control",

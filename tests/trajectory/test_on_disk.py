@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -38,3 +39,13 @@ def test_second_problem_is_read_from_the_disk(tmp_path: Path, monkeypatch: pytes
     third = problem()
     assert third.solve().cost == first.cost
     assert not loaded(third)
+
+
+def test_programs_that_drop_other_arguments_are_not_mixed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their texts are equal: 2 a of (a, b), and 2 b."""
+    monkeypatch.setenv("TWISTAX_CACHE", str(tmp_path))
+    arguments = np.float64(1.0), np.float64(100.0)
+    for keep in (False, True):
+        for function, expected in ((lambda a, b: 2.0 * a, 2.0), (lambda a, b: 2.0 * b, 200.0)):
+            program = jax.jit(function, keep_unused=keep).trace(*arguments)
+            assert float(on_disk.compiled(program, program.lower(), 0)(*arguments)) == expected

@@ -285,7 +285,7 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
             seconds, multipliers, own = pickle.load(inbox)
         except EOFError:
             return
-        faulthandler.dump_traceback_later(seconds, exit=True, file=nowhere)
+        faulthandler.dump_traceback_later(min(seconds, 1e6), exit=True, file=nowhere)
         try:
             say("done", tuple(made.solve(program, multipliers, own)))
         except Refused as error:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def jitted(function: Callable[..., Any], level: int = 1) -> Any:
-    return jax.jit(function, compiler_options=quick_compile(level))
+    return jax.jit(function, compiler_options=quick_compile(level), keep_unused=True)
 
 
 class Point(NamedTuple):
