@@ -152,7 +152,7 @@ class Reader:
         return any(jnp.issubdtype(dtype, jnp.inexact) and dtype != self.graph.dtype for dtype in dtypes)
 
 
-#: Of a jitted function what no number depends on.
+#: Parameters of a jitted function on which no computed value depends.
 _MOVED = frozenset(WHERE.split())
 
 
