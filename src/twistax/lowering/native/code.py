@@ -50,7 +50,7 @@ class Module:
         self.functions: dict[str, str] = {}
         #: Tables of numbers, by name.
         self.tables: dict[str, str] = {}
-        #: Whether it is a long straight program, of which more of LLVM's work takes time and gains nothing.
+        #: Whether it is a long straight program, or writes much: more of LLVM's work takes time and gains nothing.
         self.long = False
         #: Bits of vectors into which LLVM puts operations of one body that are alike; 0: it does not look for them.
         self.packed = 0

@@ -28,6 +28,9 @@ Read: TypeAlias = Callable[[int, int], str]
 #: Values as some other order of operations may round them.
 Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
 
+#: Entries of results above which LLVM's order of instructions takes seconds: its time grows with their square.
+_MANY = 1000
+
 #: Computed several at a time, by `sines_and_cosines`.
 _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
@@ -209,7 +212,9 @@ class Straight(Tile):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        if in_pieces(self.program):
+        pieces = in_pieces(self.program)
+        code.module.long = pieces or sum(array.size for array in self.results) > _MANY
+        if pieces:
             self._in_pieces(code, rows)
             return
         scalars = Scalars(code, self.program, functools.partial(_entry, rows))
@@ -220,7 +225,6 @@ class Straight(Tile):
     def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
         """One call after the other."""
         program, module, g = self.program, code.module, self.program.graph
-        module.long = True
         blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
         memory = scratch.allocated(code)
