@@ -14,6 +14,7 @@ from . import (
     maps,
     mechanisms,
     optimal,
+    rivals,
     scalars,
     small,
     steps,
@@ -64,6 +65,7 @@ OPTIMAL: dict[str, Section] = {
     "trust": trust.TRUST,
     "solvers": optimal.SOLVERS,
     "ratios": optimal.RATIOS,
+    "openscvx": rivals.OPENSCVX,
     "times": optimal.TIMES,
 }
 

@@ -122,7 +122,7 @@ def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedP
 _SPHERES = (((2.0, 0.4, 0.3), 0.9), ((4.2, -0.5, -0.2), 1.0), ((6.3, 0.2, 0.5), 0.8))
 
 
-def quadrotor(nodes: int = 31, **options: Any) -> Problem:
+def quadrotor(nodes: Any = 31, **options: Any) -> Problem:
     """A quadrotor past three spheres, 8 m from rest to rest in least time, its pose on SE(3); nothing is published."""
     mass, J, arm, twist = 0.8, np.diag([5e-3, 5e-3, 9e-3]), 0.17, 0.016
     mixer = np.array([[1, 1, 1, 1], [0, arm, 0, -arm], [-arm, 0, arm, 0], [twist, -twist, twist, -twist]])

@@ -50,7 +50,7 @@ def _problem(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **
     return Problem(tx.compile(system), objective, **options)
 
 
-def brachistochrone(nodes: int = 51, **options: Any) -> Problem:
+def brachistochrone(nodes: Any = 51, **options: Any) -> Problem:
     """Fastest slide from (0, 10) m to (10, 5) m. Source: dymos, example brachistochrone."""
     x, y, v = tx.State("x"), tx.State("y"), tx.State("v")
     angle = tx.Control("angle", min=0.01, max=3.13)
@@ -59,14 +59,14 @@ def brachistochrone(nodes: int = 51, **options: Any) -> Problem:
     return _problem(rates, tx.Minimize(tx.Time()), final_time=(0.5, 10.0), **options)
 
 
-def bryson_denham(nodes: int = 61, **options: Any) -> Problem:
+def bryson_denham(nodes: Any = 61, **options: Any) -> Problem:
     """Least effort there and back below a ceiling. Source: Bryson and Ho, Applied Optimal Control (1975), 3.11."""
     x, v, u = tx.State("x", max=1.0 / 9.0), tx.State("v"), tx.Control("u")
     options |= {"nodes": nodes, "initial": {x: 0.0, v: 1.0}, "final": {x: 0.0, v: -1.0}}
     return _problem({x: v, v: u}, tx.Minimize(running=0.5 * u**2), final_time=1.0, **options)
 
 
-def cart_pole(nodes: int = 51, **options: Any) -> Problem:
+def cart_pole(nodes: Any = 51, **options: Any) -> Problem:
     """Swing-up in 2 s by least squared force. Source: Kelly, SIAM Review 59 (2017), section 6 and appendix E."""
     cart, pole, g, length = 1.0, 0.3, 9.81, 0.5
     q, a = tx.State("q", min=-2.0, max=2.0), tx.State("a")
@@ -103,7 +103,7 @@ def landing() -> Problem:
     return powered_descent.problem(tx.compile(powered_descent.system()), nodes=25)
 
 
-def goddard(**options: Any) -> Problem:
+def goddard(nodes: Any = 51, **options: Any) -> Problem:
     """How high a rocket climbs through an exponential atmosphere.
 
     Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004), problem 10.
@@ -115,10 +115,10 @@ def goddard(**options: Any) -> Problem:
     ends: dict[str, Any] = {"initial": {h: 1.0, v: 0.0, m: 1.0}, "final": {m: last}}
     times: dict[str, Any] = {"final_time": (0.02, 0.6), "final_time_guess": 0.2}
     rates = {h: v, v: force / m - 1.0 / h**2, m: -T / speed}
-    return _problem(rates, tx.Maximize(h), nodes=51, **times, **ends, **options)
+    return _problem(rates, tx.Maximize(h), nodes=nodes, **times, **ends, **options)
 
 
-def rendezvous(form: str, **options: Any) -> Problem:
+def rendezvous(form: str, nodes: Any = 31, **options: Any) -> Problem:
     """Least fuel from an offset to rest in 8 s, |u| <= 1: convex, 1.212619 by Clarabel on the same mesh."""
     x, v = tx.State("x", shape=(3,)), tx.State("v", shape=(3,))
     u, s = tx.Control("u", shape=(3,)), tx.Control("s", min=0.0, max=1.0)
@@ -129,7 +129,7 @@ def rendezvous(form: str, **options: Any) -> Problem:
         "squares below a slack": (u @ u <= s * s, s),
     }[form]
     start, rest = {x: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]}, {x: np.zeros(3), v: np.zeros(3)}
-    options |= {"nodes": 31, "final_time": 8.0, "initial": start, "final": rest}
+    options |= {"nodes": nodes, "final_time": 8.0, "initial": start, "final": rest}
     return _problem({x: v, v: u}, tx.Minimize(running=cost), [limit], **options)
 
 
@@ -144,11 +144,11 @@ def hypersensitive(**options: Any) -> Problem:
     return _problem({x: u - x**3}, tx.Minimize(running=0.5 * (x**2 + u**2)), controls=Linear(), **options)
 
 
-def fastest(limit: float, times: tuple[float, float], distance: float, **options: Any) -> Problem:
+def fastest(limit: float, times: tuple[float, float], distance: float, nodes: Any = 21, **options: Any) -> Problem:
     """Least time of p'' = u, |u| <= limit, from rest to rest over a distance: 2 sqrt(distance / limit)."""
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-limit, max=limit)
     ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": {p: distance, v: 0.0}}
-    return _problem({p: v, v: u}, tx.Minimize(tx.Time()), nodes=21, final_time=times, **ends, **options)
+    return _problem({p: v, v: u}, tx.Minimize(tx.Time()), nodes=nodes, final_time=times, **ends, **options)
 
 
 def no_slope() -> Problem:
