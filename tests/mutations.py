@@ -1652,6 +1652,12 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_free_parameters.py",
         ),
         (
+            "limits that a parameter puts at infinity as rows",
+            "return Where(residual <= -np.finfo(float).max, -1.0, residual)",
+            "return residual",
+            "trajectory/test_conditions.py",
+        ),
+        (
             "limits at infinity as rows",
             "return np.asarray(offset != -np.inf)",
             "return np.ones(offset.shape, bool)",

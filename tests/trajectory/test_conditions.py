@@ -8,7 +8,7 @@ from trajectory_systems import EULER, double_integrator, free_flyer
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.trajectory import Problem, TrajectoryResult
+from twistax.trajectory import Problem, Status, TrajectoryResult
 
 
 def test_a_start_on_a_circle_is_the_nearest_point_of_it() -> None:
@@ -216,6 +216,33 @@ def test_a_limit_at_infinity_is_none() -> None:
     assert result.xs["x"][2, 0] <= 0.5 + 1e-6
     asked = {"high[0]", "low[1]", "size[1]", "node 2: x <= [0.5, inf][0]", "final: x <= [ inf, 1.25][1]"}
     assert set(problem.shooting.names) - {""} == asked
+
+
+@pytest.mark.parametrize("kind", ["alone", "beside a number", "size", "norm", "final"])
+def test_a_limit_that_a_parameter_puts_at_infinity_is_none(kind: str) -> None:
+    """The least of u.u with 1 between the ends is 1/2 where the limit is far, and where it is nowhere."""
+    x, u, p = tx.State("x"), tx.Control("u", shape=(2,)), tx.Parameter("p", value=1.0)
+    path = {
+        "alone": u <= p * np.inf,
+        "beside a number": u <= p * np.array([np.inf, 0.25]),
+        "size": tx.Abs(u) <= p * np.inf,
+        "norm": tx.linalg.Norm(u) <= p * np.inf,
+    }
+    problem = Problem(
+        tx.compile(tx.System(rates={x: u[0] + u[1]}, constraints={"far": path[kind]} if kind in path else {})),
+        tx.Minimize(running=u @ u),
+        nodes=3,
+        final_time=1.0,
+        initial={x: 0.0},
+        final=[{x: 1.0}, *([x <= p * np.inf] if kind == "final" else [])],
+        **EULER,
+    )
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(0.625 if kind == "beside a number" else 0.5, rel=1e-6)
+    beyond = problem.solve(params={p: -1.0})
+    assert beyond.status is Status.NON_FINITE
+    assert "is inf" in beyond.message
 
 
 @pytest.mark.parametrize("end", [False, True])

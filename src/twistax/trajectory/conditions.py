@@ -31,7 +31,7 @@ from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
 from ..system import entry_names, free_name, name_of
-from .statement import bounds_of, check_leaves, limited
+from .statement import bounds_of, check_leaves, limited, without_end
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +76,9 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
         row = residual.canonicalize()
         asked = limited(name, row, is_equality)
         names += itertools.compress(entry_names(name, shape), asked.ravel())
-        residuals += [row if asked.all() else row[np.nonzero(asked)]] if asked.any() else []
+        if asked.any():
+            row = row if asked.all() else row[np.nonzero(asked)]
+            residuals.append(row if is_equality else without_end(row))
         equality += [is_equality] * int(asked.sum())
     return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))
 

@@ -20,6 +20,7 @@ from ..expr import (
     Parameter,
     State,
     Time,
+    Where,
     leaves_of,
     to_expr,
 )
@@ -168,7 +169,8 @@ def describe_path(
             asked = limited(name, residual, kind == "equality")
             for row in [residual] if kind == "equality" else without_norms(residual) if asked.any() else []:
                 entries, leaves = int(asked.sum()), list(leaves_of(row))
-                residuals.append(row if asked.all() else row[np.nonzero(asked)])
+                left = row if asked.all() else row[np.nonzero(asked)]
+                residuals.append(left if kind == "equality" else without_end(left))
                 names += itertools.compress(entry_names(name, row.shape), asked.ravel())
                 equality += [kind == "equality"] * entries
                 reads += [_reads(leaves)] * entries
@@ -176,7 +178,7 @@ def describe_path(
                 timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
                 loose += [any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)] * entries
     for name, row in norms.rows:
-        residuals.append(row)
+        residuals.append(without_end(row))
         names.append(name)
         equality.append(False)
         reads.append(Reads.CONTROL)
@@ -214,6 +216,14 @@ def limited(place: str, residual: Expr, is_equality: bool) -> Array:
     if (np.isinf(offset) if is_equality else offset == np.inf).any():
         raise ModelError(f"{place} expects numbers that a value can meet, got an infinite one")
     return np.asarray(offset != -np.inf)
+
+
+def without_end(residual: Expr) -> Expr:
+    """The residual of an inequality, -1 where a parameter puts its limit infinitely far: nothing is asked there."""
+    numbers = [leaf.value for leaf in leaves_of(residual) if isinstance(leaf, Constant)]
+    if not any(np.isinf(value).any() for value in numbers):
+        return residual
+    return Where(residual <= -np.finfo(float).max, -1.0, residual)
 
 
 def _reads(leaves: Sequence[Leaf]) -> Reads:
