@@ -1822,6 +1822,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/transcribed.py",
+        (
+            "steps of controls measured over all phases together",
+            "us[own].max(axis=0, keepdims=True)",
+            "us.max(axis=0, keepdims=True)",
+            "trajectory/test_phases.py",
+        ),
+        (
+            "jumps between phases as controls",
+            "found[[join.stage for join in self.joins]] = False",
+            "found[[join.stage for join in self.joins]] = True",
+            "trajectory/test_phases.py",
+        ),
+    ),
+    *_at(
         "trajectory/estimate.py",
         (
             "no multipliers at a start where nothing bends the objective along a control",

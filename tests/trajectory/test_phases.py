@@ -2,6 +2,7 @@
 
 import functools
 import pickle
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -10,7 +11,9 @@ import pytest
 from trajectory_systems import EULER, HEUN, quick_jit
 
 import twistax as tx
-from twistax.trajectory import Phase, PhasedResult, Problem, Status
+from twistax.trajectory import Phase, PhasedResult, Problem, Status, estimate
+from twistax.trajectory.interior_point import InteriorPoint
+from twistax.trajectory.scaling import unit_scales
 from twistax.trajectory.transcribed import Point, Step
 
 G0 = 9.80665
@@ -48,6 +51,41 @@ def test_a_switching_time_is_found_exactly() -> None:
     assert abs(result.multipliers["phase 1: final p"][0]) == pytest.approx(1.0, rel=1e-5)
     assert max(own.misses["p"]["distance"] for own in result.replay(steps=2)) < 1e-8
     assert "duration of ahead: lower limit" in result.multipliers
+
+
+def with_a_free_jump() -> Problem:
+    x, u = tx.State("x"), tx.Control("u")
+    once: dict[str, Any] = {"nodes": 3, "final_time": 1.0, **EULER}
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    first = Phase(dynamics, tx.Minimize(running=u**2), initial={x: 0.0}, **once)
+    last = Phase(dynamics, tx.Minimize(running=u**2), final={x: 5.0}, **once)
+    return Problem([first, last], links=[{x: None}])
+
+
+def test_steps_of_controls_are_measured_by_phase() -> None:
+    """Thirty scales far, which are 1,000 in the first of two phases, and 1 in the second and of the jump between."""
+    shooting = with_a_free_jump().shooting
+    method, unit, first = InteriorPoint(shooting, 1e-6), unit_scales(shooting), shooting.joins[0].stage
+    unit.u[:first] = 1e3
+    state = SimpleNamespace(point=SimpleNamespace(us=0.0 * unit.u, border=np.ones_like(unit.border)), scales=unit)
+    for stage in range(shooting.intervals):
+        step = Step(0.0 * unit.d, np.zeros_like(unit.u), 0.0 * unit.border)
+        step.u[stage] = 60.0
+        assert float(method.in_chart(step, state)) == pytest.approx(0.5), stage
+
+
+def test_a_free_jump_is_no_control_without_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, is_bound = [], estimate.is_bound
+
+    def noted(*args: Any) -> bool:
+        found.append(is_bound(*args))
+        return found[-1]
+
+    monkeypatch.setattr(estimate, "is_bound", noted)
+    result = with_a_free_jump().solve()
+    assert result.solved
+    assert result.cost == pytest.approx(0.0, abs=1e-9)
+    assert found == [True]
 
 
 def test_time_goes_on_from_phase_to_phase() -> None:

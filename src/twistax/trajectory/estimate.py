@@ -10,6 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy import ndarray as Array
 
 from .interior_point import InteriorPoint, largest
 from .iterate import State
@@ -23,15 +24,16 @@ _BENT = 1e-8
 
 
 @np.errstate(over="ignore", invalid="ignore")  # starts far off may have slopes without end
-def is_bound(method: InteriorPoint, state: State, slopes: Derivatives) -> bool:
+def is_bound(method: InteriorPoint, free: Array, state: State, slopes: Derivatives) -> bool:
     """Whether limits and costs say of every free control how far it may go.
 
     Args:
+        free: (intervals, m) which controls are.
         state: a first one, without multipliers of the dynamics.
         slopes: in scales of 1, second ones of the objective.
     """
     state, slopes = jax.tree.map(np.asarray, (state, slopes))
-    scales, free, (n, m) = state.scales, method.free.u, method.size
+    scales, (n, m) = state.scales, method.size
     if not free.any():
         return True
     sizes = np.concatenate([scales.d[:-1], scales.u], axis=1)

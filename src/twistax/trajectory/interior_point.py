@@ -424,7 +424,7 @@ class InteriorPoint:
         # What is large in its scale keeps its sign.
         shrinks = (border * move < 0.0) & (size > scales.border)
         most = jnp.where(is_time | shrinks, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
-        us = _FARTHEST * jnp.maximum(jnp.abs(state.point.us), scales.u).max(axis=0, keepdims=True)
+        us = _FARTHEST * self._shooting.along(jnp.maximum(jnp.abs(state.point.us), scales.u))
         far = (jnp.abs(step.u * scales.u) / us).max(initial=0.0)
         return 1.0 / jnp.stack([jnp.ones_like(turn), turn, far, (jnp.abs(move) / most).max()]).max()
 

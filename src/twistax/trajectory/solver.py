@@ -223,7 +223,7 @@ class Solver:
         slopes, unit = self._first_look(start, given)
         scales, seen = self.scales_of(start, slopes, unit)
         state = self._start(start, given, scales)
-        if not estimate.is_bound(self.method, state, slopes):
+        if not estimate.is_bound(self.method, self.shooting.steered, state, slopes):
             slopes, state = self._looked_at(state, given)
             state = self._estimated(state, slopes)
         return state, seen

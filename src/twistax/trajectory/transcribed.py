@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
+import numpy as np
 from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
@@ -127,6 +128,20 @@ class Transcribed(ABC):
     turns: Array
     segments: Sequence[Segment]
     joins: Sequence[Any]
+
+    @functools.cached_property
+    def steered(self) -> Array:
+        """(intervals, m) which controls are free; jumps between phases, which stand among them, are none."""
+        found = np.array(self.free.u)
+        found[[join.stage for join in self.joins]] = False
+        return found
+
+    def along(self, us: jax.Array) -> jax.Array:
+        """(intervals, m) the largest of each column along its phase, of jumps in their place alone."""
+        stages = [part.stages for part in self.segments] + [slice(j.stage, j.stage + 1) for j in self.joins]
+        for own in stages:
+            us = us.at[own].set(us[own].max(axis=0, keepdims=True))
+        return us
 
     @abstractmethod
     def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
