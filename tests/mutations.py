@@ -1668,14 +1668,14 @@ MUTATIONS: list[Mutation] = [
         "trajectory/riccati.py",
         (
             "the tilt of a stage without its gains",
-            "return _without(whole, n, m) + _product(gains, inner), (push, softer)",
+            "return _without(whole, n, m) + gains.T @ inner, (push, softer)",
             "return _without(whole, n, m), (push, softer)",
             "trajectory/test_riccati.py",
         ),
         (
             "inverse factors that are not transposed",
-            "push = -_product(controls, _along(controls, inner))",
-            "push = -_along(controls, _along(controls, inner))",
+            "push = -(controls.T @ (controls @ inner))",
+            "push = -(controls @ (controls @ inner))",
             "trajectory/test_riccati.py",
         ),
         (
@@ -2031,6 +2031,90 @@ MUTATIONS: list[Mutation] = [
             "next((axis for axis in own if axis is not None), None) for own in zip(*given, strict=True)",
             "None for own in zip(*given, strict=True)",
             "lowering/test_sharding.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/memory.py",
+        (
+            "places of arrays that live are taken again",
+            "        self._free.remove(best)\n",
+            "",
+            "lowering/native/test_array_kernels.py::test_arrays_that_live_never_share_memory",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/reader.py",
+        (
+            "arrays that go round are written while others read them",
+            "else value if source is None else self.code.copied(value))",
+            "else value)",
+            "lowering/native/test_array_kernels.py",
+        ),
+        (
+            "a state that is a view of itself stays",
+            "same = same and value.array.strides == state[k].array.strides",
+            "same = source == k",
+            "lowering/native/test_array_kernels.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/moves.py",
+        (
+            "windows beyond the end",
+            'return own.call("i64", "llvm.smin.i64", ("i64", value), ("i64", str(most)))',
+            "return value",
+            "lowering/native/test_array_kernels.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/products.py",
+        (
+            "the last columns of a product from its first",
+            'block_of_columns("0", blocks * width, rest)',
+            'block_of_columns("0", 0, rest)',
+            "lowering/native/test_array_kernels.py",
+        ),
+        (
+            "the rest of a sum along vectors forgotten",
+            "found = last if found is None else _combined(own.code, kind, operation, found, last)",
+            "found = last if found is None else found",
+            "lowering/native/test_array_kernels.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/elementwise.py",
+        (
+            "an array and its transpose taken for one",
+            "array.strides, array.shape, own.dtype)",
+            "array.shape, own.dtype)",
+            "lowering/native/test_array_kernels.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/control.py",
+        (
+            "branches below the first are the last",
+            "icmp slt {kind} {value}, 0",
+            "icmp slt {kind} {value}, -9",
+            "lowering/native/test_array_kernels.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/entries.py",
+        (
+            "runs of entries longer than they are",
+            "(np.diff(source) != item) | (np.diff(target) != item)",
+            "np.diff(source) != item",
+            "lowering/native/test_array_kernels.py",
+        ),
+    ),
+    *_at(
+        "lowering/native/arrays/kernels.py",
+        (
+            "functions of arrays are not checked",
+            "                _check()\n",
+            "",
+            "lowering/native/test_array_kernels.py::test_kernels_that_are_wrong_are_found",
         ),
     ),
     Mutation(

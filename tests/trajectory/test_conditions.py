@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_systems import EULER, double_integrator, free_flyer
+from trajectory_systems import EULER, HEUN, double_integrator, free_flyer
 
 import twistax as tx
 from twistax.errors import ModelError
@@ -131,9 +131,12 @@ def test_a_limit_that_the_given_half_decides_leaves_room(initial: Any) -> None:
     V = tx.Control("V", shape=(6,))
     dynamics = tx.compile(tx.System(rates={g: V}, constraints={"ground": g[2, 3] >= 0.0}))
     options: dict[str, Any] = {"nodes": 3, "final_time": 1.0, "final": [g[:3, 3] == SHIFT * np.array([1, 1, -1])]}
-    problem = Problem(dynamics, tx.Minimize(running=V @ V), initial=initial, **options, **EULER)
+    # A step of Euler's depends on the coordinates, which move with the nodes: where attitudes cost nothing, hundreds of
+    # iterations go round in what that makes of second derivatives.
+    problem = Problem(dynamics, tx.Minimize(running=V @ V), initial=initial, **options, **HEUN)
     result = problem.solve()
     assert result.solved
+    assert result.iterations < 100
     assert result.cost == pytest.approx(SHIFT @ SHIFT, rel=1e-3)
     names = problem.shooting.names[problem.shooting.pinned]
     assert list(names) == ["ground", "ground"]

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.lowering.small_call import small_call
-from twistax.trajectory import riccati
+from twistax.lowering.array_call import array_call
 from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, refined, solve
 from twistax.trajectory.transcribed import Derivatives
 
@@ -77,8 +76,7 @@ def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, 
 factors_of, solution_of = jax.jit(factorize), jax.jit(solve)
 
 
-def test_a_small_function_computes_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where products would call a library it has loops, of two kinds."""
+def test_a_kernel_computes_the_same() -> None:
     stages = quadratic(1, 8.0, None, FREE["free start"])
     constants = jnp.ones((INTERVALS, N)), Rows(jnp.ones((INTERVALS, ROWS)), jnp.ones(END_ROWS))
 
@@ -87,10 +85,8 @@ def test_a_small_function_computes_the_same(monkeypatch: pytest.MonkeyPatch) -> 
         return factors, refined(stages, factors, *constants)
 
     expected = jax.jit(whole)(stages)
-    for most in (riccati._SMALL, 0):
-        monkeypatch.setattr(riccati, "_SMALL", most)
-        found = jax.jit(lambda stages: small_call(whole, stages))(stages)
-        jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), found, expected)
+    found = jax.jit(lambda stages: array_call(whole, stages))(stages)
+    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), found, expected)
 
 
 def test_a_solution_has_its_derivative_backward_too() -> None:

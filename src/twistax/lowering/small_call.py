@@ -25,8 +25,9 @@ from .scalar.table import entry_of
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
 
-#: Whether a function is being traced to become a small one.
+#: Whether a function is being traced to become a small one, or a kernel, which needs none inside.
 _INSIDE = contextvars.ContextVar("inside a small call", default=False)
+_IN_KERNEL = contextvars.ContextVar("inside a kernel", default=False)
 
 
 class _Outside(Exception):
@@ -42,6 +43,21 @@ def need_outside() -> None:
 def inside_small_call() -> bool:
     """Whether what is being traced becomes part of a small function."""
     return _INSIDE.get()
+
+
+def inside_kernel() -> bool:
+    """Whether what is being traced becomes part of a kernel."""
+    return _IN_KERNEL.get()
+
+
+@contextlib.contextmanager
+def whole_kernel() -> Iterator[None]:
+    """A function that traces anything in here is compiled as a kernel: small calls are part of it."""
+    before = _IN_KERNEL.set(True)
+    try:
+        yield
+    finally:
+        _IN_KERNEL.reset(before)
 
 
 @contextlib.contextmanager
@@ -76,7 +92,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     Args:
         trusted: take the caller's word that it works. XLA ends the process where it does not.
     """
-    if _INSIDE.get() or not small_calls_exist() or jax.default_backend() != "cpu":
+    if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
     leaves, structure = jax.tree.flatten(arguments)
     leaves = [jnp.asarray(leaf) for leaf in leaves]

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..lowering.small_call import small_call
+from ..lowering.array_call import array_call
 from .iterate import FILTER, Errors, Scales, State
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
@@ -145,7 +145,7 @@ class InteriorPoint:
         inner = inner + jnp.einsum("kr,kra->ka", rows.inner, slopes.rows)
         end = slopes.end_gradient + rows.end @ slopes.end_rows
         whole = to_step(inner, end, self._shooting.n)
-        whole = whole._replace(d=whole.d.at[1:].add(-y))
+        whole = whole._replace(d=whole.d - jnp.concatenate([jnp.zeros_like(y[:1]), y]))
         return jax.tree.map(lambda a, free: jnp.where(free, a, 0.0), whole, self._shooting.free)
 
     def violation(self, values: Values, slack: jax.Array) -> jax.Array:
@@ -276,7 +276,7 @@ class InteriorPoint:
                 tilt - barrier * jnp.where(inequality, d_slack / slack, 0.0).sum(),
             )
 
-        direction = jax.jit(lambda *own: small_call(computed, *own))  # traced once
+        direction = jax.jit(lambda *own: array_call(computed, *own))  # traced once
 
         search = self._search(state, given, values, direction)
         found, done, first = search.found, search.done, search.first
@@ -285,7 +285,8 @@ class InteriorPoint:
         central = barrier / found.slack
         rows = jnp.where(inequality, jnp.clip(rows, central / _CENTRAL, central * _CENTRAL), rows)
         remember = done & ~search.by_phi
-        kept = jnp.where(remember, state.filter.at[:, state.filtered % FILTER].set(search.entry), state.filter)
+        here = remember & (np.arange(FILTER) == (state.filtered & (FILTER - 1)))
+        kept = jnp.where(here, search.entry[:, None], state.filter)
         return state._replace(
             point=found.point,
             values=found.values,
@@ -407,7 +408,7 @@ class InteriorPoint:
             damping = jnp.where(tries == 0, 0.0, jnp.where(tries == 1, start, grow * damping))
             return damping, factors(damping), tries + 1
 
-        factors = jax.jit(lambda damping: small_call(lambda own: factorize(stages(own)), damping))  # traced once
+        factors = jax.jit(lambda damping: array_call(lambda own: factorize(stages(own)), damping))  # traced once
         zero = jnp.zeros_like(last)
         none = jax.tree.map(jnp.zeros_like, jax.eval_shape(factors, zero))
         wrong = lambda c: ~c[1].exist & (c[0] < _MOST_DAMPING)  # noqa: E731

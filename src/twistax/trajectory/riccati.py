@@ -13,7 +13,6 @@ Source: Rao, Wright, Rawlings, Application of interior-point methods to model pr
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,13 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve
 
-from ..lowering.small_call import inside_small_call
 from .transcribed import Derivatives, Step
 
 #: How often a solution is refined.
 _REFINEMENTS = 2
-#: The most entries of an array in a small function.
-_SMALL = 4096
 
 
 class Rows(NamedTuple):
@@ -74,7 +70,7 @@ def factorize(stages: Stages) -> Factors:
     slopes, weights, soft = stages.slopes, stages.weights, stages.soft
     n, m, g = _sizes(slopes)
     dtype = slopes.hessian.dtype
-    end = slopes.end_hessian + _product(slopes.end_rows * weights.end[:, None], slopes.end_rows)
+    end = slopes.end_hessian + (slopes.end_rows * weights.end[:, None]).T @ slopes.end_rows
     end = end + stages.damping * jnp.eye(n + g, dtype=dtype)
     lift = jnp.asarray(np.diag(np.repeat([1.0, 0.0], [n + m, g])), dtype)
     shared = jnp.eye(g, n + m + g, n + m, dtype=dtype)
@@ -87,8 +83,8 @@ def factorize(stages: Stages) -> Factors:
             halved = cho_solve((softening, True), cost[:n])
             softer = jnp.concatenate([halved, cost[n:] - soft * cost[n:, :n] @ halved])
         ahead = jnp.concatenate([dynamics, shared])
-        whole = hessian + stages.damping * lift + _product(rows * weight[:, None], rows)
-        whole = whole + _product(ahead, _product(softer, ahead))
+        whole = hessian + stages.damping * lift + (rows * weight[:, None]).T @ rows
+        whole = whole + ahead.T @ (softer.T @ ahead)
         # By substitution and as squares, not by inverses: what cancels tells whether there is a minimum.
         upper, left = _eliminated(whole, n, m)
         own = upper[:, n : n + m]
@@ -111,7 +107,7 @@ def solve(
     """The step for the linear terms a (intervals, n + m + g) and (n + g,), the constants c, and the constants r."""
     slopes, weights, soft = stages.slopes, stages.weights, stages.soft
     n, m, _ = _sizes(slopes)
-    end_pull = end_pull + _product(slopes.end_rows, weights.end * rows.end)
+    end_pull = end_pull + slopes.end_rows.T @ (weights.end * rows.end)
 
     def back(tilt: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
         own, jacobian, pushed, dynamics, constant, gains, controls, cost, softening = stage
@@ -119,12 +115,12 @@ def solve(
         if soft is not None:
             halved = cho_solve((softening, True), tilt[:n])
             softer = jnp.concatenate([halved, tilt[n:] - soft * cost[:n, n:].T @ tilt[:n]])
-        slope = softer + _along(cost[:, :n], constant)
-        whole = own + _product(jacobian, pushed) + _product(dynamics, slope[:n])
+        slope = softer + cost[:, :n] @ constant
+        whole = own + jacobian.T @ pushed + dynamics.T @ slope[:n]
         whole = whole + jnp.concatenate([jnp.zeros(n + m, whole.dtype), slope[n:]])
         inner = whole[n : n + m]
-        push = -_product(controls, _along(controls, inner))
-        return _without(whole, n, m) + _product(gains, inner), (push, softer)
+        push = -(controls.T @ (controls @ inner))
+        return _without(whole, n, m) + gains.T @ inner, (push, softer)
 
     tilt, (pushes, softer) = jax.lax.scan(
         back,
@@ -140,11 +136,11 @@ def solve(
 
     def ahead(d: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
         dynamics, constant, jacobian, weight, own, gains, push, cost, tilt = stage
-        u = _along(gains, jnp.concatenate([d, border])) + push
+        u = gains @ jnp.concatenate([d, border]) + push
         z = jnp.concatenate([d, u, border])
-        reached = _along(dynamics, z) + constant
-        multipliers = _along(cost[:n], jnp.concatenate([reached, border])) + tilt[:n]
-        grown = weight * (_along(jacobian, z) + own)
+        reached = dynamics @ z + constant
+        multipliers = cost[:n] @ jnp.concatenate([reached, border]) + tilt[:n]
+        grown = weight * (jacobian @ z + own)
         return reached if soft is None else reached - soft * multipliers, (d, u, multipliers, grown)
 
     last, (ds, us, multipliers, grown) = jax.lax.scan(
@@ -156,7 +152,7 @@ def solve(
         ),
     )
     step = Step(jnp.concatenate([ds, last[None]]), us, border)
-    at_end = weights.end * (_along(slopes.end_rows, jnp.concatenate([last, border])) + rows.end)
+    at_end = weights.end * (slopes.end_rows @ jnp.concatenate([last, border]) + rows.end)
     return Solution(step, multipliers, Rows(grown, at_end))
 
 
@@ -192,11 +188,10 @@ def _correction(stages: Stages, factors: Factors, found: Solution, defects: jax.
 
     def stage(own: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
         gradient, hessian, dynamics, jacobian, weight, z, y, w, defect, row = own
-        pull = gradient + _along(hessian, z) + stages.damping * lift * z + _product(dynamics, y) + _product(jacobian, w)
-        return pull, _along(dynamics, z) + defect, left(weight, _along(jacobian, z), row, w)
+        pull = gradient + hessian @ z + stages.damping * lift * z + dynamics.T @ y + jacobian.T @ w
+        return pull, dynamics @ z + defect, left(weight, jacobian @ z, row, w)
 
-    inner, gap, rows = _each(
-        stage,
+    inner, gap, rows = jax.vmap(stage)(
         (
             *(slopes.gradient, slopes.hessian, slopes.defects, slopes.rows, weights.inner),
             *(z, found.dynamics, found.rows.inner, defects, constant.inner),
@@ -204,17 +199,17 @@ def _correction(stages: Stages, factors: Factors, found: Solution, defects: jax.
     )
     before = jnp.concatenate([jnp.zeros_like(found.dynamics[:1]), found.dynamics[:-1]])
     inner = inner - jnp.concatenate([before, jnp.zeros((len(z), m + g), z.dtype)], axis=1)
-    last = slopes.end_gradient + _along(slopes.end_hessian, end) + stages.damping * end
-    last = last + _product(slopes.end_rows, found.rows.end)
+    last = slopes.end_gradient + slopes.end_hessian @ end + stages.damping * end
+    last = last + slopes.end_rows.T @ found.rows.end
     last = last - jnp.concatenate([found.dynamics[-1], jnp.zeros(g, z.dtype)])
-    at_end = left(weights.end, _along(slopes.end_rows, end), constant.end, found.rows.end)
+    at_end = left(weights.end, slopes.end_rows @ end, constant.end, found.rows.end)
     return solve(stages, factors, inner, last, gap - found.step.d[1:], Rows(rows, at_end))
 
 
 def along_rows(slopes: Derivatives, step: Step) -> Rows:
     """J z of all rows."""
     z, end = of_stages(step)
-    return Rows(_each(lambda own: _along(*own), (slopes.rows, z)), _along(slopes.end_rows, end))
+    return Rows(jax.vmap(jnp.matmul)(slopes.rows, z), slopes.end_rows @ end)
 
 
 def of_stages(step: Step) -> tuple[Any, Any]:
@@ -230,7 +225,7 @@ def to_step(inner: jax.Array, end: jax.Array, n: int) -> Step:
     return Step(jnp.concatenate([d, end[None, :n]]), u, border.sum(axis=0) + end[n:])
 
 
-# ---- algebra of small matrices: by loops inside of a small function, where products would call a library -------------
+# ---- factors of small matrices: by loops, where XLA would call a library ---------------------------------------------
 
 
 def _eliminated(matrix: jax.Array, first: int, count: int) -> tuple[jax.Array, jax.Array]:
@@ -254,7 +249,7 @@ def _substituted(upper: jax.Array, right: jax.Array) -> jax.Array:
     def row(found: jax.Array, own: Any) -> tuple[jax.Array, None]:
         j, coefficients, values = own
         pivot = jax.lax.dynamic_index_in_dim(coefficients, j, keepdims=False)
-        here = (values - _product(found, coefficients)) / pivot
+        here = (values - found.T @ coefficients) / pivot
         return jax.lax.dynamic_update_index_in_dim(found, here, j, 0), None
 
     return jax.lax.scan(row, jnp.zeros_like(right), (np.arange(len(right)), upper, right), reverse=True)[0]
@@ -272,28 +267,6 @@ def _solved(upper: jax.Array, right: jax.Array) -> jax.Array:
 
     found = jax.lax.scan(ahead, right, (np.arange(len(right)), upper))[1]
     return _substituted(upper, found[:, None])[:, 0]
-
-
-def _product(a: jax.Array, b: jax.Array) -> jax.Array:
-    """a.T @ b."""
-    if not inside_small_call():
-        return a.T @ b
-    if b.ndim == 1:
-        return (a * b[:, None]).sum(axis=0)
-    if a.size * b.shape[1] <= _SMALL:
-        return (a[:, :, None] * b[:, None]).sum(axis=0)
-    add = lambda total, own: (total + own[0][:, None] * own[1][None], None)  # noqa: E731
-    return jax.lax.scan(add, jnp.zeros((a.shape[1], b.shape[1]), a.dtype), (a, b))[0]
-
-
-def _along(a: jax.Array, x: jax.Array) -> jax.Array:
-    """a @ x of a vector."""
-    return (a * x[None]).sum(axis=1) if inside_small_call() else a @ x
-
-
-def _each(function: Callable[[Any], Any], stages: Any) -> Any:
-    """A function of every stage."""
-    return (jax.lax.map if inside_small_call() else lambda f, own: jax.vmap(f)(own))(function, stages)
 
 
 def _without(a: jax.Array, first: int, count: int) -> jax.Array:

@@ -24,6 +24,7 @@ from numpy import ndarray as Array
 from ..expr import Control, State
 from ..groups import Euclidean, SpecialEuclidean, SpecialOrthogonal
 from ..lowering import XLA, Dynamics
+from ..lowering.array_call import array_call
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
@@ -311,7 +312,8 @@ class Shooting(Transcribed):
         d = jnp.zeros((self.nodes, self.n), y.dtype) if d is None else d
         split = self.intervals * self.rows_per_interval
         inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self.layout.asked)], axis=1)
-        found = jax.vmap(self._interval.derivatives, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
+        each = functools.partial(array_call, self._interval.derivatives)
+        found = jax.vmap(each, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
             self._slots(point),
             left,
             d[:-1],

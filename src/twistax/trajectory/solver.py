@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..lowering.array_call import array_call
 from ..lowering.on_disk import compiled
 from . import estimate, feasibility, scaling, warm
 from .interior_point import InteriorPoint, largest
@@ -28,6 +29,8 @@ Callback = Callable[[int, float, float], None]
 
 Tree = TypeVar("Tree")
 
+#: Unknowns of a stage up to which steps run as one kernel: beyond, products of matrices take XLA's threads.
+_SMALL = 40
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: A feasible point is worth leaving the search for if it leaves so much of the violation and the filter does not know
@@ -89,7 +92,9 @@ class Solver:
         self._move = shooting.moved
         self._start = jitted(method.start, 0)
         self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
-        self._stride = jitted(functools.partial(stride, method, tolerance))
+        own = functools.partial(stride, method, tolerance)
+        size = shooting.n + shooting.m + shooting.border.size
+        self._stride = jitted(functools.partial(array_call, own) if size <= _SMALL else own)
         self._none = no_slopes(shooting)
         self._rescaled = jitted(method.rescaled, 0)
         self._begin = jitted(lambda state: feasibility.begin(method, state), 0)

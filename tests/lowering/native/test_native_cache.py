@@ -61,8 +61,9 @@ def _used(factor: float) -> np.ndarray:
     shape = jax.ShapeDtypeStruct((3,), float)
     form = native_form(scalarize(lambda x: [factor * x * x + x], shape))
     processor = Processor.host()
-    own = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
-    check_kernel(own)
+    tile = Straight(form, processor.lanes(form.graph.dtype))
+    own = Kernel(tile, processor)
+    check_kernel(own, tile)
     (found,) = own.run([POINTS])
     np.testing.assert_allclose(found, factor * POINTS**2 + POINTS, rtol=1e-14)
     del own

@@ -192,8 +192,9 @@ class Native(Backend):
         lanes = 1 if single else processor.lanes(form.graph.dtype)
         try:
             with uncollected():
-                kernel = Kernel(kind(form, lanes, *more), processor, self.threads)
-                check_kernel(kernel)
+                tile = kind(form, lanes, *more)
+                kernel = Kernel(tile, processor, self.threads)
+                check_kernel(kernel, tile)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import hashlib
 import itertools
 import math
 import re
@@ -56,6 +58,16 @@ class Module:
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
+        #: Where functions of other modules are that are called.
+        self.addresses: dict[str, int] = {}
+
+    def numbers(self, array: np.ndarray[Any, Any]) -> str:
+        """The pointer to the numbers of an array, one after the other."""
+        raw = np.ascontiguousarray(array).tobytes()
+        name = f"@numbers.{hashlib.sha256(raw).hexdigest()[:24]}"
+        if name not in self.tables:
+            self.tables[name] = _constant(name, raw, 64)
+        return name
 
     def text(self) -> str:
         bits = min(self.processor.bits, self.packed or self.processor.bits)
@@ -77,7 +89,13 @@ class Code:
         self.lines: list[str] = []
         #: Angles of which sine and cosine are there.
         self.sines: dict[str, tuple[str, ...]] = {}
-        self._count = 0
+        self._numbers = itertools.count(1)
+
+    def of(self, lanes: int) -> Code:
+        """The same function, going on with vectors of so many lanes."""
+        found = copy.copy(self)
+        found.lanes, found.sines = lanes, {}
+        return found
 
     def emit(self, instruction: str) -> str:
         """The value of an instruction."""
@@ -87,8 +105,7 @@ class Code:
 
     def name(self) -> str:
         """A name not used before."""
-        self._count += 1
-        return f"%v{self._count}"
+        return f"%v{next(self._numbers)}"
 
     def label(self) -> str:
         """The name of a block that is yet to come."""
@@ -107,6 +124,12 @@ class Code:
         """A number in all lanes."""
         number = _number(kind, value)
         return number if self.lanes == 1 else f"splat ({kind} {number})"
+
+    def spread(self, kind: str, number: str) -> str:
+        """A number in all lanes, one that is computed."""
+        own, zeros = self.vector(kind), self.vector("i32")
+        first = self.emit(f"insertelement {own} poison, {kind} {number}, i32 0")
+        return self.emit(f"shufflevector {own} {first}, {own} poison, {zeros} zeroinitializer")
 
     def entry(self, kind: str, vector: str, lane: int) -> str:
         """The number in a lane."""
@@ -218,10 +241,7 @@ class Code:
         target = NAMES[dtype]
         name = f"@{table.name}.{target}"
         if name not in self.module.tables:
-            raw = table.numbers(dtype).tobytes()  # LLVM reads bytes many times faster than numbers
-            digits = "\\" + raw.hex("\\")
-            text = f'[{len(raw)} x i8] c"{digits}", align {dtype.itemsize}'
-            self.module.tables[name] = f"{name} = private unnamed_addr constant {text}"
+            self.module.tables[name] = _constant(name, table.numbers(dtype).tobytes(), dtype.itemsize)
         found = "poison"
         for lane in range(self.lanes):
             one = self.entry(kind, place, lane)
@@ -339,7 +359,7 @@ class Code:
 
     def library(self, function: str, kind: str, *arguments: str) -> str:
         """A function of the C library, lane by lane."""
-        name, own = f"lanes_{function}", self.vector(kind)
+        name, own = f"lanes_{function}.{self.suffix(kind)}", self.vector(kind)
         if name not in self.module.functions:
             symbol = function if kind == "double" else f"{function}f"
             self.module.library.add(symbol)
@@ -355,6 +375,12 @@ class Code:
     def function(self, head: str, end: str = "ret void") -> str:
         """The instructions so far as a function."""
         return "\n".join([f"define {head} #0 {{", *self.lines, end, "}"])
+
+
+def _constant(name: str, raw: bytes, aligned: int) -> str:
+    """Numbers by their bytes: LLVM reads those many times faster than numbers."""
+    digits = "\\" + raw.hex("\\")
+    return f'{name} = private unnamed_addr constant [{len(raw)} x i8] c"{digits}", align {aligned}'
 
 
 def _number(kind: str, value: Any) -> str:

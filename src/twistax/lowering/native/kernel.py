@@ -25,7 +25,7 @@ from . import cache
 from .code import Module, addressed
 from .machine_code import BuildError, MachineCode, Processor, compiled, load, written_by
 from .rows import Array
-from .tile import Tile
+from .tile import RowFunction, Tile
 
 #: "As many threads as there are".
 _ALL = 2**31
@@ -49,7 +49,7 @@ class _Lease:
         self._unchecked = None
         if written is None:
             written = self._unchecked = compiled(text, module.processor, module.long, bool(module.packed))
-        self.code = load(written, module.library, module.processor, names)
+        self.code = load(written, module.library, module.processor, names, module.addresses)
 
     @property
     def checked(self) -> bool:
@@ -84,7 +84,7 @@ class Kernel:
         BuildError: no machine code came of it.
     """
 
-    def __init__(self, tile: Tile, processor: Processor, threads: int | None = None) -> None:
+    def __init__(self, tile: RowFunction, processor: Processor, threads: int | None = None) -> None:
         self.tile = tile
         self._read = [tile.arguments[k] for k in tile.read]
         self._written = [tile.results[k] for k in tile.written]
@@ -103,6 +103,11 @@ class Kernel:
                 found = _Lease(self.target, text, module, ("run", "handler"))
                 _register(self.target, found, processor)
         self.lease = found
+
+    @property
+    def symbol(self) -> tuple[str, int]:
+        """What other code calls `run` by, and where it is."""
+        return f"{self.target}.run", self.lease.code.addresses["run"]
 
     def __call__(self, rows: int, *arguments: jax.Array, length: int = 0) -> list[jax.Array]:
         """The results for rows of arguments, each (rows, *shape), or (1, *shape) where all share one; traceable.
@@ -229,7 +234,7 @@ def _template() -> Template:
     return Template(Path(__file__).with_name("kernel.ll").read_text())
 
 
-def _write_handler(module: Module, tile: Tile, threads: int) -> None:
+def _write_handler(module: Module, tile: RowFunction, threads: int) -> None:
     """Adds `run(table, first, end)`, some rows of the arrays in a table, and `handler(frame)`, all, by many threads."""
     arrays, read, results = tile.arrays, len(tile.read), len(tile.written)
     major, minor = _API
@@ -316,8 +321,8 @@ _LEAST = 1e-3
 _CALLED = False
 
 
-def check_kernel(kernel: Kernel) -> None:
-    """Computes one more row than a vector has lanes, at random, and compares; the first time through JAX too.
+def check_kernel(kernel: Kernel, tile: Tile) -> None:
+    """Computes one more row of a tile than a vector has lanes, at random; compares, the first time through JAX too.
 
     Once for each kernel: what was seen to be right is kept, also for other processes.
 
@@ -328,7 +333,7 @@ def check_kernel(kernel: Kernel) -> None:
         return
     random = np.random.default_rng(0)
     # What reads no arguments gives one row by itself.
-    tile, rows = kernel.tile, kernel.tile.lanes + 1 if kernel.tile.read else 1
+    rows = tile.lanes + 1 if tile.read else 1
     arguments = tile.exercised([_drawn(random, (rows, math.prod(a.of_length(tile.tried))), a) for a in tile.arguments])
     expected, beside = tile.plain(arguments), [tile.plain([_moved(a) for a in arguments])]
     found = kernel.run([arguments[k] for k in tile.read], tile.tried)

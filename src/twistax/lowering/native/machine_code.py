@@ -7,7 +7,8 @@ import ctypes
 import ctypes.util
 import dataclasses
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -154,8 +155,18 @@ def _in_order() -> Iterator[None]:
             llvm.set_option("twistax", "-enable-misched=true")
 
 
-def load(code: bytes, library: Collection[str], processor: Processor, names: Collection[str]) -> MachineCode:
-    """The functions and variables of these names; `library` are the functions of the C library that are called.
+def load(
+    code: bytes,
+    library: Collection[str],
+    processor: Processor,
+    names: Collection[str],
+    addresses: Mapping[str, int] = MappingProxyType({}),
+) -> MachineCode:
+    """The functions and variables of these names.
+
+    Args:
+        library: the functions of the C library that are called.
+        addresses: of functions of other code that are called.
 
     Raises:
         ImportError: llvmlite is not installed.
@@ -167,6 +178,8 @@ def load(code: bytes, library: Collection[str], processor: Processor, names: Col
         machine = _target_machine(processor)
         for symbol in sorted(library):
             llvm.add_symbol(symbol, _address(symbol))
+        for symbol, address in addresses.items():
+            llvm.add_symbol(symbol, address)
         try:
             engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
             engine.add_object_file(llvm.ObjectFileRef.from_data(code))

@@ -16,7 +16,7 @@ _LENGTH = 2000
 #: Shorter programs stay whole: they run a tenth faster so.
 _LONG = 20_000
 #: The most bytes that pass on the stack.
-_STACK = 32_768
+STACK = 32_768
 
 #: A piece of a program: its nodes, and of each result the blocks, by their first entries, that are complete with it.
 Piece = tuple[list[int], list[tuple[int, int]]]
@@ -78,12 +78,12 @@ class Scratch:
         size = max(self.bytes(code.lanes), 1)
         return (
             code.call("ptr", "malloc", ("i64", str(size)))
-            if size > _STACK
+            if size > STACK
             else code.emit(f"alloca [{size} x i8], align 64")
         )
 
     def freed(self, code: Code, memory: str) -> None:
-        if self.bytes(code.lanes) > _STACK:
+        if self.bytes(code.lanes) > STACK:
             code.call("void", "free", ("ptr", memory))
 
 

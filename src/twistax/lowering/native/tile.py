@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -133,27 +133,20 @@ class Scalars:
 # ---- tiles -----------------------------------------------------------------------------------------------------------
 
 
-class Tile(ABC):
+class RowFunction(ABC):
     """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
 
     Attributes:
-        program: from `native_form`.
         lanes: rows computed side by side.
         arguments, results: all of them, of one row.
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
-        tried: the length that long arrays have where the function is checked.
-        packed: the bits of vectors into which LLVM is to put operations of one body; 0: it is not.
         in_place: results that stand where an argument stood, and that argument: what is not written stays.
     """
 
-    tried, packed = 0, 0
     in_place: Mapping[int, int] = {}
 
-    def __init__(
-        self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
-    ) -> None:
-        self.program = program
+    def __init__(self, lanes: int, arguments: list[Array], results: list[Array], needed: Collection[int]) -> None:
         self.lanes = lanes
         self.arguments, self.results = arguments, results
         self.read = [k for k, array in enumerate(arguments) if array.size and k in needed]
@@ -166,8 +159,32 @@ class Tile(ABC):
         arguments = {f"a{k}": self.arguments[k] for k in self.read}
         return arguments | {f"r{k}": self.results[k] for k in self.written}
 
+    @abstractmethod
     def write(self, module: Module) -> None:
         """Adds the function, and what it calls."""
+
+    def _heads(self, pointer: str) -> str:
+        return "".join(f", {pointer} %{name}, i64 %{name}.stride" for name in self.arrays)
+
+
+class Tile(RowFunction):
+    """The function of a scalar program.
+
+    Attributes:
+        program: from `native_form`.
+        tried: the length that long arrays have where the function is checked.
+        packed: the bits of vectors into which LLVM is to put operations of one body; 0: it is not.
+    """
+
+    tried, packed = 0, 0
+
+    def __init__(
+        self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
+    ) -> None:
+        super().__init__(lanes, arguments, results, needed)
+        self.program = program
+
+    def write(self, module: Module) -> None:
         module.packed = self.packed if self.lanes == 1 else 0
         code = Code(module, self.lanes)
         self.body(code, self._moved(code))
@@ -179,9 +196,6 @@ class Tile(ABC):
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
         return {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
-
-    def _heads(self, pointer: str) -> str:
-        return "".join(f", {pointer} %{name}, i64 %{name}.stride" for name in self.arrays)
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:

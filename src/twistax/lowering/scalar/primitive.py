@@ -212,10 +212,13 @@ class Derived(Differentiable):
         """What the runner runs for so many bodies at once on the CPU; None: XLA does."""
         if self.runner is None or self.program.operations * rows < self.runner.least:
             return None
-        single = rows == 1
-        if single not in self._prepared:
+        return self.native(rows == 1)
+
+    def native(self, single: bool) -> Rows | None:
+        """What the runner runs, for one body or for more, however many operations there are."""
+        if self.runner is not None and single not in self._prepared:
             self._prepared[single] = self.runner.prepare(self.program, single)
-        return self._prepared[single]
+        return self._prepared.get(single)
 
     def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
         """What XLA runs on the CPU: body after body, each loop compiled as one function, or `inside` of one."""
