@@ -2074,10 +2074,13 @@ MUTATIONS: list[Mutation] = [
             'block_of_columns("0", 0, rest)',
             "lowering/native/test_array_kernels.py",
         ),
+    ),
+    *_at(
+        "lowering/native/arrays/reductions.py",
         (
             "the rest of a sum along vectors forgotten",
-            "found = last if found is None else _combined(own.code, kind, operation, found, last)",
-            "found = last if found is None else found",
+            "value = found[0] if len(found) == 1 else",
+            "value = found[0] if found else",
             "lowering/native/test_array_kernels.py",
         ),
     ),

@@ -131,6 +131,13 @@ class Code:
         first = self.emit(f"insertelement {own} poison, {kind} {number}, i32 0")
         return self.emit(f"shufflevector {own} {first}, {own} poison, {zeros} zeroinitializer")
 
+    def part(self, kind: str, vector: str, first: int, count: int) -> str:
+        """So many lanes of a vector from one on; a number where it is one."""
+        if count == 1:
+            return self.entry(kind, vector, first)
+        own, order = self.vector(kind), ", ".join(f"i32 {k}" for k in range(first, first + count))
+        return self.emit(f"shufflevector {own} {vector}, {own} poison, <{count} x i32> <{order}>")
+
     def entry(self, kind: str, vector: str, lane: int) -> str:
         """The number in a lane."""
         return vector if self.lanes == 1 else self.emit(f"extractelement {self.vector(kind)} {vector}, i32 {lane}")

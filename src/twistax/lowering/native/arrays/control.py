@@ -11,7 +11,7 @@ import numpy as np
 from ....jax_inside import ClosedJaxpr, closed, scan_parts
 from ..code import NAMES
 from .memory import View
-from .products import any_of
+from .reductions import any_of
 from .sweep import reshaped
 
 if TYPE_CHECKING:

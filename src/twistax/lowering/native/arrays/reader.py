@@ -20,14 +20,15 @@ from .elementwise import Groups, Pending
 from .entries import of_entries
 from .memory import View, known
 from .moves import MOVES
-from .products import SUMS
+from .products import PRODUCTS
+from .reductions import REDUCTIONS
 from .sweep import ArrayCode
 
 #: The most entries of arrays that are looked at one by one.
 _MOST = 20_000
 
 #: What needs arrays that are computed.
-_READY = {**MOVES, **SUMS}
+_READY = {**MOVES, **PRODUCTS, **REDUCTIONS}
 
 
 class Reading:
