@@ -36,7 +36,7 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
     rows = [rng.normal(size=(11, 7)).astype(dtype), rng.integers(-5, 5, (11, 7)).astype(np.int32)]
     found, lanes = [], processor.lanes(form.graph.dtype)
     for length, stack in ((10**9, 0), (9, 10**9), (40, 0)):  # what passes on stands on the stack, or elsewhere
-        monkeypatch.setattr(pieces, "_STACK", stack)
+        monkeypatch.setattr(pieces, "STACK", stack)
         monkeypatch.setattr(pieces, "_LONG", length)
         monkeypatch.setattr(pieces, "_LENGTH", length)
         kernel = Kernel(Straight(form, lanes), processor)
