@@ -24,8 +24,9 @@ Result = TypeVar("Result")
 def array_call(function: Callable[..., Result], *arguments: Any) -> Result:
     """function(*arguments), in one kernel on the CPU where all that it does has a native form; else as it is.
 
-    Pure and traceable. Arguments and result are pytrees of arrays. Under vmap each body runs its own loops, and bodies
-    are shared between threads; derivatives are those of the function.
+    Pure and traceable. Arguments and result are pytrees of arrays. The function is traced and compiled at once, and
+    traced once more where it has no kernel. Under vmap each body runs its own loops, and bodies are shared between threads;
+    derivatives are those of the function.
     """
     if inside_kernel() or not installed() or jax.default_backend() != "cpu":
         return function(*arguments)
@@ -54,7 +55,7 @@ class SmallArrays(Computed):
     """A jaxpr of small arrays."""
 
     def __init__(self, closed: ClosedJaxpr) -> None:
-        self._closed = closed
+        self.closed = closed
         self.results = [(tuple(v.aval.shape), v.aval.dtype) for v in closed.jaxpr.outvars]
         self.function = jaxpr_as_fun(closed)
 
@@ -65,7 +66,7 @@ class SmallArrays(Computed):
     def _kernel(self) -> Rows | None:
         from .native.arrays.kernels import array_kernel
 
-        return array_kernel(self._closed)
+        return array_kernel(self.closed)
 
 
 def _jvp(primals: Any, tangents: Any, *, program: SmallArrays, bodies: Bodies, inside: bool) -> Any:

@@ -386,7 +386,7 @@ class Code:
 
 def _constant(name: str, raw: bytes, aligned: int) -> str:
     """Numbers by their bytes: LLVM reads those many times faster than numbers."""
-    digits = "\\" + raw.hex("\\")
+    digits = "\\" + raw.hex("\\") if raw else ""
     return f'{name} = private unnamed_addr constant [{len(raw)} x i8] c"{digits}", align {aligned}'
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....jax_inside import ClosedJaxpr, closed, scan_parts
-from ..code import NAMES
+from ..code import NAMES, NotNative
 from .memory import View
 from .reductions import any_of
 from .sweep import reshaped
@@ -25,6 +25,13 @@ def _linear_solve(eqn: Any, arrays: list[Any]) -> tuple[ClosedJaxpr, list[Any]]:
     return closed(eqn.params["jaxprs"].solve), [*arrays[skip : skip + counts.solve], *arrays[sum(counts) :]]
 
 
+def _small_arrays(eqn: Any, arrays: list[Any]) -> tuple[ClosedJaxpr, list[Any]]:
+    """A kernel that was traced by itself, of one body."""
+    if eqn.params["bodies"].depth:
+        raise NotNative("a kernel of many bodies inside of another has no native form")
+    return eqn.params["program"].closed, arrays
+
+
 def _inner(name: str) -> Callable[[Any, list[Any]], tuple[ClosedJaxpr, list[Any]]]:
     return lambda eqn, arrays: (closed(eqn.params[name]), arrays)
 
@@ -37,6 +44,7 @@ CALLS: dict[str, Callable[[Any, list[Any]], tuple[ClosedJaxpr, list[Any]]]] = {
     "custom_vjp_call": _inner("call_jaxpr"),
     "custom_vmap_call": _inner("call"),
     "custom_linear_solve": _linear_solve,
+    "small_arrays": _small_arrays,
 }
 
 
@@ -98,7 +106,7 @@ def _cond(own: Reading, eqn: Any, index: View, *arrays: View) -> list[View]:
     # Below the first it is the first, beyond the last the last.
     below = code.emit(f"icmp slt {kind} {value}, 0") if kind != "i1" else "false"
     first = code.emit(f"select i1 {below}, {kind} 0, {kind} {value}") if kind != "i1" else value
-    numbers = ["true", "false"][::-1] if kind == "i1" else [str(k) for k in range(len(branches))]
+    numbers = ["false", "true"] if kind == "i1" else [str(k) for k in range(len(branches))]
     cases = " ".join(f"{kind} {n}, label %{label}" for n, label in zip(numbers, labels[:-1], strict=False))
     code.lines.append(f"switch {kind} {first}, label %{labels[-1]} [ {cases} ]")
     for label, branch in zip(labels, branches, strict=True):

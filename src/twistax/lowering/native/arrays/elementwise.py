@@ -119,18 +119,18 @@ class Group:
 
 
 class Groups:
-    """The loops that are yet to be added; at most one for each shape."""
+    """The loops that are yet to be added; at most one for each shape and precision."""
 
     def __init__(self, own: ArrayCode) -> None:
         self._own = own
-        self._open: dict[tuple[int, ...], Group] = {}
+        self._open: dict[tuple[tuple[int, ...], np.dtype[Any]], Group] = {}
 
     def add(self, entry: Entry, eqn: Any, arguments: Sequence[View | Pending]) -> list[Pending]:
-        shape = tuple(eqn.outvars[0].aval.shape)
-        group = self._open.get(shape)
+        key = tuple(eqn.outvars[0].aval.shape), _precision(eqn)
+        group = self._open.get(key)
         if group is None or group.operations >= _MOST:
             self.compute_one(group)
-            group = self._open[shape] = Group(shape, _precision(eqn))
+            group = self._open[key] = Group(*key)
         return group.add(entry, eqn, [self._ready(own, group) for own in arguments])
 
     def view(self, value: View | Pending) -> View:
@@ -149,8 +149,9 @@ class Groups:
 
     def compute_one(self, group: Group | None) -> None:
         if group is not None and not group.done:
-            if self._open.get(group.shape) is group:
-                del self._open[group.shape]
+            key = group.shape, group.graph.dtype
+            if self._open.get(key) is group:
+                del self._open[key]
             group.compute(self._own)
 
     def _ready(self, own: View | Pending, group: Group) -> View | Pending:

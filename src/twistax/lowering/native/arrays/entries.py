@@ -46,8 +46,8 @@ def of_entries(own: ArrayCode, form: ScalarProgram, sources: Sequence[View]) -> 
 def _entry(own: ArrayCode, view: View, place: int) -> str:
     array = view.array
     at = np.unravel_index(place, array.shape)
-    one = array[tuple(slice(i, i + 1) for i in at)].reshape(1)
-    return own.read(own.code.of(1), view.seen(one))
+    one = view.part(slice(int(i), int(i) + 1) for i in at)
+    return own.read(own.code.of(1), one.seen(one.array.reshape(1)))
 
 
 def _taken(
@@ -64,7 +64,7 @@ def _taken(
                 return view.seen(found)
     to = own.new(nodes.shape, dtype)
     if any(g.numbers[i] is not None for i in flat(nodes)):
-        numbers = np.array([g.numbers[i] or 0 for i in flat(nodes)], dtype)
+        numbers = np.array([0 if (n := g.numbers[i]) is None else n for i in flat(nodes)], dtype)
         own.copied(known(numbers.reshape(nodes.shape)), to)
     for k, view in enumerate(sources):
         here = np.flatnonzero(which == k)

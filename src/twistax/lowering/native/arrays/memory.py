@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -97,8 +97,19 @@ class View:
         return address(self.array) - self.origin
 
     def seen(self, array: NDArray[Any]) -> View:
-        """Another view of the same memory."""
+        """Another view of the same memory.
+
+        Raises:
+            RuntimeError: NumPy made a copy, whose addresses mean nothing.
+        """
+        if not self.known and array.size and not np.may_share_memory(array, self.array):
+            raise RuntimeError(f"a view of {self.shape} became a copy of {np.shape(array)}")
         return dataclasses.replace(self, array=array)
+
+    def part(self, index: Iterable[Any]) -> View:
+        """Slices of axes: a view also where there are none, of which NumPy makes a number."""
+        whole: Any = (*index, ...)
+        return self.seen(self.array[whole])
 
     def moved(self, base: str | None, bytes: int = 0) -> View:
         """The same so many bytes on, or from another pointer on."""
@@ -119,6 +130,18 @@ def checked(array: NDArray[Any]) -> NDArray[Any]:
     if array.dtype not in NAMES:
         raise NotNative(f"{array.dtype} has no native form")
     return array
+
+
+def native_type(variable: Any) -> np.dtype[Any]:
+    """The type of a variable of a jaxpr.
+
+    Raises:
+        NotNative: machine code has no such type, as of random keys.
+    """
+    dtype = getattr(variable.aval, "dtype", None)
+    if not isinstance(dtype, np.dtype) or dtype not in NAMES:
+        raise NotNative(f"{dtype} has no native form")
+    return dtype
 
 
 def address(array: NDArray[Any]) -> int:

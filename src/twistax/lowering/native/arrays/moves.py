@@ -34,7 +34,7 @@ def _with_axes(array: Any, sizes: Sequence[int]) -> Any:
     for size in sizes:
         index.append(slice(None) if left and left[0] == size else None)
         left = left[1:] if index[-1] is not None else left
-    return array[tuple(index)]
+    return array[(*index, ...)]
 
 
 def _transpose(own: Reading, eqn: Any, a: View) -> View:
@@ -44,11 +44,11 @@ def _transpose(own: Reading, eqn: Any, a: View) -> View:
 def _slice(own: Reading, eqn: Any, a: View) -> View:
     p = eqn.params
     steps = p["strides"] or (1,) * a.array.ndim
-    return a.seen(a.array[tuple(map(slice, p["start_indices"], p["limit_indices"], steps))])
+    return a.part(map(slice, p["start_indices"], p["limit_indices"], steps))
 
 
 def _reverse(own: Reading, eqn: Any, a: View) -> View:
-    return a.seen(np.flip(a.array, eqn.params["dimensions"]))
+    return a.seen(np.flip(a.array, eqn.params["dimensions"]) if a.shape else a.array)
 
 
 def _same(own: Reading, eqn: Any, a: View) -> View:
@@ -103,15 +103,17 @@ def _pad(own: Reading, eqn: Any, a: View, value: View) -> View:
     config = eqn.params["padding_config"]
     shape = tuple(eqn.outvars[0].aval.shape)
     if any(low < 0 or high < 0 for low, high, _ in config):
-        return own.by_entries(eqn, a, value)[0]
-    inner = tuple(slice(low, size - high, step + 1) for (low, high, step), size in zip(config, shape, strict=True))
+        return own.by_entries(eqn, [a, value])[0]
+    inner: tuple[Any, ...] = tuple(
+        slice(low, size - high, step + 1) for (low, high, step), size in zip(config, shape, strict=True)
+    )
     if a.known and value.known:
         numbers = np.full(shape, value.array, a.dtype)
-        numbers[inner] = a.array
+        known(numbers).part(inner).array[...] = a.array
         return known(numbers)
     found = own.code.new(shape, a.dtype)
     own.code.copied(value.seen(np.broadcast_to(value.array, shape)), found)
-    own.code.copied(a, found.seen(found.array[inner]))
+    own.code.copied(a, found.part(inner))
     return found
 
 
@@ -131,7 +133,7 @@ def _window(code: ArrayCode, a: View, sizes: Sequence[int], indices: Sequence[Vi
         window.append(slice(start := int(np.clip(first or 0, 0, most)), start + size))
     found = code.stored(a) if moved else a
     strides = found.array.strides
-    found = found.seen(found.array[tuple(window)])
+    found = found.part(window)
     for d, place in moved:
         found = code.at(found, place, strides[d])
     return found

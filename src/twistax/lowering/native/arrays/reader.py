@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ....jax_inside import ClosedJaxpr, Literal, part
+from ....jax_inside import ClosedJaxpr, Jaxpr, Literal, part
 from ...scalar.graph import TooLarge
 from ...scalar.primitive import Derived
 from ...scalar.program import scalarize
@@ -18,7 +18,7 @@ from . import elementwise
 from .control import CALLS, CONTROL
 from .elementwise import Groups, Pending
 from .entries import of_entries
-from .memory import View, known
+from .memory import View, known, native_type
 from .moves import MOVES
 from .products import PRODUCTS
 from .reductions import REDUCTIONS
@@ -41,6 +41,7 @@ class Reading:
     def __init__(self, module: Module) -> None:
         self.code = ArrayCode(module)
         self._groups = Groups(self.code)
+        self._reading: list[Jaxpr] = []
 
     def read(self, program: ClosedJaxpr, arguments: Sequence[View]) -> list[View]:
         """The results of a jaxpr; all of them are computed.
@@ -81,7 +82,7 @@ class Reading:
         self.code.kernels.append(found)
         return found
 
-    def by_entries(self, eqn: Any, *arrays: View) -> list[View]:
+    def by_entries(self, eqn: Any, arrays: Sequence[View]) -> list[View]:
         """The results of an equation entry by entry.
 
         Raises:
@@ -92,7 +93,7 @@ class Reading:
         sources = {v: a for v, a in views.items() if not a.known}
         if sum(v.aval.size for v in (*sources, *eqn.outvars)) > _MOST:
             raise NotNative(f"{eqn.primitive.name} of so many entries has no native form")
-        closed = part(self._jaxpr, [eqn], list(sources), eqn.outvars, numbers)
+        closed = part(self._reading[-1], [eqn], list(sources), eqn.outvars, numbers)
         try:
             form = native_form(scalarize(closed, checked=True, limits=NATIVE_LIMITS))
         except TooLarge as error:
@@ -117,13 +118,17 @@ class Reading:
                 for v in jaxpr.eqns[k].invars:
                     if not isinstance(v, Literal):
                         last.setdefault(v, k)
+        for v in jaxpr.constvars:
+            native_type(v)
         values.update((v, known(np.asarray(c))) for v, c in zip(jaxpr.constvars, program.consts, strict=True))
         values.update(zip(jaxpr.invars, arguments, strict=True))
         del arguments
+        self._reading.append(jaxpr)
         for k, eqn in enumerate(jaxpr.eqns):
             if not any(v in last for v in eqn.outvars):
                 continue
-            self._jaxpr = jaxpr
+            for v in eqn.outvars:
+                native_type(v)
             own = [value(v) for v in eqn.invars]
             for v in eqn.invars:
                 if not isinstance(v, Literal) and last[v] == k:
@@ -131,6 +136,7 @@ class Reading:
             found = self._equation(eqn, own)
             del own
             values.update((v, a) for v, a in zip(eqn.outvars, found, strict=True) if v in last)
+        self._reading.pop()
         return [value(v) for v in jaxpr.outvars]
 
     def _equation(self, eqn: Any, arguments: list[View | Pending]) -> Sequence[View | Pending]:
@@ -151,4 +157,4 @@ class Reading:
         if name in _READY:
             found = _READY[name](self, eqn, *views)
             return found if isinstance(found, list) else [found]
-        return self.by_entries(eqn, *views)
+        return self.by_entries(eqn, views)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..code import NAMES, Code, Module
-from .memory import Space, View, dense, known
+from .memory import Space, View, dense
 
 #: Loops of so few turns are written out.
 _UNROLLED = 2
@@ -216,6 +216,3 @@ def reshaped(own: ArrayCode, view: View, shape: Sequence[int]) -> View:
     if view.known or not found.size or np.may_share_memory(found, view.array):
         return view.seen(found)
     return reshaped(own, own.copied(view), shape)
-
-
-__all__ = ["ArrayCode", "Body", "known", "merged", "reshaped"]

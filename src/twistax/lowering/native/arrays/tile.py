@@ -12,7 +12,7 @@ from ..code import Code, Module
 from ..pieces import STACK
 from ..rows import Array
 from ..tile import RowFunction
-from .memory import View, address, checked
+from .memory import View, address, native_type
 from .reader import Reading
 
 #: Bytes by which a block of memory may begin too early.
@@ -65,7 +65,7 @@ def _add_memory(code: Code, size: int) -> None:
 
 
 def _arrays(variables: Sequence[Any]) -> list[Array]:
-    return [Array(tuple(v.aval.shape), checked(np.empty(0, v.aval.dtype)).dtype) for v in variables]
+    return [Array(tuple(v.aval.shape), native_type(v)) for v in variables]
 
 
 def _memory(base: str, array: Array) -> View:
