@@ -1907,9 +1907,33 @@ MUTATIONS: list[Mutation] = [
             "sizes[:, own]",
             "trajectory/test_optimality.py",
         ),
+        (
+            "controls as large as their vanishing slopes are small",
+            "np.concatenate([np.full(n, np.inf), np.maximum(limit, u)])",
+            "np.full(n + len(u), np.inf)",
+            "trajectory/test_resting_controls.py",
+        ),
+        (
+            "states at rest as large as all of their drift",
+            "np.where(most * _NOTHING <= once, most, alone) / 2.0",
+            "np.where(most * _NOTHING <= once, most, alone)",
+            "trajectory/test_known_answers.py",
+        ),
+        (
+            "states at rest as small as controls alone move them",
+            "np.maximum((reach * sizes).max(axis=1), drift)",
+            "(reach * sizes).max(axis=1)",
+            "trajectory/test_resting_controls.py",
+        ),
     ),
     *_at(
         "trajectory/solver.py",
+        (
+            "runs that begin anew without their first multipliers",
+            "state = self._begun_in(fresh, self._first_look(origin, given)[0], origin, given)",
+            "state = self._start(origin, given, fresh)",
+            "trajectory/test_resting_controls.py",
+        ),
         (
             "a worst trajectory as the best",
             "return float(self._steps(probed, self._looked_at(state, given)[0], given).state.raised) > self.bent",

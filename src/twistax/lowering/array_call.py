@@ -25,8 +25,8 @@ def array_call(function: Callable[..., Result], *arguments: Any) -> Result:
     """function(*arguments), in one kernel on the CPU where all that it does has a native form; else as it is.
 
     Pure and traceable. Arguments and result are pytrees of arrays. The function is traced and compiled at once, and
-    traced once more where it has no kernel. Under vmap each body runs its own loops, and bodies are shared between threads;
-    derivatives are those of the function.
+    traced once more where it has no kernel. Under vmap each body runs its own loops, and bodies are shared between
+    threads; derivatives are those of the function.
     """
     if inside_kernel() or not installed() or jax.default_backend() != "cpu":
         return function(*arguments)

@@ -16,7 +16,7 @@ from .border import Border
 from .iterate import Scales
 from .riccati import of_stages
 from .shooting import Shooting
-from .transcribed import Derivatives, Point, Step, Transcribed
+from .transcribed import Derivatives, Point, Segment, Step, Transcribed
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -39,17 +39,24 @@ def unit_scales(shooting: Transcribed) -> Scales:
 
 @np.errstate(over="ignore", invalid="ignore")  # starts far off may have slopes without end
 def measured(
-    shooting: Transcribed, point: Point, slopes: Derivatives, scales: Scales, bends: bool = False
+    shooting: Transcribed,
+    point: Point,
+    slopes: Derivatives,
+    scales: Scales,
+    gaps: Array | None = None,
 ) -> tuple[Scales, bool]:
     """Scales at a point, from the derivatives there, taken in other scales; and whether the objective has slopes.
 
     States and controls count with half the spread of their values along the trajectory, or with what the leaf
-    declares. What does not move yet gets a size from what it moves, or from what moves it. Durations count as they
-    are, parameters with what changes states and rows as much as these sizes do. Rows are divided by
-    their slope, the objective by what steps of these sizes do to it.
+    declares. What does not move yet gets a size from what it moves, or from what moves it; of a control none at which
+    the Lagrangian bends by more than the objective's scale, for its slopes may vanish at an optimum. Durations count
+    as they are, parameters with what changes states and rows as much as these sizes do. Rows are divided by their
+    slope, the objective by what steps of these sizes do to it.
 
     Args:
-        bends: whether second derivatives are those of the objective, and count: it may have no slope where a guess is.
+        gaps: (intervals, n) of the dynamics at a start, where second derivatives are those of the objective. States at
+            rest there count with half of how far gaps would move them, and the objective with how it bends: it may
+            have no slope where a guess is.
     """
     unit, border = Scales(*map(np.asarray, scales)), shooting.border
     before, end_before = (np.asarray(a) for a in of_stages(Step(unit.d, unit.u, unit.border)))
@@ -61,7 +68,12 @@ def measured(
     for part in shooting.segments:
         own, slices = part.shooting, part.shooting.dynamics.group.slices
         most = (reach[part.stages, : own.n] / own.mesh.widths[:, None, None]).max(axis=0)
-        sizes = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns])
+        drift, limit = np.zeros(own.n), np.full(own.m, np.inf)
+        if gaps is None:
+            limit = unit.u[part.stages.start, : own.m] * _straight(slopes, part)
+        else:
+            drift = _drift(slopes, before, gaps, part)
+        sizes = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns], drift, limit)
         for name, other in own.alike.items():
             sizes[0][slices[name]] = told[name] = told.get(name, sizes[0][slices.get(other, slices[name])])
         d[part.nodes, : own.n], u[part.stages, : own.m] = sizes
@@ -75,7 +87,7 @@ def measured(
     moved += [(inner_slopes.max(axis=0), others.max(axis=0)), (end_slopes, end_others)]
     values = np.asarray(point.border)
     b = _border(border, values, moved)
-    if not bends:  # later on: a parameter whose slopes vanish, as at its optimum they may, keeps its size
+    if gaps is None:  # later on: a parameter whose slopes vanish, as at its optimum they may, keeps its size
         b = np.minimum(b, np.maximum(unit.border, np.abs(values)))
     z, end = (np.asarray(a) for a in of_stages(Step(d, u, b)))
     inner = np.einsum("kra,ka->kr", inner_slopes, z) * unit.rows[: inner_slopes[..., 0].size].reshape(len(z), -1)
@@ -84,7 +96,7 @@ def measured(
     rows = np.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
     z, end = z / before, end / end_before
     moves = (np.abs(np.asarray(slopes.gradient)) * z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
-    if bends:
+    if gaps is not None:
         bent = np.einsum("kab,ka,kb->", np.abs(np.asarray(slopes.hessian)), z, z)
         bent = 0.5 * (bent + end @ np.abs(np.asarray(slopes.end_hessian)) @ end)
         moves = moves + (bent if np.isfinite(bent) else 0.0)
@@ -190,12 +202,37 @@ def _moving(spread: Array, values: Array) -> Array:
     return np.where(moves, spread, 0.0)
 
 
-def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[Array, Array]:
+def _straight(slopes: Derivatives, part: Segment) -> Array:
+    """How many scales of each control bend the Lagrangian by the objective's scale, 1 at least; inf where none do."""
+    first = slopes.defects.shape[1]
+    own = range(first, first + part.shooting.m)
+    bent = np.abs(np.asarray(slopes.hessian)[part.stages, own, own]).sum(axis=0) / 2.0
+    return np.where(bent > _SMALL**2, 1.0 / np.sqrt(np.clip(bent, _SMALL**2, 1.0)), np.inf)
+
+
+def _drift(slopes: Derivatives, before: Array, gaps: Array, part: Segment) -> Array:
+    """Half of how far gaps move the states of a phase: along linear dynamics, or alone where these grow far."""
+    n = part.shooting.n
+    own, jumps = np.asarray(slopes.defects)[part.stages, :n, :n], np.abs(gaps[part.stages, :n])
+    own = own / before[part.stages, None, :n]
+    alone, moved, most = jumps.sum(axis=0), np.zeros(n), np.zeros(n)
+    for slope, gap in zip(own, gaps[part.stages, :n]):
+        moved = slope @ moved + gap
+        most = np.maximum(most, np.abs(moved))
+    once = np.maximum(alone, (np.abs(own).max(axis=0) * alone).max(axis=1) * len(own))
+    return _finite(np.where(most * _NOTHING <= once, most, alone) / 2.0)
+
+
+def _completed(
+    shooting: Shooting, d: Array, u: Array, slopes: Array, drift: Array, limit: Array
+) -> tuple[Array, Array]:
     """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1.
 
-    Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m).
+    Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m); states that others
+    move count with their drift at least, controls that move others with their limit at most.
     """
     n = shooting.n
+    largest = np.concatenate([np.full(n, np.inf), np.maximum(limit, u)])
     reach = np.array(slopes)
     reach[np.arange(n), np.arange(n)] = 0.0
     declared = _declared(shooting)
@@ -208,14 +245,15 @@ def _completed(shooting: Shooting, d: Array, u: Array, slopes: Array) -> tuple[A
         for _ in range(len(sizes)):
             before = sizes
             back = _back(sizes[:n], reach)
-            sizes = np.where((sizes > 0.0) | ~np.isfinite(back), sizes, back)
-            ahead = (reach * sizes).max(axis=1)
+            sizes = np.where((sizes > 0.0) | ~np.isfinite(back), sizes, np.minimum(back, largest))
+            ahead = np.maximum((reach * sizes).max(axis=1), drift)
             sizes = np.concatenate([np.where(sizes[:n] > 0.0, sizes[:n], ahead), sizes[n:]])
             if (before == sizes).all():
                 break
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
     floor = _SMALL * (reach * sizes).max(axis=1)
-    floor = np.concatenate([floor, _WEAK * _finite(_back(np.maximum(sizes[:n], floor), reach)[n:])])
+    weak = np.minimum(_finite(_back(np.maximum(sizes[:n], floor), reach)[n:]), largest[n:])
+    floor = np.concatenate([floor, _WEAK * weak])
     sizes = np.where(declared, sizes, np.maximum(sizes, floor))
     return sizes[:n], sizes[n:]
 

@@ -144,16 +144,17 @@ class Solver:
 
     def first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
         """Scales at a point, and the largest seen."""
-        return self.scales_of(point, *self._first_look(point, given))
+        return self.scales_of(*self._first_look(point, given))
 
-    def _first_look(self, point: Point, given: Given) -> tuple[Derivatives, Scales]:
-        """Derivatives at a point, second ones of the objective, and their scales: 1."""
-        unit = scaling.unit_scales(self.shooting)
-        return self._looked_at(unweighed(self._start(point, given, unit)), given)[0], unit
+    def _first_look(self, point: Point, given: Given) -> tuple[Derivatives, Iterate]:
+        """Derivatives at a point, second ones of the objective, and the state there in scales of 1."""
+        state = self._start(point, given, scaling.unit_scales(self.shooting))
+        return self._looked_at(unweighed(state), given)
 
-    def scales_of(self, point: Point, slopes: Derivatives, before: Scales) -> tuple[Scales, Scales]:
-        """Scales from derivatives at a point, with multipliers that are zero, in other scales; and the largest seen."""
-        scales, sloped = scaling.measured(self.shooting, point, slopes, before, bends=True)
+    def scales_of(self, slopes: Derivatives, state: Iterate) -> tuple[Scales, Scales]:
+        """Scales from derivatives at a state, with multipliers that are zero, and the largest seen."""
+        gaps = np.asarray(state.values.defects)
+        scales, sloped = scaling.measured(self.shooting, state.point, slopes, state.scales, gaps)
         return scales, scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)[1]
 
     def run(
@@ -226,12 +227,16 @@ class Solver:
         if isinstance(start, WarmStart):
             return self._warm(start.point, start.dynamics, start.rows, start.scales, given), start.scales
         slopes, unit = self._first_look(start, given)
-        scales, seen = self.scales_of(start, slopes, unit)
+        scales, seen = self.scales_of(slopes, unit)
+        return self._begun_in(scales, slopes, start, given), seen
+
+    def _begun_in(self, scales: Scales, slopes: Derivatives, start: Point, given: Given) -> Iterate:
+        """The first state in given scales, from what the first look there saw."""
         state = self._start(start, given, scales)
         if not estimate.is_bound(self.method, self.shooting.steered, state, slopes):
             slopes, state = self._looked_at(state, given)
             state = self._estimated(state, slopes)
-        return state, seen
+        return state
 
     def _run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
@@ -255,7 +260,8 @@ class Solver:
             here, known = _seen((state, slopes))
             fresh = watch.renewed(here, known, before)
             if fresh is not None and origin is not None and not misled and watch.misled(here, fresh):
-                misled, before, slopes, state = True, np.inf, None, self._start(origin, given, fresh)
+                state = self._begun_in(fresh, self._first_look(origin, given)[0], origin, given)
+                misled, before, slopes = True, np.inf, None
                 watch.anew(fresh)
                 continue
             if fresh is not None:
