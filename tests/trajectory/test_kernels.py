@@ -10,8 +10,9 @@ from trajectory_systems import HEUN, quick_jit
 
 import twistax as tx
 from twistax.lowering import array_call
+from twistax.trajectory.decisions import Decisions
 from twistax.trajectory.interior_point import InteriorPoint
-from twistax.trajectory.stride import no_slopes, stride
+from twistax.trajectory.stride import no_slopes, ordered, stride
 
 pytest.importorskip("llvmlite")
 
@@ -52,21 +53,23 @@ def test_steps_are_those_of_XLA(make: Any) -> None:
     point, given = jax.tree.map(jnp.asarray, (point, given))
     solver = problem._solver(1e-6, point, given)
     method = InteriorPoint(problem.shooting, 1e-6)
-    state, _ = solver._begun(point, given)
+    opening = solver.steps.opened(point, given)
+    state, memory = opening.state, opening.memory
 
     def steps(*arguments: Any) -> Any:
-        return stride(method, 1e-6, *arguments)
+        return stride(method, Decisions(problem.shooting, 1e-6), 1e-6, *arguments)
 
     by_kernel = jax.jit(lambda *a: array_call.array_call(steps, *a))
-    assert "twistax_" in by_kernel.lower(state, no_slopes(problem.shooting), given, 0, -np.inf).as_text()
+    assert "twistax_" in by_kernel.lower(state, no_slopes(problem.shooting), memory, given, ordered()).as_text()
     slopes, by_xla = no_slopes(problem.shooting), quick_jit(steps)
     for most in (0, 1, 3):
-        own, other = (f(state, slopes, given, most, -np.inf) for f in (by_kernel, by_xla))
+        orders = ordered(look=most == 0, decide=True, most=most, before=np.inf)
+        own, other = (f(state, slopes, memory, given, orders) for f in (by_kernel, by_xla))
         assert int(own.count) == int(other.count)
         for a, b in zip(jax.tree.leaves(own), jax.tree.leaves(other), strict=True):
             size = np.abs(np.asarray(b, float)[np.isfinite(b)]).max(initial=1.0)
             np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-8 * size)
-        state, slopes = other.state, other.slopes
+        state, slopes, memory = other.state, other.slopes, other.memory
 
 
 def test_solutions_without_kernels_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

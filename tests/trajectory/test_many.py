@@ -84,6 +84,23 @@ def test_a_case_with_too_little_time_says_so_as_it_does_alone() -> None:
     assert many[2].message == problem.solve(final_time=(0.5, 1.0)).message
 
 
+def test_worst_trajectories_are_left_among_others_too() -> None:
+    """The longest way to a place: a straight one is a saddle. The last place is too far, the one before just near."""
+    p, u = tx.State("p"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: u}))
+    ends = {"initial": {p: 0.0}, "final": {p: 0.0}}
+    problem = Problem(dynamics, tx.Minimize(running=-(u**2)), nodes=4, final_time=3.0, **ends, **HEUN)
+    places = [0.0, 0.3, -1.0, 2.99, 5.0]
+    many = problem.solve_many(final={"p": np.array(places)})
+    for case, place in enumerate(places):
+        alone = problem.solve(final={"p": place})
+        assert many.status[case] is alone.status
+        assert many.iterations[case] == alone.iterations
+        assert many[case].saddle is alone.saddle
+        np.testing.assert_allclose(many.us["u"][case], alone.us["u"], atol=1e-6)
+    assert many.status == (Status.SOLVED,) * 4 + (Status.INFEASIBLE,)
+
+
 BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": {"p": 0.0}}, tx.TrajectoryError, "no argument has an axis of cases"),
     ({"initial": {"p": np.zeros(3)}, "params": {"mass": np.ones(2)}}, tx.ShapeError, r"has 3, params\['mass'\] has 2"),

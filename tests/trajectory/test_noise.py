@@ -9,7 +9,7 @@ from trajectory_systems import HEUN
 
 import twistax as tx
 from twistax.report.sections import flights
-from twistax.trajectory import Problem, Status, scaling, solver, watch
+from twistax.trajectory import Problem, Status, decisions, solver, stride, watch
 
 #: Acceleration, distance and the least time from rest to rest.
 PUSH, FAR = 10.0, 1000.0
@@ -59,18 +59,9 @@ def test_declared_sizes_are_kept() -> None:
         final={p: FAR, v: 0.0},
         **HEUN,
     )
-    seen = []
-    measured = scaling.measured
-
-    def noted(*args: Any, **options: Any) -> Any:
-        seen.append(measured(*args, **options)[0])
-        return measured(*args, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scaling, "measured", noted)
-        problem.solve(max_iterations=1)
-    np.testing.assert_array_equal(seen[0].d[:, 1], 1e-3)
-    np.testing.assert_array_equal(seen[0].u[:, 0], 1e-4)
+    scales = problem.solve(max_iterations=1).warm.scales
+    np.testing.assert_array_equal(scales.d[:, 1], 1e-3)
+    np.testing.assert_array_equal(scales.u[:, 0], 1e-4)
 
 
 def test_a_run_whose_multipliers_have_run_away_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,8 +74,8 @@ def test_a_run_whose_multipliers_have_run_away_begins_anew(monkeypatch: pytest.M
         return starts[-1]
 
     monkeypatch.setattr(solver.Solver, "_step_away", noted)
-    monkeypatch.setattr(watch, "AWAY", 0.0)
-    result = fastest().solve()
+    monkeypatch.setattr(decisions, "AWAY", 0.0)
+    result = fastest.__wrapped__().solve()
     assert result.solved
     assert result.final_time == pytest.approx(LEAST, rel=1e-6)
     assert result.iterations <= 2 * plain.iterations
@@ -94,20 +85,18 @@ def test_a_run_whose_multipliers_have_run_away_begins_anew(monkeypatch: pytest.M
 
 def test_a_run_that_began_in_worthless_scales_begins_anew_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Any renewal of the first steps counts: the run goes back to its start in the new scales, once."""
-    starts, start = [], fastest().solve().ts
-    anew = watch.Watch.anew
-
-    def noted(own: Any, seen: Any) -> None:
-        starts.append(seen)
-        anew(own, seen)
-
-    monkeypatch.setattr(watch.Watch, "anew", noted)
-    monkeypatch.setattr(watch, "_WORTHLESS", 0.0)
-    monkeypatch.setattr(watch, "RENEW", 1.0)
-    result = fastest().solve()
+    starts, times = [], fastest().solve().ts
+    monkeypatch.setattr(stride, "WORTHLESS", 0.0)
+    monkeypatch.setattr(stride, "RENEW", 1.0)
+    problem = fastest.__wrapped__()
+    problem.solve(max_iterations=1)
+    (own,) = problem._solvers.values()
+    start = own.steps.start
+    monkeypatch.setattr(own.steps, "start", lambda *args: starts.append(args) or start(*args))
+    result = problem.solve()
     assert result.solved
-    np.testing.assert_allclose(result.ts, start, rtol=1e-6)
-    assert len(starts) == 1
+    np.testing.assert_allclose(result.ts, times, rtol=1e-6)
+    assert len(starts) == 2  # one looks whether limits bind its controls
 
 
 def test_the_delta_iii_is_solved_from_its_guess() -> None:
@@ -139,7 +128,7 @@ def test_random_starts_mean_something(rate: Any) -> None:
 def test_strides_are_as_short_as_python_needs_to_see_signals(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0.0, 0.0, 0.5, 0.9, 0.9001, 5.0])
     monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    own = watch.Watch(fastest().shooting, 1e-6, scaling.unit_scales(fastest().shooting), 500)
+    own = watch.Watch(1e-6, 500)
     steps = []
     for count in (0, 1, 6, 26, 27):
         own.count = count

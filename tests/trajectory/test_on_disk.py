@@ -22,7 +22,7 @@ def problem() -> tx.trajectory.Problem:
 
 def loaded(own: tx.trajectory.Problem) -> bool:
     (solver,) = own._solvers.values()
-    return isinstance(solver._stride, on_disk._Loaded)
+    return isinstance(solver.steps._parts.stride, on_disk._Loaded)
 
 
 def test_second_problem_is_read_from_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.trajectory import Problem, watch
+from twistax.trajectory import Problem, stride
 
 
 @functools.cache
@@ -43,7 +43,7 @@ def test_a_thrust_straight_ahead_is_found(least_time: bool) -> None:
 
 def test_a_run_that_begins_anew_has_multipliers_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """In other scales as in the first: without them it takes ten times the steps, as nothing else bends the angle."""
-    monkeypatch.setattr(watch, "_WORTHLESS", 0.0)  # every run whose first scales were off
+    monkeypatch.setattr(stride, "WORTHLESS", 0.0)  # every run whose first scales were off
     problem = ahead("cosine", False, 1e-6, 1.0, 1e6)
     for angle in (0.5, -0.1, 0.9):
         result = problem.solve(guess={"angle": angle * 1e6})

@@ -11,10 +11,12 @@ from trajectory_systems import EULER, HEUN, free_flyer
 import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Problem, Status, TrajectoryResult, scaling, solver
+from twistax.trajectory.decisions import RENEW
 from twistax.trajectory.descent import Descent
 from twistax.trajectory.iterate import State
 from twistax.trajectory.scaling import unit_scales
 from twistax.trajectory.transcribed import Point, Values
+from twistax.trajectory.watch import Watch
 
 
 @functools.cache
@@ -63,24 +65,24 @@ def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:
         point, given, *_ = stated().started()
         own = stated()._solver(1e-6, point, given)
         _, state = own._run(point, given, 500, None)
-        watch = own.watch(state.scales, 500)
-        watch.at_once(state)
-        assert watch.ended(state) is Status.SOLVED
-        watch._seen = jax.tree.map(lambda a: 1e9 * a, state.scales)
-        state = own.rescaled(state, scaling.not_below(state.scales, watch._seen, True)[0], given)
-        assert watch.ended(state) is Status.SOLVED
-        near = watch.renewed(state, own._looked_at(state, given)[0], np.inf)
-        assert near is not None
+        memory = own.steps.opening(state, state.scales).memory
+        ended = lambda: Watch(1e-6, 500).ended(own.steps.signs(state, memory))  # noqa: E731
+        assert ended() is Status.SOLVED
+        memory = memory._replace(seen=jax.tree.map(lambda a: 1e9 * a, state.scales))
+        state = own.rescaled(state, scaling.not_below(state.scales, memory.seen, True)[0], given)
+        assert ended() is Status.SOLVED
+        near, change, memory = own.steps.renewed(state, own.steps.looked_at(state, given)[0], memory)
+        assert change > RENEW
         state = own.rescaled(state, near, given)
-        assert watch.ended(state) is Status.SOLVED
-        assert watch.renewed(state, own._looked_at(state, given)[0], np.inf) is None
+        assert ended() is Status.SOLVED
+        assert own.steps.renewed(state, own.steps.looked_at(state, given)[0], memory)[1] <= RENEW
 
 
 def test_scales_are_forgotten_without_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last iteration that there is may be the one that solves it."""
     enough = stated().solve().iterations
     monkeypatch.setattr(Descent, "inflated", lambda *_: True)
-    again = stated().solve(max_iterations=enough)
+    again = problem(**HEUN).solve(max_iterations=enough)
     assert again.solved
     assert again.iterations == enough
 
@@ -156,7 +158,9 @@ def test_what_has_limits_is_not_without_end() -> None:
         nothing = State(**dict.fromkeys(State._fields))
         begun = nothing._replace(point=point, scales=scales, values=Values(7.0, None, None))
         far = begun._replace(point=jax.tree.map(lambda a: size * a, point), values=Values(7.0 - fall, None, None))
-        return Descent(problem.shooting, begun).beyond(far, 1e16)
+        descent = Descent(problem.shooting)
+        with in_double():
+            return bool(descent.beyond(descent.begun(begun), far, 1e16))
 
     assert beyond(1e20, 1e20, {k: (None, 1.0)})
     assert not beyond(1e20, 1e20, {k: (-1.0, 1.0)})

@@ -200,6 +200,10 @@ class State(Variable):
         implied = ("group",) if isinstance(self.group, Euclidean) else ("shape", "order")
         return super().replace(**(dict.fromkeys(implied) | changes))
 
+    def boundary(self, what: str, value: Any) -> np.ndarray | None:
+        """A value at the start or the end, "initial" or "final", checked as one that the state is declared with."""
+        return _boundary(self.name, what, value, self.group)
+
     @property
     def order(self) -> Order | None:
         """Order of the twists of a pose; None for other states."""

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..jax_inside import ClosedJaxpr, Primitive, ad, jaxpr_as_fun, opened, weakly_kept
+from ..jax_inside import ClosedJaxpr, Primitive, ad, all_equations, inner_jaxprs, jaxpr_as_fun, opened, weakly_kept
 from .native.backend import installed
 from .scalar.primitive import Bodies, Computed, Rows, by_kernel, define
 from .small_call import inside_kernel, whole_kernel
@@ -48,6 +48,12 @@ def array_call(function: Callable[..., Result], *arguments: Any) -> Result:
     results = _small_arrays_p.bind(*held, *leaves, program=program, bodies=Bodies(), inside=False)
     found: Result = jax.tree.unflatten(shapes[0], results)
     return found
+
+
+def is_one_kernel(traced: Any) -> bool:
+    """Whether all that a traced function does is one call of a kernel that `array_call` made."""
+    plain = [eqn.primitive for eqn in all_equations(traced.jaxpr.jaxpr) if not list(inner_jaxprs(eqn))]
+    return plain == [_small_arrays_p]
 
 
 @weakly_kept

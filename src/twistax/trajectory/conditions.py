@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from math import prod
@@ -143,7 +144,7 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
         name = name_of(key)
         if name not in leaves:
             raise ModelError(f"{what} names {name!r}; the states are: {listed(leaves, name)}")
-        values[name] = getattr(leaves[name].replace(**{what: value}), what)
+        values[name] = leaves[name].boundary(what, value)
     for bound in bounds_of(states):
         array = values[bound.leaf]
         found = np.nan if array is None else array.ravel()[bound.entry]
@@ -191,6 +192,11 @@ def fixed_entries(state: State, value: Array | None) -> Array:
     if isinstance(state.group, Euclidean):
         return ~np.isnan(value.ravel())
     if isinstance(state.group, SpecialEuclidean):
-        known = np.repeat([not np.isnan(value[:3, 3]).any(), not np.isnan(value[:3, :3]).any()], 3)
-        return np.asarray(state.group.order.from_linear_first(known.astype(float))) > 0.0
+        return _known_of_pose(state.group, not np.isnan(value[:3, 3]).any(), not np.isnan(value[:3, :3]).any())
     return np.ones(state.group.dimension, bool)
+
+
+@functools.lru_cache(64)
+def _known_of_pose(group: SpecialEuclidean, position: bool, attitude: bool) -> Array:
+    """(6,) whether the linear and the angular part of a tangent are known."""
+    return np.asarray(group.order.from_linear_first(np.repeat([float(position), float(attitude)], 3))) > 0.0

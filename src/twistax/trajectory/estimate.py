@@ -23,8 +23,7 @@ _MOST = 1e3
 _BENT = 1e-8
 
 
-@np.errstate(over="ignore", invalid="ignore")  # starts far off may have slopes without end
-def is_bound(method: InteriorPoint, free: Array, state: State, slopes: Derivatives) -> bool:
+def is_bound(method: InteriorPoint, free: Array, state: State, slopes: Derivatives) -> jax.Array:
     """Whether limits and costs say of every free control how far it may go.
 
     Args:
@@ -32,25 +31,22 @@ def is_bound(method: InteriorPoint, free: Array, state: State, slopes: Derivativ
         state: a first one, without multipliers of the dynamics.
         slopes: in scales of 1, second ones of the objective.
     """
-    state, slopes = jax.tree.map(np.asarray, (state, slopes))
     scales, (n, m) = state.scales, method.size
     if not free.any():
-        return True
-    sizes = np.concatenate([scales.d[:-1], scales.u], axis=1)
+        return jnp.ones((), bool)
+    sizes = jnp.concatenate([scales.d[:-1], scales.u], axis=1)
     along = slopes.rows[:, :, : n + m] * sizes[:, None]
     grown, lengths = (
         a[: along[..., 0].size].reshape(*along.shape[:2], 1)
-        for a in (np.where(method.equality, 1.0, state.rows / state.slack), scales.rows)
+        for a in (jnp.where(method.equality, 1.0, state.rows / state.slack), scales.rows)
     )
-    bends = np.abs(np.diagonal(slopes.hessian[:, : n + m, : n + m], axis1=1, axis2=2)) * sizes**2 / scales.cost
+    bends = jnp.abs(jnp.diagonal(slopes.hessian[:, : n + m, : n + m], axis1=1, axis2=2)) * sizes**2 / scales.cost
     bends = bends + (grown * (along / lengths) ** 2).sum(axis=1)
     # A linear control is a state: what bends it bends its rate.
     moved = slopes.defects[:-1, :, n : n + m] * sizes[:-1, None, n:] / sizes[1:, :n, None]
     through = (bends[1:, :n, None] * moved**2).sum(axis=1)
-    whole = bends[:, n:]
-    whole[:-1] += through
-    whole[-1] += through[-1:].sum(axis=0)
-    return bool((whole[free] > _BENT).all())
+    through = jnp.concatenate([through, through[-1:].sum(axis=0, keepdims=True)])
+    return jnp.where(free, bends[:, n:] + through > _BENT, True).all()
 
 
 def estimated(method: InteriorPoint, state: State, slopes: Derivatives) -> State:

@@ -16,11 +16,13 @@ import numpy as np
 
 from ..checks import number, short
 from ..errors import TrajectoryError
+from .decisions import RENEW
 from .iterate import State
 from .program import Program, Reference
 from .solver import Callback, Outcome, Solver, Status
 from .transcribed import Given, Point
 from .warm import WarmStart
+from .watch import Watch
 
 if TYPE_CHECKING:
     from .apart import Apart
@@ -134,8 +136,9 @@ class _Casadi:
             dynamics = start.dynamics * np.asarray(scales.d)[1:] / float(scales.cost)
             multipliers = program.flat_multipliers(dynamics, start.rows * np.asarray(scales.rows) / float(scales.cost))
         else:
-            point, (scales, most) = start, solver.first_scales(start, given)
-        watch = solver.watch(most, max_iterations)
+            point, opening = start, solver.steps.opened(start, given)
+            scales, most = opening.state.scales, opening.memory.first
+        watch = Watch(solver.tolerance, max_iterations)
         seen = None
         if callback is not None:
 
@@ -143,8 +146,9 @@ class _Casadi:
                 worst = np.maximum(np.maximum(rows - program.upper, program.lower - rows), 0.0)
                 callback(watch.count, cost * float(np.asarray(scales.cost)), float(worst.max(initial=0.0)))
 
-        _, state = solver.weighed(point, given, scales)
-        status = watch.at_once(state)
+        state = solver.weighed(point, given, scales)[1]
+        opening = solver.steps.opening(state, most)
+        memory, status = opening.memory, watch.at_once(opening)
         passes = 0
         while status is None:
             reference, passes = Reference(point, scales, given), passes + 1
@@ -160,16 +164,17 @@ class _Casadi:
             reached = program.reached(attempt.z, reference, attempt.multipliers)
             point = reached.point
             slopes, state = solver.weighed(point, given, scales, reached.dynamics, reached.rows)
-            fresh = watch.renewed(state, slopes, np.inf)
-            if fresh is not None:
+            fresh, change, memory = solver.steps.renewed(state, slopes, memory)
+            renewed = float(change) > RENEW
+            if renewed:
                 scales, state = fresh, solver.rescaled(state, fresh, given)
             multipliers = program.flat_multipliers(state.dynamics, state.rows)
-            status = watch.ended(state)
+            status = watch.ended(solver.steps.signs(state, memory))
             if status is None and attempt.word == "Invalid_Number_Detected":
                 status = Status.NON_FINITE
             if status is None and time.monotonic() >= due:
                 status = Status.OUT_OF_TIME
-            settled = reached.turn <= _SMALL_TURN and fresh is None
+            settled = reached.turn <= _SMALL_TURN and not renewed
             over = attempt.word in _OVER or (failed and not attempt.success)
             if status is None and (settled or over or passes >= _PASSES):
                 state, status = solver.judged_at_rest(state, given, max_iterations - watch.count)

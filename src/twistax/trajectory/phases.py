@@ -7,7 +7,6 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
@@ -269,7 +268,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
             for side in ("initial", "final")
         )
         margins = np.zeros(len(self.shooting.exists))
-        return Started(point, jax.device_put(Given(dict(found), PhaseEnds(first, last), limits, margins)), found, ends)
+        return Started(point, Given(dict(found), PhaseEnds(first, last), limits, margins), found, ends)
 
     def _by_phase(self, what: str, given: Any) -> dict[str, Any]:
         """An argument by the name of the phase."""
@@ -326,7 +325,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
             segment = self.shooting.segments[index]
             us[segment.stages, : segment.shooting.m] = point.us
             xs.append(point.xs)
-        return jax.device_put(Point(tuple(xs), us, point.border))
+        return Point(tuple(xs), us, point.border)
 
     def _between(self, index: int, ends: Sequence[Ends], durations: Array) -> dict[str, Array]:
         """Values at both ends of a phase, of states that go on from others or into them, along geodesics."""

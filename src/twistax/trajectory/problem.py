@@ -358,7 +358,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         norms = self.norms.guess(us, {**params, **self.border.params(border)})
-        return jax.device_put(Point(xs, np.concatenate([*flat, *norms], axis=1), border))
+        return Point(xs, np.concatenate([*flat, *norms], axis=1), border)
 
     def _extremes(
         self, xs: dict[str, Array], us: dict[str, Array], params: Mapping[str, Array], durations: Array
@@ -374,7 +374,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
         """What a solve with these ends, parameters and limits of the border is for."""
         margins = np.zeros(len(self.shooting.exists))
-        return jax.device_put(Given(dict(params), self.filled(ends.final), limits, margins))
+        return Given(dict(params), self.filled(ends.final), limits, margins)
 
     def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
         """Values of the states, with anything where they are free."""

@@ -1,12 +1,16 @@
 """How big steps of the unknowns, residuals and the objective are, measured on an iterate and the problem's derivatives.
 
 Nothing here looks at limits unless nothing else is known, so scales follow the units and not the width of the limits.
+All of it is traceable: kernels measure, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
@@ -37,14 +41,9 @@ def unit_scales(shooting: Transcribed) -> Scales:
     return Scales(*map(np.ones, (*(a.shape for a in free), len(shooting.exists), ())))
 
 
-@np.errstate(over="ignore", invalid="ignore")  # starts far off may have slopes without end
 def measured(
-    shooting: Transcribed,
-    point: Point,
-    slopes: Derivatives,
-    scales: Scales,
-    gaps: Array | None = None,
-) -> tuple[Scales, bool]:
+    shooting: Transcribed, point: Point, slopes: Derivatives, scales: Scales, gaps: Any = None
+) -> tuple[Scales, jax.Array]:
     """Scales at a point, from the derivatives there, taken in other scales; and whether the objective has slopes.
 
     States and controls count with half the spread of their values along the trajectory, or with what the leaf
@@ -58,70 +57,69 @@ def measured(
             rest there count with half of how far gaps would move them, and the objective with how it bends: it may
             have no slope where a guess is.
     """
-    unit, border = Scales(*map(np.asarray, scales)), shooting.border
-    before, end_before = (np.asarray(a) for a in of_stages(Step(unit.d, unit.u, unit.border)))
-    reach = np.abs(np.asarray(slopes.defects)) * unit.d[1:, :, None] / before[:, None]
-    inner_slopes = np.abs(np.asarray(slopes.rows)) / before[:, None]
-    end_slopes = np.abs(np.asarray(slopes.end_rows)) / end_before
-    d, u, times = np.ones_like(unit.d), np.ones_like(unit.u), np.abs(np.asarray(point.border))[: border.phases]
-    moved, told = [], dict[str, Array]()
+    unit, border = Scales(*map(jnp.asarray, scales)), shooting.border
+    before, end_before = of_stages(Step(unit.d, unit.u, unit.border))
+    reach = jnp.abs(slopes.defects) * unit.d[1:, :, None] / before[:, None]
+    inner_slopes, end_slopes = jnp.abs(slopes.rows) / before[:, None], jnp.abs(slopes.end_rows) / end_before[None]
+    d, u, times = jnp.ones_like(unit.d), jnp.ones_like(unit.u), jnp.abs(point.border)[: border.phases]
+    moved, told = [], dict[str, jax.Array]()
     for part in shooting.segments:
         own, slices = part.shooting, part.shooting.dynamics.group.slices
         most = (reach[part.stages, : own.n] / own.mesh.widths[:, None, None]).max(axis=0)
-        drift, limit = np.zeros(own.n), np.full(own.m, np.inf)
+        drift, limit = jnp.zeros(own.n), jnp.full(own.m, jnp.inf)
         if gaps is None:
             limit = unit.u[part.stages.start, : own.m] * _straight(slopes, part)
         else:
             drift = _drift(slopes, before, gaps, part)
-        sizes = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns], drift, limit)
+        own_d, own_u = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns], drift, limit)
         for name, other in own.alike.items():
-            sizes[0][slices[name]] = told[name] = told.get(name, sizes[0][slices.get(other, slices[name])])
-        d[part.nodes, : own.n], u[part.stages, : own.m] = sizes
-        moved.append((most, sizes[0]))
+            told[name] = told.get(name, own_d[slices.get(other, slices[name])])
+            own_d = own_d.at[slices[name]].set(told[name])
+        d, u = d.at[part.nodes, : own.n].set(own_d), u.at[part.stages, : own.m].set(own_u)
+        moved.append((most, own_d))
     for join in shooting.joins:
-        u[join.stage, : len(join.free)] = d[join.stage + 1, join.free]
-    end_sizes = np.concatenate([d[-1], times])
+        u = u.at[join.stage, : len(join.free)].set(d[join.stage + 1, join.free])
+    end_sizes = jnp.concatenate([d[-1], times])
     end_others = end_slopes[:, : len(end_sizes)] @ end_sizes
-    whole = np.concatenate([d[:-1], u, np.broadcast_to(times, (len(u), len(times)))], axis=1)
-    others = np.einsum("kra,ka->kr", inner_slopes[..., : whole.shape[1]], whole)
+    whole = jnp.concatenate([d[:-1], u, jnp.broadcast_to(times, (len(u), len(times)))], axis=1)
+    others = (inner_slopes[..., : whole.shape[1]] * whole[:, None]).sum(axis=-1)
     moved += [(inner_slopes.max(axis=0), others.max(axis=0)), (end_slopes, end_others)]
-    values = np.asarray(point.border)
-    b = _border(border, values, moved)
+    b = _border(border, point.border, moved)
     if gaps is None:  # later on: a parameter whose slopes vanish, as at its optimum they may, keeps its size
-        b = np.minimum(b, np.maximum(unit.border, np.abs(values)))
-    z, end = (np.asarray(a) for a in of_stages(Step(d, u, b)))
-    inner = np.einsum("kra,ka->kr", inner_slopes, z) * unit.rows[: inner_slopes[..., 0].size].reshape(len(z), -1)
+        b = jnp.minimum(b, jnp.maximum(unit.border, jnp.abs(point.border)))
+    z, end = of_stages(Step(d, u, b))
+    inner = (inner_slopes * z[:, None]).sum(axis=-1) * unit.rows[: inner_slopes[..., 0].size].reshape(len(z), -1)
     for part in shooting.segments:
-        inner[part.stages] = inner[part.stages].max(axis=0, initial=0.0)
-    rows = np.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
+        inner = inner.at[part.stages].set(inner[part.stages].max(axis=0, initial=0.0))
+    rows = jnp.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
     z, end = z / before, end / end_before
-    moves = (np.abs(np.asarray(slopes.gradient)) * z).sum() + np.abs(np.asarray(slopes.end_gradient)) @ end
+    moves = (jnp.abs(slopes.gradient) * z).sum() + (jnp.abs(slopes.end_gradient) * end).sum()
     if gaps is not None:
-        bent = np.einsum("kab,ka,kb->", np.abs(np.asarray(slopes.hessian)), z, z)
-        bent = 0.5 * (bent + end @ np.abs(np.asarray(slopes.end_hessian)) @ end)
-        moves = moves + (bent if np.isfinite(bent) else 0.0)
-    cost = float(moves) * float(unit.cost)
-    sloped = bool(np.isfinite(cost)) and cost > 0.0
-    return Scales(d, u, b, np.where(rows > 0.0, rows, unit.rows), np.array(cost if sloped else unit.cost)), sloped
+        bent = (jnp.abs(slopes.hessian) * z[:, None] * z[:, :, None]).sum()
+        bent = 0.5 * (bent + (jnp.abs(slopes.end_hessian) * end[None] * end[:, None]).sum())
+        moves = moves + jnp.where(jnp.isfinite(bent), bent, 0.0)
+    cost = moves * unit.cost
+    sloped = jnp.isfinite(cost) & (cost > 0.0)
+    return Scales(d, u, b, jnp.where(rows > 0.0, rows, unit.rows), jnp.where(sloped, cost, unit.cost)), sloped
 
 
-def _border(border: Border, values: Array, moved: Sequence[tuple[Array, Array]]) -> Array:
+def _border(border: Border, values: jax.Array, moved: Sequence[tuple[jax.Array, jax.Array]]) -> jax.Array:
     """Sizes of durations and parameters, as `measured` says; where nothing is known the value, the limits, 1.
 
     Moved are the slopes of rows, and how far the sizes of other unknowns move these.
     """
-    count = border.phases
+    count, sizes = border.phases, jnp.abs(values)
     if border.size == count:
-        return np.abs(values)
-    found = np.full(border.size - count, np.inf)
+        return sizes
+    found = jnp.full(border.size - count, jnp.inf)
     for rows, others in moved:
         by, size = rows[:, rows.shape[1] - len(found) :], others[:, None]
         known = (by > 0.0) & (size > 0.0)
-        found = np.minimum(found, np.divide(size, by, out=np.full_like(by, np.inf), where=known).min(0, initial=np.inf))
+        found = jnp.minimum(found, jnp.where(known, size / by, jnp.inf).min(axis=0, initial=jnp.inf))
     limits = np.concatenate([np.zeros(0), *map(_from_limits, border.boxes)])
-    for known in (np.abs(values[count:]), limits, np.ones_like(found)):
-        found = np.where(np.isfinite(found) & (found > 0.0), found, known)
-    return np.concatenate([np.abs(values[:count]), found])
+    for known_size in (sizes[count:], jnp.asarray(limits), jnp.ones_like(found)):
+        found = jnp.where(jnp.isfinite(found) & (found > 0.0), found, known_size)
+    return jnp.concatenate([sizes[:count], found])
 
 
 def declared(leaves: Sequence[State | Control]) -> Array:
@@ -138,14 +136,14 @@ def declared(leaves: Sequence[State | Control]) -> Array:
     return np.concatenate(parts)
 
 
-def not_below(scales: Scales, seen: Scales, sloped: bool) -> tuple[Scales, Scales]:
+def not_below(scales: Scales, seen: Scales, sloped: Any) -> tuple[Scales, Scales]:
     """Scales of unknowns and objective no less than a small share of the largest seen, and the largest seen.
 
     What falls to zero, as an objective may at its optimum, would else never be small.
     """
-    known = scales if sloped else scales._replace(cost=np.zeros(()))
-    seen = seen._replace(**{name: np.maximum(getattr(known, name), getattr(seen, name)) for name in _FLOORED})
-    own = {name: np.maximum(getattr(scales, name), _SMALL * getattr(seen, name)) for name in _FLOORED}
+    known = scales._replace(cost=jnp.where(sloped, scales.cost, 0.0))
+    seen = seen._replace(**{name: jnp.maximum(getattr(known, name), getattr(seen, name)) for name in _FLOORED})
+    own = {name: jnp.maximum(getattr(scales, name), _SMALL * getattr(seen, name)) for name in _FLOORED}
     return scales._replace(**own), seen
 
 
@@ -154,107 +152,118 @@ def levelled(shooting: Transcribed, scales: Scales) -> Scales:
 
     Vectors that declare a scale keep it, and so do tangents of SO(3) and SE(3), whose axes have one unit.
     """
-    d, u = np.array(scales.d), np.array(scales.u)
+
+    def level(sizes: jax.Array, stages: slice, columns: slice) -> jax.Array:
+        most = sizes[stages, columns].max(axis=1, keepdims=True)
+        return sizes.at[stages, columns].set(jnp.broadcast_to(most, sizes[stages, columns].shape))
+
+    d, u = jnp.asarray(scales.d), jnp.asarray(scales.u)
     for part in shooting.segments:
         own, group = part.shooting, part.shooting.dynamics.group
-        plain = [name for name, factor in group.factors.items() if isinstance(factor, Euclidean)]
-        entries = [(d[part.nodes], name, group.slices[name]) for name in plain]
-        entries += [(u[part.stages], name, columns) for name, columns in own.local.controls.slices.items()]
-        for sizes, name, columns in entries:
+        for name, factor in group.factors.items():
+            if isinstance(factor, Euclidean) and own.leaves[name].scale is None:
+                d = level(d, part.nodes, group.slices[name])
+        for name, columns in own.local.controls.slices.items():
             if own.leaves[name].scale is None:
-                sizes[:, columns] = sizes[:, columns].max(axis=1, keepdims=True)
+                u = level(u, part.stages, columns)
     return scales._replace(d=d, u=u)
 
 
-def change(one: Scales, other: Scales) -> float:
+def change(one: Scales, other: Scales) -> jax.Array:
     """The largest factor between two sets of scales."""
-    ratios = [np.asarray(a) / np.asarray(b) for a, b in zip(one, other)]
-    return max(float(np.maximum(r, 1.0 / r).max(initial=1.0)) for r in ratios)
+    ratios = [a / b for a, b in zip(one, other)]
+    return jnp.stack([jnp.maximum(r, 1.0 / r).max(initial=1.0) for r in ratios]).max()
 
 
-def _spreads(shooting: Shooting, point: Point) -> tuple[Array, Array]:
+def _spreads(shooting: Shooting, point: Point) -> tuple[jax.Array, jax.Array]:
     """Half the spread of every tangent along the trajectory; zero where nothing moves."""
-    d = np.zeros(shooting.n)
+    d, u = [jnp.zeros(0)], [jnp.zeros(0)]
     for name, factor in shooting.dynamics.group.factors.items():
-        part, leaf = shooting.dynamics.group.slices[name], shooting.leaves[name]
-        values = np.asarray(point.xs[name])
+        values, leaf = point.xs[name], shooting.leaves[name]
+        turns = shooting.turns[shooting.dynamics.group.slices[name]]
         if leaf.scale is not None:
-            d[part] = np.ravel(leaf.scale)
+            own = jnp.asarray(np.ravel(leaf.scale))
         elif isinstance(factor, SpecialEuclidean):
-            length = float(np.ptp(values[:, :3, 3], axis=0).max()) / 2.0
-            d[part] = np.where(shooting.turns[part], _TURN, length)
+            own = jnp.where(turns, _TURN, _range(values[:, :3, 3]).max() / 2.0)
         elif isinstance(factor, Euclidean):
             flat = values.reshape(len(values), -1)
-            d[part] = _moving(np.ptp(flat, axis=0) / 2.0, flat)
+            own = _moving(_range(flat) / 2.0, flat)
         else:
-            d[part] = _TURN
-    u = np.zeros(shooting.m)
+            own = jnp.full(len(turns), _TURN)
+        d.append(own)
     for name, part in shooting.local.controls.slices.items():
-        flat, leaf = np.asarray(point.us)[:, part], shooting.leaves[name]
-        spread = _moving(np.maximum(np.ptp(flat, axis=0) / 2.0, _CONSTANT * np.abs(flat).max(axis=0)), flat)
-        u[part] = spread if leaf.scale is None else np.ravel(leaf.scale)
-    return d, u
+        flat, leaf = point.us[:, part], shooting.leaves[name]
+        spread = _moving(jnp.maximum(_range(flat) / 2.0, _CONSTANT * jnp.abs(flat).max(axis=0)), flat)
+        u.append(spread if leaf.scale is None else jnp.asarray(np.ravel(leaf.scale)))
+    return jnp.concatenate(d), jnp.concatenate(u)
 
 
-def _moving(spread: Array, values: Array) -> Array:
+def _range(values: jax.Array) -> jax.Array:
+    return values.max(axis=0) - values.min(axis=0)
+
+
+def _moving(spread: jax.Array, values: jax.Array) -> jax.Array:
     """Spreads, zero where they are rounding, or nothing beside another entry's."""
-    moves = (spread > _NOTHING * spread.max(initial=0.0)) & (spread > 1e-9 * np.abs(values).max(axis=0))
-    return np.where(moves, spread, 0.0)
+    moves = (spread > _NOTHING * spread.max(initial=0.0)) & (spread > 1e-9 * jnp.abs(values).max(axis=0))
+    return jnp.where(moves, spread, 0.0)
 
 
-def _straight(slopes: Derivatives, part: Segment) -> Array:
+def _straight(slopes: Derivatives, part: Segment) -> jax.Array:
     """How many scales of each control bend the Lagrangian by the objective's scale, 1 at least; inf where none do."""
-    first = slopes.defects.shape[1]
-    own = range(first, first + part.shooting.m)
-    bent = np.abs(np.asarray(slopes.hessian)[part.stages, own, own]).sum(axis=0) / 2.0
-    return np.where(bent > _SMALL**2, 1.0 / np.sqrt(np.clip(bent, _SMALL**2, 1.0)), np.inf)
+    first, m = slopes.defects.shape[1], part.shooting.m
+    bends = jnp.abs(slopes.hessian[part.stages, first : first + m, first : first + m])
+    bent = jnp.where(np.eye(m, dtype=bool), bends, 0.0).sum(axis=(0, 2)) / 2.0
+    return jnp.where(bent > _SMALL**2, 1.0 / jnp.sqrt(jnp.clip(bent, _SMALL**2, 1.0)), jnp.inf)
 
 
-def _drift(slopes: Derivatives, before: Array, gaps: Array, part: Segment) -> Array:
+def _drift(slopes: Derivatives, before: jax.Array, gaps: jax.Array, part: Segment) -> jax.Array:
     """Half of how far gaps move the states of a phase: along linear dynamics, or alone where these grow far."""
     n = part.shooting.n
-    own, jumps = np.asarray(slopes.defects)[part.stages, :n, :n], np.abs(gaps[part.stages, :n])
-    own = own / before[part.stages, None, :n]
-    alone, moved, most = jumps.sum(axis=0), np.zeros(n), np.zeros(n)
-    for slope, gap in zip(own, gaps[part.stages, :n]):
-        moved = slope @ moved + gap
-        most = np.maximum(most, np.abs(moved))
-    once = np.maximum(alone, (np.abs(own).max(axis=0) * alone).max(axis=1) * len(own))
-    return _finite(np.where(most * _NOTHING <= once, most, alone) / 2.0)
+    own, jumps = slopes.defects[part.stages, :n, :n] / before[part.stages, None, :n], gaps[part.stages, :n]
+    alone = jnp.abs(jumps).sum(axis=0)
+
+    def ahead(way: tuple[jax.Array, jax.Array], stage: Any) -> tuple[tuple[jax.Array, jax.Array], None]:
+        moved = stage[0] @ way[0] + stage[1]
+        return (moved, jnp.maximum(way[1], jnp.abs(moved))), None
+
+    (_, most), _ = jax.lax.scan(ahead, (jnp.zeros(n), jnp.zeros(n)), (own, jumps))
+    once = jnp.maximum(alone, (jnp.abs(own).max(axis=0) * alone[None]).max(axis=1) * len(own))
+    return _finite(jnp.where(most * _NOTHING <= once, most, alone) / 2.0)
 
 
 def _completed(
-    shooting: Shooting, d: Array, u: Array, slopes: Array, drift: Array, limit: Array
-) -> tuple[Array, Array]:
+    shooting: Shooting, d: jax.Array, u: jax.Array, slopes: jax.Array, drift: jax.Array, limit: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1.
 
     Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m); states that others
     move count with their drift at least, controls that move others with their limit at most.
     """
-    n = shooting.n
-    largest = np.concatenate([np.full(n, np.inf), np.maximum(limit, u)])
-    reach = np.array(slopes)
-    reach[np.arange(n), np.arange(n)] = 0.0
-    declared = _declared(shooting)
-    sizes = np.where(declared, np.concatenate([d, u]), _without_noise(d, u, reach))
-    limits = lambda _: np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])  # noqa: E731
-    for known in (np.zeros_like, limits, np.ones_like):
-        if (sizes > 0.0).all():
-            break
-        sizes = np.where(sizes > 0.0, sizes, known(sizes))
-        for _ in range(len(sizes)):
-            before = sizes
-            back = _back(sizes[:n], reach)
-            sizes = np.where((sizes > 0.0) | ~np.isfinite(back), sizes, np.minimum(back, largest))
-            ahead = np.maximum((reach * sizes).max(axis=1), drift)
-            sizes = np.concatenate([np.where(sizes[:n] > 0.0, sizes[:n], ahead), sizes[n:]])
-            if (before == sizes).all():
-                break
+    n, declared = shooting.n, _declared(shooting)
+    largest = jnp.concatenate([jnp.full(n, jnp.inf), jnp.maximum(limit, u)])
+    own = np.arange(n + shooting.m) == np.arange(n)[:, None]
+    reach = jnp.where(own, 0.0, slopes)
+    sizes = jnp.where(declared, jnp.concatenate([d, u]), _without_noise(d, u, reach))
+    limits = np.concatenate([_from_limits(leaf) for leaf in shooting.leaves.values()])
+
+    def further(own: Any) -> Any:
+        sizes, _, count = own
+        back = _back(sizes[:n], reach)
+        found = jnp.where((sizes > 0.0) | ~jnp.isfinite(back), sizes, jnp.minimum(back, largest))
+        ahead = jnp.maximum((reach * found[None]).max(axis=1), drift)
+        found = jnp.concatenate([jnp.where(found[:n] > 0.0, found[:n], ahead), found[n:]])
+        return found, (found != sizes).any(), count + 1
+
+    def complete(sizes: jax.Array, known: jax.Array) -> tuple[jax.Array, None]:
+        begin = jnp.where(sizes > 0.0, sizes, known), jnp.ones((), bool), jnp.zeros((), int)
+        return jax.lax.while_loop(lambda own: own[1] & (own[2] < len(sizes)), further, begin)[0], None
+
+    sizes, _ = jax.lax.scan(complete, sizes, jnp.stack([np.zeros(len(limits)), limits, np.ones(len(limits))]))
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
-    floor = _SMALL * (reach * sizes).max(axis=1)
-    weak = np.minimum(_finite(_back(np.maximum(sizes[:n], floor), reach)[n:]), largest[n:])
-    floor = np.concatenate([floor, _WEAK * weak])
-    sizes = np.where(declared, sizes, np.maximum(sizes, floor))
+    floor = _SMALL * (reach * sizes[None]).max(axis=1)
+    weak = jnp.minimum(_finite(_back(jnp.maximum(sizes[:n], floor), reach)[n:]), largest[n:])
+    floor = jnp.concatenate([floor, _WEAK * weak])
+    sizes = jnp.where(declared, sizes, jnp.maximum(sizes, floor))
     return sizes[:n], sizes[n:]
 
 
@@ -268,30 +277,28 @@ def _declared(shooting: Shooting) -> Array:
     return found
 
 
-def _without_noise(d: Array, u: Array, reach: Array) -> Array:
+def _without_noise(d: jax.Array, u: jax.Array, reach: jax.Array) -> jax.Array:
     """Sizes, zero where a guess at rest has noise: what would move no other, and what others move far more."""
     n = len(d)
-    reach = np.minimum(reach, 1e100)  # products stay finite
+    reach = jnp.minimum(reach, 1e100)  # products stay finite
     small = d < _NOTHING * _finite(_back(d, reach)[:n])
-    moves = u >= _NOTHING * _finite(_back(np.where(small, 0.0, d), reach)[n:])
-    ahead = (reach * np.concatenate([np.where(small, 0.0, d), np.where(moves, u, 0.0)])).max(axis=1)
+    moves = u >= _NOTHING * _finite(_back(jnp.where(small, 0.0, d), reach)[n:])
+    left = jnp.concatenate([jnp.where(small, 0.0, d), jnp.where(moves, u, 0.0)])
+    ahead = (reach * left[None]).max(axis=1)
     # Not where states drive each other far apart: there little may move much.
     calm = (reach[:, :n] * reach[:, :n].T).max(axis=1) < 1.0 / _NOTHING
     noise = calm & ((d < _NOTHING * ahead) | (small & (ahead == 0.0)))
-    return np.concatenate([np.where(noise, 0.0, d), np.where(moves, u, 0.0)])
+    return jnp.concatenate([jnp.where(noise, 0.0, d), jnp.where(moves, u, 0.0)])
 
 
-def _finite(values: Array) -> Array:
-    return np.where(np.isfinite(values), values, 0.0)
+def _finite(values: jax.Array) -> jax.Array:
+    return jnp.where(jnp.isfinite(values), values, 0.0)
 
 
-def _back(d: Array, reach: Array) -> Array:
+def _back(d: jax.Array, reach: jax.Array) -> jax.Array:
     """How large what moves a state is, to move it by its size; infinite where it moves none of known size."""
     rows = d[:, None]
-    with np.errstate(over="ignore"):  # it is infinite then
-        back = np.divide(rows, reach, out=np.full_like(reach, np.inf), where=(reach > 0.0) & (rows > 0.0))
-    least: Array = back.min(axis=0)
-    return least
+    return jnp.where((reach > 0.0) & (rows > 0.0), rows / reach, jnp.inf).min(axis=0)
 
 
 def _from_limits(leaf: State | Control) -> Array:

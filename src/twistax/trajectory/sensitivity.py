@@ -121,7 +121,7 @@ class _Differentiable:
     def __init__(self, problem: Problem, options: dict[str, Any], tolerance: float) -> None:
         self._problem, self._options, self._tolerance = problem, options, tolerance
         with in_double():
-            self._own = problem.given(problem.ends, problem.params, problem.border.limits)
+            self._own = jax.device_put(problem.given(problem.ends, problem.params, problem.border.limits))
         # Options of the compiler belong to the outermost program alone: within another one these have none.
         self._alone = jitted(self._factors), jitted(self._tangent)
         self._within = jax.jit(self._factors), jax.jit(self._tangent)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -12,25 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..lowering.array_call import array_call
-from ..lowering.on_disk import compiled
-from . import estimate, feasibility, scaling, warm
+from . import estimate, feasibility, warm
+from .decisions import RENEW, Opening, error, row_violations
 from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
 from .program import Program
-from .stride import Stride, no_slopes, stride
+from .steps import Steps
+from .stride import Reached, ordered
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
 from .warm import WarmStart
-from .watch import RENEW, Status, Watch, error, row_violations
+from .watch import Status, Watch
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
 
 Tree = TypeVar("Tree")
 
-#: Unknowns of a stage up to which steps run as one kernel: beyond, products of matrices take XLA's threads.
-_SMALL = 40
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: A feasible point is worth leaving the search for if it leaves so much of the violation and the filter does not know
@@ -46,9 +43,6 @@ _ASIDE = 0.01
 _AWAY = (0.1, 0.3, 1.0)
 #: Random starts: how much larger than scales, or than those of the guess, gaps may be, and shares of steps to them.
 _LOST, _SHARES = 30.0, tuple(0.5**k for k in range(11))
-#: A solution that needs more than this on the diagonal, scaled, is no minimum; scales of entries of a vector may be
-#: so far apart then.
-_CURVED, _LEVEL = 1e-6, 10.0
 
 
 class Outcome(NamedTuple):
@@ -77,26 +71,14 @@ class Outcome(NamedTuple):
 
 
 class Solver:
-    """Solves a transcribed problem again and again; what it needs compiles once.
-
-    Attributes:
-        probe, bent: a step from memory of the damping `probe` tries none, a third of it, then more; raised above `bent`
-            the objective falls to second order along what the constraints leave free.
-    """
-
-    probe, bent = 3.0 * _CURVED, 1.5 * _CURVED
+    """Solves a transcribed problem again and again; what it needs compiles once."""
 
     def __init__(self, shooting: Transcribed, tolerance: float) -> None:
         self.shooting, self.tolerance = shooting, tolerance
         method = self.method = InteriorPoint(shooting, tolerance)
+        self.steps = Steps(shooting, method, tolerance)
         self._move = shooting.moved
-        self._start = jitted(method.start, 0)
         self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
-        own = functools.partial(stride, method, tolerance)
-        size = shooting.n + shooting.m + shooting.border.size
-        self._stride = jitted(functools.partial(array_call, own) if size <= _SMALL else own)
-        self._none = no_slopes(shooting)
-        self._rescaled = jitted(method.rescaled, 0)
         self._begin = jitted(lambda state: feasibility.begin(method, state), 0)
         self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
         self._judged = jitted(self._judge, 0)
@@ -104,36 +86,20 @@ class Solver:
         #: What solvers of others made of the problem, by solver.
         self.made: dict[Any, Any] = {}
 
-    def prepare(self, point: Point, given: Given) -> None:
-        """Compile what every run needs, side by side. Compiled functions do not care who calls them, as jit does."""
-        unit = scaling.unit_scales(self.shooting)
-        with ThreadPoolExecutor() as pool:
-
-            def result(function: Any, level: int, *args: Any) -> Any:
-                """The shapes of what a function gives; it is traced here and compiled in another thread."""
-                program = function.trace(*args)
-                jobs.append(pool.submit(compiled, program, program.lower(), level))
-                return program.out_info
-
-            jobs: list[Future[Any]] = []
-            state = result(self._start, 0, point, given, unit)
-            result(self._stride, 1, state, self._none, given, np.int64(0), np.float64(0.0))
-            self._start, self._stride = (job.result() for job in jobs)
-
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step.
 
         The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point:
         what is exponential in a state, as air is in a height, else makes starts that mean nothing.
         """
-        scales, _ = self.first_scales(point, given)
+        scales = jax.tree.map(np.asarray, self.steps.opened(point, given).state.scales)
         free = self.shooting.free
         d = np.where(self.shooting.stirred, 0.4 * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = 0.15 * rng.normal(size=free.u.shape) * scales.u
         here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
         spread = np.minimum((high - low) / 6.0, 0.4 * np.asarray(scales.border))
         border = np.where(free.border, rng.normal(size=here.shape) * spread, 0.0)
-        gap = lambda at: float(largest(self._start(at, given, scales).values.defects / scales.d[1:]))  # noqa: E731
+        gap = lambda at: float(largest(self.steps.start(at, given, scales).values.defects / scales.d[1:]))  # noqa: E731
         most = _LOST * max(1.0, gap(point))
         for share in _SHARES:
             moves = np.clip(here + share * border, low, high) - here
@@ -142,26 +108,23 @@ class Solver:
                 break
         return found
 
-    def first_scales(self, point: Point, given: Given) -> tuple[Scales, Scales]:
-        """Scales at a point, and the largest seen."""
-        return self.scales_of(*self._first_look(point, given))
-
-    def _first_look(self, point: Point, given: Given) -> tuple[Derivatives, Iterate]:
-        """Derivatives at a point, second ones of the objective, and the state there in scales of 1."""
-        state = self._start(point, given, scaling.unit_scales(self.shooting))
-        return self._looked_at(unweighed(state), given)
-
-    def scales_of(self, slopes: Derivatives, state: Iterate) -> tuple[Scales, Scales]:
-        """Scales from derivatives at a state, with multipliers that are zero, and the largest seen."""
-        gaps = np.asarray(state.values.defects)
-        scales, sloped = scaling.measured(self.shooting, state.point, slopes, state.scales, gaps)
-        return scales, scaling.not_below(scales, scales._replace(cost=np.zeros(())), sloped)[1]
-
     def run(
-        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
+        self,
+        start: Point | WarmStart,
+        given: Given,
+        max_iterations: int,
+        callback: Callback | None = None,
+        reached: Reached | None = None,
     ) -> Outcome:
-        """Solve from a start; a solution that is no minimum is left."""
-        search = lambda own, most, callback: self._run(own, given, most, callback)  # noqa: E731
+        """Solve from a start; a solution that is no minimum is left.
+
+        Args:
+            reached: how far the run has come already.
+        """
+
+        def search(own: Point | WarmStart, most: int, callback: Callback | None) -> tuple[Outcome, Iterate]:
+            return self._run(own, given, most, callback, reached if own is start else None)
+
         return self.to_minimum(search, start, given, max_iterations, callback)
 
     def to_minimum(
@@ -181,10 +144,9 @@ class Solver:
         count, saddle = found.iterations, False
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
         while found.status is Status.SOLVED and not saddle:
-            levels = self.levels(state.scales)
-            state = state if levels is None else self._rescaled(state, levels)
             if not self._bends_down(state, given):
                 break
+            state = self.steps.levelled(state)
             saddle, lower = True, found.cost - self.tolerance * float(state.scales.cost)
             for size in _AWAY:
                 if count >= max_iterations:
@@ -196,94 +158,79 @@ class Solver:
                     break
         return found._replace(iterations=count, saddle=saddle)
 
-    def levels(self, scales: Scales) -> Scales | None:
-        """Scales in which bends count along what hardly moves at a saddle, too; None if these are such scales."""
-        found = scaling.levelled(self.shooting, scales)
-        return found if scaling.change(found, scales) > _LEVEL else None
-
     def _bends_down(self, state: Iterate, given: Given) -> bool:
-        """Whether the objective falls to second order along what the constraints leave free.
+        """Whether the objective falls to second order along what the constraints leave free."""
+        return self.steps.raised(state, given) > self.steps.bent
 
-        Solvers of others end with slacks of zero: with their multipliers they make the barrier parameter at least.
-        """
-        own_slack, own_rows, barrier = (np.asarray(a) for a in (state.slack, state.rows, state.barrier))
-        slack = np.maximum(own_slack, barrier / np.maximum(own_rows, np.sqrt(barrier)))
-        slack = np.where(self.method.inequality, slack, own_slack)
-        rows = np.where(self.method.inequality, np.maximum(own_rows, barrier / slack), own_rows)
-        probed = state._replace(slack=slack, rows=rows, damping=np.float64(self.probe))
-        return float(self._steps(probed, self._looked_at(state, given)[0], given).state.raised) > self.bent
+    def _begun(self, start: Point | WarmStart, given: Given) -> Opening:
+        if isinstance(start, WarmStart):
+            state = self._warm(start.point, start.dynamics, start.rows, start.scales, given)
+            found: Opening = self.steps.opening(state, start.scales)
+            return found
+        opening = self.steps.opened(start, given)
+        return opening._replace(state=self._weighed_first(opening.state, opening.bound, given))
 
-    def _looked_at(self, state: Iterate, given: Given) -> tuple[Derivatives, Iterate]:
-        """The derivatives at a state, and the state measured."""
-        found = self._steps(state, self._none, given, 0)
-        return found.slopes, found.state
-
-    def _steps(self, state: Iterate, slopes: Derivatives, given: Given, most: int = 1, low: float = -np.inf) -> Stride:
-        found: Stride = self._stride(state, slopes, given, np.int64(most), np.float64(low))
+    def _weighed_first(self, state: Iterate, bound: Any, given: Given) -> Iterate:
+        """A first state, with multipliers by least squares where limits and costs do not say how far controls go."""
+        if bool(bound):
+            return state
+        slopes, state = self.steps.looked_at(state, given)
+        found: Iterate = self._estimated(state, slopes)
         return found
 
-    def _begun(self, start: Point | WarmStart, given: Given) -> tuple[Iterate, Scales]:
-        """The first state, and the largest scales seen."""
-        if isinstance(start, WarmStart):
-            return self._warm(start.point, start.dynamics, start.rows, start.scales, given), start.scales
-        slopes, unit = self._first_look(start, given)
-        scales, seen = self.scales_of(slopes, unit)
-        return self._begun_in(scales, slopes, start, given), seen
-
-    def _begun_in(self, scales: Scales, slopes: Derivatives, start: Point, given: Given) -> Iterate:
-        """The first state in given scales, from what the first look there saw."""
-        state = self._start(start, given, scales)
-        if not estimate.is_bound(self.method, self.shooting.steered, state, slopes):
-            slopes, state = self._looked_at(state, given)
-            state = self._estimated(state, slopes)
-        return state
-
     def _run(
-        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+        self,
+        start: Point | WarmStart,
+        given: Given,
+        max_iterations: int,
+        callback: Callback | None,
+        reached: Reached | None = None,
     ) -> tuple[Outcome, Iterate]:
-        state, seen = self._begun(start, given)
-        watch = self.watch(seen, max_iterations)
+        watch = Watch(self.tolerance, max_iterations)
 
         def ended(state: Iterate, status: Status) -> tuple[Outcome, Iterate]:
             return self.outcome(state, status, watch.count), state
 
-        status = watch.at_once(_seen(state))
-        if status is not None:
-            return ended(state, status)
         slopes: Derivatives | None = None
-        searches, rests, shaken, before = 0, 0, False, float(state.barrier)
+        searches, rests, shaken, before = 0, 0, False, np.inf
+        if reached is None:
+            opening = self._begun(start, given)
+            state, memory, before = opening.state, opening.memory, float(opening.state.barrier)
+            status = watch.at_once(opening)
+            if status is not None:
+                return ended(state, status)
         origin = None if isinstance(start, WarmStart) else start  # where a run that begins anew begins
         misled = False
         while True:
-            if slopes is None:
-                slopes, state = self._looked_at(state, given)
-            here, known = _seen((state, slopes))
-            fresh = watch.renewed(here, known, before)
-            if fresh is not None and origin is not None and not misled and watch.misled(here, fresh):
-                state = self._begun_in(fresh, self._first_look(origin, given)[0], origin, given)
-                misled, before, slopes = True, np.inf, None
-                watch.anew(fresh)
-                continue
-            if fresh is not None:
-                slopes, state = self._looked_at(self._rescaled(state, fresh), given)
-                here = _seen(state)
-            status = watch.ended(here)
-            if status is not None:
-                return ended(state, status)
-            if origin is not None and watch.astray(here):
-                aside = self._step_away(self._begun(start, given)[0], _ASIDE, seed=watch.restarts)
-                other, seen = self._begun(aside, given)
-                if watch.at_once(_seen(other)) is None:
-                    searches, shaken, before, origin, slopes, state = 0, False, np.inf, aside, None, other
-                    watch.anew(seen)
-                    continue
-            if callback is not None:
-                callback(watch.count, float(here.values.cost), float(here.errors.feasibility))
-            if not watch.runs_off(here):
-                taken = self._steps(state, slopes, given, watch.until() if callback is None else 1, watch.low)
-                slopes, state, before = taken.slopes, taken.state, float(taken.before)
+            if reached is None:
+                most = watch.until() if callback is None else int(slopes is not None)
+                orders = ordered(slopes is None, True, origin is not None and not misled, most, watch.count, before)
+                known = self.steps.no_slopes if slopes is None else slopes
+                taken = self.steps.steps(state, known, given, orders, memory)
                 watch.count += int(taken.count)
-                if not bool(state.stuck):
+            else:
+                (taken, watch.count), reached = reached, None
+            slopes, state, memory, signs = taken.slopes, taken.state, taken.memory, seen(taken.signs)
+            if origin is not None and bool(taken.worthless):
+                fresh = self.steps.renewed(state, slopes, memory)[0]
+                misled, before, slopes = True, np.inf, None
+                state = self._weighed_first(*self.steps.begun_in(fresh, origin, given), given)
+                memory = memory._replace(first=fresh, seen=fresh)
+                continue
+            if not bool(state.stuck):
+                status = watch.ended(signs)
+                if status is not None:
+                    return ended(state, status)
+                if origin is not None and watch.astray(signs):
+                    aside = self._step_away(self._begun(start, given).state, _ASIDE, seed=watch.restarts)
+                    other = self._begun(aside, given)
+                    if watch.at_once(other) is None:
+                        searches, shaken, before, origin, slopes = 0, False, np.inf, aside, None
+                        state, memory = other.state, other.memory
+                        continue
+                if callback is not None:
+                    callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
+                if not signs.far:
                     continue
             searches, before, slopes = searches + 1, np.inf, None
             if searches > _SEARCHES and shaken:
@@ -295,7 +242,7 @@ class Solver:
             watch.count += used
             rests += rest is not None
             if rest is not None and rests > 1:
-                return ended(self._looked_at(state, given)[1], rest)
+                return ended(self.steps.looked_at(state, given)[1], rest)
             if rest is not None:
                 state = self._shaken(state, given)
 
@@ -314,7 +261,7 @@ class Solver:
             here, used, rest = self._feasible(here, given, budget)
             budget, rests = budget - used, rests + (rest is not None)
             if rest is Status.INFEASIBLE and rests > 1:
-                return self._looked_at(here, given)[1], rest
+                return self.steps.looked_at(here, given)[1], rest
             if rest is not None and rests > 1:
                 break
             if rest is not None:
@@ -329,19 +276,19 @@ class Solver:
         self, point: Point, given: Given, scales: Scales, dynamics: Any = 0.0, rows: Any = None
     ) -> tuple[Derivatives, Iterate]:
         """Derivatives at a point, and the state there with scaled multipliers, its errors measured."""
-        state = self._start(point, given, scales)
+        state = self.steps.start(point, given, scales)
         inequality = self.method.inequality
         if rows is not None:
             values = self.method.scaled(state.values, scales)
             slack = jnp.where(inequality, jnp.maximum(-values.rows, 0.0), 1.0)
             rows = jnp.where(inequality, jnp.maximum(rows, 0.0), rows)
             state = state._replace(dynamics=jnp.asarray(dynamics), rows=jnp.asarray(rows), slack=slack)
-        found: tuple[Derivatives, Iterate] = self._looked_at(state, given)
+        found: tuple[Derivatives, Iterate] = self.steps.looked_at(state, given)
         return found
 
     def rescaled(self, state: Iterate, scales: Scales, given: Given) -> Iterate:
         """The state in other scales, its errors measured."""
-        found: Iterate = self._looked_at(self._rescaled(state, scales), given)[1]
+        found: Iterate = self.steps.looked_at(self.steps.rescaled(state, scales), given)[1]
         return found
 
     # ---- a search for feasible points -------------------------------------------------------------------------------
@@ -355,7 +302,7 @@ class Solver:
         theta, _, _ = self._judged(state, search)
         count, rest, in_scale = 0, None, False
         while count < budget:
-            slopes, _ = self._looked_at(feasibility.at(search, state), given)
+            slopes, _ = self.steps.looked_at(feasibility.at(search, state), given)
             search = self._reduce(search, state, slopes, given)
             count += 1
             reached, known, _ = self._judged(state, search)
@@ -365,9 +312,9 @@ class Solver:
                 break
             flat = float(search.slope) <= _FLAT * float(search.size) ** 0.5
             if flat and not in_scale:  # a slope may be small in scales that are far off
-                in_scale, fresh = True, scaling.measured(self.shooting, search.point, slopes, state.scales)[0]
-                if scaling.change(fresh, state.scales) > RENEW:
-                    state = self._rescaled(state._replace(point=search.point, values=search.values), fresh)
+                in_scale, (fresh, change) = True, self.steps.scales(search.point, slopes, state.scales)
+                if float(change) > RENEW:
+                    state = self.steps.rescaled(state._replace(point=search.point, values=search.values), fresh)
                     search = self._begin(state)
                     theta = self._judged(state, search)[0]
                     continue
@@ -385,6 +332,7 @@ class Solver:
             rows=rows,
             filter=jnp.full_like(state.filter, jnp.inf),
             filtered=jnp.zeros_like(state.filtered),
+            stuck=jnp.zeros_like(state.stuck),
         )
         return state, count, rest
 
@@ -399,7 +347,7 @@ class Solver:
 
     def _shaken(self, state: Iterate, given: Given) -> Iterate:
         """A start after a small random step, for a stationary point may be a saddle."""
-        return self._begun(self._step_away(state), given)[0]
+        return self._begun(self._step_away(state), given).state
 
     def _step_away(self, state: Iterate, size: float = _SHAKE, alone: bool = False, seed: int = 0) -> Point:
         """The point after a random step.
@@ -416,11 +364,9 @@ class Solver:
             d = np.zeros_like(d)
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
 
-    def watch(self, seen: Scales, most: int) -> Watch:
-        return Watch(self.shooting, self.tolerance, seen, most)
-
     def outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
-        scales, w = jax.tree.map(np.asarray, (state.scales, state.rows))
+        state = seen(state)
+        scales, w = state.scales, state.rows
         defects = np.abs(np.asarray(state.values.defects) / scales.d[1:]).ravel()
         rows = np.where(self.shooting.exists | self.shooting.decided, row_violations(self.shooting, state), 0.0)
         return Outcome(
@@ -438,12 +384,7 @@ class Solver:
         )
 
 
-def _seen(tree: Tree) -> Tree:
+def seen(tree: Tree) -> Tree:
     """The same by NumPy, without a copy: a number of an array of JAX's takes several times as long to read."""
     found: Tree = jax.tree.map(np.asarray, tree)
     return found
-
-
-def unweighed(state: Iterate) -> Iterate:
-    """A state whose multipliers are zero: second derivatives are the objective's."""
-    return state._replace(dynamics=np.zeros(state.dynamics.shape), rows=np.zeros(state.rows.shape))

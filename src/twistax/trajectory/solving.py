@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
@@ -81,7 +80,7 @@ class Solvable(ABC, Generic[One, Many]):
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
     ) -> Started:
-        """What `solve` with these arguments starts from and is for; in double precision."""
+        """What `solve` with these arguments starts from and is for; NumPy's arrays of double precision."""
 
     @abstractmethod
     def at_ends(self, xs: Any, ends: Any) -> Any:
@@ -198,7 +197,8 @@ class Solvable(ABC, Generic[One, Many]):
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
         with in_double():
             begin = time.perf_counter()
-            plain, given, own, ends = self.started(guess, initial, final, params, final_time, final_time_guess, free)
+            started = self.started(guess, initial, final, params, final_time, final_time_guess, free)
+            (plain, given), own, ends = jax.device_put(started[:2]), started.params, started.ends
             first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
             own_solver = self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
@@ -268,7 +268,7 @@ class Solvable(ABC, Generic[One, Many]):
         with in_double():
             begin = time.perf_counter()
             points, givens, own = prepared(self, cases)
-            solver = self._solver(float(tolerance), *jax.tree.map(lambda a: jnp.asarray(a[0]), (points, givens)))
+            solver = self._solver(float(tolerance), *jax.tree.map(lambda a: a[0], (points, givens)))
             compiled = time.perf_counter()
             outcomes = solve_all(solver, points, givens, max_iterations)
             done = time.perf_counter()
@@ -282,7 +282,7 @@ class Solvable(ABC, Generic[One, Many]):
                 if not self._solvers:
                     self.shooting.drop_pinned(_moved_at_random(self.shooting, point), given)
                 solver = Solver(self.shooting, tolerance)
-                solver.prepare(point, given)
+                solver.steps.prepare(point, given)
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
 

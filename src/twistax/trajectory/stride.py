@@ -1,4 +1,7 @@
-"""Steps in a row, as many as there is nothing to decide between: a loop of Python costs as much as a small step."""
+"""Steps in a row, with new scales where they are due, until something else is to be decided.
+
+A loop of Python costs as much as a small step, and threads wait for each other there.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .interior_point import InteriorPoint, largest
-from .iterate import State
+from .decisions import EARLY, RENEW, WORTHLESS, Decisions, Memory, Signs, error
+from .interior_point import InteriorPoint
+from .iterate import Scales, State
 from .transcribed import Derivatives, Given, Transcribed
 
-#: Scaled multipliers beyond this have run away.
-AWAY = 1e6
+#: What comes next.
+_END, _STEP, _LOOK, _RESCALE = range(4)
+
+
+class Orders(NamedTuple):
+    """How far to go."""
+
+    look: Any  # whether the state is yet to be measured
+    decide: Any  # whether scales are renewed
+    anew: Any  # whether a run whose scales were worth nothing is to begin anew
+    most: Any  # how many steps
+    count: Any  # of iterations so far
+    before: Any  # the barrier parameter before the state that is yet to be measured; infinite: look at scales
+
+
+def ordered(
+    look: bool = False, decide: bool = False, anew: bool = False, most: int = 0, count: int = 0, before: float = 0.0
+) -> Orders:
+    """Orders as numbers of NumPy, all of one type in every call."""
+    flags = np.bool_(look), np.bool_(decide), np.bool_(anew)
+    return Orders(*flags, np.int64(most), np.int64(count), np.float64(before))
 
 
 class Stride(NamedTuple):
@@ -21,8 +44,27 @@ class Stride(NamedTuple):
 
     slopes: Derivatives
     state: State  # measured
-    before: Any  # the barrier parameter before it was
+    memory: Memory
     count: Any  # of the steps
+    worthless: Any  # whether the run should begin anew, in the scales that are due
+    signs: Signs
+
+
+class Reached(NamedTuple):
+    """How far a run has come by steps alone."""
+
+    last: Stride
+    iterations: int
+
+
+class _Course(NamedTuple):
+    slopes: Derivatives
+    state: State
+    memory: Memory
+    count: Any
+    worthless: Any
+    fresh: Scales  # those that were due last
+    following: Any
 
 
 def no_slopes(shooting: Transcribed) -> Derivatives:
@@ -38,27 +80,44 @@ def no_slopes(shooting: Transcribed) -> Derivatives:
 
 
 def stride(
-    method: InteriorPoint, tolerance: float, state: State, slopes: Derivatives, given: Given, most: Any, low: Any
+    method: InteriorPoint,
+    decisions: Decisions,
+    tolerance: float,
+    state: State,
+    slopes: Derivatives,
+    memory: Memory,
+    given: Given,
+    orders: Orders,
 ) -> Stride:
-    """Steps until one asks for a decision: the barrier parameter fell, it may be the end, or something is wrong.
+    """Steps until one asks for a decision that is not made here: it may be the end, or something is wrong.
 
     Args:
-        state: measured, with its derivatives; where `most` is zero it is only measured, with none.
-        most: how many steps.
-        low: what the objective may not fall below.
+        state: measured, with its derivatives; or yet to be measured, with none.
     """
 
-    def going(own: Stride) -> jax.Array:
-        state, e = own.state, own.state.errors
-        error = jnp.stack([e.stationarity, e.feasibility, e.gap])
-        calm = (error.max() > tolerance) & jnp.isfinite(error).all() & (state.barrier >= own.before) & ~state.stuck
-        tame = (largest((state.dynamics, state.rows)) <= AWAY) & (state.values.cost >= low)
-        return (own.count == 0) | (calm & tame & (own.count < most))
-
-    def ahead(own: Stride) -> Stride:
-        state = jax.lax.cond(most > 0, lambda: method.step(own.state, own.slopes, given), lambda: own.state)
+    def ahead(own: _Course) -> _Course:
+        steps, looks, rescales = (own.following == k for k in (_STEP, _LOOK, _RESCALE))
+        state = jax.lax.cond(steps, lambda: method.step(own.state, own.slopes, given), lambda: own.state)
+        state = jax.lax.cond(rescales, lambda: method.rescaled(state, own.fresh), lambda: state)
         slopes, measured = method.looked_at(state, given)
-        return Stride(slopes, measured, state.barrier, own.count + 1)
+        before, count = jnp.where(looks, orders.before, state.barrier), own.count + jnp.where(steps, 1, 0)
+        total = orders.count + count
+        due = orders.decide & ~rescales & ~measured.stuck & decisions.due(measured, own.memory, total, before)
+        fresh, change, memory = jax.lax.cond(
+            due,
+            lambda: decisions.renewed(measured, slopes, own.memory),
+            lambda: (measured.scales, jnp.ones(()), own.memory),
+        )
+        worthless = orders.anew & (total > 0) & (total <= max(EARLY)) & (change > WORTHLESS)
+        e = measured.errors
+        finite = jnp.isfinite(jnp.stack([e.stationarity, e.feasibility, e.gap])).all()
+        calm = (error(measured) > tolerance) & finite & ~measured.stuck & ~decisions.away(measured)
+        goes = calm & ~decisions.far(measured, memory) & (count < orders.most)
+        following = jnp.where(goes, _STEP, _END)
+        following = jnp.where(change > RENEW, jnp.where(worthless, _END, _RESCALE), following)
+        return _Course(slopes, measured, memory, count, worthless, fresh, following)
 
-    begin = Stride(slopes, state, state.barrier, jnp.zeros((), int))
-    return jax.lax.while_loop(going, ahead, begin)
+    first = jnp.where(orders.look, _LOOK, jnp.where(orders.most > 0, _STEP, _END))
+    begin = _Course(slopes, state, memory, jnp.zeros((), int), jnp.zeros((), bool), state.scales, first)
+    found = jax.lax.while_loop(lambda own: own.following != _END, ahead, begin)
+    return Stride(*found[:-2], decisions.signs(found.state, found.memory))
