@@ -79,7 +79,7 @@ class Together:
             taken = self._strode(state, slopes, memory, givens, orders)
             slopes, state, memory, signs = taken.slopes, taken.state, taken.memory, seen(taken.signs)
             count, watch.count = count + np.asarray(taken.count), watch.count + int(further.max())
-            worthless = worthless | taken.worthless
+            worthless = worthless | np.asarray(taken.worthless)
             calm = (signs.error > tolerance) & np.isfinite(signs.error) & ~signs.away & ~signs.far
             goes = goes & calm & ~worthless & ~np.asarray(state.stuck) & (count < most)
         if taken is None:
@@ -87,7 +87,7 @@ class Together:
         bends = np.asarray(self._raised(state, givens)) > steps.bent
         found, whole = dict[int, Outcome | Reached](), seen(taken._replace(worthless=worthless))
         for row in np.flatnonzero(usual):
-            last, watch.count = jax.tree.map(operator.itemgetter(row), whole), int(count[row])
+            last, watch.count = jax.tree.map(lambda a, row=row: np.array(a[row]), whole), int(count[row])
             status = None if last.worthless or last.state.stuck else watch.ended(last.signs)
             if status is None or (status is Status.SOLVED and bends[row]):
                 found[int(cases[row])] = Reached(last, watch.count)

@@ -172,7 +172,8 @@ def levelled(shooting: Transcribed, scales: Scales) -> Scales:
 def change(one: Scales, other: Scales) -> jax.Array:
     """The largest factor between two sets of scales."""
     ratios = [a / b for a, b in zip(one, other)]
-    return jnp.stack([jnp.maximum(r, 1.0 / r).max(initial=1.0) for r in ratios]).max()
+    # One that is infinite in both says nothing, and takes nothing from the others.
+    return jnp.stack([jnp.where(jnp.isnan(r), 1.0, jnp.maximum(r, 1.0 / r)).max(initial=1.0) for r in ratios]).max()
 
 
 def _spreads(shooting: Shooting, point: Point) -> tuple[jax.Array, jax.Array]:

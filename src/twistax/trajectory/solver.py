@@ -1,4 +1,4 @@
-"""The solver's loop: Newton steps, new scales, the search for feasible points where no step is, and what came out."""
+"""The solver's loop: Newton steps, the search for feasible points where no step is, and what came out."""
 
 from __future__ import annotations
 
