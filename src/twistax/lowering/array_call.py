@@ -11,12 +11,11 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, Primitive, ad, all_equations, inner_jaxprs, jaxpr_as_fun, opened, weakly_kept
 from .native.backend import installed
 from .scalar.primitive import Bodies, Computed, Rows, by_kernel, define
-from .small_call import inside_kernel, whole_kernel
+from .small_call import inside_kernel, on_leaves, whole_kernel
 
 Result = TypeVar("Result")
 
@@ -30,15 +29,7 @@ def array_call(function: Callable[..., Result], *arguments: Any) -> Result:
     """
     if inside_kernel() or not installed() or jax.default_backend() != "cpu":
         return function(*arguments)
-    leaves, structure = jax.tree.flatten(arguments)
-    leaves = [jnp.asarray(leaf) for leaf in leaves]
-    shapes: list[Any] = []
-
-    def flat(*leaves: jax.Array) -> list[jax.Array]:
-        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        shapes.append(shape)
-        return [jnp.asarray(own) for own in results]
-
+    flat, leaves, whole = on_leaves(function, arguments)
     with whole_kernel():
         closed = jax.make_jaxpr(flat)(*leaves)
         run, held = opened(closed)
@@ -46,7 +37,7 @@ def array_call(function: Callable[..., Result], *arguments: Any) -> Result:
     if program.kernel(1) is None:
         return function(*arguments)
     results = _small_arrays_p.bind(*held, *leaves, program=program, bodies=Bodies(), inside=False)
-    found: Result = jax.tree.unflatten(shapes[0], results)
+    found: Result = whole(results)
     return found
 
 

@@ -83,6 +83,24 @@ def fits(function: Callable[..., Any], *arguments: Any) -> bool:
     return known_inside(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 
+def on_leaves(
+    function: Callable[..., Any], arguments: Any
+) -> tuple[Callable[..., list[Any]], list[jax.Array], Callable[[Any], Any]]:
+    """A function of pytrees as one of arrays, with lists of results; its arguments; what makes results pytrees again.
+
+    The last once the function was traced.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    shapes: list[Any] = []
+
+    def flat(*leaves: jax.Array) -> list[Any]:
+        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        shapes.append(shape)
+        return results
+
+    return flat, [jnp.asarray(leaf) for leaf in leaves], lambda results: jax.tree.unflatten(shapes[0], results)
+
+
 def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
     """function(*arguments), compiled as one small function where that is known to work.
 
@@ -94,15 +112,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     """
     if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
-    leaves, structure = jax.tree.flatten(arguments)
-    leaves = [jnp.asarray(leaf) for leaf in leaves]
-    shapes: list[Any] = []
-
-    def flat(*leaves: jax.Array) -> list[jax.Array]:
-        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        shapes.append(shape)
-        return results
-
+    flat, leaves, whole = on_leaves(function, arguments)
     outside = _INSIDE.set(True)
     try:
         jaxpr = jax.make_jaxpr(flat)(*leaves)
@@ -117,7 +127,8 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     run, held = opened(jaxpr)
     # Constants must not be moved inside: an argument that is one then counts as never read.
     results = _outlined(_reading(run))(*jax.lax.optimization_barrier([*held, *leaves]))
-    return jax.tree.unflatten(shapes[0], results[:-1])
+    found: Result = whole(results[:-1])
+    return found
 
 
 def apart(function: Callable[..., Result]) -> Callable[..., Result]:

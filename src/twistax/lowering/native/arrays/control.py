@@ -53,7 +53,7 @@ def _scan(own: Reading, eqn: Any, *arrays: View) -> list[View]:
     length, body = p["length"], p["jaxpr"]
     fixed, carried = scan_parts(eqn)
     constants, along = arrays[:fixed], [code.stored(a) if length > 1 else a for a in arrays[fixed + carried :]]
-    state = [own.kept(a) for a in arrays[fixed : fixed + carried]]
+    state = [code.copied(a) for a in arrays[fixed : fixed + carried]]  # replaced in each turn
     rows = [code.new(v.aval.shape, v.aval.dtype) for v in eqn.outvars[carried:]]
 
     def step(index: str, _: list[str]) -> list[str]:
@@ -74,7 +74,7 @@ def _scan(own: Reading, eqn: Any, *arrays: View) -> list[View]:
 def _while(own: Reading, eqn: Any, *arrays: View) -> list[View]:
     p, code = eqn.params, own.code.code
     before, inside = p["cond_nconsts"], p["body_nconsts"]
-    state = [own.kept(a) for a in arrays[before + inside :]]
+    state = [own.code.copied(a) for a in arrays[before + inside :]]  # replaced in each turn
     head, body, done = (code.label() for _ in range(3))
     code.lines += [f"br label %{head}", f"{head}:"]
     (goes,) = own.read(p["cond_jaxpr"], [*arrays[:before], *state])

@@ -12,13 +12,12 @@ import numpy as np
 
 from ....jax_inside import ClosedJaxpr, say_once
 from ....walk import uncollected
+from ..backend import KERNEL_EVENT
 from ..code import NotNative
 from ..kernel import Kernel
 from ..machine_code import BuildError, Processor
 from .tile import ArrayTile
 
-#: Listeners of `jax.monitoring` hear it of each kernel, as of all others.
-_EVENT = "/twistax/kernel"
 #: How far the probe may be from XLA's numbers, relative and absolute.
 _CLOSE = 1e-10
 
@@ -40,7 +39,7 @@ def array_kernel(closed: ClosedJaxpr) -> Kernel | None:
     except (ImportError, BuildError) as error:
         say_once(f"no native kernel, XLA compiles the function instead: {error}")
         return None
-    jax.monitoring.record_event_duration_secs(_EVENT, time.perf_counter() - started)
+    jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
     return found
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..code import NAMES, NotNative
 
 #: Arrays begin at multiples of so many bytes.
-_ALIGNED = 64
+ALIGNED = 64
 
 
 class Space:
@@ -29,7 +29,7 @@ class Space:
 
     def view(self, like: NDArray[Any]) -> View:
         """A new array, laid out as one that is dense. Its place is free when no view of it is left."""
-        size = -(-max(like.nbytes, 1) // _ALIGNED) * _ALIGNED
+        size = -(-max(like.nbytes, 1) // ALIGNED) * ALIGNED
         start = self._taken(size)
         place = _Place()
         weakref.finalize(place, self._free.append, (start, size)).atexit = False

@@ -53,10 +53,6 @@ class Reading:
         self._groups.compute()
         return found
 
-    def kept(self, view: View) -> View:
-        """A copy of its own, to be replaced in a loop."""
-        return self.code.copied(view)
-
     def replaced(self, state: Sequence[View], values: Sequence[View]) -> None:
         """Write the values of the next turn where those of this one lie, of which they may be views."""
         places = {id(own.place): k for k, own in enumerate(state)}

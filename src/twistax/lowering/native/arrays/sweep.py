@@ -81,13 +81,10 @@ class ArrayCode:
         array, stride = view.array, step * view.array.strides[axis]
         rest = array[(slice(None),) * axis + (0,)]
         # NumPy gives a scalar of one entry of a vector.
-        return self._on(view.seen(np.asarray(rest) if rest.ndim else array.reshape(-1)[:1].reshape(())), index, stride)
+        return self.at(view.seen(np.asarray(rest) if rest.ndim else array.reshape(-1)[:1].reshape(())), index, stride)
 
     def at(self, view: View, index: str, stride: int) -> View:
         """The same view so many bytes on, times an index."""
-        return self._on(view, index, stride)
-
-    def _on(self, view: View, index: str, stride: int) -> View:
         if view.known or not stride or index == "0":
             return view
         if index.isdigit():

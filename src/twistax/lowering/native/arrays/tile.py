@@ -12,11 +12,8 @@ from ..code import Code, Module
 from ..pieces import STACK
 from ..rows import Array
 from ..tile import RowFunction
-from .memory import View, address, native_type
+from .memory import ALIGNED, View, address, native_type
 from .reader import Reading
-
-#: Bytes by which a block of memory may begin too early.
-_ALIGNED = 64
 
 
 class ArrayTile(RowFunction):
@@ -54,12 +51,12 @@ def _add_memory(code: Code, size: int) -> None:
     """Puts what gets memory in front, and what gives it back behind. Stacks of threads may be small."""
     body, code.lines[:] = list(code.lines), []
     if size <= STACK:
-        code.lines.append(f"%arena = alloca [{max(size, 1)} x i8], align {_ALIGNED}")
+        code.lines.append(f"%arena = alloca [{max(size, 1)} x i8], align {ALIGNED}")
         code.lines += body
         return
-    block = code.call("ptr", "malloc", ("i64", str(size + _ALIGNED)))
+    block = code.call("ptr", "malloc", ("i64", str(size + ALIGNED)))
     up = code.emit(f"sub i64 0, {code.emit(f'ptrtoint ptr {block} to i64')}")
-    code.lines.append(f"%arena = getelementptr i8, ptr {block}, i64 {code.emit(f'and i64 {up}, {_ALIGNED - 1}')}")
+    code.lines.append(f"%arena = getelementptr i8, ptr {block}, i64 {code.emit(f'and i64 {up}, {ALIGNED - 1}')}")
     code.lines += body
     code.call("void", "free", ("ptr", block))
 
