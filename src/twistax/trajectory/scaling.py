@@ -95,6 +95,7 @@ def measured(
     z, end = z / before, end / end_before
     moves = (jnp.abs(slopes.gradient) * z).sum() + (jnp.abs(slopes.end_gradient) * end).sum()
     if gaps is not None:
+        z = z.at[:, shooting.n : shooting.n + shooting.m].multiply(shooting.free.u)  # padding bends, in no unit
         bent = (jnp.abs(slopes.hessian) * z[:, None] * z[:, :, None]).sum()
         bent = 0.5 * (bent + (jnp.abs(slopes.end_hessian) * end[None] * end[:, None]).sum())
         moves = moves + jnp.where(jnp.isfinite(bent), bent, 0.0)

@@ -103,7 +103,7 @@ def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedP
             final_time=time,
             final_time_guess=650.0 if number == 3 else None,
             initial={r: start, v: spin, m: begin} if number == 0 else None,
-            final=[r == place, v == speed] if number == 3 else None,
+            final=[r == place, v == speed, m >= _PAYLOAD + dry(_SECOND)] if number == 3 else None,
             guess={
                 **dict(zip((r, v, azimuth, elevation), _path(start, periapsis, _ENDS[number:], nodes[number]))),
                 m: np.linspace(begins[number], begins[number + 1] if number < 3 else 7_000.0, nodes[number]),
