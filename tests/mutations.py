@@ -1917,6 +1917,18 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_noise.py",
         ),
         (
+            "what rests measured by limits alone",
+            "jnp.where(level > 0.0, jnp.minimum(known, level), known)",
+            "known",
+            "trajectory/test_scales.py",
+        ),
+        (
+            "padding that bends the objective",
+            "jnp.where(there, z, 0.0)",
+            "z",
+            "trajectory/test_scales.py",
+        ),
+        (
             "bends along what moves alone",
             "sizes[stages, columns].max(axis=1, keepdims=True)",
             "sizes[stages, columns]",

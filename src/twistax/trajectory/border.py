@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -18,6 +19,9 @@ from ..expr import Control, Parameter
 from ..system import entry_names, name_of
 from ..units import same_unit, seconds
 from .discretize import Controls
+
+#: Limits of a time that are further apart than this leave it open how long things take, but for the order of magnitude.
+_WIDE = 100.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -176,6 +180,7 @@ def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
     low, high = np.broadcast_to(limits, 2).tolist()
     if not (0.0 < low <= high < np.inf):
         raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
-    guess = 0.5 * (low + high) if guess is None else guess
+    if guess is None:
+        guess = 0.5 * (low + high) if high <= _WIDE * low else math.sqrt(low * high)
     number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
     return (low, high), float(guess)

@@ -62,7 +62,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, continuous
             controls) or interval (held controls). A free parameter starts here, else at its value, or at the point of
             its box nearest to that.
-        final_time_guess: where a free final time starts; the middle of its limits unless given.
+        final_time_guess: where a free final time starts; unless given the middle of its limits, or where the upper is
+            more than a hundred times the lower the middle of their logarithms.
         transcription: how an interval is integrated, in exponential coordinates about its first node:
             `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
         method, substeps: those of multiple shooting in place of it: an RKMK method with an explicit tableau, RK4 if

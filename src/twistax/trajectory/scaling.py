@@ -95,7 +95,8 @@ def measured(
     z, end = z / before, end / end_before
     moves = (jnp.abs(slopes.gradient) * z).sum() + (jnp.abs(slopes.end_gradient) * end).sum()
     if gaps is not None:
-        z = z.at[:, shooting.n : shooting.n + shooting.m].multiply(shooting.free.u)  # padding bends, in no unit
+        there = np.pad(shooting.free.u, ((0, 0), (shooting.n, border.size)), constant_values=True)
+        z = jnp.where(there, z, 0.0)  # padding bends, in no unit
         bent = (jnp.abs(slopes.hessian) * z[:, None] * z[:, :, None]).sum()
         bent = 0.5 * (bent + (jnp.abs(slopes.end_hessian) * end[None] * end[:, None]).sum())
         moves = moves + jnp.where(jnp.isfinite(bent), bent, 0.0)
@@ -236,7 +237,8 @@ def _drift(slopes: Derivatives, before: jax.Array, gaps: jax.Array, part: Segmen
 def _completed(
     shooting: Shooting, d: jax.Array, u: jax.Array, slopes: jax.Array, drift: jax.Array, limit: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1.
+    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1;
+    from the last two no more than other entries of its vector have.
 
     Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m); states that others
     move count with their drift at least, controls that move others with their limit at most.
@@ -257,9 +259,13 @@ def _completed(
         return found, (found != sizes).any(), count + 1
 
     def complete(sizes: jax.Array, known: jax.Array) -> tuple[jax.Array, None]:
+        # Limits may be as wide as they like: they say no more than the other entries of a vector do.
+        level = jnp.where(siblings, sizes[None], 0.0).max(axis=1)
+        known = jnp.where(level > 0.0, jnp.minimum(known, level), known)
         begin = jnp.where(sizes > 0.0, sizes, known), jnp.ones((), bool), jnp.zeros((), int)
         return jax.lax.while_loop(lambda own: own[1] & (own[2] < len(sizes)), further, begin)[0], None
 
+    siblings = _siblings(shooting)
     sizes, _ = jax.lax.scan(complete, sizes, jnp.stack([np.zeros(len(limits)), limits, np.ones(len(limits))]))
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
     floor = _SMALL * (reach * sizes[None]).max(axis=1)
@@ -276,6 +282,17 @@ def _declared(shooting: Shooting) -> Array:
     places += [(name, part, shooting.n) for name, part in shooting.local.controls.slices.items()]
     for name, part, before in places:
         found[before:][part] = shooting.leaves[name].scale is not None
+    return found
+
+
+def _siblings(shooting: Shooting) -> Array:
+    """(n + m, n + m) which tangents and controls are entries of one vector."""
+    found = np.zeros((shooting.n + shooting.m,) * 2, bool)
+    for places, first in ((shooting.dynamics.group.slices, 0), (shooting.local.controls.slices, shooting.n)):
+        for name, part in places.items():
+            leaf = shooting.leaves[name]
+            if isinstance(leaf, Control) or isinstance(leaf.group, Euclidean):
+                found[first:, first:][part, part] = True
     return found
 
 

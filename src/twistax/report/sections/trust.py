@@ -119,8 +119,10 @@ class _Units:
         found["guess"] = self._values(stated["guess"] or {})
         times = np.asarray(stated["final_time"]) * size
         found["final_time"] = (times[0] / width, times[1] * width) if times.ndim else float(times)
-        if stated["final_time_guess"] is not None:
-            found["final_time_guess"] = stated["final_time_guess"] * size
+        low, high = np.broadcast_to(found["final_time"], 2)
+        guess = stated["final_time_guess"]
+        # The middle is a bad guess where limits are wide, and so a hard start.
+        found["final_time_guess"] = 0.5 * (low + high) if guess is None else guess * size
         return found
 
     def _put(self, expr: Any) -> Any:
@@ -247,6 +249,7 @@ SWEEPS = {
     "hypersensitive: 1.33, 41 nodes": Sweep(Known(problems.hypersensitive, 1.3308069, 5e-2)),
     "landing of the demo: 27,260 kg, 25 nodes": Sweep(Known(problems.landing, 27_260.0, 1e-4)),
     "Panda from shelf to shelf: 0.860227 s, 41 nodes": Sweep(Known(flights.panda, 0.860227, 1e-5)),
+    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": Sweep(Known(flights.delta_iii, 7529.712, 1e-5)),
     # A way past spheres for each side of each: many optima, and not every start is SOLVED.
     "quadrotor past three spheres: 1.489138 s, 31 nodes": Sweep(
         Known(flights.quadrotor, 1.489138, 1e-5, {"guesses": STARTS * 2}), solved=0.0
