@@ -20,7 +20,7 @@ from ...trajectory import Linear, Problem, TrajectoryResult
 class Known:
     """A problem, its optimum, how near to it is asked for, and options of the solve, which happens once."""
 
-    make: Callable[..., Problem]
+    make: Callable[..., Any]
     optimum: float
     bar: float = 1e-5
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
