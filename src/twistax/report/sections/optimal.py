@@ -15,7 +15,7 @@ import twistax as tx
 
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, Problem, TrajectoryResult
 from ..checks import Absent, Check, Section, at_most, between, needed, slow
-from . import flights, problems
+from . import cops, flights, problems
 from .costs import printed
 from .problems import FIVE_SWITCHES, Known
 
@@ -63,6 +63,9 @@ _HELD: dict[str, tuple[Callable[[], Any], float, float]] = {
     "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": (problems.reorientation, 3.24307, 1e-3),
     "rendezvous of least fuel: 1.212619, 31 nodes": (_of(problems.rendezvous, _FORMS[0]), 1.212619, 1e-5),
     "landing of the demo: 27,260 kg, 25 nodes": (problems.landing, 27_260.0, 1e-4),
+    "robot arm of COPS: 9.14138 s, 51 nodes": (cops.robot_arm, 9.14138, 1e-3),
+    "particle steering of COPS, linear: 0.554577 s, 51 nodes": (cops.particle_steering, 0.554577, 5e-5),
+    "catalyst mixing of COPS: 0.0480556, 101 nodes": (cops.catalyst_mixing, 0.0480556, 1e-5),
     _DELTA: (flights.delta_iii, 7529.712, 1e-5),
     "quadrotor past three spheres: 1.489138 s, 31 nodes": (flights.quadrotor, 1.489138, 1e-5),
     "Panda from shelf to shelf: 0.860227 s, 41 nodes": (flights.panda, 0.860227, 1e-5),

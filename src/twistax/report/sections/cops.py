@@ -1,0 +1,56 @@
+"""Optimal control problems of COPS with their published optima.
+
+Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004); problem numbers are its own. Values
+are those of its finest meshes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import twistax as tx
+
+from ...trajectory import Linear, Problem
+from .problems import stated
+
+
+def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
+    """Least time of an arm that turns and slides, between two points: problem 8, 9.14138.
+
+    Its length is rho, of 5, its angles theta and phi; torques and force are at most 1.
+    """
+    names = ("rho", "theta", "phi")
+    places, rates = [tx.State(name) for name in names], [tx.State(f"rate of {name}") for name in names]
+    rho, _, phi = places
+    u = tx.Control("u", shape=(3,), min=-1.0, max=1.0)
+    length = 5.0
+    inertia = ((length - rho) ** 3 + rho**3) / 3.0
+    heavy = (length, inertia * tx.Sin(phi) ** 2, inertia)
+    moves: dict[Any, Any] = dict(zip(places, rates)) | {rate: u[k] / heavy[k] for k, rate in enumerate(rates)}
+    still: dict[Any, Any] = dict.fromkeys(rates, 0.0)
+    start, goal = (
+        dict(zip(places, own)) for own in ((4.5, 0.0, math.pi / 4.0), (4.5, 2.0 * math.pi / 3.0, math.pi / 4.0))
+    )
+    options |= {"nodes": nodes, "initial": still | start, "final": still | goal}
+    return stated(moves, tx.Minimize(tx.Time()), final_time=(1.0, 30.0), **options)
+
+
+def particle_steering(nodes: Any = 51, **options: Any) -> Problem:
+    """Least time of a thrust of given size to a height and a speed along the ground: problem 9, 0.554577."""
+    size, height, speed = 100.0, 5.0, 45.0
+    x, y, vx, vy = (tx.State(name) for name in ("x", "y", "vx", "vy"))
+    angle = tx.Control("angle", min=-math.pi / 2.0, max=math.pi / 2.0)
+    rates: dict[Any, Any] = {x: vx, y: vy, vx: size * tx.Cos(angle), vy: size * tx.Sin(angle)}
+    rest: dict[Any, Any] = dict.fromkeys((x, y, vx, vy), 0.0)
+    options |= {"nodes": nodes, "initial": rest, "final": {y: height, vx: speed, vy: 0.0}, "controls": Linear()}
+    return stated(rates, tx.Minimize(tx.Time()), final_time=(0.1, 10.0), **options)
+
+
+def catalyst_mixing(nodes: Any = 101, **options: Any) -> Problem:
+    """How two catalysts are mixed along a reactor for most of the product: problem 14, 0.0480556."""
+    x1, x2, u = tx.State("x1"), tx.State("x2"), tx.Control("u", min=0.0, max=1.0)
+    swap = u * (10.0 * x2 - x1)
+    rates: dict[Any, Any] = {x1: swap, x2: -swap - (1.0 - u) * x2}
+    options |= {"nodes": nodes, "initial": {x1: 1.0, x2: 0.0}}
+    return stated(rates, tx.Maximize(1.0 - x1 - x2), final_time=1.0, **options)
