@@ -1909,6 +1909,15 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/decisions.py",
+        (
+            "a run that creeps along a saddle for ever",
+            "memory.creeping >= LONG",
+            "memory.creeping < -LONG",
+            "trajectory/test_optimality.py",
+        ),
+    ),
+    *_at(
         "trajectory/scaling.py",
         (
             "noise of a guess taken for a size",
@@ -1918,8 +1927,14 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "what rests measured by limits alone",
-            "jnp.where(level > 0.0, jnp.minimum(known, level), known)",
-            "known",
+            "jnp.where(level > 0.0, jnp.minimum(known, level), jnp.where",
+            "jnp.where(level < 0.0, known, jnp.where",
+            "trajectory/test_scales.py",
+        ),
+        (
+            "what rests as large as others whatever its limits",
+            "jnp.minimum(known, level)",
+            "level",
             "trajectory/test_scales.py",
         ),
         (

@@ -65,6 +65,7 @@ def test_phases_are_restated_with_their_links() -> None:
     (left,) = tx.lower([*link.values()])(0.0, {"m": 20.0})
     assert float(left) == 10.0
     assert [phase.final_time for phase in found._phases] == [(10.0, 20.0), 20.0]
+    assert [phase.final_time_guess for phase in found._phases] == [15.0, 20.0]
     (state,), (control,) = found.parts[0].dynamics.states, found.parts[0].dynamics.controls
     assert (float(state.scale), float(control.guess)) == (20.0, 0.05)
 

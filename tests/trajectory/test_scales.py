@@ -37,25 +37,41 @@ def test_controls_that_only_pad_a_stage_have_no_part_in_the_scale_of_the_objecti
     np.testing.assert_allclose(other.cost, unit * plain.cost, rtol=1e-9)
 
 
-@pytest.mark.parametrize("width", [1.0, 1e8])
-def test_limits_say_no_more_of_what_rests_than_others_of_its_vector_do(width: float) -> None:
-    """Of two arms one moves by 2: what else is known of the one at rest are limits, narrow or wide."""
-    q, v = tx.State("q", shape=(2,), min=-3.0 * width, max=3.0 * width), tx.State("v", shape=(2,))
-    u = tx.Control("u", shape=(2,), min=-width, max=width)
+def two_arms(unit: float, low: Any = None, high: Any = None, far: float | None = None) -> Problem:
+    """Of two arms the first moves by 2, the second rests at 0.4; limits of places and of pushes."""
+    q = tx.State("q", shape=(2,), min=low, max=high)
+    v, u = tx.State("v", shape=(2,)), tx.Control("u", shape=(2,), min=far and -far, max=far)
+    still = unit * np.zeros(2)
     ends: dict[str, Any] = {
-        "initial": {q: [-1.0, 0.4], v: [0.0, 0.0]},
-        "final": {q: [1.0, 0.4], v: [0.0, 0.0]},
+        "initial": {q: unit * np.array([-1.0, 0.4]), v: still},
+        "final": {q: unit * np.array([1.0, 0.4]), v: still},
     }
     dynamics = tx.compile(tx.System(rates={q: v, v: u}))
-    problem = Problem(dynamics, tx.Minimize(tx.Time()), nodes=4, final_time=(0.5, 8.0), **ends, **EULER)
-    scales = first_scales(problem)
-    moving, resting = scales.d[0].reshape(2, 2).T
-    np.testing.assert_allclose(moving[0], 1.0)
-    np.testing.assert_allclose(resting, moving)
-    np.testing.assert_allclose(scales.u[0, 1], scales.u[0, 0])
+    cost = tx.Minimize(tx.Time(), running=u @ u / unit**2)
+    return Problem(dynamics, cost, nodes=4, final_time=(0.5, 8.0), **ends, **EULER)
+
+
+@pytest.mark.parametrize("width", [1.0, 1e8])
+def test_limits_say_no_more_of_what_rests_than_others_of_its_vector_do(width: float) -> None:
+    scales = first_scales(two_arms(1.0, -3.0 * width, 3.0 * width, width))
+    np.testing.assert_allclose(scales.d[:, :2], 1.0)
+    np.testing.assert_allclose(scales.u[:, 1], scales.u[:, 0])
+
+
+def test_limits_say_how_little_what_rests_may_move() -> None:
+    scales = first_scales(two_arms(1.0, [-3.0, 0.3], [3.0, 0.5]))
+    np.testing.assert_allclose(scales.d[0, :2], [1.0, 0.1])
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_what_rests_without_limits_counts_as_others_of_its_vector_in_every_unit(unit: float) -> None:
+    scales = first_scales(two_arms(unit))
+    np.testing.assert_allclose(scales.d[:, :2], unit)
+    np.testing.assert_allclose(scales.u[:, 1], scales.u[:, 0])
 
 
 def test_a_free_time_starts_between_its_limits_however_far_apart_they_are() -> None:
-    assert times_of((2.0, 20.0), None) == ((2.0, 20.0), 11.0)
-    assert times_of((0.5, 20_000.0), None) == ((0.5, 20_000.0), pytest.approx(100.0))
+    for low in (1.0, 1e-6, 3e-7, 1e-200):
+        assert times_of((low, 100.0 * low), None)[1] == pytest.approx(50.5 * low)
+        assert times_of((low, 121.0 * low), None)[1] == pytest.approx(11.0 * low)
     assert times_of((0.5, 20_000.0), 3.0)[1] == 3.0

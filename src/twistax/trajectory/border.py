@@ -21,7 +21,7 @@ from ..units import same_unit, seconds
 from .discretize import Controls
 
 #: Limits of a time that are further apart than this leave it open how long things take, but for the order of magnitude.
-_WIDE = 100.0
+_WIDE = 100.0 * (1.0 + 1e-9)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -181,6 +181,6 @@ def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
     if not (0.0 < low <= high < np.inf):
         raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
     if guess is None:
-        guess = 0.5 * (low + high) if high <= _WIDE * low else math.sqrt(low * high)
+        guess = 0.5 * (low + high) if high <= _WIDE * low else math.sqrt(low) * math.sqrt(high)
     number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
     return (low, high), float(guess)

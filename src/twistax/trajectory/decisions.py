@@ -26,6 +26,9 @@ AWAY = 1e6
 #: An unknown that is so many times as large as at the start has lost all digits of it, and has run off; where it is so
 #: many times as large, scales are looked at again and again.
 FAR, NEAR = 1e16, 1e5
+#: Steps in a row near a solution, within so many tolerances, after which a run creeps along a saddle; what more needs
+#: on the diagonal, scaled, is none.
+LONG, CLOSE, CURVED = 30, 100.0, 1e-6
 #: Where a solution stands in scales that are so many times too large, for they were once, these are forgotten.
 INFLATED = 10.0
 
@@ -37,6 +40,7 @@ class Memory(NamedTuple):
     seen: Scales  # the largest since
     forgot: Any  # whether those since have been forgotten
     begun: Begun
+    creeping: Any  # for how many steps in a row
 
 
 class Signs(NamedTuple):
@@ -48,6 +52,7 @@ class Signs(NamedTuple):
     near: Any  # an unknown runs off, maybe
     far: Any  # it has run off
     holds: Any  # every constraint does, in scales without memory
+    creeps: Any  # the run does
 
 
 class Opening(NamedTuple):
@@ -69,11 +74,11 @@ class Decisions:
     def no_memory(self) -> Memory:
         """In place of one, where none is needed."""
         unit = scaling.unit_scales(self._shooting)
-        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing())
+        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing(), np.zeros((), int))
 
     def opening(self, state: State, seen: Scales, bound: Any = True) -> Opening:
         """Of a first state, where these are the largest scales seen."""
-        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state))
+        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state), jnp.zeros((), int))
         finite = jnp.stack([jnp.isfinite(a).all() for a in (*state.scales, *state.values)]).all()
         decided = self._largest_of(self._shooting.decided & ~self._shooting.pinned, state)
         return Opening(state, memory, finite, decided, jnp.asarray(bound))
@@ -112,7 +117,20 @@ class Decisions:
             self._descent.beyond(memory.begun, state, NEAR),
             self.far(state, memory),
             jnp.maximum(lost, self._descent.gaps(memory.begun, state)) <= self._tolerance,
+            self.creeps(memory),
         )
+
+    def crept(self, state: State, memory: Memory, steps: Any) -> Memory:
+        """The memory after a step to a measured state, or none.
+
+        What keeps the equations from a saddle slows all else down, and by symmetry the way aside may have no slope.
+        """
+        slow = (state.raised > CURVED) & (error(state) <= CLOSE * self._tolerance)
+        return memory._replace(creeping=jnp.where(slow, memory.creeping + jnp.where(steps, 1, 0), 0))
+
+    def creeps(self, memory: Memory) -> jax.Array:
+        """Whether a run has done so for long."""
+        return memory.creeping >= LONG
 
     def away(self, state: State) -> jax.Array:
         """Whether multipliers have run away.

@@ -80,7 +80,7 @@ class Together:
             slopes, state, memory, signs = taken.slopes, taken.state, taken.memory, seen(taken.signs)
             count, watch.count = count + np.asarray(taken.count), watch.count + int(further.max())
             worthless = worthless | np.asarray(taken.worthless)
-            calm = (signs.error > tolerance) & np.isfinite(signs.error) & ~signs.away & ~signs.far
+            calm = (signs.error > tolerance) & np.isfinite(signs.error) & ~signs.away & ~signs.far & ~signs.creeps
             goes = goes & calm & ~worthless & ~np.asarray(state.stuck) & (count < most)
         if taken is None:
             return {}

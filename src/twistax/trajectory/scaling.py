@@ -237,8 +237,8 @@ def _drift(slopes: Derivatives, before: jax.Array, gaps: jax.Array, part: Segmen
 def _completed(
     shooting: Shooting, d: jax.Array, u: jax.Array, slopes: jax.Array, drift: jax.Array, limit: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, 1;
-    from the last two no more than other entries of its vector have.
+    """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, though
+    no more than other entries of its vector have, from these, 1.
 
     Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m); states that others
     move count with their drift at least, controls that move others with their limit at most.
@@ -261,12 +261,12 @@ def _completed(
     def complete(sizes: jax.Array, known: jax.Array) -> tuple[jax.Array, None]:
         # Limits may be as wide as they like: they say no more than the other entries of a vector do.
         level = jnp.where(siblings, sizes[None], 0.0).max(axis=1)
-        known = jnp.where(level > 0.0, jnp.minimum(known, level), known)
+        known = jnp.where(level > 0.0, jnp.minimum(known, level), jnp.where(jnp.isfinite(known), known, 1.0))
         begin = jnp.where(sizes > 0.0, sizes, known), jnp.ones((), bool), jnp.zeros((), int)
         return jax.lax.while_loop(lambda own: own[1] & (own[2] < len(sizes)), further, begin)[0], None
 
-    siblings = _siblings(shooting)
-    sizes, _ = jax.lax.scan(complete, sizes, jnp.stack([np.zeros(len(limits)), limits, np.ones(len(limits))]))
+    nothing, siblings = np.zeros(len(limits)), _siblings(shooting)
+    sizes, _ = jax.lax.scan(complete, sizes, jnp.stack([nothing, limits, nothing + np.inf]))
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
     floor = _SMALL * (reach * sizes[None]).max(axis=1)
     weak = jnp.minimum(_finite(_back(jnp.maximum(sizes[:n], floor), reach)[n:]), largest[n:])

@@ -192,7 +192,7 @@ class Solver:
             return self.outcome(state, status, watch.count), state
 
         slopes: Derivatives | None = None
-        searches, rests, shaken, before = 0, 0, False, np.inf
+        searches, rests, shaken, before, away = 0, 0, False, np.inf, iter(_AWAY)
         if reached is None:
             opening = self._begun(start, given)
             state, memory, before = opening.state, opening.memory, float(opening.state.barrier)
@@ -228,6 +228,14 @@ class Solver:
                         searches, shaken, before, origin, slopes = 0, False, np.inf, aside, None
                         state, memory = other.state, other.memory
                         continue
+                if bool(signs.creeps):
+                    size = next(away, None)
+                    memory = memory._replace(creeping=np.int64(-max_iterations))
+                    if size is not None:
+                        other = self._begun(self._step_away(self.steps.levelled(state), size, alone=True), given)
+                        if watch.at_once(other) is None:
+                            state, memory, before, origin, slopes = other.state, other.memory, np.inf, None, None
+                            continue
                 if callback is not None:
                     callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
                 if not signs.far:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from ..lowering.array_call import array_call, is_one_kernel
 from ..lowering.on_disk import compiled
 from . import estimate, scaling
-from .decisions import Decisions, Memory, Opening
+from .decisions import CURVED, Decisions, Memory, Opening
 from .interior_point import InteriorPoint
 from .iterate import Scales, State
 from .stride import Orders, Stride, no_slopes, ordered, stride
@@ -21,9 +21,8 @@ from .transcribed import Derivatives, Given, Point, Transcribed, jitted
 
 #: Unknowns of a stage up to which steps run as one kernel: beyond, products of matrices take XLA's threads.
 _SMALL = 40
-#: A solution that needs more than this on the diagonal, scaled, is no minimum; scales of entries of a vector may be
-#: so far apart then.
-_CURVED, _LEVEL = 1e-6, 10.0
+#: Where a solution is no minimum scales of entries of a vector may be so far apart.
+_LEVEL = 10.0
 
 
 class _Parts(NamedTuple):
@@ -46,7 +45,7 @@ class Steps:
         opening_of, stride_of, raised_of: what is compiled then.
     """
 
-    probe, bent = 3.0 * _CURVED, 1.5 * _CURVED
+    probe, bent = 3.0 * CURVED, 1.5 * CURVED
 
     def __init__(self, shooting: Transcribed, method: InteriorPoint, tolerance: float) -> None:
         self._shooting, self._method = shooting, method

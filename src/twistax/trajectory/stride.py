@@ -108,11 +108,12 @@ def stride(
             lambda: decisions.renewed(measured, slopes, own.memory),
             lambda: (measured.scales, jnp.ones(()), own.memory),
         )
+        memory = decisions.crept(measured, memory, steps)
         worthless = orders.anew & (total > 0) & (total <= max(EARLY)) & (change > WORTHLESS)
         e = measured.errors
         finite = jnp.isfinite(jnp.stack([e.stationarity, e.feasibility, e.gap])).all()
         calm = (error(measured) > tolerance) & finite & ~measured.stuck & ~decisions.away(measured)
-        goes = calm & ~decisions.far(measured, memory) & (count < orders.most)
+        goes = calm & ~decisions.far(measured, memory) & ~decisions.creeps(memory) & (count < orders.most)
         following = jnp.where(goes, _STEP, _END)
         following = jnp.where(change > RENEW, jnp.where(worthless, _END, _RESCALE), following)
         return _Course(slopes, measured, memory, count, worthless, fresh, following)

@@ -1,7 +1,7 @@
 """Optimal control problems of COPS with their published optima.
 
-Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004); problem numbers are its own, values
-those of its finest meshes.
+Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004); problem numbers are its own,
+values those of its finest meshes.
 """
 
 from __future__ import annotations

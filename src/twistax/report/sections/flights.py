@@ -61,6 +61,7 @@ def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedP
 
     The direction of thrust is two angles, linear between nodes. Source: Benson, A Gauss pseudospectral transcription
     for optimal control (2005), section 6.2; 7,529.71 kg by GPOPS, 7,529.66 kg in the manual of PSOPT.
+    That the last stage burns no more than it has is said twice, by its time and by its mass, for limits of times move.
     """
     r, v, m = tx.State("r", shape=(3,)), tx.State("v", shape=(3,)), tx.State("m")
     azimuth, elevation = tx.Control("azimuth"), tx.Control("elevation")

@@ -13,12 +13,12 @@ import numpy as np
 import twistax as tx
 
 from ...scenes import powered_descent
-from ...trajectory import Linear, Problem, TrajectoryResult
+from ...trajectory import Linear, Problem
 
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """A problem, its optimum, how near to it is asked for, and options of the solve, which happens once."""
+    """A problem, maybe of phases, its optimum, how near to it is asked for, and options of its one solve."""
 
     make: Callable[..., Any]
     optimum: float
@@ -26,17 +26,17 @@ class Known:
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @cached_property
-    def problem(self) -> Problem:
+    def problem(self) -> Any:
         """Compiled."""
         return self.make()
 
     @cached_property
-    def plain(self) -> TrajectoryResult:
+    def plain(self) -> Any:
         """From the guess of the problem alone."""
         return self.problem.solve()
 
     @cached_property
-    def result(self) -> TrajectoryResult:
+    def result(self) -> Any:
         """With the options."""
         return self.problem.solve(**self.options)
 

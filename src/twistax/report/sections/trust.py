@@ -119,10 +119,9 @@ class _Units:
         found["guess"] = self._values(stated["guess"] or {})
         times = np.asarray(stated["final_time"]) * size
         found["final_time"] = (times[0] / width, times[1] * width) if times.ndim else float(times)
-        low, high = np.broadcast_to(found["final_time"], 2)
         guess = stated["final_time_guess"]
-        # The middle is a bad guess where limits are wide, and so a hard start.
-        found["final_time_guess"] = 0.5 * (low + high) if guess is None else guess * size
+        # Not the default, which does not move with the limits: their middle is a bad guess, and so a hard start.
+        found["final_time_guess"] = float(np.mean(found["final_time"])) if guess is None else guess * size
         return found
 
     def _put(self, expr: Any) -> Any:
