@@ -42,7 +42,7 @@ problem = tx.trajectory.Problem(
     dynamics,
     tx.Minimize(
         5.0 * (away @ away) + V @ V,
-        running=away @ away + 0.2 * (V @ V) + 0.2 * (effort @ effort) + 100.0 * inside,
+        running=away @ away + 0.2 * (V @ V) + 0.2 * (effort @ effort) + 1000.0 * inside,
     ),
     nodes=NODES,
     substeps=1,
@@ -77,7 +77,9 @@ milliseconds, left = 1e3 * np.array(times[1:]), np.linalg.norm(path[-1] - GOAL)
 print(
     f"step: {np.median(milliseconds):.0f} ms, at most {milliseconds.max():.0f}; {np.median(iterations):.0f} iterations"
 )
-print(f"{left:.2f} m from the goal after {STEPS * INTERVAL:.1f} s; least clearance {clearance:.2f} m")
+print(f"{left:.2f} m from the goal after {STEPS * INTERVAL:.1f} s; least clearance {clearance:.3f} m")
+if clearance < -0.05:
+    raise SystemExit("it flew into a pillar")
 
 if "--picture" in sys.argv:
     import matplotlib.pyplot as plt
