@@ -26,8 +26,8 @@ AWAY = 1e6
 #: An unknown that is so many times as large as at the start has lost all digits of it, and has run off; where it is so
 #: many times as large, scales are looked at again and again.
 FAR, NEAR = 1e16, 1e5
-#: Steps in a row near a solution, within so many tolerances, after which a run creeps along a saddle; what more needs
-#: on the diagonal, scaled, is none.
+#: A run creeps along a saddle after so many steps in a row within so many tolerances; a point that needs more than
+#: CURVED on the diagonal, scaled, is no minimum.
 LONG, CLOSE, CURVED = 30, 100.0, 1e-6
 #: Where a solution stands in scales that are so many times too large, for they were once, these are forgotten.
 INFLATED = 10.0
