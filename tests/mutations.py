@@ -1727,6 +1727,12 @@ MUTATIONS: list[Mutation] = [
             "away = False",
             "trajectory/test_noise.py",
         ),
+        (
+            "a run that ends where it gets nowhere",
+            "self.restarts += again",
+            "again = False",
+            "trajectory/test_statuses.py",
+        ),
     ),
     *_at(
         "trajectory/decisions.py",
@@ -1935,6 +1941,12 @@ MUTATIONS: list[Mutation] = [
             "what rests as large as others whatever its limits",
             "jnp.minimum(known, level)",
             "level",
+            "trajectory/test_scales.py",
+        ),
+        (
+            "axes of a place that know nothing of each other",
+            "own = own[~turns[own]]",
+            "own = own[:0] if turns[own].any() else own",
             "trajectory/test_scales.py",
         ),
         (

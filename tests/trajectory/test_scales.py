@@ -75,3 +75,16 @@ def test_a_free_time_starts_between_its_limits_however_far_apart_they_are() -> N
         assert times_of((low, 100.0 * low), None)[1] == pytest.approx(50.5 * low)
         assert times_of((low, 121.0 * low), None)[1] == pytest.approx(11.0 * low)
     assert times_of((0.5, 20_000.0), 3.0)[1] == 3.0
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_axes_of_a_place_that_nothing_moves_count_as_the_one_that_moves(unit: float) -> None:
+    """A pose that rests in the guess, pushed along its x alone."""
+    g, u = tx.State("g", group=tx.SE3), tx.Control("u", min=-unit, max=unit)
+    dynamics = tx.compile(tx.System(rates={g: tx.Concat(u, np.zeros(5))}))
+    ends: dict[str, Any] = {"initial": {g: tx.pose()}, "final_time": 1.0}
+    problem = Problem(dynamics, tx.Maximize(g[0, 3]), nodes=4, **ends, **EULER)
+    d = first_scales(problem).d
+    linear = d[:, ~problem.shooting.turns]
+    np.testing.assert_allclose(linear / linear.max(axis=1, keepdims=True), 1.0)
+    assert linear.max() < 10.0 * unit

@@ -10,6 +10,7 @@ from trajectory_systems import EULER, HEUN, free_flyer
 
 import twistax as tx
 from twistax.precision import in_double
+from twistax.report.sections import flights
 from twistax.trajectory import Problem, Status, TrajectoryResult, scaling, solver
 from twistax.trajectory.decisions import RENEW
 from twistax.trajectory.descent import Descent
@@ -58,6 +59,30 @@ def test_a_violation_with_a_slope_is_no_certificate(monkeypatch: pytest.MonkeyPa
     result = stated().solve(final_time=1.0)
     assert result.status is Status.STALLED
     assert "Worst: " in result.message
+
+
+def test_a_run_that_gets_nowhere_begins_anew_beside_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four times, from other points; where limits have a certificate, as in the tests above, not at all."""
+    monkeypatch.setattr(solver, "_FLAT", -1.0)
+    monkeypatch.setattr(solver, "_MOST_DAMPING", 0.0)
+    begun, anew = list[Any](), solver.Solver._anew
+
+    def seen(*args: Any) -> Any:
+        found = anew(*args)
+        begun.append(None if found is None else np.asarray(found[0].us))
+        return found
+
+    monkeypatch.setattr(solver.Solver, "_anew", seen)
+    assert stated().solve(final_time=1.0).status is Status.STALLED
+    assert len(begun) == 4
+    assert len({own.tobytes() for own in begun}) == 4
+
+
+def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:
+    """One of 64: from its start it comes to rest 135 rad from where its dynamics lead."""
+    result = flights.quadrotor(20).solve(initial={"g": tx.pose(position=[0.09034702181816101, 0.02820368856191635, -0.22304977476596832])})
+    assert result.solved
+    assert result.cost == pytest.approx(1.46904, rel=1e-5)
 
 
 def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:

@@ -286,13 +286,13 @@ def _declared(shooting: Shooting) -> Array:
 
 
 def _siblings(shooting: Shooting) -> Array:
-    """(n + m, n + m) which tangents and controls are entries of one vector."""
-    found = np.zeros((shooting.n + shooting.m,) * 2, bool)
+    """(n + m, n + m) which tangents and controls are entries of one vector, the axes of a place among them."""
+    found, turns = np.zeros((shooting.n + shooting.m,) * 2, bool), np.pad(shooting.turns, (0, shooting.m))
     for places, first in ((shooting.dynamics.group.slices, 0), (shooting.local.controls.slices, shooting.n)):
-        for name, part in places.items():
-            leaf = shooting.leaves[name]
-            if isinstance(leaf, Control) or isinstance(leaf.group, Euclidean):
-                found[first:, first:][part, part] = True
+        for part in places.values():
+            own = first + np.arange(part.start, part.stop)
+            own = own[~turns[own]]
+            found[np.ix_(own, own)] = True
     return found
 
 

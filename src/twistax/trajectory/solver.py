@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from . import estimate, feasibility, warm
-from .decisions import RENEW, Opening, error, row_violations
+from .decisions import RENEW, Memory, Opening, error, row_violations
 from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
@@ -37,7 +37,7 @@ _WORTH, _LITTLE = 0.5, 0.1
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
 _SLACK, _SHAKE = 1e-3, 0.1
-#: Where multipliers have run away: the step aside from the start, in scales, for a run that begins anew.
+#: Where multipliers have run away, or no step helps: the step aside from the start, in scales, for another run.
 _ASIDE = 0.01
 #: Steps away from a solution that is no minimum, in scales: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
@@ -221,13 +221,10 @@ class Solver:
                 status = watch.ended(signs)
                 if status is not None:
                     return ended(state, status)
-                if origin is not None and watch.astray(signs):
-                    aside = self._step_away(self._begun(start, given).state, _ASIDE, seed=watch.restarts)
-                    other = self._begun(aside, given)
-                    if watch.at_once(other) is None:
-                        searches, shaken, before, origin, slopes = 0, False, np.inf, aside, None
-                        state, memory = other.state, other.memory
-                        continue
+                if origin is not None and watch.astray(signs) and (anew := self._anew(start, given, watch)) is not None:
+                    searches, rests, shaken, before, slopes = 0, 0, False, np.inf, None
+                    origin, state, memory = anew
+                    continue
                 if bool(signs.creeps):
                     size = next(away, None)
                     memory = memory._replace(creeping=np.int64(-max_iterations))
@@ -240,19 +237,31 @@ class Solver:
                     callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
                 if not signs.far:
                     continue
-            searches, before, slopes = searches + 1, np.inf, None
-            if searches > _SEARCHES and shaken:
-                return ended(state, self._at_rest(state))
-            if searches > _SEARCHES:
+            searches, before, slopes, end = searches + 1, np.inf, None, None
+            if searches <= _SEARCHES:
+                state, used, rest = self._feasible(state, given, max_iterations - watch.count)
+                watch.count += used
+                rests += rest is not None
+                if rest is not None and rests > 1:
+                    state, end = self.steps.looked_at(state, given)[1], rest
+                elif rest is not None:
+                    state = self._shaken(state, given)
+            elif not shaken:
                 searches, shaken, state = 0, True, self._shaken(state, given)
-                continue
-            state, used, rest = self._feasible(state, given, max_iterations - watch.count)
-            watch.count += used
-            rests += rest is not None
-            if rest is not None and rests > 1:
-                return ended(self.steps.looked_at(state, given)[1], rest)
-            if rest is not None:
-                state = self._shaken(state, given)
+            else:
+                end = self._at_rest(state)
+            if end is not None:
+                anew = self._anew(start, given, watch) if origin is not None and watch.lost(end) else None
+                if anew is None:
+                    return ended(state, end)
+                searches, rests, shaken = 0, 0, False
+                origin, state, memory = anew
+
+    def _anew(self, start: Any, given: Given, watch: Watch) -> tuple[Point, Iterate, Memory] | None:
+        """A point beside the start, and the first state there; None where a run would end at once."""
+        aside = self._step_away(self._begun(start, given).state, _ASIDE, seed=watch.restarts)
+        found = self._begun(aside, given)
+        return None if watch.at_once(found) is not None else (aside, found.state, found.memory)
 
     def _at_rest(self, state: Iterate) -> Status:
         """The status where no step does better."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from .decisions import Opening, Signs
 
-#: How often a run begins anew because multipliers have run away.
+#: How often a run begins anew because multipliers have run away, or no step helps.
 _RESTARTS = 4
 #: Seconds after which Python is to see signals, Ctrl-C among them.
 _PATIENCE = 0.2
@@ -45,7 +45,7 @@ class Watch:
 
     Attributes:
         count: iterations so far.
-        restarts: how often multipliers have run away.
+        restarts: how often the run has begun anew.
     """
 
     def __init__(self, tolerance: float, most: int) -> None:
@@ -64,6 +64,12 @@ class Watch:
         away = bool(signs.away) and self.restarts < _RESTARTS and not bool(signs.near)
         self.restarts += away
         return away
+
+    def lost(self, status: Status) -> bool:
+        """Whether a run that ends so should begin anew, while there are steps left."""
+        again = status is Status.STALLED and self.restarts < _RESTARTS and self.count < self._most
+        self.restarts += again
+        return again
 
     def at_once(self, opening: Opening) -> Status | None:
         """How it ends before the first step."""
