@@ -1723,14 +1723,26 @@ MUTATIONS: list[Mutation] = [
         "trajectory/watch.py",
         (
             "a run that never begins anew",
-            "self.restarts += away",
+            "self._astray += away",
             "away = False",
             "trajectory/test_noise.py",
         ),
         (
             "a run that ends where it gets nowhere",
-            "self.restarts += again",
+            "self._lost += again",
             "again = False",
+            "trajectory/test_statuses.py",
+        ),
+        (
+            "searches that creep are always left",
+            "return self._lost < _LOST",
+            "return True",
+            "trajectory/test_statuses.py",
+        ),
+        (
+            "searches that creep are never left",
+            "return self._lost < _LOST",
+            "return False",
             "trajectory/test_statuses.py",
         ),
     ),

@@ -204,6 +204,14 @@ def test_what_a_coarse_mesh_misses_is_told() -> None:
     assert result.violations["wall"] < 1e-6
     assert highest > 0.25 + 1e-3
     assert result.between_nodes["wall"] == pytest.approx(highest - 0.25, abs=1e-6)
+    p0, v0, held = result.xs["p"][:-1], result.xs["v"][:-1], result.us["u"]
+    shift, cos, sin = p0 - held / 4.0, np.cos(1.0), np.sin(1.0)
+    ends = np.stack([held / 4.0 + shift * cos + v0 / 2.0 * sin, v0 * cos - 2.0 * shift * sin], axis=1)
+    gaps = np.abs(ends - np.stack([result.xs["p"], result.xs["v"]], axis=1)[1:]) / result.warm.scales.d[1:]
+    stage = int(gaps.max(axis=1).argmax())
+    (told,) = (line for line in result.explain().splitlines() if line.startswith("largest miss of an interval"))
+    assert f"{gaps.max():.1e} between nodes {stage} and {stage + 1}" in told
+    assert ("solve(refine=1e-4)" in told) == (gaps.max() > 1e-2)
     missed = {"p": abs(state[0] - result.xs["p"][-1]), "v": abs(state[1] - result.xs["v"][-1])}
     assert min(missed.values()) > 1e-4
     for name, distance in missed.items():

@@ -61,26 +61,46 @@ def test_a_violation_with_a_slope_is_no_certificate(monkeypatch: pytest.MonkeyPa
     assert "Worst: " in result.message
 
 
-def test_a_run_that_gets_nowhere_begins_anew_beside_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four times, from other points; where limits have a certificate, as in the tests above, not at all."""
-    monkeypatch.setattr(solver, "_FLAT", -1.0)
-    monkeypatch.setattr(solver, "_MOST_DAMPING", 0.0)
-    begun, anew = list[Any](), solver.Solver._anew
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """Where runs begin anew, though not for multipliers that run away: controls there."""
+    monkeypatch.setattr(Watch, "astray", lambda *_: False)
+    found, anew = list[bytes](), solver.Solver._anew
 
     def seen(*args: Any) -> Any:
-        found = anew(*args)
-        begun.append(None if found is None else np.asarray(found[0].us))
-        return found
+        own = anew(*args)
+        assert own is not None
+        found.append(np.asarray(own[0].us).tobytes())
+        return own
 
     monkeypatch.setattr(solver.Solver, "_anew", seen)
+    return found
+
+
+def test_a_run_that_gets_nowhere_begins_anew_beside_its_start(
+    monkeypatch: pytest.MonkeyPatch, begun: list[bytes]
+) -> None:
+    """Twice, from other points; where there is a certificate, as in the tests above, not at all."""
+    monkeypatch.setattr(solver, "_FLAT", -1.0)
+    monkeypatch.setattr(solver, "_MOST_DAMPING", 0.0)
     assert stated().solve(final_time=1.0).status is Status.STALLED
-    assert len(begun) == 4
-    assert len({own.tobytes() for own in begun}) == 4
+    assert len(begun) == len(set(begun)) == 2
+
+
+def test_a_search_that_creeps_is_left_while_there_are_other_starts(
+    monkeypatch: pytest.MonkeyPatch, begun: list[bytes]
+) -> None:
+    """Where every search counts as one that creeps, the third goes on to its certificate."""
+    monkeypatch.setattr(solver, "_CREEPING", (1, -1.0))
+    assert stated().solve(final_time=1.0).status is Status.INFEASIBLE
+    assert len(begun) == 2
 
 
 def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:
     """One of 64: from its start it comes to rest 135 rad from where its dynamics lead."""
-    result = flights.quadrotor(20).solve(initial={"g": tx.pose(position=[0.09034702181816101, 0.02820368856191635, -0.22304977476596832])})
+    result = flights.quadrotor(20).solve(
+        initial={"g": tx.pose(position=[0.09034702181816101, 0.02820368856191635, -0.22304977476596832])}
+    )
     assert result.solved
     assert result.cost == pytest.approx(1.46904, rel=1e-5)
 

@@ -19,6 +19,8 @@ from .watch import Status
 
 #: A scaled multiplier above this is one of an active constraint.
 _ACTIVE = 1e-5
+#: An interval that misses its node by more, in scales of the states, says little of the path.
+_COARSE = 1e-2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,6 +126,7 @@ def _explained(result: Any) -> str:
         f"first-order conditions: {errors}",
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
         f"misses of a finer rollout at the end: {missed}",
+        _mesh(result),
         "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
     ]
     if result.saddle:
@@ -131,6 +134,18 @@ def _explained(result: Any) -> str:
     for m in result.meshes:
         lines.append(f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}")
     return "\n".join(lines)
+
+
+def _mesh(result: Any) -> str:
+    """How far dynamics and nodes are apart, where most, and what to do where that is much."""
+    from .refine import interval_errors
+
+    errors = interval_errors(result)
+    phase = int(np.argmax([own.max() for own in errors]))
+    stage, largest = int(errors[phase].argmax()), float(errors[phase].max())
+    place = f"between nodes {stage} and {stage + 1}" + (f" of phase {phase}" if len(errors) > 1 else "")
+    much = "; the mesh is too coarse for this path: solve(refine=1e-4)" if not largest <= _COARSE else ""
+    return f"largest miss of an interval, in scales of the states: {largest:.1e} {place}{much}"
 
 
 @dataclasses.dataclass(frozen=True)

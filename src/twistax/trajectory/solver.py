@@ -35,6 +35,8 @@ _ACCEPTABLE = 100.0
 _WORTH, _LITTLE = 0.5, 0.1
 #: Of a search for feasible points: relative slope of a stationary point, its damping, and how often it starts anew.
 _FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
+#: Such a search creeps where so many steps leave more than this share of the sum of squares.
+_CREEPING = 30, 0.9
 #: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
 _SLACK, _SHAKE = 1e-3, 0.1
 #: Where multipliers have run away, or no step helps: the step aside from the start, in scales, for another run.
@@ -239,10 +241,11 @@ class Solver:
                     continue
             searches, before, slopes, end = searches + 1, np.inf, None, None
             if searches <= _SEARCHES:
-                state, used, rest = self._feasible(state, given, max_iterations - watch.count)
+                hasty = origin is not None and watch.hasty
+                state, used, rest = self._feasible(state, given, max_iterations - watch.count, hasty)
                 watch.count += used
                 rests += rest is not None
-                if rest is not None and rests > 1:
+                if rest is not None and (rests > 1 or (hasty and rest is Status.STALLED)):
                     state, end = self.steps.looked_at(state, given)[1], rest
                 elif rest is not None:
                     state = self._shaken(state, given)
@@ -310,14 +313,19 @@ class Solver:
 
     # ---- a search for feasible points -------------------------------------------------------------------------------
 
-    def _feasible(self, state: Iterate, given: Given, budget: int) -> tuple[Iterate, int, Status | None]:
+    def _feasible(
+        self, state: Iterate, given: Given, budget: int, hasty: bool = False
+    ) -> tuple[Iterate, int, Status | None]:
         """A point that violates less; how many steps it took; INFEASIBLE or STALLED if no step helps.
 
         INFEASIBLE where the violation has no slope, in scales of that point; STALLED where it has, but no step helps.
+
+        Args:
+            hasty: STALLED where the search creeps, too.
         """
         search = self._begin(state)
         theta, _, _ = self._judged(state, search)
-        count, rest, in_scale = 0, None, False
+        count, rest, in_scale, before = 0, None, False, np.inf
         while count < budget:
             slopes, _ = self.steps.looked_at(feasibility.at(search, state), given)
             search = self._reduce(search, state, slopes, given)
@@ -339,6 +347,11 @@ class Solver:
                 if float(search.largest) > self.tolerance:
                     rest = Status.INFEASIBLE if flat else Status.STALLED
                 break
+            if hasty and count % _CREEPING[0] == 0:
+                if float(search.size) > _CREEPING[1] * before:
+                    rest = Status.STALLED
+                    break
+                before = float(search.size)
         _, _, slack = self._judged(state, search)
         rows = jnp.where(self.method.inequality, state.barrier / slack, 0.0)
         state = state._replace(

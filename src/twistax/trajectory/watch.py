@@ -9,8 +9,8 @@ import numpy as np
 
 from .decisions import Opening, Signs
 
-#: How often a run begins anew because multipliers have run away, or no step helps.
-_RESTARTS = 4
+#: How often a run begins anew because multipliers have run away, and how often because no step helps.
+_ASTRAY, _LOST = 4, 2
 #: Seconds after which Python is to see signals, Ctrl-C among them.
 _PATIENCE = 0.2
 
@@ -45,12 +45,11 @@ class Watch:
 
     Attributes:
         count: iterations so far.
-        restarts: how often the run has begun anew.
     """
 
     def __init__(self, tolerance: float, most: int) -> None:
         self._tolerance, self._most = tolerance, most
-        self.count = self.restarts = 0
+        self.count = self._astray = self._lost = 0
         self._looked = 0, time.perf_counter()
 
     def until(self) -> int:
@@ -59,16 +58,26 @@ class Watch:
         pace = (self.count - before) / max(self._looked[1] - then, 1e-9)
         return min(self._most - self.count, max(1, int(_PATIENCE * pace)))
 
+    @property
+    def restarts(self) -> int:
+        """How often the run has begun anew."""
+        return self._astray + self._lost
+
     def astray(self, signs: Signs) -> bool:
         """Whether multipliers have run away, and the run should begin anew."""
-        away = bool(signs.away) and self.restarts < _RESTARTS and not bool(signs.near)
-        self.restarts += away
+        away = bool(signs.away) and self._astray < _ASTRAY and not bool(signs.near)
+        self._astray += away
         return away
+
+    @property
+    def hasty(self) -> bool:
+        """Whether a search for feasible points that creeps is left; later ones may need steps for a certificate."""
+        return self._lost < _LOST
 
     def lost(self, status: Status) -> bool:
         """Whether a run that ends so should begin anew, while there are steps left."""
-        again = status is Status.STALLED and self.restarts < _RESTARTS and self.count < self._most
-        self.restarts += again
+        again = status is Status.STALLED and self._lost < _LOST and self.count < self._most
+        self._lost += again
         return again
 
     def at_once(self, opening: Opening) -> Status | None:
