@@ -10,6 +10,7 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
+from twistax.precision import in_double
 from twistax.trajectory import Problem, Status, TrajectoryResult, solver
 from twistax.trajectory.scaling import levelled, unit_scales
 
@@ -295,8 +296,8 @@ def test_bends_are_looked_at_along_entries_that_hardly_move() -> None:
     np.testing.assert_array_equal(found.u, np.full((2, 3), 3.0))
 
 
-@pytest.mark.parametrize("declared", [False, True])
-def test_a_saddle_is_left_whatever_units_stand_in_one_vector(declared: bool) -> None:
+@functools.cache
+def hill(declared: bool) -> Problem:
     """Straight over a hill is a saddle, around it is better. The same with two states in one unit gives 0.8994."""
     sizes = np.array([1e3, 1e3, 1.0, 1.0])
     x, u = tx.State("x", shape=(4,), scale=sizes if declared else None), tx.Control("u", shape=(2,))
@@ -304,9 +305,80 @@ def test_a_saddle_is_left_whatever_units_stand_in_one_vector(declared: bool) -> 
     dynamics = tx.compile(tx.System(rates={x: tx.Concat(1e3 * v, u - 0.1 * v**3)}))
     ends: dict[str, Any] = {"initial": {x: [-1e3, 0.0, 0.0, 0.0]}, "final": {x: [1e3, 0.0, 0.0, 0.0]}}
     cost = tx.Minimize(running=0.1 * (u @ u) + 3.0 * tx.Exp(-(p @ p) / 0.2))
-    result = Problem(dynamics, cost, nodes=13, final_time=3.0, **ends).solve()
+    return Problem(dynamics, cost, nodes=13, final_time=3.0, **ends)
+
+
+@pytest.mark.parametrize("declared", [False, True])
+def test_a_saddle_is_left_whatever_units_stand_in_one_vector(declared: bool) -> None:
+    result = hill(declared).solve()
     assert result.solved
     assert result.cost == pytest.approx(0.8994, rel=1e-4)
+
+
+def test_a_saddle_along_which_a_run_creeps_is_left_at_every_tolerance_and_of_many_cases() -> None:
+    for tolerance in (1e-4, 1e-8):
+        result = hill(False).solve(tolerance=tolerance)
+        assert result.solved
+        assert result.cost == pytest.approx(0.8994, rel=1e-4)
+    starts = np.array([[x, 0.0, 0.0, 0.0] for x in (-800.0, -1000.0, -1100.0, -900.0)])
+    many = hill(False).solve_many(initial={"x": starts})
+    alone = [hill(False).solve(initial={"x": start}) for start in starts]
+    assert many.solved.all()
+    np.testing.assert_array_equal(many.iterations, [each.iterations for each in alone])
+    np.testing.assert_allclose(many.cost, [each.cost for each in alone], rtol=1e-9)
+
+
+def test_a_run_that_creeps_goes_on_where_nothing_beside_it_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no step aside leads anywhere, the saddle is what is found, and said to be one."""
+    beside = list[float]()
+
+    def nowhere(own: Any, state: Any, size: float, **_: Any) -> Any:
+        beside.append(size)
+        return state.point
+
+    monkeypatch.setattr(solver.Solver, "_step_away", nowhere)
+    result = hill(True).solve(max_iterations=1000)
+    assert beside == [0.1, 0.3, 1.0]
+    assert result.solved
+    assert result.saddle
+    assert result.cost > 2.1
+
+
+def test_a_run_creeps_only_where_the_diagonal_is_raised_and_the_objective_rests() -> None:
+    with in_double():
+        point, given, *_ = fastest(1.0).started()
+        steps = fastest(1.0)._solver(1e-6, point, given).steps
+        opening = steps.opened(point, given)
+        state = steps.looked_at(opening.state, given)[1]
+    state = state._replace(raised=1e-3, errors=state.errors._replace(feasibility=1e-4))
+    far = state._replace(values=state.values._replace(cost=state.values.cost + 0.01 * state.scales.cost))
+    rough = state._replace(errors=state.errors._replace(feasibility=1e-2))
+    crept = steps._decisions.crept
+    memory = opening.memory._replace(creeping=29)
+    assert steps._decisions.creeps(crept(state, memory, True))
+    for other in (state._replace(raised=1e-7), rough, far):
+        assert crept(other, memory, True).creeping == 0
+    assert crept(far, memory, True).level == far.values.cost
+    assert crept(state, memory, False).creeping == 29
+    assert crept(rough, memory._replace(creeping=-5), True).creeping == -5
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e9])
+def test_units_of_one_vector_do_not_matter_for_what_rests_there(unit: float) -> None:
+    """Places in small units and speeds in one vector; a speed that rests in the guess has a price, and no limits."""
+
+    def dash(unit: float) -> Problem:
+        x, u = tx.State("x", shape=(4,)), tx.Control("u", shape=(2,))
+        own: dict[str, Any] = {"slow": x[3] >= 0.0, "hard": u[0] <= 1.2, "back": -u[0] <= 1.2}
+        dynamics = tx.compile(tx.System(rates={x: tx.Concat(unit * x[2:], u)}, constraints=own))
+        ends: dict[str, Any] = {"initial": {x: [-unit, 0.0, 0.0, 0.0]}, "final": {x: [unit, 0.0, 0.0, 0.0]}}
+        return Problem(dynamics, tx.Minimize(running=u @ u + x[3]), nodes=7, final_time=3.0, **ends, **HEUN)
+
+    plain, other = dash(1.0).solve(), dash(unit).solve()
+    assert plain.solved
+    assert other.solved
+    assert not other.saddle
+    assert other.cost == pytest.approx(plain.cost, rel=2e-5)
 
 
 def test_running_out_of_iterations_is_never_solved() -> None:

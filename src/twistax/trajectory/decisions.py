@@ -26,9 +26,9 @@ AWAY = 1e6
 #: An unknown that is so many times as large as at the start has lost all digits of it, and has run off; where it is so
 #: many times as large, scales are looked at again and again.
 FAR, NEAR = 1e16, 1e5
-#: A run creeps along a saddle after so many steps in a row within so many tolerances; a point that needs more than
-#: CURVED on the diagonal, scaled, is no minimum.
-LONG, CLOSE, CURVED = 30, 100.0, 1e-6
+#: A run creeps along what seems to be a saddle: so many steps in a row need more than CURVED on the diagonal, scaled,
+#: leave residuals below NEARLY, and change the objective by less than that share of its scale.
+LONG, CURVED, NEARLY = 30, 1e-6, 1e-3
 #: Where a solution stands in scales that are so many times too large, for they were once, these are forgotten.
 INFLATED = 10.0
 
@@ -40,7 +40,8 @@ class Memory(NamedTuple):
     seen: Scales  # the largest since
     forgot: Any  # whether those since have been forgotten
     begun: Begun
-    creeping: Any  # for how many steps in a row
+    creeping: Any  # for how many steps in a row; below zero it does not count
+    level: Any  # the objective where they began
 
 
 class Signs(NamedTuple):
@@ -74,11 +75,12 @@ class Decisions:
     def no_memory(self) -> Memory:
         """In place of one, where none is needed."""
         unit = scaling.unit_scales(self._shooting)
-        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing(), np.zeros((), int))
+        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing(), np.zeros((), int), np.zeros(()))
 
     def opening(self, state: State, seen: Scales, bound: Any = True) -> Opening:
         """Of a first state, where these are the largest scales seen."""
-        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state), jnp.zeros((), int))
+        level = jnp.asarray(state.values.cost)
+        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state), jnp.zeros((), int), level)
         finite = jnp.stack([jnp.isfinite(a).all() for a in (*state.scales, *state.values)]).all()
         decided = self._largest_of(self._shooting.decided & ~self._shooting.pinned, state)
         return Opening(state, memory, finite, decided, jnp.asarray(bound))
@@ -125,8 +127,13 @@ class Decisions:
 
         What keeps the equations from a saddle slows all else down, and by symmetry the way aside may have no slope.
         """
-        slow = (state.raised > CURVED) & (error(state) <= CLOSE * self._tolerance)
-        return memory._replace(creeping=jnp.where(slow, memory.creeping + jnp.where(steps, 1, 0), 0))
+        cost = state.values.cost
+        rests = jnp.abs(cost - memory.level) <= NEARLY * state.scales.cost
+        slow = (state.raised > CURVED) & (state.errors.feasibility <= NEARLY) & rests
+        count = memory.creeping + jnp.where(steps, 1, 0)
+        return memory._replace(
+            creeping=jnp.where(slow, count, jnp.minimum(memory.creeping, 0)), level=jnp.where(slow, memory.level, cost)
+        )
 
     def creeps(self, memory: Memory) -> jax.Array:
         """Whether a run has done so for long."""

@@ -17,9 +17,8 @@ import numpy as np
 from ..checks import number, short
 from ..errors import TrajectoryError
 from .decisions import RENEW
-from .iterate import State
 from .program import Program, Reference
-from .solver import Callback, Outcome, Solver, Status
+from .solver import Callback, Outcome, Searched, Solver, Status
 from .transcribed import Given, Point
 from .warm import WarmStart
 from .watch import Watch
@@ -111,7 +110,7 @@ class _Casadi:
             solver.made[key] = self._made(solver.made[self.copies], solver.tolerance)
         made, due = solver.made[key], time.monotonic() + (self.max_seconds or np.inf)
 
-        def search(own: Point | WarmStart, most: int, callback: Callback | None) -> tuple[Outcome, State]:
+        def search(own: Any, most: int, callback: Callback | None) -> Searched:
             return self._search(made, solver, own, given, most, callback, due)
 
         return solver.to_minimum(search, start, given, max_iterations, callback)
@@ -125,7 +124,7 @@ class _Casadi:
         max_iterations: int,
         callback: Callback | None,
         due: float,
-    ) -> tuple[Outcome, State]:
+    ) -> Searched:
         """Passes of the solver, from a start until it has nothing left to turn, or until a time is over."""
         from .casadi_program import Refused
 
@@ -179,7 +178,7 @@ class _Casadi:
             if status is None and (settled or over or passes >= _PASSES):
                 state, status = solver.judged_at_rest(state, given, max_iterations - watch.count)
             failed = not attempt.success
-        return solver.outcome(state, status, watch.count), state
+        return Searched(solver.outcome(state, status, watch.count), state, None)
 
 
 @dataclasses.dataclass(frozen=True)

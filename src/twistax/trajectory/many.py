@@ -77,11 +77,10 @@ class Together:
             # All that still go have gone equally far.
             orders = Orders(goes & (taken is None), goes, goes, further, count, np.asarray(state.barrier))
             taken = self._strode(state, slopes, memory, givens, orders)
-            slopes, state, memory, signs = taken.slopes, taken.state, taken.memory, seen(taken.signs)
-            count, watch.count = count + np.asarray(taken.count), watch.count + int(further.max())
+            slopes, state, memory, steps_of = taken.slopes, taken.state, taken.memory, np.asarray(taken.count)
+            count, watch.count = count + steps_of, watch.count + int(steps_of[goes].max())
             worthless = worthless | np.asarray(taken.worthless)
-            calm = (signs.error > tolerance) & np.isfinite(signs.error) & ~signs.away & ~signs.far & ~signs.creeps
-            goes = goes & calm & ~worthless & ~np.asarray(state.stuck) & (count < most)
+            goes = goes & np.asarray(taken.goes) & (count < most)
         if taken is None:
             return {}
         bends = np.asarray(self._raised(state, givens)) > steps.bent

@@ -238,7 +238,7 @@ def _completed(
     shooting: Shooting, d: jax.Array, u: jax.Array, slopes: jax.Array, drift: jax.Array, limit: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, though
-    no more than other entries of its vector have, from these, 1.
+    no more than other entries of its vector have, from these, of controls before those of states, 1.
 
     Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m); states that others
     move count with their drift at least, controls that move others with their limit at most.
@@ -258,15 +258,18 @@ def _completed(
         found = jnp.concatenate([jnp.where(found[:n] > 0.0, found[:n], ahead), found[n:]])
         return found, (found != sizes).any(), count + 1
 
-    def complete(sizes: jax.Array, known: jax.Array) -> tuple[jax.Array, None]:
+    def complete(sizes: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         # Limits may be as wide as they like: they say no more than the other entries of a vector do.
-        level = jnp.where(siblings, sizes[None], 0.0).max(axis=1)
-        known = jnp.where(level > 0.0, jnp.minimum(known, level), jnp.where(jnp.isfinite(known), known, 1.0))
+        known, level = now[0], jnp.where(siblings, sizes[None], 0.0).max(axis=1)
+        known = jnp.where(level > 0.0, jnp.minimum(known, level), jnp.where(jnp.isfinite(known), known, now[1]))
         begin = jnp.where(sizes > 0.0, sizes, known), jnp.ones((), bool), jnp.zeros((), int)
         return jax.lax.while_loop(lambda own: own[1] & (own[2] < len(sizes)), further, begin)[0], None
 
     nothing, siblings = np.zeros(len(limits)), _siblings(shooting)
-    sizes, _ = jax.lax.scan(complete, sizes, jnp.stack([nothing, limits, nothing + np.inf]))
+    # Units of a state's entries may differ: what controls do to one says more than its neighbours.
+    controls = np.where(np.arange(len(limits)) < n, 0.0, np.inf)
+    rounds = jnp.stack([nothing, limits, controls, nothing + np.inf]), jnp.array([0.0, 0.0, 0.0, 1.0])
+    sizes, _ = jax.lax.scan(complete, sizes, rounds)
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
     floor = _SMALL * (reach * sizes[None]).max(axis=1)
     weak = jnp.minimum(_finite(_back(jnp.maximum(sizes[:n], floor), reach)[n:]), largest[n:])

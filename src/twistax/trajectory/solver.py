@@ -72,6 +72,14 @@ class Outcome(NamedTuple):
         return float(self.violations.max(initial=0.0))
 
 
+class Searched(NamedTuple):
+    """What a search came to."""
+
+    outcome: Outcome
+    state: Iterate
+    crept: Reached | None  # how far it came, where it creeps
+
+
 class Solver:
     """Solves a transcribed problem again and again; what it needs compiles once."""
 
@@ -124,14 +132,16 @@ class Solver:
             reached: how far the run has come already.
         """
 
-        def search(own: Point | WarmStart, most: int, callback: Callback | None) -> tuple[Outcome, Iterate]:
+        def search(own: Any, most: int, callback: Callback | None) -> Searched:
+            if isinstance(own, Reached):  # on from where it crept
+                return self._run(start, given, most, callback, own)
             return self._run(own, given, most, callback, reached if own is start else None)
 
         return self.to_minimum(search, start, given, max_iterations, callback)
 
     def to_minimum(
         self,
-        search: Callable[[Any, int, Callback | None], tuple[Outcome, Iterate]],
+        search: Callable[[Any, int, Callback | None], Searched],
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
@@ -140,24 +150,34 @@ class Solver:
         """What a search finds from a start; where that is no minimum, what it finds a random step away, if better.
 
         Args:
-            search: gives the outcome from a start within so many iterations, and the state there.
+            search: what it finds from a start, or from where it crept, within so many iterations; the state there; and
+                how far it came where it creeps along what seems to be a saddle.
         """
-        found, state = search(start, max_iterations, callback)
-        count, saddle = found.iterations, False
+        found, state, crept = search(start, max_iterations, callback)
+        count, saddle, tries = found.iterations, False, 0
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
-        while found.status is Status.SOLVED and not saddle:
-            if not self._bends_down(state, given):
-                break
-            state = self.steps.levelled(state)
-            saddle, lower = True, found.cost - self.tolerance * float(state.scales.cost)
+        while crept is not None or (found.status is Status.SOLVED and self._bends_down(state, given)):
+            levelled = self.steps.levelled(state)
+            lower, better = found.cost - self.tolerance * float(levelled.scales.cost), None
             for size in _AWAY:
-                if count >= max_iterations:
+                # Enough is left to go on from where it crept.
+                most = (max_iterations - count) // (1 if crept is None else 2)
+                if most <= 0:
                     break
-                other, there = search(self._step_away(state, size, alone=True), max_iterations - count, later)
-                count += other.iterations
-                if other.status in (Status.SOLVED, Status.UNBOUNDED) and other.cost < lower:
-                    found, state, saddle = other, there, False
+                other = search(self._step_away(levelled, size, alone=True, seed=tries), most, later)
+                count, tries = count + other.outcome.iterations, tries + 1
+                if other.outcome.status in (Status.SOLVED, Status.UNBOUNDED) and other.outcome.cost < lower:
+                    better = other
                     break
+            if better is not None:
+                found, state, crept = better
+                continue
+            if crept is not None:
+                spent = count - crept.iterations
+                found, state, _ = search(crept.patient(), max_iterations - spent, callback)
+                count = spent + found.iterations
+            saddle = found.status is Status.SOLVED and self._bends_down(state, given)
+            break
         return found._replace(iterations=count, saddle=saddle)
 
     def _bends_down(self, state: Iterate, given: Given) -> bool:
@@ -187,14 +207,14 @@ class Solver:
         max_iterations: int,
         callback: Callback | None,
         reached: Reached | None = None,
-    ) -> tuple[Outcome, Iterate]:
+    ) -> Searched:
         watch = Watch(self.tolerance, max_iterations)
 
-        def ended(state: Iterate, status: Status) -> tuple[Outcome, Iterate]:
-            return self.outcome(state, status, watch.count), state
+        def ended(state: Iterate, status: Status, crept: Reached | None = None) -> Searched:
+            return Searched(self.outcome(state, status, watch.count), state, crept)
 
         slopes: Derivatives | None = None
-        searches, rests, shaken, before, away = 0, 0, False, np.inf, iter(_AWAY)
+        searches, rests, shaken, before = 0, 0, False, np.inf
         if reached is None:
             opening = self._begun(start, given)
             state, memory, before = opening.state, opening.memory, float(opening.state.barrier)
@@ -228,13 +248,7 @@ class Solver:
                     origin, state, memory = anew
                     continue
                 if bool(signs.creeps):
-                    size = next(away, None)
-                    memory = memory._replace(creeping=np.int64(-max_iterations))
-                    if size is not None:
-                        other = self._begun(self._step_away(self.steps.levelled(state), size, alone=True), given)
-                        if watch.at_once(other) is None:
-                            state, memory, before, origin, slopes = other.state, other.memory, np.inf, None, None
-                            continue
+                    return ended(state, Status.STALLED, Reached(taken, watch.count))
                 if callback is not None:
                     callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
                 if not signs.far:

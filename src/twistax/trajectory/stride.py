@@ -16,6 +16,8 @@ from .interior_point import InteriorPoint
 from .iterate import Scales, State
 from .transcribed import Derivatives, Given, Transcribed
 
+#: Steps before those of a run that never creeps.
+_NEVER = -(2**62)
 #: What comes next.
 _END, _STEP, _LOOK, _RESCALE = range(4)
 
@@ -47,6 +49,7 @@ class Stride(NamedTuple):
     memory: Memory
     count: Any  # of the steps
     worthless: Any  # whether the run should begin anew, in the scales that are due
+    goes: Any  # whether nothing but their number ended them
     signs: Signs
 
 
@@ -56,6 +59,12 @@ class Reached(NamedTuple):
     last: Stride
     iterations: int
 
+    def patient(self) -> Reached:
+        """The same, of a run that may creep from here on."""
+        signs = self.last.signs._replace(creeps=np.zeros((), bool))
+        memory = self.last.memory._replace(creeping=np.int64(_NEVER))
+        return self._replace(last=self.last._replace(memory=memory, signs=signs))
+
 
 class _Course(NamedTuple):
     slopes: Derivatives
@@ -63,6 +72,7 @@ class _Course(NamedTuple):
     memory: Memory
     count: Any
     worthless: Any
+    goes: Any
     fresh: Scales  # those that were due last
     following: Any
 
@@ -113,12 +123,13 @@ def stride(
         e = measured.errors
         finite = jnp.isfinite(jnp.stack([e.stationarity, e.feasibility, e.gap])).all()
         calm = (error(measured) > tolerance) & finite & ~measured.stuck & ~decisions.away(measured)
-        goes = calm & ~decisions.far(measured, memory) & ~decisions.creeps(memory) & (count < orders.most)
-        following = jnp.where(goes, _STEP, _END)
+        goes = calm & ~decisions.far(measured, memory) & ~decisions.creeps(memory) & ~worthless
+        following = jnp.where(goes & (count < orders.most), _STEP, _END)
         following = jnp.where(change > RENEW, jnp.where(worthless, _END, _RESCALE), following)
-        return _Course(slopes, measured, memory, count, worthless, fresh, following)
+        return _Course(slopes, measured, memory, count, worthless, goes, fresh, following)
 
     first = jnp.where(orders.look, _LOOK, jnp.where(orders.most > 0, _STEP, _END))
-    begin = _Course(slopes, state, memory, jnp.zeros((), int), jnp.zeros((), bool), state.scales, first)
+    no = jnp.zeros((), bool)
+    begin = _Course(slopes, state, memory, jnp.zeros((), int), no, no, state.scales, first)
     found = jax.lax.while_loop(lambda own: own.following != _END, ahead, begin)
     return Stride(*found[:-2], decisions.signs(found.state, found.memory))

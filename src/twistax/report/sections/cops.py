@@ -1,7 +1,7 @@
 """Optimal control problems of COPS with their published optima.
 
 Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004); problem numbers are its own,
-values those of its finest meshes.
+values those of the finest meshes of its tables.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from .problems import stated
 
 
 def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
-    """Least time of an arm that turns and slides, between two points: problem 8, 9.14138.
+    """Least time of an arm that turns and slides, between two points: problem 8, 9.14093.
 
     Its length is rho, of 5, its angles theta and phi; torques and force are at most 1.
     """
-    names = ("rho", "theta", "phi")
-    places, rates = [tx.State(name) for name in names], [tx.State(f"rate of {name}") for name in names]
+    limits = {"rho": (0.0, 5.0), "theta": (-math.pi, math.pi), "phi": (0.0, math.pi)}
+    places = [tx.State(name, min=low, max=high) for name, (low, high) in limits.items()]
+    rates = [tx.State(f"rate of {name}") for name in limits]
     rho, _, phi = places
     u = tx.Control("u", shape=(3,), min=-1.0, max=1.0)
     length = 5.0
@@ -37,7 +38,7 @@ def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
 
 
 def particle_steering(nodes: Any = 51, **options: Any) -> Problem:
-    """Least time of a thrust of given size to a height and a speed along the ground: problem 9, 0.554577."""
+    """Least time of a thrust of given size to a height and a speed along the ground: problem 9, 0.554571."""
     size, height, speed = 100.0, 5.0, 45.0
     x, y, vx, vy = (tx.State(name) for name in ("x", "y", "vx", "vy"))
     angle = tx.Control("angle", min=-math.pi / 2.0, max=math.pi / 2.0)
