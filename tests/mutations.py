@@ -1710,7 +1710,7 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "a case that has ended goes on among others",
-            "goes = goes & calm &",
+            "goes = goes & np.asarray(taken.goes) &",
             "goes = goes &",
             "trajectory/test_many.py",
         ),
@@ -1718,6 +1718,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/stride.py",
         ("one step more", "(count < orders.most)", "(count <= orders.most)", "trajectory/test_many.py"),
+        (
+            "a run that does not end where it creeps",
+            " & ~decisions.creeps(memory)",
+            "",
+            "trajectory/test_optimality.py",
+        ),
     ),
     *_at(
         "trajectory/watch.py",
@@ -1934,6 +1940,24 @@ MUTATIONS: list[Mutation] = [
             "memory.creeping < -LONG",
             "trajectory/test_optimality.py",
         ),
+        (
+            "a run creeps wherever it is slow",
+            "(state.raised > CURVED) & ",
+            "",
+            "trajectory/test_optimality.py",
+        ),
+        (
+            "a run that is to be patient creeps again",
+            "jnp.minimum(memory.creeping, 0)",
+            "0",
+            "trajectory/test_optimality.py",
+        ),
+        (
+            "scales of a start that stay for ever",
+            " | (fresh.cost > INFLATED * cost)",
+            "",
+            "trajectory/test_statuses.py",
+        ),
     ),
     *_at(
         "trajectory/scaling.py",
@@ -1954,6 +1978,12 @@ MUTATIONS: list[Mutation] = [
             "jnp.minimum(known, level)",
             "level",
             "trajectory/test_scales.py",
+        ),
+        (
+            "neighbours tell states' sizes before controls do",
+            "controls = np.where(np.arange(len(limits)) < n, 0.0, np.inf)",
+            "controls = nothing + np.inf",
+            "trajectory/test_optimality.py",
         ),
         (
             "axes of a place that know nothing of each other",

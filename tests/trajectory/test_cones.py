@@ -1,5 +1,7 @@
 """Bounds on norms as smooth rows: the same sets of points, and the same optimum in every form."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -104,3 +106,17 @@ def test_least_fuel_of_a_rendezvous(form: str) -> None:
     fuel = np.linalg.norm(result.us["u"], axis=1).sum() * 8.0 / 30.0
     assert fuel == pytest.approx(LEAST_FUEL, abs=1e-5)
     assert np.linalg.norm(result.us["u"], axis=1).max() <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize("controls", [None, tx.trajectory.Linear()])
+def test_magnitudes_of_controls_in_a_cost(controls: tx.trajectory.Linear | None) -> None:
+    """Least fuel over 1 in 3 s with |u| <= 1: 3 - sqrt(5), off by what intervals miss."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}, "controls": controls}
+    cost = tx.Minimize(running=2.0 * tx.Abs(u) + 0.0 * v)
+    result = Problem(dynamics, cost, nodes=13, final_time=3.0, **ends, **HEUN).solve()
+    assert result.solved
+    assert result.iterations < 60
+    assert result.cost == pytest.approx(2.0 * (3.0 - np.sqrt(5.0)), rel=5e-2 if controls else 2e-2)
+    assert set(result.us) == {"u"}

@@ -109,7 +109,7 @@ def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:
     with in_double():
         point, given, *_ = stated().started()
         own = stated()._solver(1e-6, point, given)
-        _, state = own._run(point, given, 500, None)
+        state = own._run(point, given, 500, None).state
         memory = own.steps.opening(state, state.scales).memory
         ended = lambda: Watch(1e-6, 500).ended(own.steps.signs(state, memory))  # noqa: E731
         assert ended() is Status.SOLVED
@@ -121,6 +121,25 @@ def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:
         state = own.rescaled(state, near, given)
         assert ended() is Status.SOLVED
         assert own.steps.renewed(state, own.steps.looked_at(state, given)[0], memory)[1] <= RENEW
+
+
+def test_an_objective_counts_no_more_than_it_moves_and_has_moved() -> None:
+    """However large the scales of a start were: a millionth of them may still be far more than all of it."""
+    with in_double():
+        point, given, *_ = stated().started()
+        own = stated()._solver(1e-6, point, given)
+        opening, (_, state, _) = own.steps.opened(point, given), own._run(point, given, 500, None)
+        measured = own.steps.scales(state.point, own.steps.looked_at(state, given)[0], state.scales)[0].cost
+        moved = abs(float(state.values.cost - opening.memory.begun.cost))
+        huge = opening.memory.first._replace(cost=1e15 * measured)
+        state = own.rescaled(state, state.scales._replace(cost=1e9 * measured), given)
+        slopes, state = own.steps.looked_at(state, given)
+        fresh, change, memory = own.steps.renewed(state, slopes, opening.memory._replace(first=huge, seen=huge))
+        assert change > RENEW
+        assert measured <= fresh.cost <= 1.001 * max(measured, moved)
+        state = own.rescaled(state, fresh, given)
+        slopes, state = own.steps.looked_at(state, given)
+        assert own.steps.renewed(state, slopes, memory)[0].cost == pytest.approx(float(fresh.cost))
 
 
 def test_scales_are_forgotten_without_a_step(monkeypatch: pytest.MonkeyPatch) -> None:

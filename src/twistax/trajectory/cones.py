@@ -64,51 +64,47 @@ def without_norms(residual: Expr) -> list[Expr]:
 
 @dataclasses.dataclass(frozen=True)
 class NormControls:
-    """Norms of controls in a running cost, each replaced by a control s of its own with |a| <= s."""
+    """Norms and magnitudes of controls in a running cost, each replaced by a control s of its own that bounds it."""
 
     running: Expr | None
     controls: tuple[Control, ...]
-    operands: tuple[Expr, ...]
+    sizes: tuple[Expr, ...]
 
     @property
     def rows(self) -> list[tuple[str, Expr]]:
-        """a.a - s^2 and -s, <= 0 both, with a name."""
-        pairs = zip(self.controls, self.operands)
-        return [(s.name, row) for s, a in pairs for row in ((Dot(a, a) - s * s).canonicalize(), -s)]
+        """Smooth rows, <= 0, that say so, with a name."""
+        pairs = zip(self.controls, self.sizes)
+        return [(s.name, row) for s, size in pairs for row in without_norms((size - s).canonicalize())]
 
     def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
-        """Values of the controls over all intervals, (intervals, 1) each: a little above the norms."""
+        """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
         if not self.controls:
             return []
         known = {name: jnp.asarray(value) for name, value in params.items()}
 
-        def norms(u: dict[str, jax.Array]) -> list[jax.Array]:
+        def sizes(u: dict[str, jax.Array]) -> list[jax.Array]:
             inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
-            return [jnp.linalg.norm(a) for a in evaluate_all(self.operands, lambda leaf: leaf.read(inputs))]
+            return evaluate_all(self.sizes, lambda leaf: leaf.read(inputs))
 
-        sizes = jax.vmap(norms)({name: jnp.asarray(values) for name, values in us.items()})
-        return [np.asarray(a + 0.1 * (a.max() or 1.0))[:, None] for a in map(np.asarray, sizes)]
+        found = jax.vmap(sizes)({name: jnp.asarray(values) for name, values in us.items()})
+        return [np.asarray(a + 0.1 * (a.max() or 1.0))[:, None] for a in map(np.asarray, found)]
 
 
 def norm_controls(running: Expr | None, sign: float) -> NormControls:
-    """What a running cost is without its norms of controls alone, which have no slope where a control is zero.
+    """What a running cost is without its norms and magnitudes of controls alone, which have no slope at zero.
 
-    Held controls make such a norm constant over an interval, so its bound s is one number there. At a minimum s = |a|.
+    Held controls make such a size constant over an interval, so its bound s is one number there. At a minimum s = |a|.
     """
     if running is None:
         return NormControls(None, (), ())
     kept: list[Term] = []
-    controls: list[Control] = []
-    operands: list[Expr] = []
-    found: dict[str, Control] = {}
+    found: dict[str, tuple[Control, Expr]] = {}
     for factor, part in linear_terms(running.canonicalize()):
-        if is_norm(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
-            if part.key() not in found:
-                controls.append(Control(f"bound on {part!r}"))
-                operands.append(part.children()[0])
-            part = found.setdefault(part.key(), controls[-1])
+        if is_size(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
+            part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}"), part))
         kept.append((factor, part))
-    return NormControls(sum_of(kept).canonicalize() if controls else running, tuple(controls), tuple(operands))
+    bounds = tuple(own for own, _ in found.values())
+    return NormControls(sum_of(kept).canonicalize() if bounds else running, bounds, tuple(a for _, a in found.values()))
 
 
 def linear_terms(expr: Expr, factor: float = 1.0) -> list[Term]:
@@ -143,6 +139,11 @@ def sum_of(terms: list[Term]) -> Expr:
 def is_norm(expr: Expr) -> bool:
     """Whether it is the Euclidean norm of a vector."""
     return isinstance(expr, Norm) and expr.ord == "fro" and len(expr.operand.shape) == 1
+
+
+def is_size(expr: Expr) -> bool:
+    """Whether it is a norm, or the magnitude of a number."""
+    return is_norm(expr) or (isinstance(expr, Abs) and expr.shape == ())
 
 
 def _square(norm: Expr) -> Expr:

@@ -103,10 +103,16 @@ class Decisions:
         """New scales for a measured state, by how much its own are off, and what is known then."""
         measured, sloped = scaling.measured(self._shooting, state.point, slopes, state.scales)
         fresh, seen = scaling.not_below(measured, memory.seen, sloped)
+        known, largest = scaling.not_below(measured, memory.first, sloped)
+        # At a start of huge scales the objective's may be far more than it has moved since.
+        moved = jnp.abs(state.values.cost - memory.begun.cost)
+        cost = jnp.maximum(jnp.where(sloped, measured.cost, 0.0), jnp.minimum(known.cost, moved))
+        cost = jnp.where(cost > 0.0, cost, known.cost)
+        kept = known._replace(cost=cost), largest._replace(cost=cost)
         there = (error(state) <= self._tolerance) & ~memory.forgot
-        forget = there & self._descent.inflated(memory.begun, state._replace(scales=fresh), INFLATED)
-        known = scaling.not_below(measured, memory.first, sloped)
-        fresh, seen = jax.tree.map(lambda a, b: jnp.where(forget, a, b), known, (fresh, seen))
+        inflated = self._descent.inflated(memory.begun, state._replace(scales=fresh), INFLATED)
+        forget = there & (inflated | (fresh.cost > INFLATED * cost))
+        fresh, seen = jax.tree.map(lambda a, b: jnp.where(forget, a, b), kept, (fresh, seen))
         memory = memory._replace(seen=seen, forgot=memory.forgot | forget)
         return fresh, scaling.change(fresh, state.scales), memory
 

@@ -19,7 +19,6 @@ from numpy import ndarray as Array
 
 from ..errors import ModelError
 from ..expr import (
-    Abs,
     Constant,
     Constraint,
     Control,
@@ -36,7 +35,7 @@ from ..expr.graph import substitute
 from ..groups import Euclidean
 from ..lowering import Dynamics, compile
 from ..system import System, free_name, name_of
-from .cones import Term, is_norm, linear_terms, sum_of
+from .cones import Term, is_size, linear_terms, sum_of
 from .controls import Linear, Spline, is_rate
 from .functionals import Extreme, Functional, Initial, Integral
 from .statement import Objective, check_leaves
@@ -178,7 +177,7 @@ class Reduction:
         """The integrand with a bound in place of each norm of controls."""
         terms: list[Term] = []
         for factor, part in linear_terms(leaf.operand.canonicalize()):
-            sized = is_norm(part) or (isinstance(part, Abs) and part.shape == ())
+            sized = is_size(part)
             if sized and factor > 0.0 and all(isinstance(e, (Control, Parameter, Constant)) for e in leaves_of(part)):
                 bound = Control(free_name(f"bound on {part!r} in {leaf!r}", self._taken))
                 self._taken.add(bound.name)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Constraint, Control, Expr, Norm, State, Time, leaves_of
+from ..expr import Constraint, Control, Expr, State, Time, leaves_of
 from ..expr.graph import substitute
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..lowering import Dynamics, compile
@@ -74,7 +74,7 @@ class Restated:
         if ways:
             running, bounds = _with_bounds(objective, set(ways))
             self._smooth |= {s.name: s for s, _ in bounds}
-            rows = {s.name: Norm(a) <= s for s, a in bounds}
+            rows = {s.name: size <= s for s, size in bounds}
             self.objective = type(objective)(objective.final, running=running)
             for name, leaf in self._smooth.items():
                 self._add(leaf, ways.get(name, Linear()))
@@ -195,12 +195,12 @@ class Restated:
 
 
 def _with_bounds(objective: Objective, smooth: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:
-    """The running cost with a bound, a linear control of its own, in place of each norm of continuous controls."""
+    """The running cost with a bound, a linear control of its own, in place of each size of continuous controls."""
     found = norm_controls(objective.running, objective.sign)
     bounds, back = [], {}
-    for bound, operand in zip(found.controls, found.operands):
-        if any(isinstance(leaf, Control) and leaf.name in smooth for leaf in leaves_of(operand)):
-            bounds.append((bound, operand))
+    for bound, size in zip(found.controls, found.sizes):
+        if any(isinstance(leaf, Control) and leaf.name in smooth for leaf in leaves_of(size)):
+            bounds.append((bound, size))
         else:
-            back[bound.key()] = Norm(operand)
+            back[bound.key()] = size
     return None if found.running is None else substitute(found.running, back), bounds
