@@ -1774,7 +1774,7 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "SOLVED in scales of an excursion",
-            "there & self._descent.inflated(memory.begun, state._replace(scales=fresh), INFLATED)",
+            "there & (inflated | (fresh.cost > INFLATED * cost))",
             "there & False",
             "trajectory/test_statuses.py",
         ),
@@ -2050,8 +2050,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "a worst trajectory of a problem without bound as the best",
-            "other.status in (Status.SOLVED, Status.UNBOUNDED)",
-            "other.status is Status.SOLVED",
+            "other.outcome.status in (Status.SOLVED, Status.UNBOUNDED)",
+            "other.outcome.status is Status.SOLVED",
             "trajectory/test_statuses.py",
         ),
         (
