@@ -1720,7 +1720,7 @@ MUTATIONS: list[Mutation] = [
         ("one step more", "(count < orders.most)", "(count <= orders.most)", "trajectory/test_many.py"),
         (
             "a run that does not end where it creeps",
-            " & ~decisions.creeps(memory)",
+            "~decisions.creeps(memory) & ",
             "",
             "trajectory/test_optimality.py",
         ),

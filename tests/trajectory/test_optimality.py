@@ -353,7 +353,7 @@ def test_a_run_creeps_only_where_the_diagonal_is_raised_and_the_objective_rests(
     state = state._replace(raised=1e-3, errors=state.errors._replace(feasibility=1e-4))
     far = state._replace(values=state.values._replace(cost=state.values.cost + 0.01 * state.scales.cost))
     rough = state._replace(errors=state.errors._replace(feasibility=1e-2))
-    crept = steps._decisions.crept
+    crept = steps._decisions.went
     memory = opening.memory._replace(creeping=29)
     assert steps._decisions.creeps(crept(state, memory, True))
     for other in (state._replace(raised=1e-7), rough, far):

@@ -29,6 +29,8 @@ FAR, NEAR = 1e16, 1e5
 #: A run creeps along what seems to be a saddle: so many steps in a row need more than CURVED on the diagonal, scaled,
 #: leave residuals below NEARLY, and change the objective by less than that share of its scale.
 LONG, CURVED, NEARLY = 30, 1e-6, 1e-3
+#: A run is jammed after so many steps in a row of less than this share, with residuals above NEARLY.
+JAMMED, SHORT = 10, 1e-2
 #: Where a solution stands in scales that are so many times too large, for they were once, these are forgotten.
 INFLATED = 10.0
 
@@ -42,6 +44,7 @@ class Memory(NamedTuple):
     begun: Begun
     creeping: Any  # for how many steps in a row; below zero it does not count
     level: Any  # the objective where they began
+    jammed: Any  # for how many steps in a row
 
 
 class Signs(NamedTuple):
@@ -54,6 +57,7 @@ class Signs(NamedTuple):
     far: Any  # it has run off
     holds: Any  # every constraint does, in scales without memory
     creeps: Any  # the run does
+    jams: Any  # it hardly moves, and does not hold what it should
 
 
 class Opening(NamedTuple):
@@ -75,12 +79,14 @@ class Decisions:
     def no_memory(self) -> Memory:
         """In place of one, where none is needed."""
         unit = scaling.unit_scales(self._shooting)
-        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing(), np.zeros((), int), np.zeros(()))
+        none = np.zeros((), int)
+        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing(), none, np.zeros(()), none)
 
     def opening(self, state: State, seen: Scales, bound: Any = True) -> Opening:
         """Of a first state, where these are the largest scales seen."""
         level = jnp.asarray(state.values.cost)
-        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state), jnp.zeros((), int), level)
+        none = jnp.zeros((), int)
+        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state), none, level, none)
         finite = jnp.stack([jnp.isfinite(a).all() for a in (*state.scales, *state.values)]).all()
         decided = self._largest_of(self._shooting.decided & ~self._shooting.pinned, state)
         return Opening(state, memory, finite, decided, jnp.asarray(bound))
@@ -126,24 +132,33 @@ class Decisions:
             self.far(state, memory),
             jnp.maximum(lost, self._descent.gaps(memory.begun, state)) <= self._tolerance,
             self.creeps(memory),
+            self.jams(memory),
         )
 
-    def crept(self, state: State, memory: Memory, steps: Any) -> Memory:
+    def went(self, state: State, memory: Memory, steps: Any) -> Memory:
         """The memory after a step to a measured state, or none.
 
         What keeps the equations from a saddle slows all else down, and by symmetry the way aside may have no slope.
+        Where many limits are met, steps may be too short to bring constraints closer.
         """
         cost = state.values.cost
         rests = jnp.abs(cost - memory.level) <= NEARLY * state.scales.cost
         slow = (state.raised > CURVED) & (state.errors.feasibility <= NEARLY) & rests
         count = memory.creeping + jnp.where(steps, 1, 0)
+        short = (state.lengths[0] < SHORT) & (state.errors.feasibility > NEARLY)
         return memory._replace(
-            creeping=jnp.where(slow, count, jnp.minimum(memory.creeping, 0)), level=jnp.where(slow, memory.level, cost)
+            creeping=jnp.where(slow, count, jnp.minimum(memory.creeping, 0)),
+            level=jnp.where(slow, memory.level, cost),
+            jammed=jnp.where(short, memory.jammed + jnp.where(steps, 1, 0), 0),
         )
 
     def creeps(self, memory: Memory) -> jax.Array:
         """Whether a run has done so for long."""
         return memory.creeping >= LONG
+
+    def jams(self, memory: Memory) -> jax.Array:
+        """Whether a run is jammed."""
+        return memory.jammed >= JAMMED
 
     def away(self, state: State) -> jax.Array:
         """Whether multipliers have run away.

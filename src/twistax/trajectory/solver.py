@@ -251,8 +251,9 @@ class Solver:
                     return ended(state, Status.STALLED, Reached(taken, watch.count))
                 if callback is not None:
                     callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
-                if not signs.far:
+                if not signs.far and not signs.jams:
                     continue
+            memory = memory._replace(jammed=np.zeros((), int))
             searches, before, slopes, end = searches + 1, np.inf, None, None
             if searches <= _SEARCHES:
                 hasty = origin is not None and watch.hasty

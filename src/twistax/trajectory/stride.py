@@ -118,12 +118,13 @@ def stride(
             lambda: decisions.renewed(measured, slopes, own.memory),
             lambda: (measured.scales, jnp.ones(()), own.memory),
         )
-        memory = decisions.crept(measured, memory, steps)
+        memory = decisions.went(measured, memory, steps)
         worthless = orders.anew & (total > 0) & (total <= max(EARLY)) & (change > WORTHLESS)
         e = measured.errors
         finite = jnp.isfinite(jnp.stack([e.stationarity, e.feasibility, e.gap])).all()
         calm = (error(measured) > tolerance) & finite & ~measured.stuck & ~decisions.away(measured)
-        goes = calm & ~decisions.far(measured, memory) & ~decisions.creeps(memory) & ~worthless
+        calm = calm & ~decisions.creeps(memory) & ~decisions.jams(memory)
+        goes = calm & ~decisions.far(measured, memory) & ~worthless
         following = jnp.where(goes & (count < orders.most), _STEP, _END)
         following = jnp.where(change > RENEW, jnp.where(worthless, _END, _RESCALE), following)
         return _Course(slopes, measured, memory, count, worthless, goes, fresh, following)
