@@ -279,7 +279,8 @@ def test_a_worst_trajectory_is_left_or_told(monkeypatch: pytest.MonkeyPatch) -> 
     worst = problem.solve()
     assert worst.solved
     assert worst.saddle
-    assert "a saddle: the objective falls to second order from here" in worst.explain()
+    assert "at a saddle: the objective falls to second order from here" in worst.message
+    assert worst.message in worst.explain()
 
 
 def test_bends_are_looked_at_along_entries_that_hardly_move() -> None:

@@ -1,5 +1,6 @@
 """What a problem says when it cannot be solved, or not be stated."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -169,6 +170,16 @@ def test_too_few_iterations_are_said() -> None:
     result = stated().solve(max_iterations=2)
     assert result.status is Status.MAX_ITERATIONS
     assert result.iterations == 2
+    assert f"stationarity is {result.optimality.stationarity:.1e}" in result.message
+
+
+def test_what_goes_back_in_time_has_no_rollout() -> None:
+    """Free node times of a solve that has not ended may."""
+    times = np.array([0.0, 1.0, 0.75, 1.0, 2.0, 2.5, 2.75, 3.0])
+    result = dataclasses.replace(stated().solve(), ts=times)
+    with pytest.raises(tx.TrajectoryError, match=r"node 2 is before node 1, at 0\.75 s"):
+        result.replay()
+    assert "no finer rollout: node 2 is before node 1" in result.explain()
 
 
 def test_values_that_are_not_finite_are_said() -> None:

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
+from ..errors import IntegrationError, TrajectoryError
 from .border import Border
 from .solver import Outcome
 from .statement import largest_by_name
@@ -19,6 +20,8 @@ from .watch import Status
 
 #: A scaled multiplier above this is one of an active constraint.
 _ACTIVE = 1e-5
+#: What is said of a solution that is no minimum.
+_SADDLE = ", at a saddle: the objective falls to second order from here, and searches beside it found no better"
 #: An interval that misses its node by more, in scales of the states, says little of the path.
 _COARSE = 1e-2
 
@@ -116,24 +119,36 @@ def _explained(result: Any) -> str:
     """How good a result is, a line each."""
     size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
     errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
+    lines = [
+        result.message,
+        f"first-order conditions: {errors}",
+        f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
+    ]
+    try:
+        lines += _rolled_out(result)
+    except (TrajectoryError, IntegrationError) as error:
+        lines.append(f"no finer rollout: {str(error).splitlines()[0]}")
+    for m in result.meshes:
+        lines.append(f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}")
+    return "\n".join(lines)
+
+
+def _rolled_out(result: Any) -> list[str]:
+    """What a finer rollout says.
+
+    Raises:
+        TrajectoryError, IntegrationError: there is none.
+    """
     missed = "; ".join(
         f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
         for name, own in result.mesh_error.items()
     )
     broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
-    lines = [
-        result.message,
-        f"first-order conditions: {errors}",
-        f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
+    return [
         f"misses of a finer rollout at the end: {missed}",
         _mesh(result),
         "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
     ]
-    if result.saddle:
-        lines.append("a saddle: the objective falls to second order from here; searches from beside it found no better")
-    for m in result.meshes:
-        lines.append(f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}")
-    return "\n".join(lines)
 
 
 def _mesh(result: Any) -> str:
@@ -223,10 +238,10 @@ def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
 def _message(
     shooting: Transcribed, outcome: Outcome, sizes: Mapping[str, float], shown: Collection[str], tolerance: float
 ) -> str:
-    """The status, and where it is no success the worst constraint and the worst break of the dynamics."""
+    """The status, and where it is no success what does not hold: the worst constraint, the dynamics, the conditions."""
     worst, count = [], shooting.intervals * shooting.n
     if outcome.status in (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE):
-        return f"{outcome.status}."
+        return f"{outcome.status}{_SADDLE if outcome.saddle else ''}."
     rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
     if outcome.status is Status.NON_FINITE:
         return f"{outcome.status}. {_first_not_finite(shooting, outcome)}."
@@ -239,7 +254,11 @@ def _message(
         stage, column = divmod(int(dynamics.argmax()), shooting.n)
         size = abs(float(outcome.values.defects[stage, column]))
         worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
-    return f"{outcome.status}. Worst: {'; '.join(worst)}." if worst else f"{outcome.status}."
+    told = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
+    if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STALLED):
+        errors = outcome.errors
+        told += f"; in scales, stationarity is {errors.stationarity:.1e} and feasibility {errors.feasibility:.1e}"
+    return f"{outcome.status}. {told}."
 
 
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:

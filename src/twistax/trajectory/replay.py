@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..errors import InputError, IntegrationError
+from ..errors import InputError, IntegrationError, TrajectoryError
 from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
@@ -51,6 +51,12 @@ class Replay:
 
 def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
     """The rollout of a trajectory; see `Trajectory.replay`."""
+    back = np.flatnonzero(np.diff(result.ts) < 0.0)
+    if back.size:
+        raise TrajectoryError(
+            f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time goes on.\n"
+            "  fix: solve until the limits of free node times hold"
+        )
     if isinstance(method, Method):
         return _judged(result, rolled_out(result, method, steps), steps)
     return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)

@@ -114,7 +114,7 @@ class Trajectory:
             steps: samples an interval, and for an RKMK method its steps there.
             rtol, atol: tolerances of a diffrax solver.
         Raises:
-            TrajectoryError: steps is no positive whole number.
+            TrajectoryError: steps is no positive whole number; node times that go back.
             InputError: method is neither.
             IntegrationError: the rollout did not reach its end.
         """
