@@ -1941,6 +1941,12 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_optimality.py",
         ),
         (
+            "a run stays jammed",
+            "(memory.jammed >= JAMMED)",
+            "(memory.jammed < -JAMMED)",
+            "trajectory/test_optimality.py",
+        ),
+        (
             "a run creeps wherever it is slow",
             "(state.raised > CURVED) & ",
             "",

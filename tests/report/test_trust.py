@@ -11,6 +11,7 @@ import pytest
 import twistax as tx
 from twistax.report.sections import OPTIMAL, problems, trust
 from twistax.report.sections.curvature import is_saddle
+from twistax.report.sections.packed import packed
 from twistax.report.sections.problems import Known
 
 
@@ -18,7 +19,7 @@ def test_every_problem_is_asked_the_same() -> None:
     assert {check.what for check in OPTIMAL["trust"]} == set(trust.SWEEPS)
     assert len(OPTIMAL["trust"]) == 7 * len(trust.SWEEPS)
     asked = {(row.by, row.expected.text) for row in OPTIMAL["trust"]}
-    assert {text for by, text in asked if by == "SOLVED"} == {"at least 36", "at least 0"}
+    assert {text for by, text in asked if by == "SOLVED"} == {"at least 36", "at least 39", "at least 0"}
     assert {text for by, text in asked if by == "SOLVED at saddles"} == {"at most 0"}
     assert {text for by, text in asked if by == "SOLVED at no stationary point"} == {"at most 0"}
     # Other minima are not wrong.
@@ -51,6 +52,32 @@ def test_a_restated_problem_is_the_same_in_other_units() -> None:
     for asked, value in ((system.constraints["fast"], -1.0), (found["final"][1], 0.0)):
         (residual,) = tx.lower([asked.residual()])(0.0, {"v": 0.2})
         assert math.isclose(float(residual), value, rel_tol=1e-6, abs_tol=1e-6)
+
+
+def test_a_packed_problem_is_the_same_with_one_vector() -> None:
+    x, v, g = tx.State("x", min=-1.0), tx.State("v", shape=(2,), max=3.0), tx.State("g", group=tx.SO3)
+    u = tx.Control("u", shape=(3,))
+    system = tx.System(rates={x: v[0] * v[1], v: u[:2] + x, g: u}, constraints={"fast": v @ v <= 4.0})
+    ends: dict[str, Any] = {"initial": {x: 1.0, g: np.eye(3)}, "final": [{v: [0.5, np.nan]}, x <= 2.0]}
+    guess = {x: [1.0, 1.5, 2.0], u: 0.25}
+    objective = tx.Minimize(x, running=u @ u + v[1])
+    plain = tx.trajectory.Problem(tx.compile(system), objective, nodes=3, final_time=1.0, guess=guess, **ends)
+    found = packed(plain)._stated
+    own = found["dynamics"].system
+    (whole,) = (s for s in own.states if s.name == "x")
+    np.testing.assert_array_equal(whole.min, [-1.0, -np.inf, -np.inf])
+    np.testing.assert_array_equal(whole.max, [np.inf, 3.0, 3.0])
+    at = {"x": [2.0, 0.5, 3.0], "g": np.eye(3)}, {"u": [0.1, 0.2, 0.3]}
+    np.testing.assert_allclose(tx.lower(own.rates["x"])(0.0, *at), [1.5, 2.1, 2.2], rtol=1e-6)
+    np.testing.assert_allclose(tx.lower(own.rates["g"])(0.0, *at), [0.1, 0.2, 0.3], rtol=1e-6)
+    exprs = [found["objective"].final, found["objective"].running, own.constraints["fast"].residual()]
+    np.testing.assert_allclose(tx.lower(exprs)(0.0, *at), [2.0, 3.14, 5.25], rtol=1e-6)
+    np.testing.assert_array_equal(found["initial"][0]["x"], [1.0, np.nan, np.nan])
+    np.testing.assert_array_equal(found["final"][0]["x"], [np.nan, 0.5, np.nan])
+    (late,) = tx.lower([found["final"][1].residual()])(0.0, at[0])
+    assert float(late) == 0.0
+    np.testing.assert_allclose(found["guess"]["x"][:, 0], [1.0, 1.5, 2.0])
+    assert found["guess"]["u"] == 0.25
 
 
 def test_phases_are_restated_with_their_links() -> None:

@@ -345,7 +345,7 @@ def test_a_run_that_creeps_goes_on_where_nothing_beside_it_is_better(monkeypatch
     assert result.cost > 2.1
 
 
-def test_a_run_creeps_only_where_the_diagonal_is_raised_and_the_objective_rests() -> None:
+def test_a_run_creeps_and_jams_only_as_is_said() -> None:
     with in_double():
         point, given, *_ = fastest(1.0).started()
         steps = fastest(1.0)._solver(1e-6, point, given).steps
@@ -354,14 +354,39 @@ def test_a_run_creeps_only_where_the_diagonal_is_raised_and_the_objective_rests(
     state = state._replace(raised=1e-3, errors=state.errors._replace(feasibility=1e-4))
     far = state._replace(values=state.values._replace(cost=state.values.cost + 0.01 * state.scales.cost))
     rough = state._replace(errors=state.errors._replace(feasibility=1e-2))
-    crept = steps._decisions.went
+    steps_decisions = steps._decisions
+    crept = steps_decisions.went
     memory = opening.memory._replace(creeping=29)
-    assert steps._decisions.creeps(crept(state, memory, True))
+    assert steps_decisions.creeps(crept(state, memory, True))
     for other in (state._replace(raised=1e-7), rough, far):
         assert crept(other, memory, True).creeping == 0
     assert crept(far, memory, True).level == far.values.cost
     assert crept(state, memory, False).creeping == 29
     assert crept(rough, memory._replace(creeping=-5), True).creeping == -5
+    jams = lambda state, steps=True: steps_decisions.jams(crept(state, memory._replace(jammed=9), steps))  # noqa: E731
+    short = rough._replace(share=1e-3)
+    assert jams(short)
+    assert not any(map(jams, (rough, state._replace(share=1e-3))))
+    assert not jams(short, False)
+
+
+def test_a_run_that_starts_with_far_too_little_time_finds_more() -> None:
+    """Two links of an arm, moved in least time: 2.98351 s by Luus. Steps from a third of that are jammed at limits."""
+    w1, w2, between, first = (tx.State(name) for name in ("w1", "w2", "between", "first"))
+    u1, u2 = (tx.Control(name, min=-1.0, max=1.0) for name in ("u1", "u2"))
+    s, c = tx.Sin(between), tx.Cos(between)
+    inertia = 31.0 / 36.0 + 9.0 / 4.0 * s**2
+    turn1 = s * (9.0 / 4.0 * c * w1**2 + 2.0 * w2**2) + 4.0 / 3.0 * (u1 - u2) - 1.5 * c * u2
+    turn2 = s * (3.5 * w1**2 + 9.0 / 4.0 * c * w2**2) - 7.0 / 3.0 * u2 + 1.5 * c * (u1 - u2)
+    rates: dict[Any, Any] = {w1: turn1 / inertia, w2: -turn2 / inertia, between: w2 - w1, first: w1}
+    rest: dict[Any, Any] = {w1: 0.0, w2: 0.0, between: 0.5}
+    ends: dict[str, Any] = {"initial": rest | {first: 0.0}, "final": rest | {first: 0.522}}
+    problem = Problem(
+        tx.compile(tx.System(rates=rates)), tx.Minimize(tx.Time()), nodes=31, final_time=(0.1, 20.0), **ends
+    )
+    result = problem.solve(final_time_guess=1.0)
+    assert result.solved
+    assert result.cost == pytest.approx(2.98351, rel=1e-3)
 
 
 @pytest.mark.parametrize("unit", [1e3, 1e9])

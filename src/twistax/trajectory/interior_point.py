@@ -189,7 +189,7 @@ class InteriorPoint:
             theta,
             scales,
             Errors(*[zero + jnp.inf] * 4),
-            jnp.ones(2, slack.dtype),
+            zero + 1.0,
             jnp.zeros((), bool),
         )
 
@@ -297,7 +297,7 @@ class InteriorPoint:
             raised=stages.damping,
             filter=kept,
             filtered=jnp.where(remember, state.filtered + 1, state.filtered),
-            lengths=jnp.stack([jnp.where(done, search.share, 0.0), first.dual]),
+            share=jnp.where(done, search.share, 0.0),
             stuck=~done,
         )
 

@@ -45,5 +45,5 @@ class State(NamedTuple):
     first: Any  # violation at the start
     scales: Scales
     errors: Errors
-    lengths: Any  # (2,) shares of the last step, primal and dual
+    share: Any  # of the last step
     stuck: Any  # the line search found no step

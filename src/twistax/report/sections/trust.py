@@ -1,4 +1,5 @@
-"""Whether SOLVED can be trusted: problems in other units, with wider limits, from several starts, on one mesh each."""
+"""Whether SOLVED can be trusted: problems in other units, with wider limits, from several starts, all states in one
+vector; on one mesh each."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import functools
 import gc
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,16 @@ from ...system import name_of
 from ...trajectory.conditions import split
 from ...trajectory.phases import PhasedProblem
 from ..checks import Section, at_most, between, slow
-from . import flights, problems
+from . import cops, flights, problems
 from .curvature import is_saddle
+from .packed import packed
 from .problems import Known
 
 #: How many of a new unit make an old one, by how much limits are wider, and starts of each.
 SIZES, WIDTHS, STARTS = (1e-6, 1.0, 1e6), (1.0, 1e2, 1e4), 4
-_SOLVES = float(len(SIZES) * len(WIDTHS) * STARTS)
+_STATED = float(len(SIZES) * len(WIDTHS) * STARTS)
+#: And as many more with all states in one vector, whose entries have units of their own: one start in each unit.
+_SOLVES = _STATED + len(SIZES)
 #: Relative differences of costs of one optimum, and a tolerance that shows whether a solution is one.
 _SAME, _CLOSER = 1e-4, 1e-9
 #: Limits that bind nothing lie so many times as far as the optimum reaches.
@@ -181,11 +185,14 @@ class Sweep:
         for trajectory in getattr(plain, "phases", [plain]):
             for name, values in (trajectory.xs | trajectory.us).items():
                 reach[name] = max(reach.get(name, 0.0), float(np.abs(values).max()))
-        return [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach))]
+        found = [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach), STARTS)]
+        if not isinstance(self.known.problem, PhasedProblem):
+            found += [each for size in SIZES for each in self._of(Restated(size, 1.0, reach), 1, packed)]
+        return found
 
-    def _of(self, restated: Restated) -> Iterator[Tried]:
-        problem = restated(self.known.problem)
-        for start in range(STARTS):
+    def _of(self, restated: Restated, starts: int, form: Callable[[Any], Any] = lambda own: own) -> Iterator[Tried]:
+        problem = form(restated(self.known.problem))
+        for start in range(starts):
             result = problem.solve(seed=start or None)
             found = Tried(result.solved, result.cost * restated.size, result.iterations)
             # At once, so that the problem can go: of a hundred compiled ones the memory maps of a process run out.
@@ -248,7 +255,12 @@ SWEEPS = {
     "hypersensitive: 1.33, 41 nodes": Sweep(Known(problems.hypersensitive, 1.3308069, 5e-2)),
     "landing of the demo: 27,260 kg, 25 nodes": Sweep(Known(problems.landing, 27_260.0, 1e-4)),
     "Panda from shelf to shelf: 0.860227 s, 41 nodes": Sweep(Known(flights.panda, 0.860227, 1e-5)),
-    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": Sweep(Known(flights.delta_iii, 7529.712, 1e-5)),
+    "robot arm of COPS: 9.14093 s, 51 nodes": Sweep(Known(cops.robot_arm, 9.14093, 1e-3)),
+    "particle steering of COPS, linear: 0.554571 s, 51 nodes": Sweep(Known(cops.particle_steering, 0.554571, 2e-6)),
+    "catalyst mixing of COPS: 0.0480556, 101 nodes": Sweep(Known(cops.catalyst_mixing, 0.0480556, 1e-5)),
+    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": Sweep(
+        Known(flights.delta_iii, 7529.712, 1e-5), solved=_STATED
+    ),
     # A way past spheres for each side of each: many optima, and not every start is SOLVED.
     "quadrotor past three spheres: 1.489138 s, 31 nodes": Sweep(
         Known(flights.quadrotor, 1.489138, 1e-5, {"guesses": STARTS * 2}), solved=0.0
