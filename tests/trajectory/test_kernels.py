@@ -15,6 +15,7 @@ from twistax.trajectory.interior_point import InteriorPoint
 from twistax.trajectory.stride import no_slopes, ordered, stride
 
 pytest.importorskip("llvmlite")
+pytestmark = pytest.mark.usefixtures("optimised")
 
 
 def fastest() -> tx.trajectory.Problem:
