@@ -51,6 +51,13 @@ distance = np.linalg.norm(away, axis=1)
 angle = np.rad2deg(np.arccos(away[:, 0] / distance))
 print(f"the runner is {distance.min():.2f} to {distance.max():.2f} m away, at most {angle.max():.2f} deg off the axis")
 print(f"the quadrotor moves by {np.ptp(poses[:, :3, 3], axis=0).round(2)} m, cost {result.cost:.3f}")
-print(f"limits are exceeded between nodes by {max(result.between_nodes.values()):.1e}")
-if not result.solved or angle.max() > np.rad2deg(HALF) + 0.1:
+for name, size in result.between_nodes.items():
+    if size > 0.0:
+        print(f"between nodes '{name}' is exceeded by {size:.1e}, in m or m2")
+if (
+    not result.solved
+    or angle.max() > np.rad2deg(HALF) + 0.1
+    or distance.min() < NEAR - 1e-3
+    or distance.max() > FAR + 1e-3
+):
     raise SystemExit("the runner leaves the picture")
