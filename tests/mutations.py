@@ -1708,12 +1708,6 @@ MUTATIONS: list[Mutation] = [
             "False",
             "trajectory/test_many.py",
         ),
-        (
-            "a case that has ended goes on among others",
-            "goes = goes & np.asarray(taken.goes) &",
-            "goes = goes &",
-            "trajectory/test_many.py",
-        ),
     ),
     *_at(
         "trajectory/stride.py",

@@ -289,7 +289,10 @@ class Checked(Report):
 
 
 def draw(rows: Sequence[tuple[Row, tuple[str, float] | None]], said: Mapping[str, Any]) -> bytes:
-    """The figure of a section as SVG, of rows with line and x; a cross at the upper edge where it ended early."""
+    """The figure of a section as SVG, of rows with line and x; a cross at the upper edge where it ended early.
+
+    Both axes are logarithmic, that of x not where things are counted.
+    """
     figure = panels(said["title"], said["axes"])
     axes = figure.axes[0]
     lines: dict[str, list[tuple[float, float]]] = {}
@@ -307,4 +310,6 @@ def draw(rows: Sequence[tuple[Row, tuple[str, float] | None]], said: Mapping[str
         if ended:
             axes.loglog(ended, [top] * len(ended), marker="x", ms=8, ls="", **style)
             axes.text(0.01, 0.985, "x: ends by name", transform=axes.transAxes, ha="left", va="top", fontsize=9)
+    if said.get("counted", False):
+        axes.set_xscale("linear")
     return as_svg(figure)

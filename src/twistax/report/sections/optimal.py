@@ -166,8 +166,8 @@ def _milliseconds(name: str, by: str) -> float:
 
 
 SOLVERS: Section = [
-    slow(name, f"{by}, {unit}", between(), measure, name, by)
-    for name in PROBLEMS
+    slow(name, f"{by}, {unit}", between(), measure, name, by, place=(by, float(row)) if unit == "ms" else None)
+    for row, name in enumerate(PROBLEMS, 1)
     for measure, unit in ((_iterations, "steps"), (_milliseconds, "ms"))
     for by in _SOLVERS
 ]
