@@ -407,6 +407,20 @@ def test_units_of_one_vector_do_not_matter_for_what_rests_there(unit: float) -> 
     assert other.cost == pytest.approx(plain.cost, rel=2e-5)
 
 
+def test_an_objective_may_vanish_at_the_optimum() -> None:
+    """A linear plant with a quadratic cost: the optimum is as the square of where it starts, down to nothing."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    cost = tx.Minimize(running=p**2 + v**2 + 0.1 * u**2)
+    problem = Problem(dynamics, cost, nodes=6, final_time=3.0, initial={p: 1e-3, v: 0.0}, **HEUN)
+    first = problem.solve()
+    for start in (1e-6, 1e-9, 0.0):
+        for options in ({}, {"warm": first}):
+            result = problem.solve(initial={p: start, v: 0.0}, **options)
+            assert result.solved
+            assert result.cost == pytest.approx(first.cost * (start / 1e-3) ** 2, rel=1e-6, abs=1e-30)
+
+
 def test_running_out_of_iterations_is_never_solved() -> None:
     """However many there were: SOLVED asks for errors within the tolerance, in scales just measured."""
     for most in range(1, 14):

@@ -154,7 +154,7 @@ class Decisions:
         )
 
     def creeps(self, memory: Memory) -> jax.Array:
-        """Whether a run has done so for long."""
+        """Whether a run has crept for long."""
         return memory.creeping >= LONG
 
     def jams(self, memory: Memory) -> jax.Array:

@@ -137,7 +137,8 @@ def _rolled_out(result: Any) -> list[str]:
     """What a finer rollout says.
 
     Raises:
-        TrajectoryError, IntegrationError: there is none.
+        TrajectoryError: node times go back.
+        IntegrationError: the rollout diverges.
     """
     missed = "; ".join(
         f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"

@@ -77,8 +77,8 @@ class Together:
             # All that still go have gone equally far.
             orders = Orders(goes & (taken is None), goes, goes, further, count, np.asarray(state.barrier))
             taken = self._strode(state, slopes, memory, givens, orders)
-            slopes, state, memory, steps_of = taken.slopes, taken.state, taken.memory, np.asarray(taken.count)
-            count, watch.count = count + steps_of, watch.count + int(steps_of[goes].max())
+            slopes, state, memory, steps_taken = taken.slopes, taken.state, taken.memory, np.asarray(taken.count)
+            count, watch.count = count + steps_taken, watch.count + int(steps_taken[goes].max())
             worthless = worthless | np.asarray(taken.worthless)
             goes = goes & np.asarray(taken.goes) & (count < most)
         if taken is None:

@@ -180,7 +180,7 @@ def load(
     import llvmlite.binding as llvm
 
     with _LOCK:
-        machine = _target_machine(processor)
+        machine = _target_machine(processor, LEVEL)
         for symbol in sorted(library):
             llvm.add_symbol(symbol, _address(symbol))
         for symbol, address in addresses.items():
@@ -194,7 +194,7 @@ def load(
         return MachineCode(engine, names)
 
 
-def _target_machine(processor: Processor, level: int = LEVEL) -> Any:
+def _target_machine(processor: Processor, level: int) -> Any:
     """What LLVM writes for."""
     import llvmlite.binding as llvm
 

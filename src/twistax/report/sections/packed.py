@@ -32,7 +32,7 @@ def packed(problem: Problem) -> Problem:
     put = lambda e: substitute(e, exchange)  # noqa: E731
 
     def whole(values: dict[str, Any]) -> dict[Any, Any]:
-        """End values by leaf, those of the vector together, free where there are none."""
+        """End values by leaf, those of the vector together, NaN where an entry is free."""
         found = np.full(x.shape, np.nan)
         for name, part in parts.items():
             found[part] = np.ravel(np.broadcast_to(values.pop(name, np.nan), (part.stop - part.start,)))
