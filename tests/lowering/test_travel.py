@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -79,7 +80,8 @@ def test_a_new_process_computes_the_same() -> None:
     np.testing.assert_array_equal(found, _rates(dynamics))
 
 
-def test_what_pickle_refuses_is_named_with_its_node() -> None:
+def test_what_pickle_refuses_is_named_with_its_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "cloudpickle", raising=False)  # it takes more
     with pytest.raises(pickle.PicklingError, match=r"(?s)the node Applied\(x.*own <function .*top level of a module"):
         pickle.dumps(tx.compile(tx.System({x: tx.Sin(Applied(x, lambda value: value))})))
 
