@@ -6,7 +6,7 @@ Magnitudes of entries likewise: |a| <= b as a <= b and -a <= b.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -25,9 +25,8 @@ from ..expr import (
     Mul,
     Neg,
     Norm,
-    State,
+    Parameter,
     Sub,
-    Time,
     evaluate_all,
     leaves_of,
 )
@@ -80,14 +79,25 @@ class NormControls:
         """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
         if not self.controls:
             return []
-        known = {name: jnp.asarray(value) for name, value in params.items()}
+        return [above(values)[:, None] for values in values_of(self.sizes, us, params)]
 
-        def sizes(u: dict[str, jax.Array]) -> list[jax.Array]:
-            inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
-            return evaluate_all(self.sizes, lambda leaf: leaf.read(inputs))
 
-        found = jax.vmap(sizes)({name: jnp.asarray(values) for name, values in us.items()})
-        return [np.asarray(a + 0.1 * (a.max() or 1.0))[:, None] for a in map(np.asarray, found)]
+def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
+    """Expressions of controls and parameters for every row of the controls."""
+    known = {name: jnp.asarray(value) for name, value in params.items()}
+
+    def at(u: dict[str, jax.Array]) -> list[jax.Array]:
+        inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
+        return evaluate_all(list(sizes), lambda leaf: leaf.read(inputs))
+
+    found = jax.vmap(at)({name: jnp.asarray(values) for name, values in us.items()})
+    return [np.asarray(values) for values in found]
+
+
+def above(values: np.ndarray) -> np.ndarray:
+    """Bounds a little above what they bound."""
+    found: np.ndarray = values + 0.1 * (values.max() or 1.0)
+    return found
 
 
 def norm_controls(running: Expr | None, sign: float) -> NormControls:
@@ -100,7 +110,7 @@ def norm_controls(running: Expr | None, sign: float) -> NormControls:
     kept: list[Term] = []
     found: dict[str, tuple[Control, Expr]] = {}
     for factor, part in linear_terms(running.canonicalize()):
-        if is_size(part) and sign * factor > 0.0 and not any(isinstance(x, (State, Time)) for x in leaves_of(part)):
+        if is_size(part) and sign * factor > 0.0:
             part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}"), part))
         kept.append((factor, part))
     bounds = tuple(own for own, _ in found.values())
@@ -142,8 +152,11 @@ def is_norm(expr: Expr) -> bool:
 
 
 def is_size(expr: Expr) -> bool:
-    """Whether it is a norm, or the magnitude of a number."""
-    return is_norm(expr) or (isinstance(expr, Abs) and expr.shape == ())
+    """Whether it is a norm, or the magnitude of a number, of controls, whatever parameters scale them."""
+    leaves = list(leaves_of(expr))
+    of_controls = all(isinstance(leaf, (Control, Parameter, Constant)) for leaf in leaves)
+    of_controls = of_controls and any(isinstance(leaf, Control) for leaf in leaves)
+    return of_controls and (is_norm(expr) or (isinstance(expr, Abs) and expr.shape == ()))
 
 
 def _square(norm: Expr) -> Expr:

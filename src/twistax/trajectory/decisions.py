@@ -13,7 +13,7 @@ from . import scaling
 from .descent import Begun, Descent
 from .interior_point import largest
 from .iterate import Scales, State
-from .transcribed import Derivatives, Transcribed
+from .transcribed import Derivatives, Step, Transcribed
 
 #: Scales are renewed once they are off by this factor. A result stands in scales that are not.
 RENEW = 3.0
@@ -38,9 +38,8 @@ INFLATED = 10.0
 class Memory(NamedTuple):
     """What a run knows of the way it went."""
 
-    first: Scales  # the largest at its start
-    seen: Scales  # the largest since
-    forgot: Any  # whether those since have been forgotten
+    least: Any  # of the objective's scale: a small share of what it was at the start
+    seen: Scales  # the largest since then
     begun: Begun
     creeping: Any  # for how many steps in a row; below zero it does not count
     level: Any  # the objective where they began
@@ -81,13 +80,13 @@ class Decisions:
         """In place of one, where none is needed."""
         unit = scaling.unit_scales(self._shooting)
         none = np.zeros((), int)
-        return Memory(unit, unit, np.zeros((), bool), self._descent.nothing(), none, np.zeros(()), none)
+        return Memory(np.ones(()), unit, self._descent.nothing(), none, np.zeros(()), none)
 
     def opening(self, state: State, seen: Scales, bound: Any = True) -> Opening:
         """Of a first state, where these are the largest scales seen."""
         level = jnp.asarray(state.values.cost)
         none = jnp.zeros((), int)
-        memory = Memory(seen, seen, jnp.zeros((), bool), self._descent.begun(state), none, level, none)
+        memory = Memory(scaling.SMALL * seen.cost, seen, self._descent.begun(state), none, level, none)
         finite = jnp.stack([jnp.isfinite(a).all() for a in (*state.scales, *state.values)]).all()
         decided = self._largest_of(self._shooting.decided & ~self._shooting.pinned, state)
         return Opening(state, memory, finite, decided, jnp.asarray(bound))
@@ -110,17 +109,15 @@ class Decisions:
         """New scales for a measured state, by how much its own are off, and what is known then."""
         measured, sloped = scaling.measured(self._shooting, state.point, slopes, state.scales)
         fresh, seen = scaling.not_below(measured, memory.seen, sloped)
-        known, largest = scaling.not_below(measured, memory.first, sloped)
-        # At a start of huge scales the objective's may be far more than it has moved since.
-        moved = jnp.abs(state.values.cost - memory.begun.cost)
-        cost = jnp.maximum(jnp.where(sloped, measured.cost, 0.0), jnp.minimum(known.cost, moved))
-        cost = jnp.where(cost > 0.0, cost, known.cost)
-        kept = known._replace(cost=cost), largest._replace(cost=cost)
-        there = (error(state) <= self._tolerance) & ~memory.forgot
-        inflated = self._descent.inflated(memory.begun, state._replace(scales=fresh), INFLATED)
-        forget = there & (inflated | (fresh.cost > INFLATED * cost))
-        fresh, seen = jax.tree.map(lambda a, b: jnp.where(forget, a, b), kept, (fresh, seen))
-        memory = memory._replace(seen=seen, forgot=memory.forgot | forget)
+        # Those of an excursion, or of a start far off, may be more than anything is worth now. An objective without
+        # slope, as it may be at its optimum, counts as it bends.
+        sizes, own = Step(measured.d, measured.u, measured.border), jnp.where(sloped, measured.cost, 0.0)
+        least = jnp.minimum(memory.least, scaling.bent(self._shooting, slopes, state.scales, sizes, sizes))
+        own = jnp.where(jnp.maximum(own, least) > 0.0, jnp.maximum(own, least), memory.least)
+        inflated = self._descent.inflated(state._replace(scales=fresh), INFLATED) | (fresh.cost > INFLATED * own)
+        forget, kept = (error(state) <= self._tolerance) & inflated, measured._replace(cost=own)
+        fresh, seen = jax.tree.map(lambda a, b: jnp.where(forget, a, b), (kept, kept), (fresh, seen))
+        memory = memory._replace(seen=seen)
         return fresh, scaling.change(fresh, state.scales), memory
 
     def signs(self, state: State, memory: Memory) -> Signs:

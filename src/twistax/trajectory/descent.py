@@ -14,10 +14,10 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from ..groups import Euclidean, SpecialEuclidean
 from .iterate import Scales
 from .iterate import State as Iterate
-from .transcribed import Point, Segment, Transcribed
+from .magnitudes import largest_along
+from .transcribed import Point, Transcribed
 
 
 class Begun(NamedTuple):
@@ -60,16 +60,18 @@ class Descent:
             first += own.n + own.m
         return jnp.stack(found).max()
 
-    def inflated(self, begun: Begun, state: Iterate, factor: float) -> jax.Array:
-        """Whether a scale is so many times as large as its unknown, now and at the start: one of an excursion."""
-        return (self._scales(state.scales) > factor * self._known(begun, state)).any()
+    def inflated(self, state: Iterate, factor: float) -> jax.Array:
+        """Whether a scale is so many times as large as its unknown."""
+        return (self._scales(state.scales) > factor * self._largest(state.point)).any()
 
     def _known(self, begun: Begun, state: Iterate) -> jax.Array:
         return jnp.maximum(self._largest(state.point), begun.sizes)
 
     def _largest(self, point: Point) -> jax.Array:
         """The largest magnitude of every unknown along its phase, zero of rotations: border, then phases."""
-        return jnp.concatenate([jnp.abs(point.border), *(_along(part, point) for part in self._shooting.segments)])
+        return jnp.concatenate(
+            [jnp.abs(point.border), *(largest_along(part, point) for part in self._shooting.segments)]
+        )
 
     def _scales(self, scales: Scales) -> jax.Array:
         """The scales of the same."""
@@ -78,20 +80,6 @@ class Descent:
             own = part.shooting
             found += [scales.d[part.nodes, : own.n].max(axis=0), scales.u[part.stages, : own.m].max(axis=0)]
         return jnp.concatenate(found)
-
-
-def _along(part: Segment, point: Point) -> jax.Array:
-    """Of the states and controls of a phase."""
-    own, group, found = part.of(point), part.shooting.dynamics.group, list[Any]()
-    for name, factor in group.factors.items():
-        values, most = own.xs[name], jnp.zeros(factor.dimension)
-        if isinstance(factor, Euclidean):
-            most = jnp.abs(values.reshape(len(values), -1)).max(axis=0)
-        elif isinstance(factor, SpecialEuclidean):
-            away = jnp.sqrt((values[:, :3, 3] ** 2).sum(axis=1)).max()
-            most = jnp.where(part.shooting.turns[group.slices[name]], 0.0, away)
-        found.append(most)
-    return jnp.concatenate([*found, jnp.abs(own.us).max(axis=0)])
 
 
 def _limits(leaf: State | Control) -> Array:

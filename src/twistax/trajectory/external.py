@@ -136,7 +136,7 @@ class _Casadi:
             multipliers = program.flat_multipliers(dynamics, start.rows * np.asarray(scales.rows) / float(scales.cost))
         else:
             point, opening = start, solver.steps.opened(start, given)
-            scales, most = opening.state.scales, opening.memory.first
+            scales, most = opening.state.scales, opening.memory.seen
         watch = Watch(solver.tolerance, max_iterations)
         seen = None
         if callback is not None:

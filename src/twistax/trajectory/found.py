@@ -21,7 +21,7 @@ from .watch import Status
 #: A scaled multiplier above this is one of an active constraint.
 _ACTIVE = 1e-5
 #: What is said of a solution that is no minimum.
-_SADDLE = ", at a saddle: the objective falls to second order from here, and searches beside it found no better"
+_SADDLE = ", at a saddle: the objective falls to second order from here, and no search beside it found better"
 #: An interval that misses its node by more, in scales of the states, says little of the path.
 _COARSE = 1e-2
 

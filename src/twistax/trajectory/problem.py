@@ -20,7 +20,7 @@ from ..system import name_of
 from .border import Border, boxes_of, times_of
 from .cases import TrajectoryResults, trajectory_results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
-from .cones import norm_controls
+from .cones import above, norm_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
 from .mesh import Remeshed, mesh_of
@@ -353,7 +353,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
         for name, values in self.reduced.bounds_of(xs | us, params).items():
-            (us if name in us else xs)[name] = values + 0.1 * (values.max() or 1.0)
+            (us if name in us else xs)[name] = above(values)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
         guess = {**self._extremes(xs, us, params, durations), **given}
         border = self.border.start(durations, params, guess, limits)

@@ -12,8 +12,6 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
@@ -24,18 +22,16 @@ from ..expr import (
     Control,
     Equality,
     Expr,
-    Inputs,
     Leaf,
     Parameter,
     State,
-    evaluate_all,
     leaves_of,
 )
 from ..expr.graph import substitute
 from ..groups import Euclidean
 from ..lowering import Dynamics, compile
 from ..system import System, free_name, name_of
-from .cones import Term, is_size, linear_terms, sum_of
+from .cones import Term, is_size, linear_terms, sum_of, values_of
 from .controls import Linear, Spline, is_rate
 from .functionals import Extreme, Functional, Initial, Integral
 from .statement import Objective, check_leaves
@@ -177,8 +173,7 @@ class Reduction:
         """The integrand with a bound in place of each norm of controls."""
         terms: list[Term] = []
         for factor, part in linear_terms(leaf.operand.canonicalize()):
-            sized = is_size(part)
-            if sized and factor > 0.0 and all(isinstance(e, (Control, Parameter, Constant)) for e in leaves_of(part)):
+            if is_size(part) and factor > 0.0:
                 bound = Control(free_name(f"bound on {part!r} in {leaf!r}", self._taken))
                 self._taken.add(bound.name)
                 self.bounds[bound.name], self._rows[bound.name] = part, part <= bound
@@ -191,16 +186,9 @@ class Reduction:
         """The norms that bounds stand for, given controls, leading axis the intervals or the nodes."""
         if not self.bounds:
             return {}
-        known = {name: jnp.asarray(value) for name, value in params.items()}
-
-        def sizes(u: dict[str, jax.Array]) -> list[jax.Array]:
-            inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
-            return evaluate_all(list(self.bounds.values()), lambda leaf: leaf.read(inputs))
-
         read = {leaf.name for part in self.bounds.values() for leaf in leaves_of(part) if isinstance(leaf, Control)}
         count = min(len(us[name]) for name in read)
-        found = jax.vmap(sizes)({name: jnp.asarray(us[name][:count]) for name in read})
-        return {name: np.asarray(values) for name, values in zip(self.bounds, found)}
+        return dict(zip(self.bounds, values_of(list(self.bounds.values()), {k: us[k][:count] for k in read}, params)))
 
     def shapes_of_bounds(self, controls: Any) -> Any:
         """How controls go on between nodes, with bounds as what they bound."""

@@ -18,6 +18,7 @@ from ..expr import Control, State
 from ..groups import Euclidean, SpecialEuclidean
 from .border import Border
 from .iterate import Scales
+from .magnitudes import largest_along
 from .riccati import of_stages
 from .shooting import Shooting
 from .transcribed import Derivatives, Point, Segment, Step, Transcribed
@@ -30,8 +31,10 @@ _CONSTANT = 0.1
 _NOTHING = 1e-4
 #: Controls count with at least this share of what moves a state by its size.
 _WEAK = 1e-2
+#: Changes of less than this share of a value are rounding, and none that counts is smaller.
+_ROUNDING = 1e-9
 #: Scales stay above this share of what they were.
-_SMALL = 1e-6
+SMALL = 1e-6
 _FLOORED = ("d", "u", "border", "cost")
 
 
@@ -63,6 +66,7 @@ def measured(
     inner_slopes, end_slopes = jnp.abs(slopes.rows) / before[:, None], jnp.abs(slopes.end_rows) / end_before[None]
     d, u, times = jnp.ones_like(unit.d), jnp.ones_like(unit.u), jnp.abs(point.border)[: border.phases]
     moved, told = [], dict[str, jax.Array]()
+    values = Step(jnp.zeros_like(unit.d), jnp.zeros_like(unit.u), jnp.abs(point.border))
     for part in shooting.segments:
         own, slices = part.shooting, part.shooting.dynamics.group.slices
         most = (reach[part.stages, : own.n] / own.mesh.widths[:, None, None]).max(axis=0)
@@ -71,7 +75,12 @@ def measured(
             limit = unit.u[part.stages.start, : own.m] * _straight(slopes, part)
         else:
             drift = _drift(slopes, before, gaps, part)
-        own_d, own_u = _completed(own, *_spreads(own, part.of(point)), most[:, part.columns], drift, limit)
+        most_d, most_u = jnp.split(largest_along(part, point), [own.n])
+        values = values._replace(d=values.d.at[part.nodes, : own.n].set(most_d))
+        values = values._replace(u=values.u.at[part.stages, : own.m].set(most_u))
+        own_d, own_u = _completed(
+            own, *_spreads(own, part.of(point)), most[:, part.columns], drift, limit, _ROUNDING * most_d
+        )
         for name, other in own.alike.items():
             told[name] = told.get(name, own_d[slices.get(other, slices[name])])
             own_d = own_d.at[slices[name]].set(told[name])
@@ -94,15 +103,29 @@ def measured(
     rows = jnp.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
     z, end = z / before, end / end_before
     moves = (jnp.abs(slopes.gradient) * z).sum() + (jnp.abs(slopes.end_gradient) * end).sum()
+    cost, sizes = moves * unit.cost, Step(d, u, b)
     if gaps is not None:
-        there = np.pad(shooting.free.u, ((0, 0), (shooting.n, border.size)), constant_values=True)
-        z = jnp.where(there, z, 0.0)  # padding bends, in no unit
-        bent = (jnp.abs(slopes.hessian) * z[:, None] * z[:, :, None]).sum()
-        bent = 0.5 * (bent + (jnp.abs(slopes.end_hessian) * end[None] * end[:, None]).sum())
-        moves = moves + jnp.where(jnp.isfinite(bent), bent, 0.0)
-    cost = moves * unit.cost
+        cost = cost + bent(shooting, slopes, unit, sizes, sizes)
+    # What rounding of the unknowns does to slopes counts as nothing.
+    cost = jnp.maximum(cost, 2.0 * _ROUNDING * bent(shooting, slopes, unit, sizes, values))
     sloped = jnp.isfinite(cost) & (cost > 0.0)
     return Scales(d, u, b, jnp.where(rows > 0.0, rows, unit.rows), jnp.where(sloped, cost, unit.cost)), sloped
+
+
+def bent(shooting: Transcribed, slopes: Derivatives, scales: Scales, one: Step, other: Step) -> jax.Array:
+    """Half of |one'| |H| |other|, H the Lagrangian's second derivatives; zero if it is not finite.
+
+    Args:
+        scales: those that slopes are in.
+        one, other: sizes of steps.
+    """
+    own, end_own = of_stages(Step(scales.d, scales.u, scales.border))
+    (one_z, one_end), (z, end) = ((a / own, b / end_own) for a, b in map(of_stages, (one, other)))
+    there = np.pad(shooting.free.u, ((0, 0), (shooting.n, shooting.border.size)), constant_values=True)
+    hessian = jnp.where(there[:, None] & there[:, :, None], jnp.abs(slopes.hessian), 0.0)  # padding bends, in no unit
+    found = (hessian * one_z[:, None] * z[:, :, None]).sum()
+    found = 0.5 * (found + (jnp.abs(slopes.end_hessian) * one_end[None] * end[:, None]).sum()) * scales.cost
+    return jnp.where(jnp.isfinite(found), found, 0.0)
 
 
 def _border(border: Border, values: jax.Array, moved: Sequence[tuple[jax.Array, jax.Array]]) -> jax.Array:
@@ -145,7 +168,7 @@ def not_below(scales: Scales, seen: Scales, sloped: Any) -> tuple[Scales, Scales
     """
     known = scales._replace(cost=jnp.where(sloped, scales.cost, 0.0))
     seen = seen._replace(**{name: jnp.maximum(getattr(known, name), getattr(seen, name)) for name in _FLOORED})
-    own = {name: jnp.maximum(getattr(scales, name), _SMALL * getattr(seen, name)) for name in _FLOORED}
+    own = {name: jnp.maximum(getattr(scales, name), SMALL * getattr(seen, name)) for name in _FLOORED}
     return scales._replace(**own), seen
 
 
@@ -216,7 +239,7 @@ def _straight(slopes: Derivatives, part: Segment) -> jax.Array:
     first, m = slopes.defects.shape[1], part.shooting.m
     bends = jnp.abs(slopes.hessian[part.stages, first : first + m, first : first + m])
     bent = jnp.where(np.eye(m, dtype=bool), bends, 0.0).sum(axis=(0, 2)) / 2.0
-    return jnp.where(bent > _SMALL**2, 1.0 / jnp.sqrt(jnp.clip(bent, _SMALL**2, 1.0)), jnp.inf)
+    return jnp.where(bent > SMALL**2, 1.0 / jnp.sqrt(jnp.clip(bent, SMALL**2, 1.0)), jnp.inf)
 
 
 def _drift(slopes: Derivatives, before: jax.Array, gaps: jax.Array, part: Segment) -> jax.Array:
@@ -235,13 +258,20 @@ def _drift(slopes: Derivatives, before: jax.Array, gaps: jax.Array, part: Segmen
 
 
 def _completed(
-    shooting: Shooting, d: jax.Array, u: jax.Array, slopes: jax.Array, drift: jax.Array, limit: jax.Array
+    shooting: Shooting,
+    d: jax.Array,
+    u: jax.Array,
+    slopes: jax.Array,
+    drift: jax.Array,
+    limit: jax.Array,
+    least: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Sizes for what has none: from what it moves along the whole trajectory, from what moves it, from limits, though
     no more than other entries of its vector have, from these, of controls before those of states, 1.
 
     Slopes are the largest of the dynamics over an interval as long as the trajectory, (n, n + m); states that others
-    move count with their drift at least, controls that move others with their limit at most.
+    move count with their drift at least, controls that move others with their limit at most. No state counts with less
+    than `least`, (n,).
     """
     n, declared = shooting.n, _declared(shooting)
     largest = jnp.concatenate([jnp.full(n, jnp.inf), jnp.maximum(limit, u)])
@@ -271,7 +301,7 @@ def _completed(
     rounds = jnp.stack([nothing, limits, controls, nothing + np.inf]), jnp.array([0.0, 0.0, 0.0, 1.0])
     sizes, _ = jax.lax.scan(complete, sizes, rounds)
     # What hardly moves, and what hardly moves others, is not measured by how little it does.
-    floor = _SMALL * (reach * sizes[None]).max(axis=1)
+    floor = jnp.maximum(SMALL * (reach * sizes[None]).max(axis=1), least)
     weak = jnp.minimum(_finite(_back(jnp.maximum(sizes[:n], floor), reach)[n:]), largest[n:])
     floor = jnp.concatenate([floor, _WEAK * weak])
     sizes = jnp.where(declared, sizes, jnp.maximum(sizes, floor))

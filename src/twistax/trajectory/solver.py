@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
@@ -11,14 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from . import estimate, feasibility, warm
+from . import durations, estimate, feasibility, warm
 from .decisions import RENEW, Memory, Opening, error, row_violations
 from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
 from .program import Program
 from .steps import Steps
-from .stride import Reached, ordered
+from .stride import Reached, Stride, ordered
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
 from .warm import WarmStart
 from .watch import Status, Watch
@@ -41,6 +42,8 @@ _CREEPING = 30, 0.9
 _SLACK, _SHAKE = 1e-3, 0.1
 #: Where multipliers have run away, or no step helps: the step aside from the start, in scales, for another run.
 _ASIDE = 0.01
+#: Runs that end so may have been led there by durations that are free.
+_AT_REST = (Status.INFEASIBLE, Status.STALLED)
 #: Steps away from a solution that is no minimum, in scales: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
 #: Random starts: how much larger than scales, or than those of the guess, gaps may be, and shares of steps to them.
@@ -78,6 +81,22 @@ class Searched(NamedTuple):
     outcome: Outcome
     state: Iterate
     crept: Reached | None  # how far it came, where it creeps
+
+
+@dataclasses.dataclass
+class _Way:
+    """The way of a run from one start."""
+
+    origin: Point | None  # where it began, and where another may; None: nowhere
+    state: Iterate
+    memory: Memory
+    slopes: Derivatives | None = None  # at the state, where they are known
+    before: float = np.inf  # the barrier parameter before
+    hasty: bool = False  # whether searches for feasible points that creep are left
+    misled: bool = False  # whether its scales were worth nothing once
+    searches: int = 0  # for feasible points, where steps led nowhere
+    rests: int = 0  # how many of these came to rest
+    shaken: bool = False
 
 
 class Solver:
@@ -137,7 +156,30 @@ class Solver:
                 return self._run(start, given, most, callback, own)
             return self._run(own, given, most, callback, reached if own is start else None)
 
-        return self.to_minimum(search, start, given, max_iterations, callback)
+        found = self.to_minimum(search, start, given, max_iterations, callback)
+        if isinstance(start, WarmStart) or found.iterations <= 1 or found.status not in _AT_REST:
+            return found
+        return self._with_fixed_durations(found, start, given, max_iterations, callback)
+
+    def _with_fixed_durations(
+        self, rested: Outcome, start: Point, given: Given, max_iterations: int, callback: Callback | None
+    ) -> Outcome:
+        """What is found from trajectories of fixed durations; what was found before where that is nothing."""
+        count = rested.iterations
+        later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
+        for point, held in durations.fixed(self.shooting.border, start, given):
+            most = (max_iterations - count) // 3
+            if most <= 0:
+                break
+            found = self._run(point, held, most, later).outcome
+            count += found.iterations
+            if found.status is Status.SOLVED and count < max_iterations:
+                search = lambda own, most, callback: self._run(own, given, most, callback)  # noqa: E731
+                found = self.to_minimum(search, found.point, given, max_iterations - count, later)
+                count += found.iterations
+                if found.status is Status.SOLVED:
+                    return found._replace(iterations=count)
+        return rested._replace(iterations=count)
 
     def to_minimum(
         self,
@@ -154,35 +196,36 @@ class Solver:
                 how far it came where it creeps along what seems to be a saddle.
         """
         found, state, crept = search(start, max_iterations, callback)
-        count, saddle, tries = found.iterations, False, 0
+        count, seed, saddle = found.iterations, 0, False
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
-        while crept is not None or (found.status is Status.SOLVED and self._bends_down(state, given)):
+        while crept is not None or self._falls(found, state, given):
             levelled = self.steps.levelled(state)
             lower, better = found.cost - self.tolerance * float(levelled.scales.cost), None
+            # Where it crept enough is left to go on from there.
+            share = (max_iterations - count) // (1 if crept is None else len(_AWAY) + 1)
             for size in _AWAY:
-                # Enough is left to go on from where it crept.
-                most = (max_iterations - count) // (1 if crept is None else 2)
+                most = min(share, max_iterations - count)
                 if most <= 0:
                     break
-                other = search(self._step_away(levelled, size, alone=True, seed=tries), most, later)
-                count, tries = count + other.outcome.iterations, tries + 1
+                other = search(self._step_away(levelled, size, alone=True, seed=seed), most, later)
+                count, seed = count + other.outcome.iterations, seed + 1
                 if other.outcome.status in (Status.SOLVED, Status.UNBOUNDED) and other.outcome.cost < lower:
                     better = other
                     break
             if better is not None:
                 found, state, crept = better
                 continue
+            saddle = crept is None
             if crept is not None:
-                spent = count - crept.iterations
-                found, state, _ = search(crept.patient(), max_iterations - spent, callback)
-                count = spent + found.iterations
-            saddle = found.status is Status.SOLVED and self._bends_down(state, given)
+                count -= crept.iterations  # it counts them itself
+                found, state, _ = search(crept.patient(), max_iterations - count, later)
+                count, saddle = count + found.iterations, self._falls(found, state, given)
             break
         return found._replace(iterations=count, saddle=saddle)
 
-    def _bends_down(self, state: Iterate, given: Given) -> bool:
-        """Whether the objective falls to second order along what the constraints leave free."""
-        return self.steps.raised(state, given) > self.steps.bent
+    def _falls(self, found: Outcome, state: Iterate, given: Given) -> bool:
+        """Whether the objective falls to second order along what the constraints leave free, from a solution."""
+        return found.status is Status.SOLVED and self.steps.raised(state, given) > self.steps.bent
 
     def _begun(self, start: Point | WarmStart, given: Given) -> Opening:
         if isinstance(start, WarmStart):
@@ -208,78 +251,99 @@ class Solver:
         callback: Callback | None,
         reached: Reached | None = None,
     ) -> Searched:
-        watch = Watch(self.tolerance, max_iterations)
-
-        def ended(state: Iterate, status: Status, crept: Reached | None = None) -> Searched:
-            return Searched(self.outcome(state, status, watch.count), state, crept)
-
-        slopes: Derivatives | None = None
-        searches, rests, shaken, before = 0, 0, False, np.inf
+        origin, status = None if isinstance(start, WarmStart) else start, None
         if reached is None:
-            opening = self._begun(start, given)
-            state, memory, before = opening.state, opening.memory, float(opening.state.barrier)
+            watch, opening = Watch(self.tolerance, max_iterations), self._begun(start, given)
+            way = _Way(origin, opening.state, opening.memory, before=float(opening.state.barrier))
             status = watch.at_once(opening)
-            if status is not None:
-                return ended(state, status)
-        origin = None if isinstance(start, WarmStart) else start  # where a run that begins anew begins
-        misled = False
-        while True:
+        else:
+            watch = Watch(self.tolerance, max_iterations, reached.iterations, reached.restarts)
+            way = _Way(origin, reached.last.state, reached.last.memory)
+        way.hasty = origin is not None and watch.hasty
+        while status is None:
             if reached is None:
-                most = watch.until() if callback is None else int(slopes is not None)
-                orders = ordered(slopes is None, True, origin is not None and not misled, most, watch.count, before)
-                known = self.steps.no_slopes if slopes is None else slopes
-                taken = self.steps.steps(state, known, given, orders, memory)
-                watch.count += int(taken.count)
+                taken = self._steps(way, given, watch, callback is not None)
             else:
-                (taken, watch.count), reached = reached, None
-            slopes, state, memory, signs = taken.slopes, taken.state, taken.memory, seen(taken.signs)
-            if origin is not None and bool(taken.worthless):
-                fresh = self.steps.renewed(state, slopes, memory)[0]
-                misled, before, slopes = True, np.inf, None
-                state = self._weighed_first(*self.steps.begun_in(fresh, origin, given), given)
-                memory = memory._replace(first=fresh, seen=fresh)
+                taken, reached = reached.last, None
+            way.slopes, way.state, way.memory, signs = taken.slopes, taken.state, taken.memory, seen(taken.signs)
+            if way.origin is not None and bool(taken.worthless):
+                way = self._in_better_scales(way, way.origin, given)
                 continue
-            if not bool(state.stuck):
+            if not bool(way.state.stuck):
                 status = watch.ended(signs)
                 if status is not None:
-                    return ended(state, status)
-                if origin is not None and watch.astray(signs) and (anew := self._anew(start, given, watch)) is not None:
-                    searches, rests, shaken, before, slopes = 0, 0, False, np.inf, None
-                    origin, state, memory = anew
+                    break
+                if watch.astray(signs) and (another := self._anew(way, start, given, watch)) is not None:
+                    watch.again(astray=True)
+                    way = another
                     continue
                 if bool(signs.creeps):
-                    return ended(state, Status.STALLED, Reached(taken, watch.count))
+                    crept = Reached(taken, watch.count, watch.restarts)
+                    return Searched(self.outcome(way.state, Status.STALLED, watch.count), way.state, crept)
                 if callback is not None:
-                    callback(watch.count, float(state.values.cost), float(state.errors.feasibility))
+                    callback(watch.count, float(way.state.values.cost), float(way.state.errors.feasibility))
                 if not signs.far and not signs.jams:
                     continue
-            memory = memory._replace(jammed=np.zeros((), int))
-            searches, before, slopes, end = searches + 1, np.inf, None, None
-            if searches <= _SEARCHES:
-                hasty = origin is not None and watch.hasty
-                state, used, rest = self._feasible(state, given, max_iterations - watch.count, hasty)
-                watch.count += used
-                rests += rest is not None
-                if rest is not None and (rests > 1 or (hasty and rest is Status.STALLED)):
-                    state, end = self.steps.looked_at(state, given)[1], rest
-                elif rest is not None:
-                    state = self._shaken(state, given)
-            elif not shaken:
-                searches, shaken, state = 0, True, self._shaken(state, given)
+            jammed = bool(signs.jams) and not bool(way.state.stuck)
+            end = self._to_feasible(way, jammed, given, max_iterations, watch)
+            if end is None:
+                continue
+            if watch.lost(end) and (another := self._anew(way, start, given, watch)) is not None:
+                watch.again(astray=False)
+                way = another
+            elif end is Status.STALLED and way.hasty:  # with more steps there may be a point, or a certificate
+                way.hasty = False
             else:
-                end = self._at_rest(state)
-            if end is not None:
-                anew = self._anew(start, given, watch) if origin is not None and watch.lost(end) else None
-                if anew is None:
-                    return ended(state, end)
-                searches, rests, shaken = 0, 0, False
-                origin, state, memory = anew
+                status = end
+        return Searched(self.outcome(way.state, status, watch.count), way.state, None)
 
-    def _anew(self, start: Any, given: Given, watch: Watch) -> tuple[Point, Iterate, Memory] | None:
-        """A point beside the start, and the first state there; None where a run would end at once."""
-        aside = self._step_away(self._begun(start, given).state, _ASIDE, seed=watch.restarts)
+    def _steps(self, way: _Way, given: Given, watch: Watch, one: bool) -> Stride:
+        """The next steps of a way: one if it is to be, or as many as there is patience for."""
+        most = int(way.slopes is not None) if one else watch.until()
+        may_begin_anew = way.origin is not None and not way.misled
+        orders = ordered(way.slopes is None, True, may_begin_anew, most, watch.count, way.before)
+        slopes = self.steps.no_slopes if way.slopes is None else way.slopes
+        taken = self.steps.steps(way.state, slopes, given, orders, way.memory)
+        watch.count += int(taken.count)
+        return taken
+
+    def _in_better_scales(self, way: _Way, origin: Point, given: Given) -> _Way:
+        """The way from the same start, in the scales that are due."""
+        fresh = self.steps.renewed(way.state, way.slopes, way.memory)[0]
+        state, bound = self.steps.begun_in(fresh, origin, given)
+        memory = self.steps.opening(state, fresh).memory
+        return _Way(origin, self._weighed_first(state, bound, given), memory, hasty=way.hasty, misled=True)
+
+    def _anew(self, way: _Way, start: Any, given: Given, watch: Watch) -> _Way | None:
+        """A way from a point beside the start; None where there is none, or where it would end at once."""
+        if way.origin is None:
+            return None
+        aside = self._step_away(self._begun(start, given).state, _ASIDE, seed=sum(watch.restarts))
         found = self._begun(aside, given)
-        return None if watch.at_once(found) is not None else (aside, found.state, found.memory)
+        if watch.at_once(found) is not None:
+            return None
+        memory = found.memory._replace(creeping=np.minimum(np.asarray(way.memory.creeping), 0))  # patience stays
+        return _Way(aside, found.state, memory, hasty=watch.hasty)
+
+    def _to_feasible(self, way: _Way, jammed: bool, given: Given, most: int, watch: Watch) -> Status | None:
+        """Lead a way on from a point that violates less, or from beside; how it ends where there is none."""
+        way.memory = way.memory._replace(jammed=np.zeros((), int))
+        way.slopes, way.before = None, np.inf
+        way.searches += not jammed  # else it has come some steps since the last one
+        if way.searches > _SEARCHES:
+            if way.shaken:
+                return self._at_rest(way.state)
+            way.searches, way.shaken, way.state = 0, True, self._shaken(way.state, given)
+            return None
+        way.state, used, rest = self._feasible(way.state, given, most - watch.count, way.hasty)
+        watch.count += used
+        way.rests += rest is not None
+        if rest is not None and (way.rests > 1 or (way.hasty and rest is Status.STALLED)):
+            way.state = self.steps.looked_at(way.state, given)[1]
+            return rest
+        if rest is not None:
+            way.state = self._shaken(way.state, given)
+        return None
 
     def _at_rest(self, state: Iterate) -> Status:
         """The status where no step does better."""
@@ -352,7 +416,8 @@ class Solver:
                 break
             flat = float(search.slope) <= _FLAT * float(search.size) ** 0.5
             if flat and not in_scale:  # a slope may be small in scales that are far off
-                in_scale, (fresh, change) = True, self.steps.scales(search.point, slopes, state.scales)
+                in_scale, before = True, np.inf
+                fresh, change = self.steps.scales(search.point, slopes, state.scales)
                 if float(change) > RENEW:
                     state = self.steps.rescaled(state._replace(point=search.point, values=search.values), fresh)
                     search = self._begin(state)

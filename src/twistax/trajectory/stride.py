@@ -18,6 +18,8 @@ from .transcribed import Derivatives, Given, Transcribed
 
 #: Steps before those of a run that never creeps.
 _NEVER = -(2**62)
+#: New scales in a row, without a step, of a state that is solved in each of them.
+_IN_A_ROW = 3
 #: What comes next.
 _END, _STEP, _LOOK, _RESCALE = range(4)
 
@@ -54,16 +56,21 @@ class Stride(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """How far a run has come by steps alone."""
+    """How far a run has come."""
 
     last: Stride
     iterations: int
+    restarts: tuple[int, int] = (0, 0)  # as a watch counts them
 
     def patient(self) -> Reached:
         """The same, of a run that may creep from here on."""
         signs = self.last.signs._replace(creeps=np.zeros((), bool))
-        memory = self.last.memory._replace(creeping=np.int64(_NEVER))
-        return self._replace(last=self.last._replace(memory=memory, signs=signs))
+        return self._replace(last=self.last._replace(memory=patient(self.last.memory), signs=signs))
+
+
+def patient(memory: Memory) -> Memory:
+    """The same, of a run that may creep."""
+    return memory._replace(creeping=np.int64(_NEVER))
 
 
 class _Course(NamedTuple):
@@ -74,6 +81,7 @@ class _Course(NamedTuple):
     worthless: Any
     goes: Any
     fresh: Scales  # those that were due last
+    row: Any  # new scales since the last step
     following: Any
 
 
@@ -112,7 +120,10 @@ def stride(
         slopes, measured = method.looked_at(state, given)
         before, count = jnp.where(looks, orders.before, state.barrier), own.count + jnp.where(steps, 1, 0)
         total = orders.count + count
-        due = orders.decide & ~rescales & ~measured.stuck & decisions.due(measured, own.memory, total, before)
+        # One set of new scales is enough, but where a state is solved in them: they may be too large.
+        row, solved = jnp.where(rescales, own.row + 1, 0), error(measured) <= tolerance
+        due = orders.decide & ~measured.stuck & decisions.due(measured, own.memory, total, before)
+        due = due & (~rescales | (solved & (row < _IN_A_ROW)))
         fresh, change, memory = jax.lax.cond(
             due,
             lambda: decisions.renewed(measured, slopes, own.memory),
@@ -120,17 +131,19 @@ def stride(
         )
         memory = decisions.went(measured, memory, steps)
         worthless = orders.anew & (total > 0) & (total <= max(EARLY)) & (change > WORTHLESS)
+        worthless = worthless & ~solved
         e = measured.errors
         finite = jnp.isfinite(jnp.stack([e.stationarity, e.feasibility, e.gap])).all()
-        calm = (error(measured) > tolerance) & finite & ~measured.stuck & ~decisions.away(measured)
+        calm = ~solved & finite & ~measured.stuck & ~decisions.away(measured)
         calm = calm & ~decisions.creeps(memory) & ~decisions.jams(memory)
         goes = calm & ~decisions.far(measured, memory) & ~worthless
         following = jnp.where(goes & (count < orders.most), _STEP, _END)
         following = jnp.where(change > RENEW, jnp.where(worthless, _END, _RESCALE), following)
-        return _Course(slopes, measured, memory, count, worthless, goes, fresh, following)
+        return _Course(slopes, measured, memory, count, worthless, goes, fresh, row, following)
 
     first = jnp.where(orders.look, _LOOK, jnp.where(orders.most > 0, _STEP, _END))
     no = jnp.zeros((), bool)
-    begin = _Course(slopes, state, memory, jnp.zeros((), int), no, no, state.scales, first)
+    none = jnp.zeros((), int)
+    begin = _Course(slopes, state, memory, none, no, no, state.scales, none, first)
     found = jax.lax.while_loop(lambda own: own.following != _END, ahead, begin)
-    return Stride(*found[:-2], decisions.signs(found.state, found.memory))
+    return Stride(*found[:-3], decisions.signs(found.state, found.memory))

@@ -42,15 +42,17 @@ class Watch:
 
     Args:
         most: iterations it may take.
+        count, restarts: of these, and of ways begun anew, those so far.
 
     Attributes:
         count: iterations so far.
+        restarts: how often the run has begun anew because multipliers had run away, and because no step helped.
     """
 
-    def __init__(self, tolerance: float, most: int) -> None:
+    def __init__(self, tolerance: float, most: int, count: int = 0, restarts: tuple[int, int] = (0, 0)) -> None:
         self._tolerance, self._most = tolerance, most
-        self.count = self._astray = self._lost = 0
-        self._looked = 0, time.perf_counter()
+        self.count, self.restarts = count, restarts
+        self._looked = count, time.perf_counter()
 
     def until(self) -> int:
         """How many steps may be taken without a look at signals: as long as the last ones took."""
@@ -58,27 +60,22 @@ class Watch:
         pace = (self.count - before) / max(self._looked[1] - then, 1e-9)
         return min(self._most - self.count, max(1, int(_PATIENCE * pace)))
 
-    @property
-    def restarts(self) -> int:
-        """How often the run has begun anew."""
-        return self._astray + self._lost
-
     def astray(self, signs: Signs) -> bool:
-        """Whether multipliers have run away, and the run should begin anew."""
-        away = bool(signs.away) and self._astray < _ASTRAY and not bool(signs.near)
-        self._astray += away
-        return away
+        """Whether multipliers have run away, and the run may begin anew."""
+        return bool(signs.away) and self.restarts[0] < _ASTRAY and not bool(signs.near)
+
+    def lost(self, status: Status) -> bool:
+        """Whether a run that comes to rest so may begin anew, while there are steps left."""
+        return status is Status.STALLED and self.hasty and self.count < self._most
+
+    def again(self, astray: bool) -> None:
+        """Count a run that begins anew, because multipliers had run away or because no step helped."""
+        self.restarts = self.restarts[0] + astray, self.restarts[1] + (not astray)
 
     @property
     def hasty(self) -> bool:
         """Whether a search for feasible points that creeps is left; later ones may need steps for a certificate."""
-        return self._lost < _LOST
-
-    def lost(self, status: Status) -> bool:
-        """Whether a run that ends so should begin anew, while there are steps left."""
-        again = status is Status.STALLED and self._lost < _LOST and self.count < self._most
-        self._lost += again
-        return again
+        return self.restarts[1] < _LOST
 
     def at_once(self, opening: Opening) -> Status | None:
         """How it ends before the first step."""
