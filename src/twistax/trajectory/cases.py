@@ -87,8 +87,14 @@ class Cases:
         return lambda k: value[k]
 
 
-def prepared(problem: Solvable[Any, Any], cases: Cases) -> tuple[Point, Given, list[dict[str, Array]]]:
+def prepared(
+    problem: Solvable[Any, Any], cases: Cases, sizes: Callable[[Point, Given], Any] | None = None, at: Any = None
+) -> tuple[Point, Given, list[dict[str, Array]]]:
     """Where the cases start, what they are solved for (arrays with a leading axis), and their parameters.
+
+    Args:
+        sizes: as `Solvable.started` takes them, from where a case starts.
+        at: where the cases start without them.
 
     Raises:
         TwistaxError: as `solve` does, with the number of the case.
@@ -96,7 +102,8 @@ def prepared(problem: Solvable[Any, Any], cases: Cases) -> tuple[Point, Given, l
     found: list[tuple[Point, Given, dict[str, Array]]] = []
     for k in range(cases.count):
         try:
-            found.append(problem.started(**cases.case(k))[:3])
+            known = None if sizes is None else sizes(*jax.tree.map(lambda a, k=k: a[k], at))
+            found.append(problem.started(**cases.case(k), sizes=known)[:3])
         except TwistaxError as error:
             error.args = (f"case {k}: {error}",)
             raise

@@ -241,6 +241,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         final_time: Any = None,
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
+        sizes: Sequence[Mapping[str, Array]] | None = None,
     ) -> Started:
         """What `solve` with these arguments starts from and is for; in double precision."""
         given = {"guess": guess, "initial": initial, "final": final}
@@ -262,7 +263,8 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         if params is not None:
             found = self._values(self.params | {name_of(key): value for key, value in params.items()})
         limits = self.border.limited(np.array([limit for limit, _ in times]), free)
-        point = self._start(found, ends, guesses, np.array([time for _, time in times]), limits)
+        durations, own_sizes = np.array([time for _, time in times]), sizes or [{} for _ in self.parts]
+        point = self._start(found, ends, guesses, durations, limits, own_sizes)
         first, last = (
             tuple(part.filled(getattr(own, side)) for part, own in zip(self.parts, ends))
             for side in ("initial", "final")
@@ -310,6 +312,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         guesses: Sequence[dict[str, Array]],
         durations: Array,
         limits: Array,
+        sizes: Sequence[Mapping[str, Array]],
     ) -> Point:
         """The guesses of the phases; states without one go between what is known of them at the ends of phases."""
         guess = {name: value for own in guesses for name, value in own.items()}
@@ -319,7 +322,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         for index, part in enumerate(self.parts):
             began = {name: np.asarray(xs[0][name][0]) for name in part.reduced.starts if index}
             own = self._between(index, ends, durations) | guesses[index] | free | began
-            point = part.start(own, ends[index], params, durations, limits)
+            point = part.start(own, ends[index], params, durations, limits, sizes[index])
             found = part.border.params(np.asarray(point.border))
             free |= {box.name: found[box.name] for box in part.bounds}
             segment = self.shooting.segments[index]

@@ -192,6 +192,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self._build()
 
     @property
+    def bounded(self) -> bool:
+        """Whether it has bounds of its own: of norms, of magnitudes, or extremes."""
+        return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes)
+
+    @property
     def parts(self) -> Sequence[Problem]:
         return [self]
 
@@ -255,6 +260,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         final_time: Any = None,
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
+        sizes: Sequence[Mapping[str, Array]] | None = None,
     ) -> Started:
         """What `solve` with these arguments starts from and is for; in double precision."""
         ends = self.other_ends(initial, final)
@@ -263,7 +269,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         if params is not None and not isinstance(params, Mapping):
             raise InputError(f"solve: params must be a dict from parameters to values, got {short(params)}")
         own = self.params if params is None else self._prepared({**self.params, **params})
-        start = self.start(self.own_guess | self.checked_guess(guess), ends, own, np.array([time_guess]), limits)
+        own_sizes = {} if sizes is None else sizes[0]
+        known = self.own_guess | self.checked_guess(guess)
+        start = self.start(known, ends, own, np.array([time_guess]), limits, own_sizes)
         return Started(start, self.given(ends, own, limits), own, ends)
 
     def axes(self) -> dict[str, Any]:
@@ -343,8 +351,12 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         params: Mapping[str, Array],
         durations: Array,
         limits: Array,
+        sizes: Mapping[str, Array],
     ) -> Point:
-        """The point that guesses give, with these durations, within limits of the border."""
+        """The point that guesses give, with these durations, within limits of the border.
+
+        Bounds of norms and of magnitudes, and extremes, fit controls; those that are zero count with their sizes.
+        """
         count = self.nodes - 1
         xs = {
             s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.mesh.shares)
@@ -352,13 +364,13 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
-        for name, values in self.reduced.bounds_of(xs | us, params).items():
+        for name, values in self.reduced.bounds_of(_sized(xs | us, sizes), params).items():
             (us if name in us else xs)[name] = above(values)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
-        guess = {**self._extremes(xs, us, params, durations), **given}
+        guess = {**self._extremes(xs, _sized(us, sizes), params, durations), **given}
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
-        norms = self.norms.guess(us, {**params, **self.border.params(border)})
+        norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
         return Point(xs, np.concatenate([*flat, *norms], axis=1), border)
 
     def _extremes(
@@ -412,3 +424,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             if not np.isfinite(value).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {value}")
         return found
+
+
+def _sized(values: Mapping[str, Array], sizes: Mapping[str, Array]) -> dict[str, Array]:
+    """Values by leaf, those that are zero at their sizes."""
+    return {
+        name: np.broadcast_to(sizes[name].reshape(a.shape[1:]), a.shape) if name in sizes and not a.any() else a
+        for name, a in values.items()
+    }

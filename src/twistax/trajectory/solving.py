@@ -79,8 +79,13 @@ class Solvable(ABC, Generic[One, Many]):
         final_time: Any = None,
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
+        sizes: Sequence[Mapping[str, Array]] | None = None,
     ) -> Started:
-        """What `solve` with these arguments starts from and is for; NumPy's arrays of double precision."""
+        """What `solve` with these arguments starts from and is for; NumPy's arrays of double precision.
+
+        Args:
+            sizes: of the controls of each part, by name, for bounds of what is zero at the start.
+        """
 
     @abstractmethod
     def at_ends(self, xs: Any, ends: Any) -> Any:
@@ -197,10 +202,13 @@ class Solvable(ABC, Generic[One, Many]):
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
         with in_double():
             begin = time.perf_counter()
-            started = self.started(guess, initial, final, params, final_time, final_time_guess, free)
+            arguments = (guess, initial, final, params, final_time, final_time_guess, free)
+            started = self.started(*arguments)
             (plain, given), own, ends = jax.device_put(started[:2]), started.params, started.ends
-            first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
             own_solver = self._solver(float(tolerance), plain, given)
+            if self._is_bounded:
+                plain = jax.device_put(self.started(*arguments, self._sizes(own_solver, plain, given)).point)
+            first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
             compiled = time.perf_counter()
             outcomes = []
 
@@ -269,11 +277,25 @@ class Solvable(ABC, Generic[One, Many]):
             begin = time.perf_counter()
             points, givens, own = prepared(self, cases)
             solver = self._solver(float(tolerance), *jax.tree.map(lambda a: a[0], (points, givens)))
+            if self._is_bounded:
+                points = prepared(self, cases, lambda *own: self._sizes(solver, *own), (points, givens))[0]
             compiled = time.perf_counter()
             outcomes = solve_all(solver, points, givens, max_iterations)
             done = time.perf_counter()
         times = (compiled - begin) / cases.count, (done - compiled) / cases.count
         return self.results([Tried([o], params, float(tolerance), *times) for o, params in zip(outcomes, own)])
+
+    @property
+    def _is_bounded(self) -> bool:
+        return any(part.bounded for part in self.parts)
+
+    def _sizes(self, solver: Solver, point: Point, given: Given) -> list[dict[str, Array]]:
+        """Sizes of the controls of each part, by name, as they are measured at a start."""
+        sizes = np.asarray(solver.steps.opened(point, given).state.scales.u)
+        return [
+            {name: sizes[part.stages, own].max(axis=0) for name, own in part.shooting.local.controls.slices.items()}
+            for part in self.shooting.segments
+        ]
 
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
         """The solver for a tolerance, compiled."""
