@@ -338,7 +338,9 @@ def test_a_run_that_creeps_goes_on_where_nothing_beside_it_is_better(monkeypatch
         return state.point
 
     monkeypatch.setattr(solver.Solver, "_step_away", nowhere)
-    result = hill(True).solve(max_iterations=1000)
+    counts = list[int]()
+    result = hill(True).solve(max_iterations=1000, callback=lambda count, *_: counts.append(count))
+    assert counts == sorted(counts)
     assert beside == [0.1, 0.3, 1.0]
     assert result.solved
     assert result.saddle

@@ -13,10 +13,11 @@ import twistax as tx
 from twistax.precision import in_double
 from twistax.report.sections import flights
 from twistax.trajectory import Problem, Status, TrajectoryResult, scaling, solver
-from twistax.trajectory.decisions import RENEW
+from twistax.trajectory.decisions import JAMMED, RENEW, Signs
 from twistax.trajectory.descent import Descent
 from twistax.trajectory.iterate import State
 from twistax.trajectory.scaling import unit_scales
+from twistax.trajectory.stride import ordered
 from twistax.trajectory.transcribed import Point, Values
 from twistax.trajectory.watch import Watch
 
@@ -71,7 +72,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     def seen(*args: Any) -> Any:
         own = anew(*args)
         assert own is not None
-        found.append(np.asarray(own[0].us).tobytes())
+        found.append(np.asarray(own.origin.us).tobytes())
         return own
 
     monkeypatch.setattr(solver.Solver, "_anew", seen)
@@ -124,23 +125,22 @@ def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:
         assert own.steps.renewed(state, own.steps.looked_at(state, given)[0], memory)[1] <= RENEW
 
 
-def test_an_objective_counts_no_more_than_it_moves_and_has_moved() -> None:
+def test_an_objective_counts_no_more_than_it_moves_and_bends() -> None:
     """However large the scales of a start were: a millionth of them may still be far more than all of it."""
     with in_double():
         point, given, *_ = stated().started()
         own = stated()._solver(1e-6, point, given)
         opening, (_, state, _) = own.steps.opened(point, given), own._run(point, given, 500, None)
-        measured = own.steps.scales(state.point, own.steps.looked_at(state, given)[0], state.scales)[0].cost
-        moved = abs(float(state.values.cost - opening.memory.begun.cost))
-        huge = opening.memory.first._replace(cost=1e15 * measured)
+        measured = float(own.steps.scales(state.point, own.steps.looked_at(state, given)[0], state.scales)[0].cost)
+        far = opening.memory._replace(least=1e9 * measured, seen=state.scales._replace(cost=1e15 * measured))
         state = own.rescaled(state, state.scales._replace(cost=1e9 * measured), given)
         slopes, state = own.steps.looked_at(state, given)
-        fresh, change, memory = own.steps.renewed(state, slopes, opening.memory._replace(first=huge, seen=huge))
+        fresh, change, memory = own.steps.renewed(state, slopes, far)
         assert change > RENEW
-        assert 0.999 * measured <= fresh.cost <= 1.001 * max(measured, moved)
+        assert 0.999 * measured <= fresh.cost <= 5.0 * measured
         state = own.rescaled(state, fresh, given)
         slopes, state = own.steps.looked_at(state, given)
-        assert own.steps.renewed(state, slopes, memory)[0].cost == pytest.approx(float(fresh.cost))
+        assert own.steps.renewed(state, slopes, memory)[1] <= RENEW
 
 
 def test_scales_are_forgotten_without_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -309,8 +309,11 @@ def test_nonsense_is_one_clear_error(changes: dict[str, Any], error: type[Except
 def test_ends_outside_their_box_are_refused() -> None:
     p = tx.State("p", min=0.0, max=1.0)
     dynamics = tx.compile(tx.System(rates={p: tx.Control("u")}))
-    with pytest.raises(tx.TrajectoryError, match=r"initial value of p must keep its bound, but is 2: 2 > 1"):
+    with pytest.raises(tx.TrajectoryError, match=r"initial value of p must keep its bound, but is 2: 2 > 1\.\n  fix:"):
         Problem(dynamics, tx.Minimize(p), final_time=1.0, initial={p: 2.0})
+    Problem(dynamics, tx.Minimize(p), final_time=1.0, initial={p: 1.0 + 1e-12})  # that is rounding
+    with pytest.raises(tx.TrajectoryError, match=r"but is 1\.00000001: 1\.00000001 > 1\."):
+        Problem(dynamics, tx.Minimize(p), final_time=1.0, initial={p: 1.0 + 1e-8})
 
 
 def test_an_end_of_another_length_is_not_repeated() -> None:
@@ -352,3 +355,61 @@ def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
     dynamics = tx.compile(tx.System(rates={x: k * u}), bake={"k": 3.0})
     with pytest.raises(tx.ModelError, match="baked"):
         Problem(dynamics, tx.Minimize(k * x), final_time=1.0)
+
+
+def test_how_often_runs_begin_anew() -> None:
+    watch, signs = Watch(1e-6, 100), Signs(*[np.zeros(()) for _ in Signs._fields])
+    away = signs._replace(away=np.ones(()))
+    assert not watch.astray(signs)
+    assert not watch.astray(away._replace(near=np.ones(())))
+    for _ in range(4):
+        assert watch.astray(away)
+        watch.again(astray=True)
+    assert not watch.astray(away)
+    for _ in range(2):
+        assert watch.hasty
+        assert watch.lost(Status.STALLED)
+        assert not watch.lost(Status.INFEASIBLE)
+        watch.again(astray=False)
+    assert watch.restarts == (4, 2)
+    assert not watch.hasty
+    assert not watch.lost(Status.STALLED)
+    assert not Watch(1e-6, 100, count=100).lost(Status.STALLED)
+
+
+def test_steps_end_where_a_run_is_jammed() -> None:
+    """At once: how many steps come in a row hangs on the speed of the machine."""
+    with in_double():
+        point, given, *_ = stated().started()
+        steps = stated()._solver(1e-6, point, given).steps
+        opening, orders = steps.opened(point, given), ordered(look=True, decide=True, most=50)
+        frozen = opening.state._replace(share=np.array(0.0))
+        for jammed, count in ((JAMMED - 2, 1), (JAMMED, 0)):
+            memory = opening.memory._replace(jammed=np.array(jammed))
+            taken = steps.steps(frozen, steps.no_slopes, given, orders, memory)
+            assert bool(taken.signs.jams) == (count == 0)
+            assert (int(taken.count) >= 1) == (count == 1)
+
+
+def test_a_search_that_gains_little_creeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of sums of squares that halve it is not left, of those that hardly fall it is."""
+    monkeypatch.setattr(solver, "_WORTH", -1.0)
+    monkeypatch.setattr(solver, "_LITTLE", -1.0)
+    monkeypatch.setattr(solver, "_FLAT", -1.0)
+    own = stated()
+    with in_double():
+        point, given, *_ = own.started(final_time=1.0)
+        found = own._solver(1e-6, point, given)
+        state = found.steps.opened(point, given).state
+        for falls, steps in ((0.999, 60), (0.5, 200)):
+            sizes = iter(falls**k for k in range(1000))
+            reduce = found._reduce
+            monkeypatch.setattr(
+                found,
+                "_reduce",
+                lambda *args, n=sizes, reduce=reduce: reduce(*args)._replace(size=next(n), damping=1.0),
+            )
+            _, count, rest = found._feasible(state, given, 200, hasty=True)
+            assert count == steps
+            assert (rest is Status.STALLED) == (falls == 0.999)
+            monkeypatch.setattr(found, "_reduce", reduce)

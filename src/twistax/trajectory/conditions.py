@@ -34,6 +34,9 @@ from ..lowering import Dynamics
 from ..system import entry_names, free_name, name_of
 from .statement import bounds_of, check_leaves, limited, without_end
 
+#: An end beyond a limit by less than this share of it is at the limit.
+_ROUNDING = 1e-9
+
 
 @dataclasses.dataclass(frozen=True)
 class Conditions:
@@ -148,11 +151,13 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
     for bound in bounds_of(states):
         array = values[bound.leaf]
         found = np.nan if array is None else array.ravel()[bound.entry]
-        if bound.sign * (found - bound.limit) > 0.0:
+        if bound.sign * (found - bound.limit) > _ROUNDING * abs(bound.limit):
             symbol = ">" if bound.sign > 0.0 else "<"
             raise TrajectoryError(
-                f"the {what} value of {bound.place} must keep its bound, but is {found:g}: "
-                f"{found:g} {symbol} {bound.limit:g}"
+                f"the {what} value of {bound.place} must keep its bound, but is {found:.12g}: "
+                f"{found:.12g} {symbol} {bound.limit:.12g}.\n"
+                "  fix: clip a measured state with np.clip, or state the limit in constraints={...}: then this case "
+                "alone is INFEASIBLE"
             )
     return values
 

@@ -160,7 +160,8 @@ def _mesh(result: Any) -> str:
     phase = int(np.argmax([own.max() for own in errors]))
     stage, largest = int(errors[phase].argmax()), float(errors[phase].max())
     place = f"between nodes {stage} and {stage + 1}" + (f" of phase {phase}" if len(errors) > 1 else "")
-    much = "; the mesh is too coarse for this path: solve(refine=1e-4)" if not largest <= _COARSE else ""
+    coarse = result.status is not Status.INFEASIBLE and not largest <= _COARSE
+    much = "; the mesh is too coarse for this path: solve(refine=1e-4)" if coarse else ""
     return f"largest miss of an interval, in scales of the states: {largest:.1e} {place}{much}"
 
 
@@ -258,7 +259,8 @@ def _message(
     told = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
     if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STALLED):
         errors = outcome.errors
-        told += f"; in scales, stationarity is {errors.stationarity:.1e} and feasibility {errors.feasibility:.1e}"
+        held = f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
+        told += f"; in scales, stationarity is {errors.stationarity:.1e}, {held} and the gap {errors.gap:.1e}"
     return f"{outcome.status}. {told}."
 
 

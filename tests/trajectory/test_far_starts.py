@@ -1,0 +1,127 @@
+"""Starts that are far off, start at the optimum but for noise, or lead astray."""
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+from trajectory_systems import EULER, HEUN
+
+import twistax as tx
+from twistax.trajectory import Integral, Maximum, Problem, Status
+
+x, u = tx.State("x"), tx.Control("u")
+WALL = u**2 + tx.Exp(10.0 * (x - 1.0)) - x
+
+
+def along(running: Any, **options: Any) -> Problem:
+    """x' = u over 1 s."""
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    return Problem(dynamics, tx.Minimize(running=running), nodes=11, final_time=1.0, **{**EULER, **options})
+
+
+@pytest.mark.parametrize(
+    ("running", "far"), [(tx.Exp(x) + u**2, 30.0), ((x - 1.0) ** 4 + u**2 - x, 1e3), (WALL, 10.0)], ids=str
+)
+def test_the_cost_of_a_start_says_nothing_of_the_optimum(running: Any, far: float) -> None:
+    """It may be 1e40 times as large."""
+    problem = along(running, initial={x: 0.0})
+    near, found = problem.solve(), problem.solve({x: np.linspace(0.0, far, 11)})
+    assert near.solved
+    assert found.solved
+    assert found.cost == pytest.approx(near.cost, rel=1e-6)
+
+
+def test_a_start_of_far_too_little_time_says_nothing_of_the_optimum() -> None:
+    """Time and work of 1 km from rest to rest: T = (3 c)^(1/4), c = 12 w L^2, and 4/3 T by all."""
+    p, v, push = tx.State("p"), tx.State("v"), tx.Control("push", min=-1e9, max=1e9)
+    problem = Problem(
+        tx.compile(tx.System(rates={p: v, v: push})),
+        tx.Minimize(tx.Time(), running=1e-3 * push * push),
+        nodes=21,
+        final_time=(1e-6, 1e6),
+        initial={p: 0.0, v: 0.0},
+        final={p: 1e3, v: 0.0},
+    )
+    exact = 4.0 / 3.0 * (36.0 * 1e-3 * 1e6) ** 0.25
+    for guess in (1e-5, 1e-3):
+        result = problem.solve(final_time_guess=guess)
+        assert result.solved
+        assert result.cost == pytest.approx(exact, rel=2e-3)  # held controls
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e6])
+def test_noise_about_an_optimum_where_the_objective_vanishes(weight: float) -> None:
+    """A controller at its goal: neither the objective nor what moves is of any size there."""
+    rng = np.random.default_rng(0)
+    problem = along(weight * (x - 1.0) ** 2 + 0.1 * u**2, initial={x: 1.0})
+    for noise in (1e-12, 1e-9, 1e-6):
+        guess = {x: 1.0 + noise * rng.normal(size=11), u: noise * rng.normal(size=10)}
+        result = problem.solve(guess)
+        assert result.solved
+        assert result.iterations <= 5
+        np.testing.assert_allclose(result.xs["x"], 1.0, rtol=0.0, atol=1e-13)
+
+
+@functools.cache
+def stopping() -> Problem:
+    """A mass comes to rest at 0 in least time, |u| <= 1."""
+    p, v, push = tx.State("p"), tx.State("v"), tx.Control("push", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: push}))
+    ends: dict[str, Any] = {"initial": {p: 1.0, v: 0.7}, "final": {p: 0.0, v: 0.0}}
+    return Problem(dynamics, tx.Minimize(tx.Time()), nodes=15, final_time=(0.1, 6.0), **ends, **HEUN)
+
+
+@pytest.mark.parametrize(("place", "speed"), [(1.0, 0.7), (1.0, -1.5), (0.2, 1.4), (0.2, -1.0)])
+@pytest.mark.parametrize("latest", [6.0, 60.0])
+def test_a_mass_that_moves_is_stopped_in_least_time(place: float, speed: float, latest: float) -> None:
+    """T = v + 2 sqrt(x + v^2 / 2), away from 0 and past it. With less time it comes nearest at once."""
+    side = np.sign(place + 0.5 * speed * abs(speed))
+    exact = side * speed + 2.0 * np.sqrt(side * place + 0.5 * speed**2)
+    counts = list[int]()
+    result = stopping().solve(
+        initial={"p": place, "v": speed}, final_time=(0.1, latest), callback=lambda count, *_: counts.append(count)
+    )
+    assert result.solved
+    assert result.cost == pytest.approx(exact, rel=2e-2)  # of 15 nodes
+    assert counts == sorted(counts)
+
+
+def test_no_fixed_duration_helps_where_nothing_does() -> None:
+    result = stopping().solve(initial={"p": 1.0, "v": 0.7}, final_time=(0.1, 1.5))
+    assert result.status is Status.INFEASIBLE
+
+
+def pushed(unit: float, kind: str) -> Problem:
+    """A rendezvous in a plane, places and pushes in a unit."""
+    place, v, push = tx.State("place", shape=(2,)), tx.State("v", shape=(2,)), tx.Control("push", shape=(2,))
+    size = tx.linalg.Norm(push)
+    objective = tx.Minimize(running=size) if kind == "cost" else tx.Minimize(Maximum(size))
+    limits = {"thrust": size <= unit} if kind == "cost" else {}
+    dynamics = tx.compile(tx.System(rates={place: v, v: push}, constraints=limits))
+    ends: dict[str, Any] = {"final": {place: np.zeros(2), v: np.zeros(2)}}
+    ends["initial"] = {place: unit * np.array([1.0, 0.5]), v: unit * np.array([0.0, 0.3])}
+    return Problem(dynamics, objective, nodes=13, final_time=3.0, **ends, **HEUN)
+
+
+@pytest.mark.parametrize("kind", ["cost", "maximum"])
+def test_bounds_on_norms_have_the_unit_of_what_they_bound(kind: str) -> None:
+    plain, large = pushed(1.0, kind).solve(), pushed(1e4, kind)
+    many = large.solve_many(initial={"v": 1e4 * np.array([[0.0, 0.3]] * 4)})
+    for result in (large.solve(), *many):
+        assert result.solved
+        assert result.cost == pytest.approx(1e4 * plain.cost, rel=1e-5)
+        assert result.iterations <= 2 * plain.iterations
+
+
+def test_sizes_of_parameters_alone_need_no_bound() -> None:
+    k = tx.Parameter("k", value=2.0)
+    plain = tx.compile(tx.System(rates={x: k}))
+    result = Problem(plain, tx.Minimize(running=tx.Abs(k)), nodes=4, final_time=1.0, initial={x: 0.0}, **EULER).solve()
+    assert result.cost == pytest.approx(2.0)
+    budget: list[Any] = [{x: 1.0}, Integral(tx.Abs(k)) <= 3.0]
+    driven = tx.compile(tx.System(rates={x: k * u}))
+    cost = tx.Minimize(running=u**2)
+    result = Problem(driven, cost, nodes=4, final_time=1.0, initial={x: 0.0}, final=budget, **EULER).solve()
+    assert result.solved
+    assert result.cost == pytest.approx(0.25)
