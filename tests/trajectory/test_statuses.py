@@ -12,7 +12,7 @@ from trajectory_systems import EULER, HEUN, free_flyer
 import twistax as tx
 from twistax.precision import in_double
 from twistax.report.sections import flights
-from twistax.trajectory import Problem, Status, TrajectoryResult, scaling, solver
+from twistax.trajectory import Problem, Status, TrajectoryResult, restoration, scaling, solver
 from twistax.trajectory.decisions import JAMMED, RENEW, Signs
 from twistax.trajectory.descent import Descent
 from twistax.trajectory.iterate import State
@@ -56,8 +56,8 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
 
 def test_a_violation_with_a_slope_is_no_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where every slope counts as one, and every step as none: nothing says that there is no trajectory."""
-    monkeypatch.setattr(solver, "_FLAT", -1.0)
-    monkeypatch.setattr(solver, "_MOST_DAMPING", 0.0)
+    monkeypatch.setattr(restoration, "_FLAT", -1.0)
+    monkeypatch.setattr(restoration, "_MOST_DAMPING", 0.0)
     result = stated().solve(final_time=1.0)
     assert result.status is Status.STALLED
     assert "Worst: " in result.message
@@ -83,8 +83,8 @@ def test_a_run_that_gets_nowhere_begins_anew_beside_its_start(
     monkeypatch: pytest.MonkeyPatch, begun: list[bytes]
 ) -> None:
     """Twice, from other points; where there is a certificate, as in the tests above, not at all."""
-    monkeypatch.setattr(solver, "_FLAT", -1.0)
-    monkeypatch.setattr(solver, "_MOST_DAMPING", 0.0)
+    monkeypatch.setattr(restoration, "_FLAT", -1.0)
+    monkeypatch.setattr(restoration, "_MOST_DAMPING", 0.0)
     assert stated().solve(final_time=1.0).status is Status.STALLED
     assert len(begun) == len(set(begun)) == 2
 
@@ -93,7 +93,7 @@ def test_a_search_that_creeps_is_left_while_there_are_other_starts(
     monkeypatch: pytest.MonkeyPatch, begun: list[bytes]
 ) -> None:
     """Where every search counts as one that creeps, the third goes on to its certificate."""
-    monkeypatch.setattr(solver, "_CREEPING", (1, -1.0))
+    monkeypatch.setattr(restoration, "_CREEPING", (1, -1.0))
     assert stated().solve(final_time=1.0).status is Status.INFEASIBLE
     assert len(begun) == 2
 
@@ -393,14 +393,14 @@ def test_steps_end_where_a_run_is_jammed() -> None:
 
 def test_a_search_that_gains_little_creeps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of sums of squares that halve it is not left, of those that hardly fall it is."""
-    monkeypatch.setattr(solver, "_WORTH", -1.0)
-    monkeypatch.setattr(solver, "_LITTLE", -1.0)
-    monkeypatch.setattr(solver, "_FLAT", -1.0)
+    monkeypatch.setattr(restoration, "_WORTH", -1.0)
+    monkeypatch.setattr(restoration, "_LITTLE", -1.0)
+    monkeypatch.setattr(restoration, "_FLAT", -1.0)
     own = stated()
     with in_double():
         point, given, *_ = own.started(final_time=1.0)
-        found = own._solver(1e-6, point, given)
-        state = found.steps.opened(point, given).state
+        solved = own._solver(1e-6, point, given)
+        found, state = solved.restoration, solved.steps.opened(point, given).state
         for falls, steps in ((0.999, 60), (0.5, 200)):
             sizes = iter(falls**k for k in range(1000))
             reduce = found._reduce
@@ -409,7 +409,7 @@ def test_a_search_that_gains_little_creeps(monkeypatch: pytest.MonkeyPatch) -> N
                 "_reduce",
                 lambda *args, n=sizes, reduce=reduce: reduce(*args)._replace(size=next(n), damping=1.0),
             )
-            _, count, rest = found._feasible(state, given, 200, hasty=True)
+            _, count, rest = found.found(state, given, 200, hasty=True)
             assert count == steps
             assert (rest is Status.STALLED) == (falls == 0.999)
             monkeypatch.setattr(found, "_reduce", reduce)

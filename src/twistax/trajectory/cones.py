@@ -1,6 +1,6 @@
 """Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which has slopes and bends everywhere.
 
-Magnitudes of entries likewise: |a| <= b as a <= b and -a <= b.
+Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a <= b and -a <= b.
 """
 
 from __future__ import annotations
@@ -22,10 +22,13 @@ from ..expr import (
     Dot,
     Expr,
     Inputs,
+    MatMul,
     Mul,
     Neg,
     Norm,
     Parameter,
+    Power,
+    Sqrt,
     Sub,
     evaluate_all,
     leaves_of,
@@ -147,7 +150,10 @@ def sum_of(terms: list[Term]) -> Expr:
 
 
 def is_norm(expr: Expr) -> bool:
-    """Whether it is the Euclidean norm of a vector."""
+    """Whether it is the Euclidean norm of a vector, as such or as the root of its square."""
+    if isinstance(expr, Sqrt) and expr.shape == ():
+        (operand,) = expr.children()
+        return all(factor > 0.0 and _is_square(part) for factor, part in linear_terms(operand))
     return isinstance(expr, Norm) and expr.ord == "fro" and len(expr.operand.shape) == 1
 
 
@@ -159,6 +165,16 @@ def is_size(expr: Expr) -> bool:
     return of_controls and (is_norm(expr) or (isinstance(expr, Abs) and expr.shape == ()))
 
 
+def _is_square(expr: Expr) -> bool:
+    """Whether it is a square as people write it: x**2, x * x, a @ a."""
+    parts = expr.children()
+    if isinstance(expr, Power):
+        return isinstance(parts[1], Constant) and parts[1].shape == () and float(parts[1].value) == 2.0
+    return isinstance(expr, (Dot, MatMul, Mul)) and len(parts) == 2 and parts[0].key() == parts[1].key()
+
+
 def _square(norm: Expr) -> Expr:
     (operand,) = norm.children()
+    if isinstance(norm, Sqrt):
+        return operand
     return Dot(operand, operand)

@@ -1,4 +1,7 @@
-"""What is decided between the steps of a run where nothing is wrong: whether its scales are renewed. Traceable."""
+"""What is decided between the steps of a run: whether scales are renewed, and what says that it is led astray.
+
+All of it is traceable.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,8 @@ FAR, NEAR = 1e16, 1e5
 #: A run creeps along what seems to be a saddle: so many steps in a row need more than CURVED on the diagonal, scaled,
 #: leave residuals below NEARLY, and change the objective by less than that share of its scale.
 LONG, CURVED, NEARLY = 30, 1e-6, 1e-3
-#: A run is jammed at limits after so many steps in a row of less than this share, with residuals above NEARLY.
+#: A run is jammed after so many steps in a row of less than this share, with residuals above NEARLY: limits are near,
+#: or the filter takes no longer ones.
 JAMMED, SHORT = 10, 1e-2
 #: Where a solution stands in scales that are so many times too large, for they were once, these are forgotten.
 INFLATED = 10.0
@@ -74,7 +78,6 @@ class Decisions:
 
     def __init__(self, shooting: Transcribed, tolerance: float) -> None:
         self._shooting, self._tolerance, self._descent = shooting, tolerance, Descent(shooting)
-        self._limited = bool((shooting.exists & ~shooting.equality).any())
 
     def no_memory(self) -> Memory:
         """In place of one, where none is needed."""
@@ -155,8 +158,8 @@ class Decisions:
         return memory.creeping >= LONG
 
     def jams(self, memory: Memory) -> jax.Array:
-        """Whether a run is jammed; without limits short steps say that much is curved, and lead on."""
-        return (memory.jammed >= JAMMED) & self._limited
+        """Whether a run is jammed."""
+        return memory.jammed >= JAMMED
 
     def away(self, state: State) -> jax.Array:
         """Whether multipliers have run away.

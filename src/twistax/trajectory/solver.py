@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from . import durations, estimate, feasibility, warm
-from .decisions import RENEW, Memory, Opening, error, row_violations
+from . import durations, estimate, warm
+from .decisions import Memory, Opening, error, row_violations
 from .interior_point import InteriorPoint, largest
 from .iterate import Errors, Scales
 from .iterate import State as Iterate
 from .program import Program
+from .restoration import Restoration
 from .steps import Steps
 from .stride import Reached, Stride, ordered
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
@@ -31,15 +32,8 @@ Tree = TypeVar("Tree")
 
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
-#: A feasible point is worth leaving the search for if it leaves so much of the violation and the filter does not know
-#: better, or if it leaves so little.
-_WORTH, _LITTLE = 0.5, 0.1
-#: Of a search for feasible points: relative slope of a stationary point, its damping, and how often it starts anew.
-_FLAT, _MOST_DAMPING, _SEARCHES = 1e-7, 1e12, 12
-#: Such a search creeps where so many steps leave more than this share of the sum of squares.
-_CREEPING = 30, 0.9
-#: The least slack after such a search, and by how much a stationary point is shaken once, in scales.
-_SLACK, _SHAKE = 1e-3, 0.1
+#: How often a search for feasible points starts anew, and by how much a stationary point is shaken once, in scales.
+_SEARCHES, _SHAKE = 12, 0.1
 #: Where multipliers have run away, or no step helps: the step aside from the start, in scales, for another run.
 _ASIDE = 0.01
 #: Runs that end so may have been led there by durations that are free.
@@ -108,9 +102,7 @@ class Solver:
         self.steps = Steps(shooting, method, tolerance)
         self._move = shooting.moved
         self._warm = jitted(lambda *args: warm.begin(method, *args), 0)
-        self._begin = jitted(lambda state: feasibility.begin(method, state), 0)
-        self._reduce = jitted(lambda *args: feasibility.reduce(method, *args))
-        self._judged = jitted(self._judge, 0)
+        self.restoration = Restoration(method, self.steps, tolerance)
         self._estimated = jitted(functools.partial(estimate.estimated, method))
         #: What solvers of others made of the problem, by solver.
         self.made: dict[Any, Any] = {}
@@ -335,7 +327,7 @@ class Solver:
                 return self._at_rest(way.state)
             way.searches, way.shaken, way.state = 0, True, self._shaken(way.state, given)
             return None
-        way.state, used, rest = self._feasible(way.state, given, most - watch.count, way.hasty)
+        way.state, used, rest = self.restoration.found(way.state, given, most - watch.count, way.hasty)
         watch.count += used
         way.rests += rest is not None
         if rest is not None and (way.rests > 1 or (way.hasty and rest is Status.STALLED)):
@@ -356,8 +348,8 @@ class Solver:
         if self._at_rest(state) is Status.ACCEPTABLE:
             return state, Status.ACCEPTABLE
         here, rests = state, 0
-        while budget > 0 and float(self._begin(here).largest) > self.tolerance:
-            here, used, rest = self._feasible(here, given, budget)
+        while budget > 0 and self.restoration.violation(here) > self.tolerance:
+            here, used, rest = self.restoration.found(here, given, budget)
             budget, rests = budget - used, rests + (rest is not None)
             if rest is Status.INFEASIBLE and rests > 1:
                 return self.steps.looked_at(here, given)[1], rest
@@ -390,70 +382,7 @@ class Solver:
         found: Iterate = self.steps.looked_at(self.steps.rescaled(state, scales), given)[1]
         return found
 
-    # ---- a search for feasible points -------------------------------------------------------------------------------
-
-    def _feasible(
-        self, state: Iterate, given: Given, budget: int, hasty: bool = False
-    ) -> tuple[Iterate, int, Status | None]:
-        """A point that violates less; how many steps it took; INFEASIBLE or STALLED if no step helps.
-
-        INFEASIBLE where the violation has no slope, in scales of that point; STALLED where it has, but no step helps.
-
-        Args:
-            hasty: STALLED where the search creeps, too.
-        """
-        search = self._begin(state)
-        theta, _, _ = self._judged(state, search)
-        count, rest, in_scale, before = 0, None, False, np.inf
-        while count < budget:
-            slopes, _ = self.steps.looked_at(feasibility.at(search, state), given)
-            search = self._reduce(search, state, slopes, given)
-            count += 1
-            reached, known, _ = self._judged(state, search)
-            if float(search.largest) <= 0.1 * self.tolerance:
-                break
-            if float(reached) <= (_LITTLE if bool(known) else _WORTH) * float(theta):
-                break
-            flat = float(search.slope) <= _FLAT * float(search.size) ** 0.5
-            if flat and not in_scale:  # a slope may be small in scales that are far off
-                in_scale, before = True, np.inf
-                fresh, change = self.steps.scales(search.point, slopes, state.scales)
-                if float(change) > RENEW:
-                    state = self.steps.rescaled(state._replace(point=search.point, values=search.values), fresh)
-                    search = self._begin(state)
-                    theta = self._judged(state, search)[0]
-                    continue
-            if flat or float(search.damping) > _MOST_DAMPING:
-                if float(search.largest) > self.tolerance:
-                    rest = Status.INFEASIBLE if flat else Status.STALLED
-                break
-            if hasty and count % _CREEPING[0] == 0:
-                if float(search.size) > _CREEPING[1] * before:
-                    rest = Status.STALLED
-                    break
-                before = float(search.size)
-        _, _, slack = self._judged(state, search)
-        rows = jnp.where(self.method.inequality, state.barrier / slack, 0.0)
-        state = state._replace(
-            point=search.point,
-            values=search.values,
-            slack=slack,
-            dynamics=jnp.zeros_like(state.dynamics),
-            rows=rows,
-            filter=jnp.full_like(state.filter, jnp.inf),
-            filtered=jnp.zeros_like(state.filtered),
-            stuck=jnp.zeros_like(state.stuck),
-        )
-        return state, count, rest
-
-    def _judge(self, state: Iterate, search: feasibility.Search) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Violation, whether the filter knows better, and slacks of a feasible point."""
-        method = self.method
-        values = method.scaled(search.values, state.scales)
-        slack = jnp.where(method.inequality, jnp.maximum(-values.rows, _SLACK), 1.0)
-        theta, phi = method.theta(values, slack), method.phi(values, slack, state.barrier)
-        known = ((theta >= state.filter[0]) & (phi >= state.filter[1])).any()
-        return theta, known, slack
+    # ---- starts beside ----------------------------------------------------------------------------------------------
 
     def _shaken(self, state: Iterate, given: Given) -> Iterate:
         """A start after a small random step, for a stationary point may be a saddle."""
