@@ -1720,28 +1720,97 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/restoration.py",
+        (
+            "a violation with a slope as a certificate",
+            "rest = Status.INFEASIBLE if flat else Status.STALLED",
+            "rest = Status.INFEASIBLE",
+            "trajectory/test_statuses.py",
+        ),
+        (
+            "a feasible point that is left at once, for no step was found before",
+            "            stuck=jnp.zeros_like(state.stuck),\n",
+            "",
+            "trajectory/test_many.py trajectory/test_statuses.py",
+        ),
+        (
+            "a search that never creeps",
+            "before = float(search.size)",
+            "before = np.inf",
+            "trajectory/test_statuses.py",
+        ),
+    ),
+    *_at(
+        "trajectory/durations.py",
+        (
+            "durations that are fixed where they began",
+            "_FACTORS, _NEAR = (3.0, 9.0, 1.0)",
+            "_FACTORS, _NEAR = (1.0,)",
+            "trajectory/test_far_starts.py",
+        ),
+    ),
+    *_at(
+        "trajectory/stride.py",
+        (
+            "a run that has converged begins anew, for its scales fell",
+            "        worthless = worthless & ~solved\n",
+            "",
+            "trajectory/test_far_starts.py",
+        ),
+        (
+            "new scales that are not looked at",
+            "(solved & (row < _IN_A_ROW))",
+            "(solved & (row < 0))",
+            "trajectory/test_far_starts.py",
+        ),
+        (
+            "a jam that is seen where a chunk of steps ends",
+            " & ~decisions.jams(memory)",
+            "",
+            "trajectory/test_statuses.py",
+        ),
+    ),
+    *_at(
+        "trajectory/problem.py",
+        (
+            "bounds of norms in no unit",
+            "if name in sizes and not a.any() else a",
+            "if False else a",
+            "trajectory/test_far_starts.py",
+        ),
+    ),
+    *_at(
+        "trajectory/cases.py",
+        (
+            "bounds of norms in no unit, of many cases",
+            "known = None if sizes is None else sizes(",
+            "known = None if True else sizes(",
+            "trajectory/test_far_starts.py",
+        ),
+    ),
+    *_at(
         "trajectory/watch.py",
         (
             "a run that never begins anew",
-            "self._astray += away",
-            "away = False",
+            "bool(signs.away) and self.restarts[0] < _ASTRAY",
+            "False",
             "trajectory/test_noise.py",
         ),
         (
             "a run that ends where it gets nowhere",
-            "self._lost += again",
-            "again = False",
+            "status is Status.STALLED and self.hasty",
+            "False",
             "trajectory/test_statuses.py",
         ),
         (
             "searches that creep are always left",
-            "return self._lost < _LOST",
+            "return self.restarts[1] < _LOST",
             "return True",
             "trajectory/test_statuses.py",
         ),
         (
             "searches that creep are never left",
-            "return self._lost < _LOST",
+            "return self.restarts[1] < _LOST",
             "return False",
             "trajectory/test_statuses.py",
         ),
@@ -1768,8 +1837,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "SOLVED in scales of an excursion",
-            "there & (inflated | (fresh.cost > INFLATED * cost))",
-            "there & False",
+            "(error(state) <= self._tolerance) & inflated",
+            "inflated & False",
             "trajectory/test_statuses.py",
         ),
     ),
@@ -1936,8 +2005,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "a run stays jammed",
-            "(memory.jammed >= JAMMED)",
-            "(memory.jammed < -JAMMED)",
+            "return memory.jammed >= JAMMED",
+            "return memory.jammed < -JAMMED",
             "trajectory/test_optimality.py",
         ),
         (
@@ -1954,13 +2023,25 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "scales of a start that stay for ever",
-            " | (fresh.cost > INFLATED * cost)",
+            " | (fresh.cost > INFLATED * own)",
             "",
-            "trajectory/test_statuses.py",
+            "trajectory/test_far_starts.py",
+        ),
+        (
+            "an objective without slope that counts as it did at the start",
+            "least = jnp.minimum(memory.least, scaling",
+            "least = jnp.maximum(memory.least, 0.0 * scaling",
+            "trajectory/test_far_starts.py",
         ),
     ),
     *_at(
         "trajectory/scaling.py",
+        (
+            "rounding taken for a motion",
+            "2.0 * _ROUNDING * bent",
+            "0.0 * _ROUNDING * bent",
+            "trajectory/test_far_starts.py",
+        ),
         (
             "noise of a guess taken for a size",
             "np.concatenate([d, u]), _without_noise(d, u, reach))",
@@ -1993,8 +2074,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "padding that bends the objective",
-            "jnp.where(there, z, 0.0)",
-            "z",
+            "jnp.where(there[:, None] & there[:, :, None], jnp.abs(slopes.hessian), 0.0)",
+            "jnp.abs(slopes.hessian)",
             "trajectory/test_scales.py",
         ),
         (
@@ -2026,14 +2107,14 @@ MUTATIONS: list[Mutation] = [
         "trajectory/solver.py",
         (
             "runs that begin anew without their first multipliers",
-            "state = self._weighed_first(*self.steps.begun_in(fresh, origin, given), given)",
-            "state = self.steps.start(origin, given, fresh)",
+            "return _Way(origin, self._weighed_first(state, bound, given), memory",
+            "return _Way(origin, state, memory",
             "trajectory/test_resting_controls.py",
         ),
         (
             "a worst trajectory as the best",
-            "return self.steps.raised(state, given) > self.steps.bent",
-            "return False",
+            "self.steps.raised(state, given) > self.steps.bent",
+            "False",
             "trajectory/test_optimality.py",
         ),
         (
@@ -2044,9 +2125,27 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "iterations counted from zero again beside a saddle",
-            "callback(count + own, *rest)",
-            "callback(own, *rest)",
+            "callback(count + own, *rest)\n        while",
+            "callback(own, *rest)\n        while",
             "trajectory/test_optimality.py::test_a_worst_trajectory_is_left_or_told",
+        ),
+        (
+            "iterations counted twice where a run goes on from where it crept",
+            "                count -= crept.iterations  # it counts them itself\n",
+            "",
+            "trajectory/test_optimality.py",
+        ),
+        (
+            "durations that stay free where they lead astray",
+            "if isinstance(start, WarmStart) or found.iterations <= 1 or",
+            "if True or",
+            "trajectory/test_far_starts.py",
+        ),
+        (
+            "patience that is forgotten where a run begins anew",
+            "np.minimum(np.asarray(way.memory.creeping), 0)",
+            "np.zeros((), int)",
+            "trajectory/test_optimality.py",
         ),
         (
             "a worst trajectory of a problem without bound as the best",
@@ -2055,22 +2154,10 @@ MUTATIONS: list[Mutation] = [
             "trajectory/test_statuses.py",
         ),
         (
-            "a violation with a slope as a certificate",
-            "rest = Status.INFEASIBLE if flat else Status.STALLED",
-            "rest = Status.INFEASIBLE",
-            "trajectory/test_statuses.py",
-        ),
-        (
             "a saddle that is not told",
             "iterations=count, saddle=saddle)",
             "iterations=count)",
             "trajectory/test_optimality.py",
-        ),
-        (
-            "a feasible point that is left at once, for no step was found before",
-            "            stuck=jnp.zeros_like(state.stuck),\n",
-            "",
-            "trajectory/test_many.py trajectory/test_statuses.py",
         ),
         (
             "states shaken in levelled scales",
