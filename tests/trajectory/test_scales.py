@@ -11,14 +11,30 @@ from twistax.precision import in_double
 from twistax.trajectory import Phase, Problem
 from twistax.trajectory.border import times_of
 from twistax.trajectory.iterate import Scales
+from twistax.trajectory.scaling import unit_scales
+from twistax.trajectory.solver import Solver
+from twistax.trajectory.steps import unweighed
+from twistax.trajectory.transcribed import jitted
 
 
 def first_scales(problem: Any) -> Scales:
-    """Of the run that begins at the guess."""
+    """Of the run that begins at the guess, by what `Steps.opened` is made of: the steps themselves are not compiled."""
     with in_double():
         point, given, *_ = problem.started()
-        found: Scales = problem._solver(1e-6, point, given).steps.opened(point, given).state.scales
+        solver = Solver(problem.shooting, 1e-6)
+        state = unweighed(solver.steps.start(point, given, unit_scales(problem.shooting)))
+        slopes, _ = jitted(solver.method.looked_at, 0)(state, given)
+        found: Scales = jitted(solver.steps._open, 0)(slopes, state, given).state.scales
     return found
+
+
+def test_first_scales_are_those_of_a_run() -> None:
+    problem = two_arms(1.0)
+    with in_double():
+        point, given, *_ = problem.started()
+        run = problem._solver(1e-6, point, given).steps.opened(point, given).state.scales
+    for own, other in zip(first_scales(problem), run):
+        np.testing.assert_allclose(own, other, rtol=1e-12)
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
