@@ -8,7 +8,11 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.trajectory import Integral, Maximum, Problem, Status
+from twistax.trajectory import Integral, Maximum, Minimum, Problem, Status, durations
+from twistax.trajectory.border import Border
+from twistax.trajectory.solver import Solver
+from twistax.trajectory.stride import Reached, ordered
+from twistax.trajectory.transcribed import Given, Point
 
 x, u = tx.State("x"), tx.Control("u")
 WALL = u**2 + tx.Exp(10.0 * (x - 1.0)) - x
@@ -87,9 +91,71 @@ def test_a_mass_that_moves_is_stopped_in_least_time(place: float, speed: float, 
     assert counts == sorted(counts)
 
 
-def test_no_fixed_duration_helps_where_nothing_does() -> None:
+def test_no_fixed_duration_helps_where_nothing_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, fixed = list[float](), durations.fixed
+
+    def seen(*args: Any) -> Any:
+        for point, given in fixed(*args):
+            tried.append(float(np.asarray(point.border)[0]))
+            yield point, given
+
+    monkeypatch.setattr(durations, "fixed", seen)
     result = stopping().solve(initial={"p": 1.0, "v": 0.7}, final_time=(0.1, 1.5))
     assert result.status is Status.INFEASIBLE
+    assert tried == pytest.approx([1.36, 0.8])
+    monkeypatch.setattr(durations, "fixed", lambda *_: [])
+    assert stopping().solve(initial={"p": 1.0, "v": 0.7}).status is Status.INFEASIBLE
+
+
+def test_units_of_time_do_not_matter_for_durations_that_are_fixed() -> None:
+    for unit in (1e-9, 1.0):
+        border = Border(("first", "second"), unit * np.array([[0.1, 60.0], [2.0, 2.0]]))
+        start = Point({}, np.zeros((1, 0)), unit * np.array([3.0, 2.0]))
+        found = list(durations.fixed(border, start, Given({}, {}, border.limits)))
+        times = [np.asarray(point.border) / unit for point, _ in found]
+        np.testing.assert_allclose(times, [[9.0, 2.0], [27.0, 2.0], [3.0, 2.0]])
+        limits = np.asarray(found[0][1].limits) / unit
+        np.testing.assert_allclose(limits, [[8.91, 9.09], [2.0, 2.0]])
+    fixed = Border(("only",), np.array([[2.0, 2.0]]))
+    assert not list(durations.fixed(fixed, Point({}, np.zeros((1, 0)), np.array([2.0])), Given({}, {}, fixed.limits)))
+
+
+def test_a_run_that_creeps_after_a_fixed_duration_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, crept = Solver._run, list[bool]()
+
+    def creeping(own: Any, start: Any, given: Any, most: int, callback: Any, reached: Any = None) -> Any:
+        found = run(own, start, given, most, callback, reached)
+        if len(crept) == 2 and reached is None:  # the first free run after the one of a fixed duration
+            steps, opening = own.steps, own.steps.opened(start, given)
+            orders = ordered(look=True, decide=True, most=1)
+            last = steps.steps(opening.state, steps.no_slopes, given, orders, opening.memory)
+            found = found._replace(crept=Reached(last, 1))
+        crept.append(reached is not None)
+        return found
+
+    monkeypatch.setattr(Solver, "_run", creeping)
+    result = stopping().solve()
+    assert any(crept)
+    assert result.solved
+
+
+@pytest.mark.parametrize("constant", [0.0, 3.0])
+def test_any_trajectory_will_do_where_the_objective_has_no_slope(constant: float) -> None:
+    c = tx.Parameter("c", value=constant)
+    result = along(0.0 * u + c, initial={x: 0.0}, final={x: 1.0}).solve()
+    assert result.solved
+    assert result.iterations <= 10
+    assert result.xs["x"][-1] == pytest.approx(1.0)
+
+
+def test_an_end_at_its_limit_but_for_rounding_is_at_it() -> None:
+    place, push = tx.State("place", min=1e6), tx.Control("push")
+    dynamics = tx.compile(tx.System(rates={place: push}))
+    cost = tx.Minimize(running=push**2)
+    ends: dict[str, Any] = {"initial": {place: 1e6 - 5e-4}, "final": {place: 1e6 + 0.1}}
+    result = Problem(dynamics, cost, nodes=5, final_time=1.0, **ends, **EULER).solve()
+    assert result.solved
+    assert result.xs["place"][0] == 1e6
 
 
 def pushed(unit: float, kind: str) -> Problem:
@@ -107,11 +173,29 @@ def pushed(unit: float, kind: str) -> Problem:
 @pytest.mark.parametrize("kind", ["cost", "root", "maximum"])
 def test_bounds_on_norms_have_the_unit_of_what_they_bound(kind: str) -> None:
     plain, large = pushed(1.0, kind).solve(), pushed(1e4, kind)
-    many = large.solve_many(initial={"v": 1e4 * np.array([[0.0, 0.3]] * 4)})
-    for result in (large.solve(), *many):
+    result = large.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(1e4 * plain.cost, rel=1e-5)
+    assert result.iterations <= 2 * plain.iterations
+    places, speeds, sizes = np.array([1.0, 0.5]), np.array([0.0, 0.3]), np.array([1.0, 3e3, 7e3, 1e4])
+    starts = {"place": sizes[:, None] * places, "v": sizes[:, None] * speeds}
+    many = large.solve_many(initial=starts)
+    for k, each in enumerate(many):
+        alone = large.solve(initial={name: values[k] for name, values in starts.items()})
+        assert each.solved
+        assert each.iterations == alone.iterations
+
+
+def test_extremes_of_any_sign_begin_where_the_guess_keeps_them() -> None:
+    """What is pushed in one direction, and how an extreme of it is written, changes nothing."""
+    push = tx.Control("push", min=-4.0, max=4.0)
+    v = tx.State("v")
+    dynamics = tx.compile(tx.System(rates={x: v, v: push}))
+    ends: dict[str, Any] = {"initial": {x: 0.0, v: 0.0}, "final": {x: 1.0, v: 0.0}}
+    for objective in (tx.Minimize(Maximum(-push)), tx.Maximize(Minimum(push))):
+        result = Problem(dynamics, objective, nodes=7, final_time=2.0, **ends, **HEUN).solve()
         assert result.solved
-        assert result.cost == pytest.approx(1e4 * plain.cost, rel=1e-5)
-        assert result.iterations <= 2 * plain.iterations
+        assert abs(result.cost) == pytest.approx(1.0 / 3.0 * 2.0, abs=0.5)
 
 
 def test_sizes_of_parameters_alone_need_no_bound() -> None:

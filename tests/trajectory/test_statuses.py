@@ -12,7 +12,7 @@ from trajectory_systems import EULER, HEUN, free_flyer
 import twistax as tx
 from twistax.precision import in_double
 from twistax.report.sections import flights
-from twistax.trajectory import Problem, Status, TrajectoryResult, restoration, scaling, solver
+from twistax.trajectory import Problem, Status, TrajectoryResult, decisions, restoration, scaling, solver
 from twistax.trajectory.decisions import JAMMED, RENEW, Signs
 from twistax.trajectory.descent import Descent
 from twistax.trajectory.iterate import State
@@ -146,7 +146,7 @@ def test_an_objective_counts_no_more_than_it_moves_and_bends() -> None:
 def test_scales_are_forgotten_without_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last iteration that there is may be the one that solves it."""
     enough = stated().solve().iterations
-    monkeypatch.setattr(Descent, "inflated", lambda *_: True)
+    monkeypatch.setattr(decisions, "INFLATED", 0.0)
     again = problem(**HEUN).solve(max_iterations=enough)
     assert again.solved
     assert again.iterations == enough

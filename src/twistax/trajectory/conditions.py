@@ -151,7 +151,11 @@ def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | No
     for bound in bounds_of(states):
         array = values[bound.leaf]
         found = np.nan if array is None else array.ravel()[bound.entry]
-        if bound.sign * (found - bound.limit) > _ROUNDING * abs(bound.limit):
+        excess = bound.sign * (found - bound.limit)
+        if array is not None and 0.0 < excess <= _ROUNDING * abs(bound.limit):
+            array = values[bound.leaf] = np.array(array)
+            array.reshape(-1)[bound.entry] = bound.limit
+        elif excess > 0.0:
             symbol = ">" if bound.sign > 0.0 else "<"
             raise TrajectoryError(
                 f"the {what} value of {bound.place} must keep its bound, but is {found:.12g}: "

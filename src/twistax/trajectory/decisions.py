@@ -116,8 +116,10 @@ class Decisions:
         # slope, as it may be at its optimum, counts as it bends.
         sizes, own = Step(measured.d, measured.u, measured.border), jnp.where(sloped, measured.cost, 0.0)
         least = jnp.minimum(memory.least, scaling.bent(self._shooting, slopes, state.scales, sizes, sizes))
-        own = jnp.where(jnp.maximum(own, least) > 0.0, jnp.maximum(own, least), memory.least)
-        inflated = self._descent.inflated(state._replace(scales=fresh), INFLATED) | (fresh.cost > INFLATED * own)
+        best = jnp.maximum(own, least)
+        own = jnp.where(best > 0.0, best, jnp.where(memory.least > 0.0, memory.least, state.scales.cost))
+        sizes_alone = measured._replace(rows=fresh.rows, cost=fresh.cost)
+        inflated = (scaling.change(fresh, sizes_alone) > INFLATED) | (fresh.cost > INFLATED * own)
         forget, kept = (error(state) <= self._tolerance) & inflated, measured._replace(cost=own)
         fresh, seen = jax.tree.map(lambda a, b: jnp.where(forget, a, b), (kept, kept), (fresh, seen))
         memory = memory._replace(seen=seen)

@@ -60,10 +60,6 @@ class Descent:
             first += own.n + own.m
         return jnp.stack(found).max()
 
-    def inflated(self, state: Iterate, factor: float) -> jax.Array:
-        """Whether a scale is so many times as large as its unknown."""
-        return (self._scales(state.scales) > factor * self._largest(state.point)).any()
-
     def _known(self, begun: Begun, state: Iterate) -> jax.Array:
         return jnp.maximum(self._largest(state.point), begun.sizes)
 

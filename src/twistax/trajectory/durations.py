@@ -27,7 +27,7 @@ def fixed(border: Border, start: Point, given: Given) -> Iterator[tuple[Point, G
     before = [begun]
     for factor in _FACTORS if free.any() else ():
         times = np.where(free, np.clip(factor * begun, low, low + _MOST * (high - low)), begun)
-        if factor != 1.0 and any(np.allclose(times, other, rtol=0.1) for other in before):
+        if factor != 1.0 and any(np.allclose(times[free], other[free], rtol=0.1, atol=0.0) for other in before):
             continue
         before.append(times)
         near = np.stack([np.maximum(low, (1.0 - _NEAR) * times), np.minimum(high, (1.0 + _NEAR) * times)], axis=1)

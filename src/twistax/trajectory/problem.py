@@ -34,6 +34,9 @@ from .transcribed import Given, Point, jitted
 from .transcription import transcription_of
 from .warm import other_problem
 
+#: A control of less than this share of its size says nothing of it.
+_NOTHING = 1e-4
+
 
 class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     """Find controls, states and final time that optimise an objective under a system's constraints.
@@ -351,7 +354,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         params: Mapping[str, Array],
         durations: Array,
         limits: Array,
-        sizes: Mapping[str, Array],
+        sizes: Mapping[str, Array] = {},
     ) -> Point:
         """The point that guesses give, with these durations, within limits of the border.
 
@@ -367,22 +370,26 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         for name, values in self.reduced.bounds_of(_sized(xs | us, sizes), params).items():
             (us if name in us else xs)[name] = above(values)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
-        guess = {**self._extremes(xs, _sized(us, sizes), params, durations), **given}
+        # Rows may have any sign: controls that say nothing count with both.
+        sides = [_sized(us, {name: side * a for name, a in sizes.items()}) for side in (1.0, -1.0)]
+        guess = {**self._extremes(xs, [us, *sides], params, durations), **given}
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
         return Point(xs, np.concatenate([*flat, *norms], axis=1), border)
 
     def _extremes(
-        self, xs: dict[str, Array], us: dict[str, Array], params: Mapping[str, Array], durations: Array
+        self, xs: dict[str, Array], us: Sequence[dict[str, Array]], params: Mapping[str, Array], durations: Array
     ) -> dict[str, Array]:
-        """Bounds that stand for extremes: those of a guess at its nodes."""
+        """Bounds that stand for extremes: those of a guess at its nodes, under any of some controls."""
         if not self.reduced.extremes:
             return {}
         ts = self.shooting.times(durations)[:-1]
-        held = us | {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}
-        rows = np.asarray(self.shown_rows(ts, {name: a[:-1] for name, a in xs.items()}, held, dict(params)))
-        return self.reduced.extremes_of(rows, self.path.shown, params)
+        norms, before = {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}, dict[str, Array]()
+        for name, a in xs.items():
+            before[name] = a[:-1]
+        rows = [np.asarray(self.shown_rows(ts, before, own | norms, dict(params))) for own in us]
+        return self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params)
 
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
         """What a solve with these ends, parameters and limits of the border is for."""
@@ -427,8 +434,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
 
 def _sized(values: Mapping[str, Array], sizes: Mapping[str, Array]) -> dict[str, Array]:
-    """Values by leaf, those that are zero at their sizes."""
-    return {
-        name: np.broadcast_to(sizes[name].reshape(a.shape[1:]), a.shape) if name in sizes and not a.any() else a
-        for name, a in values.items()
-    }
+    """Values by leaf, those that are nothing beside their sizes at these."""
+    found = dict(values)
+    for name, size in sizes.items():
+        if name in found and np.abs(found[name]).max(initial=0.0) <= _NOTHING * np.abs(size).max(initial=0.0):
+            found[name] = np.broadcast_to(size.reshape(found[name].shape[1:]), found[name].shape)
+    return found

@@ -53,7 +53,8 @@ def measured(
     declares. What does not move yet gets a size from what it moves, or from what moves it; of a control none at which
     the Lagrangian bends by more than the objective's scale, for its slopes may vanish at an optimum. Durations count
     as they are, parameters with what changes states and rows as much as these sizes do. Rows are divided by their
-    slope, the objective by what steps of these sizes do to it.
+    slope, the objective by what steps of these sizes do to it. No state counts with less than a billionth of its value,
+    and the objective, where it has slopes, with no less than these change as all values are rounded so.
 
     Args:
         gaps: (intervals, n) of the dynamics at a start, where second derivatives are those of the objective. States at
@@ -107,7 +108,8 @@ def measured(
     if gaps is not None:
         cost = cost + bent(shooting, slopes, unit, sizes, sizes)
     # What rounding of the unknowns does to slopes counts as nothing.
-    cost = jnp.maximum(cost, 2.0 * _ROUNDING * bent(shooting, slopes, unit, sizes, values))
+    rounding = 2.0 * _ROUNDING * bent(shooting, slopes, unit, sizes, values)
+    cost = jnp.where(cost > 0.0, jnp.maximum(cost, rounding), cost)
     sloped = jnp.isfinite(cost) & (cost > 0.0)
     return Scales(d, u, b, jnp.where(rows > 0.0, rows, unit.rows), jnp.where(sloped, cost, unit.cost)), sloped
 
@@ -230,7 +232,7 @@ def _range(values: jax.Array) -> jax.Array:
 
 def _moving(spread: jax.Array, values: jax.Array) -> jax.Array:
     """Spreads, zero where they are rounding, or nothing beside another entry's."""
-    moves = (spread > _NOTHING * spread.max(initial=0.0)) & (spread > 1e-9 * jnp.abs(values).max(axis=0))
+    moves = (spread > _NOTHING * spread.max(initial=0.0)) & (spread > _ROUNDING * jnp.abs(values).max(axis=0))
     return jnp.where(moves, spread, 0.0)
 
 

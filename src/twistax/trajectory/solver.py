@@ -93,6 +93,10 @@ class _Way:
     shaken: bool = False
 
 
+#: What a search finds from a start, or from where it crept, within so many iterations.
+Search = Callable[[Any, int, Callback | None], Searched]
+
+
 class Solver:
     """Solves a transcribed problem again and again; what it needs compiles once."""
 
@@ -143,21 +147,31 @@ class Solver:
             reached: how far the run has come already.
         """
 
+        found = self.to_minimum(self._searches(start, given, reached), start, given, max_iterations, callback)
+        if isinstance(start, WarmStart) or found.status not in _AT_REST or self._is_decided(found):
+            return found
+        return self._with_fixed_durations(found, start, given, max_iterations, callback)
+
+    def _searches(self, start: Any, given: Given, reached: Reached | None = None) -> Search:
+        """Runs from anywhere; from a start they go on from where it has come to, if it has."""
+
         def search(own: Any, most: int, callback: Callback | None) -> Searched:
             if isinstance(own, Reached):  # on from where it crept
                 return self._run(start, given, most, callback, own)
             return self._run(own, given, most, callback, reached if own is start else None)
 
-        found = self.to_minimum(search, start, given, max_iterations, callback)
-        if isinstance(start, WarmStart) or found.iterations <= 1 or found.status not in _AT_REST:
-            return found
-        return self._with_fixed_durations(found, start, given, max_iterations, callback)
+        return search
+
+    def _is_decided(self, found: Outcome) -> bool:
+        """Whether rows that others decide are violated: no trajectory changes them."""
+        rows = found.violations[self.shooting.intervals * self.shooting.n :]
+        return bool(np.where(self.shooting.decided, rows, 0.0).max(initial=0.0) > self.tolerance)
 
     def _with_fixed_durations(
         self, rested: Outcome, start: Point, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
-        """What is found from trajectories of fixed durations; what was found before where that is nothing."""
-        count = rested.iterations
+        """What is found from trajectories of fixed durations; what was found before where there are none."""
+        count, best = rested.iterations, rested
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
         for point, held in durations.fixed(self.shooting.border, start, given):
             most = (max_iterations - count) // 3
@@ -165,17 +179,19 @@ class Solver:
                 break
             found = self._run(point, held, most, later).outcome
             count += found.iterations
-            if found.status is Status.SOLVED and count < max_iterations:
-                search = lambda own, most, callback: self._run(own, given, most, callback)  # noqa: E731
-                found = self.to_minimum(search, found.point, given, max_iterations - count, later)
-                count += found.iterations
-                if found.status is Status.SOLVED:
-                    return found._replace(iterations=count)
-        return rested._replace(iterations=count)
+            if found.status is Status.SOLVED:
+                begin, best = found.point, found._replace(status=Status.MAX_ITERATIONS)
+                if count < max_iterations:
+                    most = max_iterations - count
+                    best = self.to_minimum(self._searches(begin, given), begin, given, most, later)
+                    count += best.iterations
+                if best.status is Status.SOLVED or count >= max_iterations:
+                    break
+        return best._replace(iterations=count)
 
     def to_minimum(
         self,
-        search: Callable[[Any, int, Callback | None], Searched],
+        search: Search,
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,

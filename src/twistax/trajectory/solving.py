@@ -206,7 +206,7 @@ class Solvable(ABC, Generic[One, Many]):
             started = self.started(*arguments)
             (plain, given), own, ends = jax.device_put(started[:2]), started.params, started.ends
             own_solver = self._solver(float(tolerance), plain, given)
-            if self._is_bounded:
+            if self._is_bounded and (warm is None or guesses > 1):
                 plain = jax.device_put(self.started(*arguments, self._sizes(own_solver, plain, given)).point)
             first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
             compiled = time.perf_counter()
