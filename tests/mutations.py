@@ -1774,8 +1774,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/problem.py",
         (
             "bounds of norms in no unit",
-            "if name in sizes and not a.any() else a",
-            "if False else a",
+            "<= _NOTHING * np.abs(size).max(initial=0.0)",
+            "< 0.0",
             "trajectory/test_far_starts.py",
         ),
     ),
@@ -2137,8 +2137,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "durations that stay free where they lead astray",
-            "if isinstance(start, WarmStart) or found.iterations <= 1 or",
-            "if True or",
+            "if isinstance(start, WarmStart) or found.status",
+            "if True or found.status",
             "trajectory/test_far_starts.py",
         ),
         (
