@@ -1752,12 +1752,6 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/stride.py",
         (
-            "a run that has converged begins anew, for its scales fell",
-            "        worthless = worthless & ~solved\n",
-            "",
-            "trajectory/test_far_starts.py",
-        ),
-        (
             "new scales that are not looked at",
             "(solved & (row < _IN_A_ROW))",
             "(solved & (row < 0))",
