@@ -170,7 +170,7 @@ class Solver:
     def _with_fixed_durations(
         self, rested: Outcome, start: Point, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
-        """What is found from trajectories of fixed durations; what was found before where there are none."""
+        """The outcome of runs that begin with fixed durations; the earlier one if no such run succeeds."""
         count, best = rested.iterations, rested
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
         for point, held in durations.fixed(self.shooting.border, start, given):
@@ -323,7 +323,7 @@ class Solver:
         return _Way(origin, self._weighed_first(state, bound, given), memory, hasty=way.hasty, misled=True)
 
     def _anew(self, way: _Way, start: Any, given: Given, watch: Watch) -> _Way | None:
-        """A way from a point beside the start; None where there is none, or where it would end at once."""
+        """A way from a point beside the start; None if a run may not begin anew, or would end at once."""
         if way.origin is None:
             return None
         aside = self._step_away(self._begun(start, given).state, _ASIDE, seed=sum(watch.restarts))
@@ -334,7 +334,11 @@ class Solver:
         return _Way(aside, found.state, memory, hasty=watch.hasty)
 
     def _to_feasible(self, way: _Way, jammed: bool, given: Given, most: int, watch: Watch) -> Status | None:
-        """Lead a way on from a point that violates less, or from beside; how it ends where there is none."""
+        """Lead a way on from a point that violates less, or from a random step aside.
+
+        Returns:
+            The status that it ends with; None if it goes on.
+        """
         way.memory = way.memory._replace(jammed=np.zeros((), int))
         way.slopes, way.before = None, np.inf
         way.searches += not jammed  # else it has come some steps since the last one

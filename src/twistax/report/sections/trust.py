@@ -193,7 +193,9 @@ class Sweep:
                 reach[name] = max(reach.get(name, 0.0), float(np.abs(values).max()))
         # Those at its cost are what it is; where another is better it has to be a strict local optimum, too.
         if not _stays(self.known.problem, plain) or is_saddle(plain):
-            raise RuntimeError(f"the optimum plainly found, {plain.cost:.9g}, is none by a closer look")
+            raise RuntimeError(
+                f"plainly stated it ends at {plain.cost:.9g}, where a closer solve does not stay, or at a saddle"
+            )
         found = [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach), STARTS)]
         if not isinstance(self.known.problem, PhasedProblem):
             found += [each for size in SIZES for each in self._of(Restated(size, 1.0, reach), 1, packed)]
