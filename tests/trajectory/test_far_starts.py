@@ -9,7 +9,7 @@ from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.precision import in_double
-from twistax.trajectory import Integral, Maximum, Minimum, Problem, Status, durations
+from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
 from twistax.trajectory.border import Border
 from twistax.trajectory.solver import Solver
 from twistax.trajectory.stride import Reached, ordered
@@ -159,7 +159,7 @@ def test_an_end_at_its_limit_but_for_rounding_is_at_it() -> None:
     assert result.xs["place"][0] == 1e6
 
 
-def pushed(unit: float, kind: str) -> Problem:
+def pushed(unit: float, kind: str, controls: Any = None) -> Problem:
     """A rendezvous in a plane, places and pushes in a unit."""
     place, v, push = tx.State("place", shape=(2,)), tx.State("v", shape=(2,)), tx.Control("push", shape=(2,))
     size = tx.Sqrt(push @ push) if kind == "root" else tx.linalg.Norm(push)
@@ -168,7 +168,7 @@ def pushed(unit: float, kind: str) -> Problem:
     dynamics = tx.compile(tx.System(rates={place: v, v: push}, constraints=limits))
     ends: dict[str, Any] = {"final": {place: np.zeros(2), v: np.zeros(2)}}
     ends["initial"] = {place: unit * np.array([1.0, 0.5]), v: unit * np.array([0.0, 0.3])}
-    return Problem(dynamics, objective, nodes=13, final_time=3.0, **ends, **HEUN)
+    return Problem(dynamics, objective, nodes=13, final_time=3.0, controls=controls, **ends, **HEUN)
 
 
 @pytest.mark.parametrize("kind", ["cost", "root", "maximum"])
@@ -185,6 +185,46 @@ def test_bounds_on_norms_have_the_unit_of_what_they_bound(kind: str) -> None:
         alone = large.solve(initial={name: values[k] for name, values in starts.items()})
         assert each.solved
         assert each.iterations == alone.iterations
+
+
+@pytest.mark.parametrize("kind", ["cost", "maximum"])
+def test_bounds_on_norms_of_linear_controls_have_their_unit(kind: str) -> None:
+    plain, large = (pushed(unit, kind, Linear()).solve() for unit in (1.0, 1e4))
+    assert large.solved
+    assert large.cost == pytest.approx(1e4 * plain.cost, rel=1e-5)
+    assert large.iterations <= 2 * plain.iterations
+    assert plain.iterations <= 60
+
+
+def test_a_budget_that_is_used_up_by_coasting_is_met_at_a_minimum() -> None:
+    """Norms are at the apex of their cones over most of the way, and there a point outside bends the other way."""
+    place, v, push = tx.State("place", shape=(2,)), tx.State("v", shape=(2,)), tx.Control("push", shape=(2,))
+    dynamics = tx.compile(tx.System(rates={place: v, v: push}))
+    result = Problem(
+        dynamics,
+        tx.Minimize(running=push @ push),
+        nodes=21,
+        final_time=3.0,
+        initial={place: np.array([1.0, 0.5]), v: np.array([0.0, 0.3])},
+        final=[place == np.zeros(2), v == np.zeros(2), Integral(tx.linalg.Norm(push)) <= 1.0],
+    ).solve()
+    assert result.solved
+    assert not result.saddle
+    sizes = np.linalg.norm(result.us["push"], axis=1)
+    assert sizes.sum() * 0.15 == pytest.approx(1.0, rel=1e-5)
+    assert (sizes < 1e-6).sum() > 10
+
+
+def test_steps_that_explode_do_not_make_all_else_count_as_nothing() -> None:
+    """An explicit step of 1,000 time constants: what it makes of a state, 4e10 times as much, is no measure of it."""
+    c = tx.Control("c", min=-5.0, max=5.0)
+    dynamics = tx.compile(tx.System(rates={x: -1e4 * (x - c)}))
+    cost = tx.Minimize(running=(x - tx.Sin(3.0 * tx.Time())) ** 2)
+    options: dict[str, Any] = {"nodes": 21, "final_time": 2.0, "initial": {x: 0.0}, "controls": Linear()}
+    assert not Problem(dynamics, cost, **options).solve().solved
+    stiff = Problem(dynamics, cost, **options, transcription=Collocation(tx.tableaus.RADAU_IIA5)).solve()
+    assert stiff.solved
+    assert stiff.cost < 1e-4
 
 
 def test_extremes_of_any_sign_begin_where_the_guess_keeps_them() -> None:

@@ -197,7 +197,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     @property
     def bounded(self) -> bool:
         """Whether it has bounds of its own: of norms, of magnitudes, or extremes."""
-        return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes)
+        return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes or self.restated.bounds)
 
     @property
     def parts(self) -> Sequence[Problem]:
@@ -367,28 +367,30 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         }
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
-        for name, values in self.reduced.bounds_of(_sized(xs | us, sizes), params).items():
+        whole = _sized(xs | us, sizes)
+        for name, values in (self.reduced.bounds_of(whole, params) | self.restated.bounds_of(whole, params)).items():
             (us if name in us else xs)[name] = above(values)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
         # Rows may have any sign: controls that say nothing count with both.
-        sides = [_sized(us, {name: side * a for name, a in sizes.items()}) for side in (1.0, -1.0)]
-        guess = {**self._extremes(xs, [us, *sides], params, durations), **given}
+        sides = [{name: side * a for name, a in sizes.items()} for side in (1.0, -1.0)]
+        points = [(xs, us), *((_sized(xs, own), _sized(us, own)) for own in sides)]
+        guess = {**self._extremes(points, params, durations), **given}
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
         return Point(xs, np.concatenate([*flat, *norms], axis=1), border)
 
     def _extremes(
-        self, xs: dict[str, Array], us: Sequence[dict[str, Array]], params: Mapping[str, Array], durations: Array
+        self, points: Sequence[tuple[dict[str, Array], dict[str, Array]]], params: Mapping[str, Array], durations: Array
     ) -> dict[str, Array]:
-        """Bounds that stand for extremes: those of a guess at its nodes, under any of some controls."""
+        """Bounds that stand for extremes: those of states and controls at their nodes, the largest of some of them."""
         if not self.reduced.extremes:
             return {}
         ts = self.shooting.times(durations)[:-1]
-        norms, before = {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}, dict[str, Array]()
-        for name, a in xs.items():
-            before[name] = a[:-1]
-        rows = [np.asarray(self.shown_rows(ts, before, own | norms, dict(params))) for own in us]
+        norms, rows = {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}, []
+        for xs, us in points:
+            before = {name: a[:-1] for name, a in xs.items()}
+            rows.append(np.asarray(self.shown_rows(ts, before, us | norms, dict(params))))
         return self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params)
 
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:

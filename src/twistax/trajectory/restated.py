@@ -19,7 +19,7 @@ from ..expr.graph import substitute
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..lowering import Dynamics, compile
 from ..system import System
-from .cones import norm_controls
+from .cones import norm_controls, values_of
 from .controls import Linear, Spline, continuous_controls, rates_among
 from .mesh import Mesh
 from .statement import Objective
@@ -43,6 +43,7 @@ class Restated:
         straight: names of the states that are linear over each interval.
         rates: name of a held derivative of a continuous control -> of which order it is.
         at_end: constraints on the last node that come with free node times.
+        bounds: name of a continuous bound that was added -> the size of controls that it bounds.
         at_join: state -> what it begins as after another phase, of the end of that.
 
     Raises:
@@ -69,12 +70,14 @@ class Restated:
         #: Of every continuous control itself and its derivatives, the last one held.
         self._chains: dict[str, tuple[list[State], Control]] = {}
         self.rates: dict[str, int] = {}
+        self.bounds: dict[str, Expr] = {}
         self._exchange: dict[str, Expr] = {}
         rows: dict[str, Constraint] = {}
         if ways:
             running, bounds = _with_bounds(objective, set(ways))
             self._smooth |= {s.name: s for s, _ in bounds}
             rows = {s.name: size <= s for s, size in bounds}
+            self.bounds = {s.name: size for s, size in bounds}
             self.objective = type(objective)(objective.final, running=running)
             for name, leaf in self._smooth.items():
                 self._add(leaf, ways.get(name, Linear()))
@@ -138,6 +141,21 @@ class Restated:
             bake=dynamics.baked,
             backend=dynamics.backend,
         )
+
+    @property
+    def smooth(self) -> Collection[str]:
+        """The names of the continuous controls, and of continuous bounds on their sizes."""
+        return self._smooth.keys()
+
+    def bounds_of(self, us: Mapping[str, Array], params: Mapping[str, Array]) -> dict[str, Array]:
+        """The sizes that continuous bounds stand for, given all controls, continuous ones among them, at the nodes."""
+        if not self.bounds:
+            return {}
+        sizes = list(self.bounds.values())
+        read = {leaf.name for size in sizes for leaf in leaves_of(size) if isinstance(leaf, Control)}
+        # What is held at the last node is what was held before.
+        us = {name: np.concatenate([us[name], us[name][-1:]])[: self._mesh.nodes] for name in read}
+        return dict(zip(self.bounds, values_of(sizes, us, params)))
 
     @property
     def pace(self) -> str | None:

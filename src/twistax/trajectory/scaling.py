@@ -33,6 +33,8 @@ _NOTHING = 1e-4
 _WEAK = 1e-2
 #: Changes of less than this share of a value are rounding, and none that counts is smaller.
 _ROUNDING = 1e-9
+#: A state that an interval makes more than so many times as large, by itself, explodes: the steps are too long for it.
+_EXPLOSIVE = 1e2
 #: Scales stay above this share of what they were.
 SMALL = 1e-6
 _FLOORED = ("d", "u", "border", "cost")
@@ -64,13 +66,16 @@ def measured(
     unit, border = Scales(*map(jnp.asarray, scales)), shooting.border
     before, end_before = of_stages(Step(unit.d, unit.u, unit.border))
     reach = jnp.abs(slopes.defects) * unit.d[1:, :, None] / before[:, None]
+    explosive = _explosive(slopes, unit)
     inner_slopes, end_slopes = jnp.abs(slopes.rows) / before[:, None], jnp.abs(slopes.end_rows) / end_before[None]
     d, u, times = jnp.ones_like(unit.d), jnp.ones_like(unit.u), jnp.abs(point.border)[: border.phases]
     moved, told = [], dict[str, jax.Array]()
     values = Step(jnp.zeros_like(unit.d), jnp.zeros_like(unit.u), jnp.abs(point.border))
     for part in shooting.segments:
         own, slices = part.shooting, part.shooting.dynamics.group.slices
-        most = (reach[part.stages, : own.n] / own.mesh.widths[:, None, None]).max(axis=0)
+        # What drives a state that explodes may drive it against that.
+        among = reach[part.stages, : own.n] / explosive[part.stages, : own.n, None]
+        most = (among / own.mesh.widths[:, None, None]).max(axis=0)
         drift, limit = jnp.zeros(own.n), jnp.full(own.m, jnp.inf)
         if gaps is None:
             limit = unit.u[part.stages.start, : own.m] * _straight(slopes, part)
@@ -102,7 +107,7 @@ def measured(
     for part in shooting.segments:
         inner = inner.at[part.stages].set(inner[part.stages].max(axis=0, initial=0.0))
     rows = jnp.concatenate([inner.ravel(), end_slopes @ end * unit.rows[inner.size :]])
-    z, end = z / before, end / end_before
+    z, end = z / before / explosive.max(axis=1)[:, None], end / end_before
     moves = (jnp.abs(slopes.gradient) * z).sum() + (jnp.abs(slopes.end_gradient) * end).sum()
     cost, sizes = moves * unit.cost, Step(d, u, b)
     if gaps is not None:
@@ -122,12 +127,22 @@ def bent(shooting: Transcribed, slopes: Derivatives, scales: Scales, one: Step, 
         one, other: sizes of steps.
     """
     own, end_own = of_stages(Step(scales.d, scales.u, scales.border))
+    own = own * _explosive(slopes, scales).max(axis=1)[:, None]
     (one_z, one_end), (z, end) = ((a / own, b / end_own) for a, b in map(of_stages, (one, other)))
     there = np.pad(shooting.free.u, ((0, 0), (shooting.n, shooting.border.size)), constant_values=True)
     hessian = jnp.where(there[:, None] & there[:, :, None], jnp.abs(slopes.hessian), 0.0)  # padding bends, in no unit
     found = (hessian * one_z[:, None] * z[:, :, None]).sum()
     found = 0.5 * (found + (jnp.abs(slopes.end_hessian) * one_end[None] * end[:, None]).sum()) * scales.cost
     return jnp.where(jnp.isfinite(found), found, 0.0)
+
+
+def _explosive(slopes: Derivatives, scales: Scales) -> jax.Array:
+    """(intervals, n) by how much too large each interval makes a state; 1 where it does not.
+
+    A step that is too long for stiff dynamics does. What such a step makes of a move is no measure of anything.
+    """
+    own = jnp.diagonal(jnp.abs(slopes.defects), axis1=1, axis2=2) * scales.d[1:] / scales.d[:-1]
+    return jnp.maximum(own / _EXPLOSIVE, 1.0)
 
 
 def _border(border: Border, values: jax.Array, moved: Sequence[tuple[jax.Array, jax.Array]]) -> jax.Array:

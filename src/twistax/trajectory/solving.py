@@ -290,12 +290,14 @@ class Solvable(ABC, Generic[One, Many]):
         return any(part.bounded for part in self.parts)
 
     def _sizes(self, solver: Solver, point: Point, given: Given) -> list[dict[str, Array]]:
-        """Sizes of the controls of each part, by name, as they are measured at a start."""
-        sizes = np.asarray(solver.steps.opened(point, given).state.scales.u)
-        return [
-            {name: sizes[part.stages, own].max(axis=0) for name, own in part.shooting.local.controls.slices.items()}
-            for part in self.shooting.segments
-        ]
+        """Sizes of the controls of each part, continuous ones too, by name, as they are measured at a start."""
+        scales, found = jax.tree.map(np.asarray, solver.steps.opened(point, given).state.scales), []
+        for own, part in zip(self.parts, self.shooting.segments):
+            held, states = part.shooting.local.controls.slices, part.shooting.dynamics.group.slices
+            sizes = {name: scales.u[part.stages, columns].max(axis=0) for name, columns in held.items()}
+            smooth = {name: scales.d[part.nodes, states[name]].max(axis=0) for name in own.restated.smooth}
+            found.append(sizes | smooth)
+        return found
 
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
         """The solver for a tolerance, compiled."""

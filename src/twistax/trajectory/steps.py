@@ -23,6 +23,8 @@ from .transcribed import Derivatives, Given, Point, Transcribed, jitted
 _SMALL = 40
 #: Where a solution is no minimum scales of entries of a vector may be so far apart.
 _LEVEL = 10.0
+#: A slack times its multiplier is not a barrier parameter's if it is less than this share of it.
+_OFF = 1e-3
 
 
 class _Parts(NamedTuple):
@@ -160,12 +162,14 @@ class Steps:
     def _to_probe(self, state: State) -> State:
         """The state from which a step tells.
 
-        Solvers of others end with slacks of zero: with their multipliers they make the barrier parameter at least.
+        Solvers of others end with slacks of zero: with their multipliers they make the barrier parameter. Slacks that
+        nearly do are left: at the apex of a cone a larger one is a point outside of it, where it bends the other way.
         """
-        inequality, barrier = self._method.inequality, state.barrier
+        barrier = state.barrier
+        off = self._method.inequality & (state.slack * state.rows < _OFF * barrier)
         slack = jnp.maximum(state.slack, barrier / jnp.maximum(state.rows, jnp.sqrt(barrier)))
-        slack = jnp.where(inequality, slack, state.slack)
-        rows = jnp.where(inequality, jnp.maximum(state.rows, barrier / slack), state.rows)
+        slack = jnp.where(off, slack, state.slack)
+        rows = jnp.where(off, jnp.maximum(state.rows, barrier / slack), state.rows)
         return state._replace(slack=slack, rows=rows, damping=jnp.full_like(state.damping, self.probe))
 
 
