@@ -140,6 +140,20 @@ def test_a_run_that_creeps_after_a_fixed_duration_goes_on(monkeypatch: pytest.Mo
     assert result.solved
 
 
+def test_what_a_fixed_duration_makes_feasible_is_not_infeasible(monkeypatch: pytest.MonkeyPatch) -> None:
+    to_minimum = Solver.to_minimum
+
+    def astray(*args: Any) -> Any:
+        return to_minimum(*args)._replace(status=Status.INFEASIBLE)
+
+    monkeypatch.setattr(Solver, "to_minimum", astray)
+    result = stopping().solve()
+    assert result.status is Status.STALLED
+    assert result.violation <= 1e-6
+    assert result.optimality.gap > 1e-2  # it could be shorter
+    assert "Every constraint holds" in result.message
+
+
 @pytest.mark.parametrize("constant", [0.0, 3.0])
 def test_any_trajectory_will_do_where_the_objective_has_no_slope(constant: float) -> None:
     c = tx.Parameter("c", value=constant)

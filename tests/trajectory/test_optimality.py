@@ -329,6 +329,18 @@ def test_a_saddle_along_which_a_run_creeps_is_left_at_every_tolerance_and_of_man
     np.testing.assert_allclose(many.cost, [each.cost for each in alone], rtol=1e-9)
 
 
+def test_what_is_better_than_a_saddle_counts_where_its_search_has_no_end() -> None:
+    """1 / (1 + x^2) from its top: it falls towards zero for ever."""
+    x, u = tx.State("x"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    result = Problem(
+        dynamics, tx.Minimize(1.0 / (1.0 + x * x)), nodes=5, final_time=1.0, initial={x: 0.0}, **EULER
+    ).solve(max_iterations=100)
+    assert result.status is Status.MAX_ITERATIONS
+    assert result.cost < 1e-6
+    assert not result.saddle
+
+
 def test_a_run_that_creeps_goes_on_where_nothing_beside_it_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no step aside leads anywhere, the saddle is what is found, and said to be one."""
     beside = list[float]()

@@ -1,6 +1,9 @@
 """Derivatives of optima against differences of tight solves."""
 
 import functools
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -76,6 +79,39 @@ def test_the_trajectory_and_the_optimal_value() -> None:
 
 def test_under_jit() -> None:
     np.testing.assert_allclose(jax.jit(jax.grad(lambda z: of_crane(z).cost))(POINT), forward()[-1], rtol=1e-9)
+
+
+ALONE = """
+import os
+os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+import jax
+jax.config.update("jax_enable_x64", True)
+import twistax as tx
+
+x, u, k = tx.State("x"), tx.Control("u", min=-4.0, max=4.0), tx.Parameter("k", value=1.0)
+problem = tx.trajectory.Problem(
+    tx.compile(tx.System(rates={x: u / k})), tx.Minimize(tx.Time(), running=u**2), nodes=5, final_time=(0.1, 9.0),
+    initial={x: 0.0}, final={x: 1.0},
+)
+optimum = tx.trajectory.solution(problem)
+cost = lambda k: optimum(params={"k": k}).cost
+plain = jax.grad(cost)(1.0)
+try:
+    assert abs(jax.jit(jax.grad(cost))(1.0) - plain) < 1e-9
+except jax.errors.JaxRuntimeError as error:
+    assert "NPROC=2" in str(error), error
+"""
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no affinities here")
+@pytest.mark.parametrize("threads", [None, "2"])
+def test_one_processor_is_enough_or_an_error_says_what_is_missing(threads: str | None) -> None:
+    """XLA may have one thread there, which waits for the callback that calls XLA."""
+    env = {key: value for key, value in os.environ.items() if key not in ("NPROC", "XLA_FLAGS")}
+    env |= {} if threads is None else {"NPROC": threads}
+    done = subprocess.run([sys.executable, "-c", ALONE], env=env, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
 
 
 def test_with_the_settings_of_users(monkeypatch: pytest.MonkeyPatch) -> None:

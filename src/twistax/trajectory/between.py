@@ -17,9 +17,9 @@ from numpy import ndarray as Array
 from ..integrators import RKMK
 from ..integrators.tableaus import RK4
 from .found import found_params
+from .outcome import Outcome
 from .replay import rolled_out, times_along
 from .result import Trajectory, trajectory_at
-from .solver import Outcome
 from .transcribed import Given, Point
 from .warm import WarmStart
 from .watch import Status

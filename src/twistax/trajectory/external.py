@@ -17,8 +17,9 @@ import numpy as np
 from ..checks import number, short
 from ..errors import TrajectoryError
 from .decisions import RENEW
+from .outcome import Callback, Outcome, Searched, outcome
 from .program import Program, Reference
-from .solver import Callback, Outcome, Searched, Solver, Status
+from .solver import Solver, Status
 from .transcribed import Given, Point
 from .warm import WarmStart
 from .watch import Watch
@@ -178,7 +179,7 @@ class _Casadi:
             if status is None and (settled or over or passes >= _PASSES):
                 state, status = solver.judged_at_rest(state, given, max_iterations - watch.count)
             failed = not attempt.success
-        return Searched(solver.outcome(state, status, watch.count), state, None)
+        return Searched(outcome(solver.shooting, state, status, watch.count), state, None)
 
 
 @dataclasses.dataclass(frozen=True)

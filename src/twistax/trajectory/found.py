@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from ..errors import IntegrationError, TrajectoryError
 from .border import Border
-from .solver import Outcome
+from .outcome import Outcome
 from .statement import largest_by_name
 from .transcribed import Transcribed
 from .warm import WarmStart

@@ -38,9 +38,12 @@ _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-20, 1e40
 _FASTER, _FAST, _SLOW = 100.0, 8.0, 1.0 / 3.0
 #: Equations other than the dynamics hold to this times the change of their multipliers.
 _EQUALITY = 1e-8
-#: The largest turn of a step, rad, its largest change of a duration, relative, and of a parameter and of a control,
-#: relative or in its scale: beyond them nothing is linear.
-_LARGEST_TURN, _LARGEST_CHANGE, _LARGEST_GROWTH, _FARTHEST = 1.5, 0.5, 2.0, 30.0
+#: The largest turn of a step, rad, and its largest change of a duration, relative. A duration that falls faster has
+#: come to its limit before states and controls have followed it.
+_LARGEST_TURN, _LARGEST_CHANGE = 1.5, 0.3
+#: How much a parameter may shrink, relative, and grow, and a control, relative or in its scale: beyond them nothing is
+#: linear.
+_LARGEST_FALL, _LARGEST_GROWTH, _FARTHEST = 0.5, 2.0, 30.0
 #: The least first slack.
 _FIRST_SLACK = 1e-2
 
@@ -424,7 +427,8 @@ class InteriorPoint:
         is_time = jnp.arange(len(size)) < self._shooting.border.phases
         # What is large in its scale keeps its sign.
         shrinks = (border * move < 0.0) & (size > scales.border)
-        most = jnp.where(is_time | shrinks, _LARGEST_CHANGE * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
+        most = jnp.where(shrinks, _LARGEST_FALL * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
+        most = jnp.where(is_time, _LARGEST_CHANGE * size, most)
         us = _FARTHEST * self._shooting.along(jnp.maximum(jnp.abs(state.point.us), scales.u))
         far = (jnp.abs(step.u * scales.u) / us).max(initial=0.0)
         return 1.0 / jnp.stack([jnp.ones_like(turn), turn, far, (jnp.abs(move) / most).max()]).max()

@@ -17,7 +17,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..precision import in_double
-from .solver import Outcome, Solver, seen
+from .outcome import Outcome, outcome, seen
+from .solver import Solver
 from .stride import Orders, Reached
 from .transcribed import Given, Point, jitted
 from .watch import Status, Watch
@@ -91,7 +92,7 @@ class Together:
             if status is None or (status is Status.SOLVED and bends[row]):
                 found[int(cases[row])] = Reached(last, watch.count)
             else:
-                found[int(cases[row])] = self._solver.outcome(last.state, status, watch.count)
+                found[int(cases[row])] = outcome(self._solver.shooting, last.state, status, watch.count)
         return found
 
 

@@ -12,10 +12,10 @@ from numpy import ndarray as Array
 
 from ..precision import in_double
 from .found import Found, Tried, found_params
+from .outcome import Outcome
 from .pictures import animated, drawn
 from .replay import Replay
 from .result import Trajectory, multipliers_of, trajectory_at, violations_of
-from .solver import Outcome
 from .transcribed import Segment, Values
 
 if TYPE_CHECKING:

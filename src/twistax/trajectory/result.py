@@ -16,9 +16,9 @@ from ..integrators import RKMK, FirstOrderHold, PiecewisePolynomial, ZeroOrderHo
 from ..integrators.tableaus import RK4
 from ..precision import in_double
 from .found import Found, Tried, found_params
+from .outcome import Outcome
 from .pictures import animated, drawn
 from .replay import Replay, replayed
-from .solver import Outcome
 from .statement import largest_by_name, violations
 from .transcribed import Point
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..checks import real_array, reals, short
 from ..errors import InputError, TrajectoryError
-from ..jax_inside import is_traced
+from ..jax_inside import is_in_last_thread, is_traced
 from ..precision import in_double
 from ..system import name_of
 from .interior_point import InteriorPoint, in_units
@@ -175,6 +175,12 @@ class _Differentiable:
 
     def _solved(self, theta: _Theta) -> _Optimum:
         """The solve itself, of numbers."""
+        if is_in_last_thread():
+            raise TrajectoryError(
+                "solution: under jit the solve calls XLA from within XLA. Where a process may use one processor XLA has "
+                "one thread, and would wait for ever.\n  fix: set NPROC=2 in the environment before JAX starts, or "
+                "leave jit out"
+            )
         own: _Theta = jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
         result = self._problem.solve(**self._options, **asked, **own.final_time, tolerance=self._tolerance)

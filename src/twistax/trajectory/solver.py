@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy import ndarray as Array
 
 from . import durations, estimate, warm
-from .decisions import Memory, Opening, error, row_violations
+from .decisions import Memory, Opening, error
 from .interior_point import InteriorPoint, largest
-from .iterate import Errors, Scales
+from .iterate import Scales
 from .iterate import State as Iterate
+from .outcome import Callback, Outcome, Search, Searched, outcome, seen
 from .program import Program
 from .restoration import Restoration
 from .steps import Steps
 from .stride import Reached, Stride, ordered
-from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
+from .transcribed import Derivatives, Given, Point, Step, Transcribed, jitted
 from .warm import WarmStart
 from .watch import Status, Watch
-
-#: Called with (iterations so far, objective, largest violation) before every step.
-Callback = Callable[[int, float, float], None]
-
-Tree = TypeVar("Tree")
 
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
@@ -42,39 +36,6 @@ _AT_REST = (Status.INFEASIBLE, Status.STALLED)
 _AWAY = (0.1, 0.3, 1.0)
 #: Random starts: how much larger than scales, or than those of the guess, gaps may be, and shares of steps to them.
 _LOST, _SHARES = 30.0, tuple(0.5**k for k in range(11))
-
-
-class Outcome(NamedTuple):
-    """Where a run of the solver ended."""
-
-    point: Point
-    values: Values
-    errors: Errors
-    dynamics: Array  # (intervals, n) multipliers in the problem's units
-    rows: Array  # (rows,)
-    scaled_rows: Array  # (rows,) multipliers, scaled
-    slack: Array  # (rows,) in the problem's units
-    violations: Array  # (intervals * n + rows,) scaled: of the dynamics, then of the rows
-    scales: Scales
-    status: Status
-    iterations: int
-    saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
-
-    @property
-    def cost(self) -> float:
-        return float(self.values.cost)
-
-    @property
-    def violation(self) -> float:
-        return float(self.violations.max(initial=0.0))
-
-
-class Searched(NamedTuple):
-    """What a search came to."""
-
-    outcome: Outcome
-    state: Iterate
-    crept: Reached | None  # how far it came, where it creeps
 
 
 @dataclasses.dataclass
@@ -91,10 +52,6 @@ class _Way:
     searches: int = 0  # for feasible points, where steps led nowhere
     rests: int = 0  # how many of these came to rest
     shaken: bool = False
-
-
-#: What a search finds from a start, or from where it crept, within so many iterations.
-Search = Callable[[Any, int, Callback | None], Searched]
 
 
 class Solver:
@@ -170,23 +127,32 @@ class Solver:
     def _with_fixed_durations(
         self, rested: Outcome, start: Point, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
-        """The outcome of runs that begin with fixed durations; the earlier one if no such run succeeds."""
-        count, best = rested.iterations, rested
+        """The outcome of runs that begin with fixed durations; the earlier one if no such run succeeds.
+
+        Where free durations lead all of them astray, what was found with fixed ones still meets every constraint.
+        """
+        count, best, feasible = rested.iterations, rested, list[Outcome]()
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
         for point, held in durations.fixed(self.shooting.border, start, given):
             most = (max_iterations - count) // 3
             if most <= 0:
                 break
-            found = self._run(point, held, most, later).outcome
+            found, state, _ = self._run(point, held, most, later)
             count += found.iterations
-            if found.status is Status.SOLVED:
-                begin, best = found.point, found._replace(status=Status.MAX_ITERATIONS)
-                if count < max_iterations:
-                    most = max_iterations - count
-                    best = self.to_minimum(self._searches(begin, given), begin, given, most, later)
-                    count += best.iterations
-                if best.status is Status.SOLVED or count >= max_iterations:
-                    break
+            if found.status is not Status.SOLVED:
+                continue
+            freed = self.weighed(state.point, given, state.scales, state.dynamics, state.rows)[1]
+            feasible.append(outcome(self.shooting, freed, Status.STALLED, count))
+            if count >= max_iterations:
+                best = feasible[-1]._replace(status=Status.MAX_ITERATIONS)
+                break
+            begin = found.point
+            best = self.to_minimum(self._searches(begin, given), begin, given, max_iterations - count, later)
+            count += best.iterations
+            if best.status is Status.SOLVED or count >= max_iterations:
+                break
+        if feasible and best.status in _AT_REST:
+            best = feasible[0]
         return best._replace(iterations=count)
 
     def to_minimum(
@@ -199,6 +165,8 @@ class Solver:
     ) -> Outcome:
         """What a search finds from a start; where that is no minimum, what it finds a random step away, if better.
 
+        What is better and meets every constraint counts even where its search came to no end.
+
         Args:
             search: what it finds from a start, or from where it crept, within so many iterations; the state there; and
                 how far it came where it creeps along what seems to be a saddle.
@@ -209,6 +177,7 @@ class Solver:
         while crept is not None or self._falls(found, state, given):
             levelled = self.steps.levelled(state)
             lower, better = found.cost - self.tolerance * float(levelled.scales.cost), None
+            unfinished = list[Outcome]()
             # Where it crept enough is left to go on from there.
             share = (max_iterations - count) // (1 if crept is None else len(_AWAY) + 1)
             for size in _AWAY:
@@ -217,17 +186,24 @@ class Solver:
                     break
                 other = search(self._step_away(levelled, size, alone=True, seed=seed), most, later)
                 count, seed = count + other.outcome.iterations, seed + 1
-                if other.outcome.status in (Status.SOLVED, Status.UNBOUNDED) and other.outcome.cost < lower:
+                if not other.outcome.cost < lower:
+                    continue
+                if other.outcome.status in (Status.SOLVED, Status.UNBOUNDED):
                     better = other
                     break
+                if other.outcome.violation <= self.tolerance:
+                    unfinished.append(other.outcome)
             if better is not None:
                 found, state, crept = better
                 continue
-            saddle = crept is None
             if crept is not None:
                 count -= crept.iterations  # it counts them itself
                 found, state, _ = search(crept.patient(), max_iterations - count, later)
                 count, saddle = count + found.iterations, self._falls(found, state, given)
+            elif unfinished:
+                found = min(unfinished, key=lambda own: own.cost)
+            else:
+                saddle = True
             break
         return found._replace(iterations=count, saddle=saddle)
 
@@ -287,7 +263,7 @@ class Solver:
                     continue
                 if bool(signs.creeps):
                     crept = Reached(taken, watch.count, watch.restarts)
-                    return Searched(self.outcome(way.state, Status.STALLED, watch.count), way.state, crept)
+                    return Searched(outcome(self.shooting, way.state, Status.STALLED, watch.count), way.state, crept)
                 if callback is not None:
                     callback(watch.count, float(way.state.values.cost), float(way.state.errors.feasibility))
                 if not signs.far and not signs.jams:
@@ -303,7 +279,7 @@ class Solver:
                 way.hasty = False
             else:
                 status = end
-        return Searched(self.outcome(way.state, status, watch.count), way.state, None)
+        return Searched(outcome(self.shooting, way.state, status, watch.count), way.state, None)
 
     def _steps(self, way: _Way, given: Given, watch: Watch, one: bool) -> Stride:
         """The next steps of a way: one if it is to be, or as many as there is patience for."""
@@ -422,28 +398,3 @@ class Solver:
         if alone and free.u.any():
             d = np.zeros_like(d)
         return self._move(state.point, Step(d, u, np.zeros_like(scales.border)))
-
-    def outcome(self, state: Iterate, status: Status, count: int) -> Outcome:
-        state = seen(state)
-        scales, w = state.scales, state.rows
-        defects = np.abs(np.asarray(state.values.defects) / scales.d[1:]).ravel()
-        rows = np.where(self.shooting.exists | self.shooting.decided, row_violations(self.shooting, state), 0.0)
-        return Outcome(
-            point=state.point,
-            values=state.values,
-            errors=Errors(*(float(e) for e in state.errors)),
-            dynamics=np.asarray(state.dynamics) * scales.cost / scales.d[1:],
-            rows=np.where(self.shooting.exists, w * scales.cost / scales.rows, 0.0),
-            scaled_rows=np.where(self.shooting.exists, w, 0.0),
-            slack=np.asarray(state.slack) * scales.rows,
-            violations=np.concatenate([defects, rows]),
-            scales=scales,
-            status=status,
-            iterations=max(count, 1),
-        )
-
-
-def seen(tree: Tree) -> Tree:
-    """The same by NumPy, without a copy: a number of an array of JAX's takes several times as long to read."""
-    found: Tree = jax.tree.map(np.asarray, tree)
-    return found

@@ -23,9 +23,10 @@ from .external import SolvedBy
 from .found import Tried
 from .many import solve_all
 from .mesh import Remeshed
+from .outcome import Callback, Outcome
 from .pinned import stirred
 from .refine import refined
-from .solver import Callback, Outcome, Solver
+from .solver import Solver
 from .transcribed import Given, Point, Step, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
