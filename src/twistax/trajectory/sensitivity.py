@@ -177,7 +177,7 @@ class _Differentiable:
         """The solve itself, of numbers."""
         if is_in_last_thread():
             raise TrajectoryError(
-                "solution: under jit the solve calls XLA from within XLA. Where a process may use one processor XLA has "
+                "solution: under jit the solve calls XLA from within XLA. Where a process may use one processor it has "
                 "one thread, and would wait for ever.\n  fix: set NPROC=2 in the environment before JAX starts, or "
                 "leave jit out"
             )
