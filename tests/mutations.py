@@ -1767,6 +1767,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/problem.py",
         (
+            "bounds on continuous controls without a unit",
+            "(self.reduced.bounds_of(whole, params) | self.restated.bounds_of(whole, params))",
+            "self.reduced.bounds_of(whole, params)",
+            "trajectory/test_far_starts.py::test_bounds_on_norms_of_linear_controls_have_their_unit",
+        ),
+        (
             "bounds of norms in no unit",
             "<= _NOTHING * np.abs(size).max(initial=0.0)",
             "< 0.0",
@@ -1871,6 +1877,12 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "trajectory/interior_point.py",
+        (
+            "final times that fall faster than states follow",
+            "_LARGEST_TURN, _LARGEST_CHANGE = 1.5, 0.3",
+            "_LARGEST_TURN, _LARGEST_CHANGE = 1.5, 0.5",
+            "trajectory/test_far_starts.py::test_a_target_that_moves_is_met_in_least_time",
+        ),
         (
             "parameters that change sign in a step",
             "shrinks = (border * move < 0.0) & (size > scales.border)",
@@ -2031,6 +2043,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/scaling.py",
         (
+            "scales of steps that explode",
+            "_EXPLOSIVE = 1e2",
+            "_EXPLOSIVE = 1e99",
+            "trajectory/test_far_starts.py::test_steps_that_explode_do_not_make_all_else_count_as_nothing",
+        ),
+        (
             "rounding taken for a motion",
             "2.0 * _ROUNDING * bent",
             "0.0 * _ROUNDING * bent",
@@ -2098,7 +2116,28 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/steps.py",
+        (
+            "slacks out of cones where bends are looked at",
+            "< _OFF * barrier",
+            "< 1e9 * barrier",
+            "trajectory/test_far_starts.py::test_a_budget_that_is_used_up_by_coasting_is_met_at_a_minimum",
+        ),
+    ),
+    *_at(
         "trajectory/solver.py",
+        (
+            "no trajectory where one was found at a fixed duration",
+            "if feasible and best.status",
+            "if False and best.status",
+            "trajectory/test_far_starts.py::test_what_a_fixed_duration_makes_feasible_is_not_infeasible",
+        ),
+        (
+            "a saddle where a search found better",
+            "elif unfinished:",
+            "elif False:",
+            "trajectory/test_optimality.py::test_what_is_better_than_a_saddle_counts_where_its_search_has_no_end",
+        ),
         (
             "runs that begin anew without their first multipliers",
             "return _Way(origin, self._weighed_first(state, bound, given), memory",

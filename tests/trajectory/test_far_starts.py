@@ -92,6 +92,20 @@ def test_a_mass_that_moves_is_stopped_in_least_time(place: float, speed: float, 
     assert counts == sorted(counts)
 
 
+def test_a_target_that_moves_is_met_in_least_time() -> None:
+    """From rest at -1, at most 0.8 m/s, beside what moves at 0.3 m/s: T = 2.89. A time that falls at once is lost."""
+    p, v, push = tx.State("p"), tx.State("v"), tx.Control("push", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: push}, constraints={"speed": v <= 0.8}))
+    ends: dict[str, Any] = {"initial": {p: -1.0, v: 0.0}, "final": [p == 0.3 * tx.Time(), v == 0.3]}
+    result = Problem(dynamics, tx.Minimize(tx.Time()), nodes=25, final_time=(0.5, 6.0), **ends).solve()
+    assert result.solved
+    assert result.iterations <= 60
+    # 0.8 s up to 0.8 m/s, 0.5 s down to 0.3; the rest of 1 + 0.3 T at 0.8.
+    exact = (1.0 - 0.5 * 0.8**2 - 0.5 * (0.8 + 0.3) * 0.5 + 0.8 * 1.3) / (0.8 - 0.3)
+    assert exact <= result.final_time + 1e-6
+    assert result.final_time == pytest.approx(exact, rel=3e-3)
+
+
 def test_no_fixed_duration_helps_where_nothing_does(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, fixed = list[float](), durations.fixed
 
