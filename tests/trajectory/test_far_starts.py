@@ -253,6 +253,8 @@ def test_steps_that_explode_do_not_make_all_else_count_as_nothing() -> None:
     stiff = Problem(dynamics, cost, **options, transcription=Collocation(tx.tableaus.RADAU_IIA5)).solve()
     assert stiff.solved
     assert stiff.cost < 1e-4
+    assert stiff.mesh_error["x"]["distance"] < 1e-5  # by implicit steps
+    assert "exceeded along it: nothing" in stiff.explain()
 
 
 def test_extremes_of_any_sign_begin_where_the_guess_keeps_them() -> None:

@@ -14,8 +14,6 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..integrators import RKMK
-from ..integrators.tableaus import RK4
 from .found import found_params
 from .outcome import Outcome
 from .replay import rolled_out, times_along
@@ -90,7 +88,7 @@ def _excess(problem: Problem, point: Point, params: dict[str, Array]) -> Array:
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
     intervals = problem.nodes - 1
     trajectory = Trajectory(**trajectory_at(problem, point, params))
-    rolled = rolled_out(trajectory, RKMK(RK4), _SAMPLES)
+    rolled = rolled_out(trajectory, problem.transcription.replaying, _SAMPLES)
     window = (_SAMPLES * np.arange(intervals)[:, None] + np.arange(_SAMPLES + 1)).ravel()
     controls = problem.shooting.local.controls.split(np.repeat(np.asarray(point.us), _SAMPLES + 1, axis=0))
     states = {name: values[window] for name, values in rolled.items()}

@@ -12,8 +12,7 @@ from numpy import ndarray as Array
 
 from ..checks import whole
 from ..errors import TrajectoryError
-from ..integrators import RKMK, FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-from ..integrators.tableaus import RK4
+from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..precision import in_double
 from .found import Found, Tried, found_params
 from .outcome import Outcome
@@ -109,8 +108,8 @@ class Trajectory:
         """Roll out the found controls from the first node, and measure what comes out.
 
         Args:
-            method: an RKMK method, RK4 if left out; or a diffrax solver, which integrates the same system as a plain
-                ODE in quaternions with adaptive steps.
+            method: an RKMK method; or a diffrax solver, which integrates the same system as a plain ODE in quaternions
+                with adaptive steps. RK4 if left out, of collocation by a stiffly accurate tableau its implicit method.
             steps: samples an interval, and for an RKMK method its steps there.
             rtol, atol: tolerances of a diffrax solver.
         Raises:
@@ -120,7 +119,7 @@ class Trajectory:
         """
         whole("steps", steps, 1, TrajectoryError)
         with in_double():
-            return replayed(self, RKMK(RK4) if method is None else method, steps, rtol, atol)
+            return replayed(self, self.problem.transcription.replaying if method is None else method, steps, rtol, atol)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

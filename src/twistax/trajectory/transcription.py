@@ -42,6 +42,11 @@ class MultipleShooting:
         """A method of higher order, to measure errors with."""
         return RKMK(DOP853)
 
+    @property
+    def replaying(self) -> Method:
+        """The method of a replay that names none."""
+        return RKMK(RK4)
+
 
 @dataclasses.dataclass(frozen=True)
 class Collocation:
@@ -74,6 +79,11 @@ class Collocation:
     def closer(self) -> Method:
         """A method for the same systems, to measure errors with, in finer steps."""
         return ImplicitRKMK(self.tableau)
+
+    @property
+    def replaying(self) -> Method:
+        """The method of a replay that names none: implicit where the tableau is one for stiff systems."""
+        return ImplicitRKMK(self.tableau) if self.tableau.stiffly_accurate else RKMK(RK4)
 
 
 def transcription_of(given: Any, method: Any, substeps: Any) -> MultipleShooting | Collocation:
