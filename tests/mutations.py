@@ -1768,8 +1768,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/problem.py",
         (
             "bounds on continuous controls without a unit",
-            "(self.reduced.bounds_of(whole, params) | self.restated.bounds_of(whole, params))",
-            "self.reduced.bounds_of(whole, params)",
+            "bounds_along(self.reduced.bounds | self.restated.bounds, whole, params)",
+            "bounds_along(self.reduced.bounds, whole, params)",
             "trajectory/test_far_starts.py::test_bounds_on_norms_of_linear_controls_have_their_unit",
         ),
         (
@@ -2128,14 +2128,14 @@ MUTATIONS: list[Mutation] = [
         "trajectory/solver.py",
         (
             "no trajectory where one was found at a fixed duration",
-            "if feasible and best.status",
-            "if False and best.status",
+            "return min(known, key=rank, default=first)",
+            "return first",
             "trajectory/test_far_starts.py::test_what_a_fixed_duration_makes_feasible_is_not_infeasible",
         ),
         (
             "a saddle where a search found better",
-            "elif unfinished:",
-            "elif False:",
+            "if lowest.cost < found.cost and",
+            "if False and",
             "trajectory/test_optimality.py::test_what_is_better_than_a_saddle_counts_where_its_search_has_no_end",
         ),
         (

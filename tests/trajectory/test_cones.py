@@ -11,7 +11,7 @@ from trajectory_systems import HEUN, quick_jit
 import twistax as tx
 from twistax.expr import Constraint, Expr, Inputs, evaluate_all
 from twistax.expr import Norm as NormNode
-from twistax.trajectory import Problem, Status
+from twistax.trajectory import Integral, Problem, Status
 from twistax.trajectory.cones import without_norms
 
 Norm = tx.linalg.Norm
@@ -120,3 +120,50 @@ def test_magnitudes_of_controls_in_a_cost(controls: tx.trajectory.Linear | None)
     assert result.iterations < 60
     assert result.cost == pytest.approx(2.0 * (3.0 - np.sqrt(5.0)), rel=5e-2 if controls else 2e-2)
     assert set(result.us) == {"u"}
+
+
+@pytest.mark.parametrize("kind", ["budget", "cost"])
+def test_norms_of_controls_of_which_one_is_linear(kind: str) -> None:
+    """No bound of theirs would be tight: it would have to jump at nodes, and to be linear between them."""
+    v, held, line = tx.State("v", shape=(2,)), tx.Control("held"), tx.Control("line")
+    weight, push = tx.Parameter("weight", value=2.0), held * np.array([1.0, 0.0]) + line * np.array([0.0, 1.0])
+    size = tx.linalg.Norm(weight * push)
+    objective = tx.Minimize(running=size + (tx.Time() + 1.0) * push @ push)
+    if kind == "budget":
+        objective = tx.Minimize(-v[0] - v[1], running=0.01 * (tx.Time() + 1.0) * push @ push)
+    result = Problem(
+        tx.compile(tx.System(rates={v: push})),
+        objective,
+        nodes=7,
+        final_time=3.0,
+        initial={v: np.zeros(2)},
+        final=[Integral(size) <= 3.0] if kind == "budget" else {v: np.array([1.0, 0.5])},
+        controls={line: tx.trajectory.Linear()},
+        guess={held: 0.2, line: 0.2},
+        **HEUN,
+    ).solve()
+    assert result.solved
+    held_at, line_at = np.asarray(result.us["held"]), np.asarray(result.us["line"])
+    # By the quadrature of Heun's method.
+    along = lambda f: 0.25 * sum(np.sum(f(0.5 * (k + np.arange(6)), line_at[k : k + 6])) for k in (0, 1))  # noqa: E731
+    used = along(lambda _, line: 2.0 * np.hypot(held_at, line))
+    if kind == "budget":
+        assert used == pytest.approx(3.0, abs=1e-5)
+    else:
+        assert result.cost == pytest.approx(used + along(lambda t, line: (t + 1.0) * (held_at**2 + line**2)), rel=1e-9)
+
+
+def test_a_parameter_may_stand_in_the_size_of_a_linear_control_alone() -> None:
+    x, u, price = tx.State("x"), tx.Control("u"), tx.Parameter("price", value=3.0)
+    result = Problem(
+        tx.compile(tx.System(rates={x: u})),
+        tx.Minimize(running=tx.Abs(price * u)),
+        nodes=4,
+        final_time=1.0,
+        initial={x: 0.0},
+        final={x: 2.0},
+        controls=tx.trajectory.Linear(),
+        **HEUN,
+    ).solve()
+    assert result.solved
+    assert result.cost == pytest.approx(6.0, rel=1e-5)

@@ -167,6 +167,16 @@ def test_what_a_fixed_duration_makes_feasible_is_not_infeasible(monkeypatch: pyt
     assert result.optimality.gap > 1e-2  # it could be shorter
     assert "Every constraint holds" in result.message
 
+    def at_rest(*args: Any) -> Any:
+        """What meets every constraint is at rest, with free durations too."""
+        found = to_minimum(*args)
+        return found._replace(status=Status.STALLED if found.violation <= 1e-6 else Status.INFEASIBLE)
+
+    monkeypatch.setattr(Solver, "to_minimum", at_rest)
+    better = stopping().solve()
+    assert better.status is Status.STALLED
+    assert better.final_time < result.final_time - 0.05
+
 
 @pytest.mark.parametrize("constant", [0.0, 3.0])
 def test_any_trajectory_will_do_where_the_objective_has_no_slope(constant: float) -> None:

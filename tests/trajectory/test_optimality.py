@@ -13,6 +13,7 @@ import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Problem, Status, TrajectoryResult, solver
 from twistax.trajectory.scaling import levelled, unit_scales
+from twistax.trajectory.watch import Watch
 
 
 @functools.cache
@@ -353,10 +354,24 @@ def test_a_run_that_creeps_goes_on_where_nothing_beside_it_is_better(monkeypatch
     counts = list[int]()
     result = hill(True).solve(max_iterations=1000, callback=lambda count, *_: counts.append(count))
     assert counts == sorted(counts)
+    assert np.diff(counts).max() <= 2  # each step once
+    assert counts[-1] <= result.iterations <= counts[-1] + 2
     assert beside == [0.1, 0.3, 1.0]
     assert result.solved
     assert result.saddle
     assert result.cost > 2.1
+
+
+def test_a_run_that_may_creep_may_where_it_begins_anew() -> None:
+    with in_double():
+        point, given, *_ = fastest(1.0).started()
+        own = fastest(1.0)._solver(1e-6, point, given)
+        opening = own.steps.opened(point, given)
+        for creeping, later in ((-(2**62), -(2**62)), (7, 0)):
+            way = solver._Way(point, opening.state, opening.memory._replace(creeping=creeping))
+            another = own._anew(way, point, given, Watch(1e-6, 10))
+            assert another is not None
+            assert another.memory.creeping == later
 
 
 def test_a_run_creeps_and_jams_only_as_is_said() -> None:

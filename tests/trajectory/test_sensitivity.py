@@ -99,7 +99,20 @@ plain = jax.grad(cost)(1.0)
 try:
     assert abs(jax.jit(jax.grad(cost))(1.0) - plain) < 1e-9
 except jax.errors.JaxRuntimeError as error:
-    assert "NPROC=2" in str(error), error
+    assert "NPROC=2" in str(error) and "NPROC" not in os.environ, error
+
+import threading, _thread
+found, done = [], threading.Event()
+
+def elsewhere():
+    try:
+        found.append(jax.grad(cost)(1.0))
+    finally:
+        done.set()
+
+_thread.start_new_thread(elsewhere, ())  # a thread that `threading` does not know
+done.wait(60.0)
+assert found == [plain]
 """
 
 

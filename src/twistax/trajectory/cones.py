@@ -6,7 +6,7 @@ Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -95,6 +95,22 @@ def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str,
 
     found = jax.vmap(at)({name: jnp.asarray(values) for name, values in us.items()})
     return [np.asarray(values) for values in found]
+
+
+def bounds_along(
+    bounds: Mapping[str, Expr], us: Mapping[str, np.ndarray], params: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
+    """Sizes that controls bound, by name, along controls that have a row for each interval or for each node."""
+    found = {}
+    for name, size in bounds.items():
+        read = {leaf.name for leaf in leaves_of(size) if isinstance(leaf, Control)}
+        (found[name],) = values_of([size], {leaf: us[leaf] for leaf in read}, params)
+    return found
+
+
+def is_mixed(size: Expr, smooth: Collection[str]) -> bool:
+    """Whether it is one of controls that jump at nodes and of some that do not: a bound of either kind is not tight."""
+    return len({leaf.name in smooth for leaf in leaves_of(size) if isinstance(leaf, Control)}) > 1
 
 
 def above(values: np.ndarray) -> np.ndarray:

@@ -20,7 +20,8 @@ from ..system import name_of
 from .border import Border, boxes_of, times_of
 from .cases import TrajectoryResults, trajectory_results
 from .conditions import Ends, at_nodes, conditions, ends_of, split
-from .cones import above, norm_controls
+from .cones import above, bounds_along, norm_controls
+from .controls import continuous_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
 from .mesh import Remeshed, mesh_of
@@ -127,7 +128,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         time_limits, self.time_guess = times_of(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
         inner = at_nodes(at, self.nodes)
-        reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within)
+        smooth = continuous_controls(controls, dynamics.controls)
+        reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within, smooth)
         #: What functionals of the path became.
         self.reduced = reduced
         ways = reduced.shapes_of_bounds(controls)
@@ -368,7 +370,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
         whole = _sized(xs | us, sizes)
-        for name, values in (self.reduced.bounds_of(whole, params) | self.restated.bounds_of(whole, params)).items():
+        for name, values in bounds_along(self.reduced.bounds | self.restated.bounds, whole, params).items():
             (us if name in us else xs)[name] = above(values)
         xs, us = self.restated.started(xs, us, self.shooting.times(durations))
         # Rows may have any sign: controls that say nothing count with both.

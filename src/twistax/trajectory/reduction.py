@@ -9,7 +9,7 @@ state that does not change, equal to the first at the first node. All of them ke
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from ..expr.graph import substitute
 from ..groups import Euclidean
 from ..lowering import Dynamics, compile
 from ..system import System, free_name, name_of
-from .cones import Term, is_size, linear_terms, sum_of, values_of
+from .cones import Term, is_mixed, is_size, linear_terms, sum_of
 from .controls import Linear, Spline, is_rate
 from .functionals import Extreme, Functional, Initial, Integral
 from .statement import Objective, check_leaves
@@ -62,6 +62,7 @@ class Reduction:
         dynamics, objective: as stated.
         initial, final, inner: the constraints on the first, the last and on inner nodes, by name.
         within: of a phase.
+        smooth: names of the continuous controls.
 
     Attributes:
         dynamics, objective: without functionals.
@@ -83,9 +84,10 @@ class Reduction:
         final: Named,
         inner: Iterable[Named] = (),
         within: InPhase = InPhase(),
+        smooth: Collection[str] = (),
     ) -> None:
         self.states = dynamics.states
-        self._within = within
+        self._within, self._smooth = within, smooth
         self._taken = {leaf.name for leaf in (*dynamics.states, *dynamics.controls, *dynamics.system.parameters)}
         self._exchange: dict[str, Expr] = {}
         self._rates: dict[State, Expr] = {}
@@ -170,10 +172,10 @@ class Reduction:
             self.starts[name], self._exchange[leaf.key()] = leaf.operand, state
 
     def _bounded(self, leaf: Functional) -> Expr:
-        """The integrand with a bound in place of each norm of controls."""
+        """The integrand with a bound in place of each norm of controls that jump at nodes, or of such that do not."""
         terms: list[Term] = []
         for factor, part in linear_terms(leaf.operand.canonicalize()):
-            if is_size(part) and factor > 0.0:
+            if is_size(part) and factor > 0.0 and not is_mixed(part, self._smooth):
                 bound = Control(free_name(f"bound on {part!r} in {leaf!r}", self._taken))
                 self._taken.add(bound.name)
                 self.bounds[bound.name], self._rows[bound.name] = part, part <= bound
@@ -181,14 +183,6 @@ class Reduction:
             else:
                 terms.append((factor, part))
         return sum_of(terms).canonicalize()
-
-    def bounds_of(self, us: Mapping[str, Array], params: Mapping[str, Array]) -> dict[str, Array]:
-        """The norms that bounds stand for, given controls, leading axis the intervals or the nodes."""
-        if not self.bounds:
-            return {}
-        read = {leaf.name for part in self.bounds.values() for leaf in leaves_of(part) if isinstance(leaf, Control)}
-        count = min(len(us[name]) for name in read)
-        return dict(zip(self.bounds, values_of(list(self.bounds.values()), {k: us[k][:count] for k in read}, params)))
 
     def shapes_of_bounds(self, controls: Any) -> Any:
         """How controls go on between nodes, with bounds as what they bound."""

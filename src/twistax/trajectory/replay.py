@@ -14,6 +14,7 @@ from ..errors import InputError, IntegrationError, TrajectoryError
 from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
 from ..integrators import Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
+from .cones import bounds_along
 from .statement import largest_by_name, violations
 
 if TYPE_CHECKING:
@@ -145,7 +146,7 @@ def held_of(result: Trajectory) -> dict[str, Array]:
 
 def _bounds(result: Trajectory) -> dict[str, Array]:
     """Bounds on norms as tight as they can be."""
-    return result.problem.reduced.bounds_of(result.us, result.params)
+    return bounds_along(result.problem.reduced.bounds, result.us, result.params)
 
 
 def times_along(result: Trajectory, steps: int) -> Array:

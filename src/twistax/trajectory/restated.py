@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Constraint, Control, Expr, State, Time, leaves_of
+from ..expr import Constraint, Control, Expr, Parameter, State, Time, leaves_of
 from ..expr.graph import substitute
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..lowering import Dynamics, compile
 from ..system import System
-from .cones import norm_controls, values_of
+from .cones import is_mixed, norm_controls
 from .controls import Linear, Spline, continuous_controls, rates_among
 from .mesh import Mesh
 from .statement import Objective
@@ -129,13 +129,16 @@ class Restated:
             rates[clock] = 1.0
             controls.append(Control(_PACE, min=low, max=high, guess=1.0))
         constraints = {**system.constraints, **rows}
+        known = {leaf.name for leaf in system.parameters}
+        read = [leaf for row in rows.values() for leaf in leaves_of(row) if isinstance(leaf, Parameter)]
+        new = {leaf.name: leaf for leaf in read if leaf.name not in known}
         return compile(
             System(
                 rates=rates,
                 outputs={name: self._put(e) for name, e in system.outputs.items()},
                 constraints={n: type(c)(self._put(c.lhs), self._put(c.rhs)) for n, c in constraints.items()},
                 controls=controls,
-                parameters=system.parameters,
+                parameters=(*system.parameters, *new.values()),
             ),
             outputs=list(functions.families["outputs"]),
             bake=dynamics.baked,
@@ -146,16 +149,6 @@ class Restated:
     def smooth(self) -> Collection[str]:
         """The names of the continuous controls, and of continuous bounds on their sizes."""
         return self._smooth.keys()
-
-    def bounds_of(self, us: Mapping[str, Array], params: Mapping[str, Array]) -> dict[str, Array]:
-        """The sizes that continuous bounds stand for, given all controls, continuous ones among them, at the nodes."""
-        if not self.bounds:
-            return {}
-        sizes = list(self.bounds.values())
-        read = {leaf.name for size in sizes for leaf in leaves_of(size) if isinstance(leaf, Control)}
-        # What is held at the last node is what was held before.
-        us = {name: np.concatenate([us[name], us[name][-1:]])[: self._mesh.nodes] for name in read}
-        return dict(zip(self.bounds, values_of(sizes, us, params)))
 
     @property
     def pace(self) -> str | None:
@@ -217,7 +210,8 @@ def _with_bounds(objective: Objective, smooth: set[str]) -> tuple[Expr | None, l
     found = norm_controls(objective.running, objective.sign)
     bounds, back = [], {}
     for bound, size in zip(found.controls, found.sizes):
-        if any(isinstance(leaf, Control) and leaf.name in smooth for leaf in leaves_of(size)):
+        is_smooth = any(isinstance(leaf, Control) and leaf.name in smooth for leaf in leaves_of(size))
+        if is_smooth and not is_mixed(size, smooth):
             bounds.append((bound, size))
         else:
             back[bound.key()] = size

@@ -33,7 +33,8 @@ _NOTHING = 1e-4
 _WEAK = 1e-2
 #: Changes of less than this share of a value are rounding, and none that counts is smaller.
 _ROUNDING = 1e-9
-#: A state that an interval makes more than so many times as large, by itself, explodes: the steps are too long for it.
+#: What an interval makes more than so many times as large, by itself or with another state, explodes: most often the
+#: steps are too long for it.
 _EXPLOSIVE = 1e2
 #: Scales stay above this share of what they were.
 SMALL = 1e-6
@@ -139,10 +140,13 @@ def bent(shooting: Transcribed, slopes: Derivatives, scales: Scales, one: Step, 
 def _explosive(slopes: Derivatives, scales: Scales) -> jax.Array:
     """(intervals, n) by how much too large each interval makes a state; 1 where it does not.
 
-    A step that is too long for stiff dynamics does. What such a step makes of a move is no measure of anything.
+    A step that is too long for stiff dynamics does. What such a step makes of a move is no measure of anything. Of two
+    states that drive each other it is the root of what each makes of the other, which has no unit.
     """
-    own = jnp.diagonal(jnp.abs(slopes.defects), axis1=1, axis2=2) * scales.d[1:] / scales.d[:-1]
-    return jnp.maximum(own / _EXPLOSIVE, 1.0)
+    n = scales.d.shape[1]
+    reach = jnp.abs(slopes.defects[..., :n]) * scales.d[1:, :, None] / scales.d[:-1, None]
+    grown = jnp.sqrt(jnp.minimum(reach, 1e100) * jnp.minimum(reach.swapaxes(1, 2), 1e100))
+    return jnp.maximum(grown.max(axis=2) / _EXPLOSIVE, 1.0)
 
 
 def _border(border: Border, values: jax.Array, moved: Sequence[tuple[jax.Array, jax.Array]]) -> jax.Array:

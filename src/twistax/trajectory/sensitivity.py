@@ -171,16 +171,20 @@ class _Differentiable:
             array(rows),
             Scales(array(*free.d.shape), array(*free.u.shape), array(border.size), array(rows), array()),
         )
-        return jax.pure_callback(self._solved, shapes, theta, vmap_method="sequential")
+        return jax.pure_callback(self._solved_within, shapes, theta, vmap_method="sequential")
 
-    def _solved(self, theta: _Theta) -> _Optimum:
-        """The solve itself, of numbers."""
+    def _solved_within(self, theta: _Theta) -> _Optimum:
+        """The same, called back."""
         if is_in_last_thread():
             raise TrajectoryError(
                 "solution: under jit the solve calls XLA from within XLA. Where a process may use one processor it has "
                 "one thread, and would wait for ever.\n  fix: set NPROC=2 in the environment before JAX starts, or "
                 "leave jit out"
             )
+        return self._solved(theta)
+
+    def _solved(self, theta: _Theta) -> _Optimum:
+        """The solve itself, of numbers."""
         own: _Theta = jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
         result = self._problem.solve(**self._options, **asked, **own.final_time, tolerance=self._tolerance)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -131,7 +132,7 @@ class Solver:
 
         Where free durations lead all of them astray, what was found with fixed ones still meets every constraint.
         """
-        count, best, feasible = rested.iterations, rested, list[Outcome]()
+        count, others = rested.iterations, list[Outcome]()
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
         for point, held in durations.fixed(self.shooting.border, start, given):
             most = (max_iterations - count) // 3
@@ -142,18 +143,28 @@ class Solver:
             if found.status is not Status.SOLVED:
                 continue
             freed = self.weighed(state.point, given, state.scales, state.dynamics, state.rows)[1]
-            feasible.append(outcome(self.shooting, freed, Status.STALLED, count))
-            if count >= max_iterations:
-                best = feasible[-1]._replace(status=Status.MAX_ITERATIONS)
+            others.append(outcome(self.shooting, freed, Status.STALLED, count))
+            if count < max_iterations:
+                begin, most = found.point, max_iterations - count
+                others.append(self.to_minimum(self._searches(begin, given), begin, given, most, later))
+                count += others[-1].iterations
+            if others[-1].status is Status.SOLVED or count >= max_iterations:
                 break
-            begin = found.point
-            best = self.to_minimum(self._searches(begin, given), begin, given, max_iterations - count, later)
-            count += best.iterations
-            if best.status is Status.SOLVED or count >= max_iterations:
-                break
-        if feasible and best.status in _AT_REST:
-            best = feasible[0]
+        best = self._best(rested, others)
+        if others and count >= max_iterations and best.status is Status.STALLED:
+            best = best._replace(status=Status.MAX_ITERATIONS)
         return best._replace(iterations=count)
+
+    def _best(self, first: Outcome, others: Sequence[Outcome]) -> Outcome:
+        """The best outcome that meets every constraint: solved, acceptable, of least cost; the first if none does."""
+
+        def rank(own: Outcome) -> tuple[int, float]:
+            best = [Status.SOLVED, Status.ACCEPTABLE]
+            return (best.index(own.status), 0.0) if own.status in best else (len(best), own.cost)
+
+        no = (Status.INFEASIBLE, Status.NON_FINITE)
+        known = [own for own in (first, *others) if own.violation <= self.tolerance and own.status not in no]
+        return min(known, key=rank, default=first)
 
     def to_minimum(
         self,
@@ -191,19 +202,19 @@ class Solver:
                 if other.outcome.status in (Status.SOLVED, Status.UNBOUNDED):
                     better = other
                     break
-                if other.outcome.violation <= self.tolerance:
+                if other.outcome.violation <= self.tolerance and other.outcome.status is not Status.NON_FINITE:
                     unfinished.append(other.outcome)
             if better is not None:
                 found, state, crept = better
                 continue
+            saddle = True
             if crept is not None:
                 count -= crept.iterations  # it counts them itself
                 found, state, _ = search(crept.patient(), max_iterations - count, later)
                 count, saddle = count + found.iterations, self._falls(found, state, given)
-            elif unfinished:
-                found = min(unfinished, key=lambda own: own.cost)
-            else:
-                saddle = True
+            lowest = min(unfinished, key=lambda own: own.cost, default=found)
+            if lowest.cost < found.cost and (saddle or found.status is not Status.SOLVED):
+                found, saddle = lowest, False
             break
         return found._replace(iterations=count, saddle=saddle)
 

@@ -30,7 +30,7 @@ class Status(enum.Enum):
     )
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
     OUT_OF_TIME = "the time ran out before the first-order conditions held"
-    STALLED = "no step improves the trajectory, but the first-order conditions do not hold"
+    STALLED = "the search found nothing better, but the first-order conditions do not hold"
     NON_FINITE = "the problem has values or slopes that are not finite"
 
     def __str__(self) -> str:
