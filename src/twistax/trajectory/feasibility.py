@@ -18,6 +18,8 @@ from .transcribed import Derivatives, Given, Point, Values
 
 FIRST_DAMPING = 1e-2
 _LEAST_DAMPING = 1e-10
+#: The largest change of a duration in a step, relative: nothing pulls it down here.
+_LARGEST_CHANGE = 0.5
 
 
 class Search(NamedTuple):
@@ -75,7 +77,7 @@ def reduce(solver: InteriorPoint, search: Search, state: State, slopes: Derivati
     left: Rows = jax.tree.map(lambda w, a, r: w * (a + r), weights, along_rows(slopes, found.step), solver.split(rows))
     expected = search.size - 0.5 * sum((a**2).sum() for a in (found.dynamics, left.inner, left.end))
     step = found.step
-    share = solver.in_chart(step, state._replace(point=search.point))
+    share = solver.in_chart(step, state._replace(point=search.point), _LARGEST_CHANGE)
     point = solver.move(search.point, in_units(step, scales, share))
     raw = solver.values(point, given)
     size, worst = _size(solver, solver.scaled(raw, scales))

@@ -418,8 +418,12 @@ class InteriorPoint:
         damping, found, _ = jax.lax.while_loop(wrong, more, (zero, none, jnp.zeros((), int)))
         return stages(damping), found
 
-    def in_chart(self, step: Step, state: Any) -> jax.Array:
-        """The largest share of a step that keeps turns, changes of controls, durations and parameters small enough."""
+    def in_chart(self, step: Step, state: Any, change: float = _LARGEST_CHANGE) -> jax.Array:
+        """The largest share of a step that keeps turns, changes of controls, durations and parameters small enough.
+
+        Args:
+            change: the largest of a duration, relative.
+        """
         scales = state.scales
         turn = jnp.where(self._shooting.turns, jnp.abs(step.d * scales.d), 0.0).max(initial=0.0) / _LARGEST_TURN
         border, move = state.point.border, step.border * scales.border
@@ -428,7 +432,7 @@ class InteriorPoint:
         # What is large in its scale keeps its sign.
         shrinks = (border * move < 0.0) & (size > scales.border)
         most = jnp.where(shrinks, _LARGEST_FALL * size, _LARGEST_GROWTH * jnp.maximum(size, scales.border))
-        most = jnp.where(is_time, _LARGEST_CHANGE * size, most)
+        most = jnp.where(is_time, change * size, most)
         us = _FARTHEST * self._shooting.along(jnp.maximum(jnp.abs(state.point.us), scales.u))
         far = (jnp.abs(step.u * scales.u) / us).max(initial=0.0)
         return 1.0 / jnp.stack([jnp.ones_like(turn), turn, far, (jnp.abs(move) / most).max()]).max()
