@@ -267,6 +267,16 @@ def test_steps_that_explode_do_not_make_all_else_count_as_nothing() -> None:
     assert "exceeded along it: nothing" in stiff.explain()
 
 
+def test_states_that_explode_together_do_not_either() -> None:
+    """A step of Euler's method over 1,000 rad of an oscillator, where no state grows by itself: 0.0087 at the best."""
+    p, v, c = tx.State("p"), tx.State("v"), tx.Control("c", min=-5.0, max=5.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: -1e8 * (p - c)}))
+    cost = tx.Minimize(running=(p - tx.Sin(3.0 * tx.Time())) ** 2)
+    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}}
+    result = Problem(dynamics, cost, nodes=21, final_time=2.0, **ends, **EULER).solve()
+    assert not result.solved or result.cost < 0.01
+
+
 def test_extremes_of_any_sign_begin_where_the_guess_keeps_them() -> None:
     """What is pushed in one direction, and how an extreme of it is written, changes nothing."""
     push = tx.Control("push", min=-4.0, max=4.0)
