@@ -31,6 +31,7 @@ LAYERS = [
     "expr",
     "system",
     "lowering",
+    "solver",
     "integrators",
     "mechanics",
     "trajectory",
@@ -110,6 +111,7 @@ HEAVY = (
 )
 LAYERS_ABOVE = (
     "lowering",
+    "solver",
     "integrators",
     "mechanics",
     "trajectory",

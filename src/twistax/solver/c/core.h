@@ -1,0 +1,99 @@
+/* A primal-dual interior point for problems in stages. C99, no allocation, no global state, re-entrant.
+ *
+ *   minimise    sum over k of l_k(x_k, u_k, p)
+ *   subject to  x_(k+1) = f_k(x_k, u_k, p)      k < N
+ *               h_k(x_k, u_k, p) <= 0           inequalities
+ *               e_k(x_k, u_k, p)  = 0           equalities
+ *               lower <= (x_0, u_0, ..., x_N, u_N, p) <= upper
+ *
+ * States may lie on a manifold. The core then sees tangent steps alone: a node has a point z_k (any representation),
+ * `retract` moves it along a step d_k of the tangent space, and the defect c_k = log(z_(k+1)^-1 f(z_k, u_k, p)) is taken
+ * in coordinates about the node where the interval ends. The core wants rows whose derivative by d_(k+1) is -1. That of
+ * the logarithm is -J_l(c)^-1, the inverse left Jacobian: rows are multiplied by J_l(c), which leaves c itself as it is.
+ * Second derivatives are those of log(z_(k+1)^-1 f(z_k, u_k, p)) by (x_k, u_k, p), with the weights J_l(c)' lambda; the
+ * mixed ones by d_(k+1) vanish along directions that keep the rows.
+ *
+ * Matrices are column-major. Blocks of stages follow one another: of variables v = (x_0, u_0, ..., x_N, u_N, p), of
+ * points z = (z_0, u_0, ..., z_N, u_N, p), of rows h and e by stages, of defects c_0 ... c_(N-1).
+ */
+#ifndef TWX_CORE_H
+#define TWX_CORE_H
+#include <stddef.h>
+#include <stdint.h>
+
+typedef enum {
+  TWX_SOLVED = 0,            /* the scaled error is at most the tolerance */
+  TWX_MAX_ITERATIONS = 1,
+  TWX_INFEASIBLE = 2,        /* a stationary point of the violation */
+  TWX_STALLED = 3,           /* the search direction is too small, or the line search fails at a feasible point */
+  TWX_NON_FINITE = 4,        /* a function is not finite at the start or where the solver must differentiate it */
+  TWX_UNBOUNDED_CURVATURE = 5, /* no multiple of the identity makes the step a descent */
+  TWX_STOPPED = 6,           /* `stop` returned other than 0 */
+  TWX_BAD_PROBLEM = 7        /* sizes or bounds that cannot be */
+} twx_status;
+
+/* Functions return 0, or another number where the point must be rejected. All pointers of outputs are to zeroed memory
+ * that is theirs alone. */
+typedef struct {
+  int32_t intervals;          /* N */
+  int32_t parameters;         /* entries of p, shared by all stages */
+  const int32_t *states;      /* (N + 1) entries of x_k, the dimension of its tangent space */
+  const int32_t *controls;    /* (N + 1) entries of u_k; of the last stage 0 */
+  const int32_t *inequalities; /* (N + 1) rows of h_k */
+  const int32_t *equalities;  /* (N + 1) rows of e_k */
+  const int32_t *point_states; /* (N + 1) entries of z_k, or NULL where z_k is x_k */
+  const double *lower, *upper; /* of v; infinite where there is none; equal where an entry of x_0, u or p is fixed */
+  const double *size;         /* of v: units in which the core counts, or NULL for 1 */
+  void *user;
+  int32_t (*values)(void *user, const double *z, double *cost, double *c, double *h, double *e);
+  /* gradient of the cost by v; by (x_k, u_k, p): F_k of c_k (without the -1 of x_(k+1)), rows of h_k and e_k */
+  int32_t (*jacobians)(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je);
+  /* second derivatives of weight * cost + lambda . c + y . h + ye . e by (x_k, u_k, p) of each stage */
+  int32_t (*hessians)(void *user, const double *z, double weight, const double *lambda, const double *y,
+                      const double *ye, double *H);
+  /* moved = z moved by d, a step of v; NULL where z is v */
+  int32_t (*retract)(void *user, const double *z, const double *d, double *moved);
+  /* multipliers of c about the node that `retract` moved by d; NULL where they stay */
+  int32_t (*transport)(void *user, const double *d, double *lambda);
+  int32_t (*stop)(void *user, int32_t iteration); /* asked once an iteration; NULL: never */
+} twx_problem;
+
+#define OPTION(name, value, source) double name;
+typedef struct {
+#include "options.def"
+} twx_options;
+#undef OPTION
+
+typedef struct { /* one iteration */
+  double cost, violation, stationarity, barrier, identity, step, step_multipliers, length, trials, kind;
+} twx_record;
+
+typedef struct {
+  double cost, error, stationarity, violation, complementarity, barrier, cost_scale;
+  int32_t status, iterations, evaluations, factorizations, corrections, restorations, restoration_iterations,
+      filter_resets, inertia_corrections;
+  twx_record *log; /* rows for the first `log_rows` iterations, or NULL */
+  int32_t log_rows;
+} twx_statistics;
+
+/* Doubles of a solution: v | s, slacks of h | lambda | y | ye | zl, zu of the bounds of v. */
+typedef struct {
+  double *v, *s, *lambda, *y, *ye, *zl, *zu;
+} twx_solution;
+
+/* Counts by which arrays are made; 0 where the sizes cannot be. */
+typedef struct {
+  size_t variables, points, defects, inequalities, equalities, F, Jh, Je, H;
+} twx_counts;
+
+int32_t twx_options_count(void);
+const char *twx_option_name(int32_t i);
+const char *twx_option_source(int32_t i);
+void twx_defaults(twx_options *options);
+int32_t twx_count(const twx_problem *problem, twx_counts *counts);
+size_t twx_workspace_size(const twx_problem *problem); /* in doubles; 0 where the sizes cannot be */
+
+/* Solve from z and v = solution->v. Both hold the result; multipliers are those of the problem as stated, unscaled. */
+int32_t twx_solve(const twx_problem *problem, const twx_options *options, double *z, twx_solution *solution,
+                  double *workspace, twx_statistics *statistics);
+#endif

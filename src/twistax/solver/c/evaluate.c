@@ -1,0 +1,101 @@
+/* Functions of the problem, in the core's units: v over `size`, rows by their scales, the cost by `cost_scale`. */
+#include "work.h"
+
+static const double *parameter_size(const twx_work *w) { return w->size + w->variables - (size_t)w->np; }
+
+static double size_of(const twx_work *w, const twx_stage *stage, int32_t column) {
+  return column < stage->nv ? w->size[stage->v + (size_t)column] : parameter_size(w)[column - stage->nv];
+}
+
+static const double *size_of_next(const twx_work *w, int32_t k) { return w->size + w->stages[k + 1].v; }
+
+int32_t twx_evaluate(twx_work *w, twx_values *at) {
+  const twx_problem *p = w->problem;
+  double sum = 0, *const h = at->h, *const e = at->e;
+  memset(at->c, 0, sizeof(double) * w->defects), memset(h, 0, sizeof(double) * w->rows);
+  memset(e, 0, sizeof(double) * (size_t)w->ne);
+  at->cost = 0;
+  w->statistics->evaluations++;
+  if (p->values(p->user, at->z, &at->cost, at->c, h, e)) return 1;
+  at->cost *= w->cost_scale;
+  for (int32_t k = 0; k < w->N; k++) {
+    const double *size = size_of_next(w, k);
+    for (int32_t i = 0; i < w->stages[k].next; i++) sum += at->c[w->stages[k].c + (size_t)i] /= size[i];
+  }
+  for (size_t i = 0; i < w->rows; i++) sum += h[i] = h[i] * w->row_scale[i] - w->options->bound_relaxation;
+  for (size_t i = 0; i < (size_t)w->ne; i++) sum += e[i] *= w->equality_scale[i];
+  return !isfinite(sum + at->cost);
+}
+
+/* Rows of a block (rows, n) of a stage by `scale`, columns by the units of the variables; a sum that tells NaN. */
+static double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *scale) {
+  double sum = 0;
+  for (int32_t j = 0; j < stage->n; j++) {
+    const double size = size_of(w, stage, j);
+    double *column = block + (size_t)j * (size_t)rows;
+    for (int32_t i = 0; i < rows; i++) sum += column[i] *= size * scale[i];
+  }
+  return sum;
+}
+
+int32_t twx_differentiate(twx_work *w) {
+  const twx_problem *p = w->problem;
+  const twx_stage *end = w->stages + w->N;
+  double sum = 0;
+  memset(w->gradient, 0, sizeof(double) * w->variables);
+  memset(w->F, 0, sizeof(double) * end->F), memset(w->Jh, 0, sizeof(double) * (end->Jh + (size_t)end->nh * (size_t)end->n));
+  memset(w->Je, 0, sizeof(double) * (end->Je + (size_t)end->ne * (size_t)end->n));
+  if (p->jacobians(p->user, w->here.z, w->gradient, w->F, w->Jh, w->Je)) return 1;
+  for (size_t i = 0; i < w->variables; i++) sum += w->gradient[i] *= w->cost_scale * w->size[i];
+  FOR_STAGES(w, k, s) {
+    double *inverse = w->t0;
+    for (int32_t i = 0; i < s->next; i++) inverse[i] = 1 / size_of_next(w, k)[i];
+    sum += scale_block(w, s, s->next, w->F + s->F, inverse);
+    sum += scale_block(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h);
+    sum += scale_block(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
+  }
+  return !isfinite(sum);
+}
+
+/* The multipliers in the problem's units, in `t3`, in the order of lambda, y, ye. */
+static double *unscaled_multipliers(twx_work *w) {
+  double *lambda = w->t3, *y = lambda + w->defects, *ye = y + w->rows;
+  for (int32_t k = 0; k < w->N; k++)
+    for (int32_t i = 0; i < w->stages[k].next; i++) {
+      const size_t at = w->stages[k].c + (size_t)i;
+      lambda[at] = w->iterate.lambda[at] / size_of_next(w, k)[i];
+    }
+  for (size_t i = 0; i < w->rows; i++) y[i] = w->iterate.y[i] * w->row_scale[i];
+  for (size_t i = 0; i < (size_t)w->ne; i++) ye[i] = w->iterate.ye[i] * w->equality_scale[i];
+  return lambda;
+}
+
+int32_t twx_differentiate_twice(twx_work *w) {
+  const twx_problem *p = w->problem;
+  const twx_stage *end = w->stages + w->N;
+  const double *lambda = unscaled_multipliers(w), *y = lambda + w->defects, *ye = y + w->rows;
+  double sum = 0;
+  memset(w->H, 0, sizeof(double) * (end->H + (size_t)end->n * (size_t)end->n));
+  if (p->hessians(p->user, w->here.z, w->cost_scale, lambda, y, ye, w->H)) return 1;
+  FOR_STAGES(w, k, s) {
+    double *size = w->t0;
+    for (int32_t i = 0; i < s->n; i++) size[i] = size_of(w, s, i);
+    sum += scale_block(w, s, s->n, w->H + s->H, size);
+  }
+  return !isfinite(sum);
+}
+
+/* The trial: the iterate moved by a step, its values, and its functions. Other than 0 where these are not finite. */
+int32_t twx_move(twx_work *w, const twx_iterate *step, double length) {
+  const twx_problem *p = w->problem;
+  for (size_t i = 0; i < w->variables; i++) {
+    w->trial.v[i] = w->iterate.v[i] + length * step->v[i];
+    w->moved[i] = w->size[i] * length * step->v[i];
+  }
+  for (size_t i = 0; i < w->rows; i++) w->trial.s[i] = w->iterate.s[i] + length * step->s[i];
+  if (!p->retract)
+    for (size_t i = 0; i < w->variables; i++) w->trial.z[i] = w->here.z[i] + w->moved[i];
+  else if (p->retract(p->user, w->here.z, w->moved, w->trial.z))
+    return 1;
+  return twx_evaluate(w, &w->trial);
+}

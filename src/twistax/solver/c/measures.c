@@ -1,0 +1,76 @@
+/* How far a point is from a solution: violation, barrier function, and the scaled error of the optimality conditions. */
+#include "work.h"
+
+/* Sum of the absolute violations of c, h + s and e, or the largest of them. */
+double twx_violation(const twx_work *w, const twx_values *at, int32_t largest) {
+  double sum = 0, most = 0;
+  for (size_t i = 0; i < w->defects; i++) sum += fabs(at->c[i]), most = twx_max(most, fabs(at->c[i]));
+  for (size_t i = 0; i < w->rows; i++) sum += fabs(at->h[i] + at->s[i]), most = twx_max(most, fabs(at->h[i] + at->s[i]));
+  for (size_t i = 0; i < (size_t)w->ne; i++) sum += fabs(at->e[i]), most = twx_max(most, fabs(at->e[i]));
+  return largest ? most : sum;
+}
+
+/* Sum of logarithms: the factors are multiplied, and few logarithms taken. */
+static void add_logarithm(double *sum, double *product, double factor) {
+  *product *= factor;
+  if (*product < 1e-200 || *product > 1e200) *sum += log(*product), *product = 1;
+}
+
+/* The barrier function with its damping of one-sided bounds. Source: [WB] (3) and 3.7. */
+double twx_barrier(const twx_work *w, const twx_values *at) {
+  double logs = 0, damping = 0, product = 1;
+  FOR_FREE(w, i) {
+    const int low = twx_has(w->lower[i]), high = twx_has(w->upper[i]);
+    if (low) add_logarithm(&logs, &product, twx_below(w, at->v, i));
+    if (high) add_logarithm(&logs, &product, twx_above(w, at->v, i));
+    if (low && !high) damping += twx_below(w, at->v, i);
+    if (high && !low) damping += twx_above(w, at->v, i);
+  }
+  for (size_t i = 0; i < w->rows; i++) add_logarithm(&logs, &product, twx_max(at->s[i], TWX_LEAST_SLACK)), damping += at->s[i];
+  return at->cost + w->barrier * (w->options->damping * damping - logs - log(product));
+}
+
+/* The gradient of the Lagrangian by v, in t3. */
+static double *lagrangian_gradient(twx_work *w) {
+  const twx_iterate *q = &w->iterate;
+  double *const g = w->t3, *const of_parameters = g + w->variables - (size_t)w->np;
+  for (size_t i = 0; i < w->variables; i++) g[i] = w->gradient[i] - q->zl[i] + q->zu[i];
+  FOR_STAGES(w, k, s) {
+    const struct { int32_t rows; const double *J, *multipliers; } blocks[] = {
+        {s->next, w->F + s->F, q->lambda + s->c}, {s->nh, w->Jh + s->Jh, q->y + s->h}, {s->ne, w->Je + s->Je, q->ye + s->e}};
+    for (size_t b = 0; b < 3; b++) {
+      const int32_t rows = blocks[b].rows;
+      twx_add_apply_transposed(rows, s->nv, blocks[b].J, rows, blocks[b].multipliers, g + s->v);
+      twx_add_apply_transposed(rows, w->np, blocks[b].J + (size_t)rows * (size_t)s->nv, rows, blocks[b].multipliers, of_parameters);
+    }
+    for (int32_t i = 0; i < s->next; i++) g[s[1].v + (size_t)i] -= q->lambda[s->c + (size_t)i];
+  }
+  return g;
+}
+
+/* The scaled error for a barrier parameter, and its parts. Source: [WB] (5), (6). */
+twx_measures twx_measure(twx_work *w, double barrier) {
+  const twx_iterate *q = &w->iterate;
+  const double *const g = lagrangian_gradient(w), least = w->options->multiplier_scale;
+  twx_measures m = {0};
+  double multipliers = 0, of_bounds = 0, bounds = 0, count = (double)(w->defects + w->rows) + w->ne;
+  FOR_FREE(w, i) {
+    m.stationarity = twx_max(m.stationarity, fabs(g[i]));
+    if (twx_has(w->lower[i]))
+      m.complementarity = twx_max(m.complementarity, fabs(twx_below(w, q->v, i) * q->zl[i] - barrier)), of_bounds += q->zl[i], bounds++;
+    if (twx_has(w->upper[i]))
+      m.complementarity = twx_max(m.complementarity, fabs(twx_above(w, q->v, i) * q->zu[i] - barrier)), of_bounds += q->zu[i], bounds++;
+  }
+  for (size_t i = 0; i < w->rows; i++) {
+    m.stationarity = twx_max(m.stationarity, fabs(q->y[i] - q->zs[i]));
+    m.complementarity = twx_max(m.complementarity, fabs(q->s[i] * q->zs[i] - barrier));
+    multipliers += fabs(q->y[i]), of_bounds += q->zs[i], bounds++;
+  }
+  for (size_t i = 0; i < w->defects; i++) multipliers += fabs(q->lambda[i]);
+  for (size_t i = 0; i < (size_t)w->ne; i++) multipliers += fabs(q->ye[i]);
+  const double dual_scale = twx_max(least, (multipliers + of_bounds) / twx_max(1, count + bounds)) / least;
+  const double bound_scale = twx_max(least, of_bounds / twx_max(1, bounds)) / least;
+  m.violation = twx_violation(w, &w->here, 1);
+  m.error = twx_max(m.stationarity / dual_scale, twx_max(m.violation, m.complementarity / bound_scale));
+  return m;
+}

@@ -1,0 +1,134 @@
+/* Feasibility restoration: least squares of the rows h + s and e, with the dynamics as constraints.
+ *
+ *   minimise  |h + s|^2 / 2 + |e|^2 / 2 + a barrier for bounds and slacks + zeta |v - v_here|^2 / 2   subject to  c = 0
+ *
+ * by Gauss-Newton steps of the same Riccati recursion, in which the rows have the softness 1. It ends where the filter
+ * accepts the point, or at a stationary point of the violation, which the status INFEASIBLE reports.
+ */
+#include "work.h"
+
+#define BARRIER_LEAST 1e-9    /* of the phase; there its stationary point is one of the violation */
+#define BARRIER_DECREASE 0.1
+#define LENGTH_LEAST 1e-12
+
+typedef struct {
+  double barrier, penalty, slope, merit; /* penalty: of the l1 norm of the defects */
+} phase;
+
+static double merit_of(twx_work *w, const phase *f, const twx_values *at) {
+  const double barrier = w->barrier;
+  w->barrier = f->barrier;
+  double merit = twx_barrier(w, at) - at->cost;
+  w->barrier = barrier;
+  for (size_t i = 0; i < w->defects; i++) merit += f->penalty * fabs(at->c[i]);
+  for (size_t i = 0; i < w->rows; i++) merit += 0.5 * (at->h[i] + at->s[i]) * (at->h[i] + at->s[i]);
+  for (size_t i = 0; i < (size_t)w->ne; i++) merit += 0.5 * at->e[i] * at->e[i];
+  return merit;
+}
+
+/* The right side of the barrier function without the cost, its primal second derivatives, and the proximal term. */
+static void restoring_right_side(twx_work *w, double barrier) {
+  const double proximity = sqrt(w->barrier) * twx_min(1, barrier); /* [WB] 3.3.1, zeta */
+  memset(w->gradient, 0, sizeof(double) * w->variables); /* restored by twx_differentiate after the step */
+  twx_right_side(w, barrier);
+  for (size_t i = 0; i < w->variables; i++) w->Sv[i] = proximity / twx_max(1, w->iterate.v[i] * w->iterate.v[i]);
+  FOR_FREE(w, i) {
+    const double low = twx_below(w, w->iterate.v, i), high = twx_above(w, w->iterate.v, i);
+    if (twx_has(w->lower[i])) w->Sv[i] += barrier / (low * low);
+    if (twx_has(w->upper[i])) w->Sv[i] += barrier / (high * high);
+  }
+  for (size_t i = 0; i < w->rows; i++) w->Ss[i] = barrier / (w->iterate.s[i] * w->iterate.s[i]);
+}
+
+static int32_t factorize_restoring(twx_work *w) {
+  for (double identity = 0; !twx_factorize(w, identity, 0);) {
+    identity = identity > 0 ? w->options->inertia_increase_first * identity : w->options->inertia_first * 1e-4;
+    if (identity > w->options->inertia_largest) return 0;
+  }
+  return 1;
+}
+
+/* The merit function's slope along the step: rows change by y - r and ye - r, the defects vanish. */
+static void measure_step(twx_work *w, phase *f) {
+  const twx_iterate *d = &w->step;
+  double defects = 0;
+  f->slope = twx_slope(w, d);
+  for (size_t i = 0; i < w->defects; i++) {
+    f->penalty = twx_max(f->penalty, 2 * fabs(d->lambda[i]));
+    defects += fabs(w->here.c[i]);
+  }
+  for (size_t i = 0; i < w->rows; i++) {
+    const double row = w->here.h[i] + w->iterate.s[i];
+    f->slope += row * (d->y[i] - row);
+  }
+  for (size_t i = 0; i < (size_t)w->ne; i++) f->slope += w->here.e[i] * (d->ye[i] - w->here.e[i]);
+  f->slope -= f->penalty * defects;
+  f->merit = merit_of(w, f, &w->here);
+}
+
+static double search_merit(twx_work *w, const phase *f) {
+  for (double length = twx_primal_length(w, &w->step); length > LENGTH_LEAST; length *= 0.5) {
+    if (twx_move(w, &w->step, length)) continue;
+    if (merit_of(w, f, &w->trial) <= f->merit + 1e-4 * length * f->slope + 10 * TWX_EPSILON * fabs(f->merit)) return length;
+  }
+  return 0;
+}
+
+static void accept_restoring(twx_work *w) {
+  memset(w->step.zl, 0, sizeof(double) * w->variables), memset(w->step.zu, 0, sizeof(double) * w->variables);
+  memset(w->step.zs, 0, sizeof(double) * w->rows);
+  twx_accept(w, 0, 0, w->barrier);
+  w->statistics->restoration_iterations++;
+}
+
+/* TWX_SOLVED where the filter accepts the iterate. */
+static twx_status reduce_violation(twx_work *w) {
+  const twx_options *o = w->options;
+  const double before = twx_violation(w, &w->here, 0);
+  phase f = {twx_max(w->barrier, twx_violation(w, &w->here, 1)), 0, 0, 0};
+  for (int32_t n = 0; n < (int32_t)o->restoration_iterations; n++) {
+    restoring_right_side(w, f.barrier);
+    if (!factorize_restoring(w)) return TWX_UNBOUNDED_CURVATURE;
+    twx_solve_system(w, &w->right, &w->step, 0);
+    measure_step(w, &f);
+    const double length = f.slope > -1e-12 ? 0 : search_merit(w, &f);
+    if (length > 0) {
+      accept_restoring(w);
+      if (twx_differentiate(w)) return TWX_NON_FINITE;
+      const double violation = twx_violation(w, &w->here, 0);
+      if (violation <= o->restoration_decrease * before && twx_filter_accepts(w, violation, twx_barrier(w, &w->here)))
+        return TWX_SOLVED;
+    }
+    if (length == 0 || f.slope > -1e-2 * f.barrier) {
+      if (f.barrier < BARRIER_LEAST) return TWX_INFEASIBLE;
+      f.barrier *= BARRIER_DECREASE;
+    }
+  }
+  return TWX_INFEASIBLE;
+}
+
+/* Multipliers of bounds that grew too large start anew. */
+static void reset_multipliers(twx_work *w) {
+  twx_iterate *q = &w->iterate;
+  double most = 0;
+  for (size_t i = 0; i < w->rows; i++) most = twx_max(most, q->zs[i]);
+  for (size_t i = 0; i < w->variables; i++) most = twx_max(most, twx_max(q->zl[i], q->zu[i]));
+  if (!(most > w->options->restoration_multiplier)) return;
+  for (size_t i = 0; i < w->rows; i++) q->zs[i] = 1;
+  FOR_FREE(w, i) q->zl[i] = twx_has(w->lower[i]), q->zu[i] = twx_has(w->upper[i]);
+}
+
+/* Restoration from the iterate; TWX_SOLVED where the search goes on from a better one. */
+twx_status twx_restore(twx_work *w) {
+  w->statistics->restorations++;
+  w->softness = 1, w->weight = 0;
+  const twx_status status = reduce_violation(w);
+  w->softness = 0, w->weight = w->options->equality_weight;
+  if (status != TWX_SOLVED) {
+    twx_differentiate(w); /* the cost's gradient, for the measures of the result */
+    return status;
+  }
+  reset_multipliers(w);
+  twx_least_squares_multipliers(w);
+  return status;
+}

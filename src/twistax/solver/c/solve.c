@@ -1,0 +1,139 @@
+/* The loop of the interior point. Source: [WB] Algorithm A. */
+#include "work.h"
+
+static void record(twx_work *w, const twx_search *search, const twx_measures *m) {
+  twx_statistics *t = w->statistics;
+  double length = 0;
+  if (!t->log || t->iterations >= t->log_rows) return;
+  for (size_t i = 0; i < w->variables; i++) length = twx_max(length, fabs(w->step.v[i]));
+  t->log[t->iterations] = (twx_record){w->here.cost / w->cost_scale, m->violation, m->stationarity, w->barrier, w->identity,
+                                       search->length, search->length_multipliers, length, search->trials, search->kind};
+}
+
+/* The barrier parameter falls as long as its problem is solved. Source: [WB] A-3, (7), (8). */
+static twx_status update_barrier(twx_work *w, twx_search *search) {
+  const twx_options *o = w->options;
+  for (int32_t first = 1; !search->watching; first = 0) {
+    const int32_t tiny = first && search->tiny > 1;
+    if (!tiny && twx_measure(w, w->barrier).error > o->barrier_error * w->barrier) break;
+    const double before = w->barrier, least = o->tolerance / (o->barrier_error + 1);
+    w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
+    w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
+    w->filter_rows = search->by_filter = search->shortened = 0;
+    if (w->barrier == before) return tiny ? TWX_STALLED : TWX_SOLVED;
+  }
+  return TWX_SOLVED;
+}
+
+static twx_status find_direction(twx_work *w) {
+  if (twx_differentiate_twice(w)) return TWX_NON_FINITE;
+  twx_right_side(w, w->barrier);
+  if (!twx_correct_inertia(w)) return TWX_UNBOUNDED_CURVATURE;
+  twx_solve_system(w, &w->right, &w->step, 1);
+  twx_step_of_bounds(w, &w->step);
+  return TWX_SOLVED;
+}
+
+static void reset_filter(twx_work *w, twx_search *search) {
+  const twx_options *o = w->options;
+  if (search->by_filter < (int32_t)o->filter_reset_trigger || search->resets >= (int32_t)o->filter_resets) return;
+  w->filter_rows = search->by_filter = 0, search->resets++, w->statistics->filter_resets++;
+}
+
+/* Back to the iterate that the watchdog kept. */
+static twx_status go_back(twx_work *w) {
+  twx_copy_iterate(w, &w->iterate, &w->watchdog);
+  memcpy(w->here.z, w->watchdog_z, sizeof(double) * w->points);
+  return twx_evaluate(w, &w->here) || twx_differentiate(w) ? TWX_NON_FINITE : TWX_SOLVED;
+}
+
+/* No step length is acceptable. */
+static twx_status restore(twx_work *w) {
+  const double violation = twx_violation(w, &w->here, 0);
+  twx_filter_add(w, violation, twx_barrier(w, &w->here));
+  return twx_violation(w, &w->here, 1) < w->options->tolerance ? TWX_STALLED : twx_restore(w);
+}
+
+static twx_status take_step(twx_work *w, twx_search *search, const twx_measures *m) {
+  const twx_outcome outcome = twx_line_search(w, search);
+  record(w, search, m), w->statistics->iterations++;
+  if (outcome == TWX_BACK) return go_back(w);
+  if (outcome == TWX_NO_STEP) return restore(w);
+  twx_accept(w, search->length, search->length_multipliers, w->barrier);
+  return twx_differentiate(w) ? TWX_NON_FINITE : TWX_SOLVED;
+}
+
+static void report(twx_work *w, const twx_measures *m) {
+  twx_statistics *t = w->statistics;
+  t->cost = w->here.cost / w->cost_scale, t->error = m->error, t->stationarity = m->stationarity;
+  t->violation = m->violation, t->complementarity = m->complementarity, t->barrier = w->barrier;
+}
+
+static twx_status iterate(twx_work *w) {
+  const twx_options *o = w->options;
+  const twx_problem *p = w->problem;
+  twx_search search = {0};
+  for (twx_status status = TWX_SOLVED; status == TWX_SOLVED;) {
+    const twx_measures m = twx_measure(w, 0);
+    report(w, &m);
+    if (m.error <= o->tolerance) return TWX_SOLVED;
+    if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
+    if (p->stop && p->stop(p->user, w->statistics->iterations)) return TWX_STOPPED;
+    status = update_barrier(w, &search);
+    if (status == TWX_SOLVED) status = find_direction(w);
+    reset_filter(w, &search);
+    if (status == TWX_SOLVED) status = take_step(w, &search, &m);
+    if (status != TWX_SOLVED) {
+      const twx_measures last = twx_measure(w, 0);
+      report(w, &last);
+      return status;
+    }
+  }
+  return TWX_STALLED;
+}
+
+/* The result in the problem's units. */
+static void unscale(twx_work *w, double *z, twx_solution *solution) {
+  const twx_iterate *q = &w->iterate;
+  for (size_t i = 0; i < w->variables; i++) {
+    solution->v[i] = q->v[i] * w->size[i];
+    solution->zl[i] = q->zl[i] / (w->cost_scale * w->size[i]), solution->zu[i] = q->zu[i] / (w->cost_scale * w->size[i]);
+  }
+  for (int32_t k = 0; k < w->N; k++)
+    for (int32_t i = 0; i < w->stages[k].next; i++) {
+      const size_t at = w->stages[k].c + (size_t)i;
+      solution->lambda[at] = q->lambda[at] / (w->cost_scale * w->size[w->stages[k + 1].v + (size_t)i]);
+    }
+  for (size_t i = 0; i < w->rows; i++)
+    solution->s[i] = q->s[i] / w->row_scale[i], solution->y[i] = q->y[i] * w->row_scale[i] / w->cost_scale;
+  for (size_t i = 0; i < (size_t)w->ne; i++) solution->ye[i] = q->ye[i] * w->equality_scale[i] / w->cost_scale;
+  memcpy(z, w->here.z, sizeof(double) * w->points);
+}
+
+static void load(twx_work *w, const double *z, const twx_solution *solution) {
+  twx_iterate *q = &w->iterate;
+  memcpy(w->here.z, z, sizeof(double) * w->points);
+  memcpy(q->v, solution->v, sizeof(double) * w->variables);
+  memset(q->s, 0, sizeof(double) * w->rows);
+  if (!(w->options->warm_start > 0)) return;
+  memcpy(q->s, solution->s, sizeof(double) * w->rows), memcpy(q->y, solution->y, sizeof(double) * w->rows);
+  memcpy(q->lambda, solution->lambda, sizeof(double) * w->defects), memcpy(q->ye, solution->ye, sizeof(double) * (size_t)w->ne);
+  memcpy(q->zl, solution->zl, sizeof(double) * w->variables), memcpy(q->zu, solution->zu, sizeof(double) * w->variables);
+}
+
+int32_t twx_solve(const twx_problem *problem, const twx_options *options, double *z, twx_solution *solution,
+                  double *workspace, twx_statistics *statistics) {
+  twx_work work, *const w = &work;
+  twx_statistics fresh = {0};
+  fresh.log = statistics->log, fresh.log_rows = statistics->log_rows;
+  *statistics = fresh;
+  if (!twx_workspace_size(problem)) return statistics->status = TWX_BAD_PROBLEM;
+  twx_carve(w, problem, workspace);
+  w->problem = problem, w->options = options, w->statistics = statistics;
+  load(w, z, solution);
+  twx_status status = twx_start(w);
+  if (status == TWX_BAD_PROBLEM) return statistics->status = status;
+  if (status == TWX_SOLVED) status = iterate(w);
+  unscale(w, z, solution);
+  return statistics->status = status;
+}

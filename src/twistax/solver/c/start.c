@@ -1,0 +1,158 @@
+/* The start of a solve: fixed variables, scales, the push into the bounds, first slacks and multipliers. */
+#include "work.h"
+
+/* A warm start's multipliers of bounds stay within this factor of barrier over slack, or its first step is short. */
+#define WARM_RANGE 10
+
+/* Which variables are fixed; 0 where bounds cannot be. A state after the first is fixed by an equality, not by bounds. */
+static int32_t read_bounds(twx_work *w) {
+  const twx_problem *p = w->problem;
+  for (size_t i = 0; i < w->variables; i++) {
+    w->size[i] = p->size ? p->size[i] : 1;
+    if (!(w->size[i] > 0) || !isfinite(w->size[i]) || !(p->lower[i] <= p->upper[i])) return 0;
+    w->free[i] = p->lower[i] < p->upper[i];
+    w->lower[i] = p->lower[i] / w->size[i], w->upper[i] = p->upper[i] / w->size[i];
+  }
+  for (int32_t k = 1; k <= w->N; k++)
+    for (int32_t i = 0; i < w->stages[k].nx; i++)
+      if (w->free[w->stages[k].v + (size_t)i] == 0) return 0;
+  return 1;
+}
+
+/* A value at a distance from its bounds. Source: [WB] 3.6. */
+static double pushed(const twx_options *o, double v, double lower, double upper) {
+  const double share = o->bound_share * (upper - lower);
+  if (twx_has(lower)) v = twx_max(v, lower + twx_min(o->bound_push * twx_max(1, fabs(lower)), share));
+  if (twx_has(upper)) v = twx_min(v, upper - twx_min(o->bound_push * twx_max(1, fabs(upper)), share));
+  return v;
+}
+
+/* Bounds relaxed, and the start moved inside of them. */
+static int32_t push_inside(twx_work *w) {
+  const twx_options *o = w->options;
+  double *const d = w->step.v, *const v = w->iterate.v;
+  memset(d, 0, sizeof(double) * w->variables);
+  for (size_t i = 0; i < w->variables; i++) {
+    if (w->free[i] == 0) {
+      d[i] = w->lower[i] - v[i];
+      continue;
+    }
+    w->lower[i] -= o->bound_relaxation * twx_max(1, fabs(w->lower[i]));
+    w->upper[i] += o->bound_relaxation * twx_max(1, fabs(w->upper[i]));
+    d[i] = pushed(o, v[i], w->lower[i], w->upper[i]) - v[i];
+  }
+  memset(w->step.s, 0, sizeof(double) * w->rows);
+  const int32_t bad = twx_move(w, &w->step, 1);
+  memcpy(v, w->trial.v, sizeof(double) * w->variables), memcpy(w->here.z, w->trial.z, sizeof(double) * w->points);
+  return bad;
+}
+
+/* Scales of rows by their largest derivative, as in [WB] 3.8. */
+static void scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, double *scale) {
+  for (int32_t i = 0; i < rows; i++) {
+    double most = 0;
+    for (int32_t j = 0; j < s->n; j++) {
+      const size_t variable = j < s->nv ? s->v + (size_t)j : w->variables - (size_t)(s->n - j);
+      if (w->free[variable] != 0) most = twx_max(most, fabs(J[i + (size_t)j * (size_t)rows]));
+    }
+    if (most > w->options->row_gradient) scale[i] = twx_max(w->options->row_gradient / most, 1e-8);
+  }
+}
+
+static int32_t scale_functions(twx_work *w) {
+  const double limit = w->options->objective_gradient;
+  double most = 0;
+  w->cost_scale = 1;
+  for (size_t i = 0; i < w->rows; i++) w->row_scale[i] = 1;
+  for (size_t i = 0; i < (size_t)w->ne; i++) w->equality_scale[i] = 1;
+  if (twx_differentiate(w)) return 1;
+  FOR_FREE(w, i) most = twx_max(most, fabs(w->gradient[i]));
+  if (limit > 0 && most > limit) w->cost_scale = twx_max(limit / most, 1e-8);
+  FOR_STAGES(w, k, s) {
+    scale_rows(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h);
+    scale_rows(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
+  }
+  return 0;
+}
+
+static double within(double a, double low, double high) { return twx_max(twx_min(a, high), low); }
+
+/* First slacks, and multipliers of bounds: barrier over slack or a constant; of a warm start those that it has. */
+static void start_bounds(twx_work *w) {
+  const twx_options *o = w->options;
+  twx_iterate *q = &w->iterate;
+  const double constant = o->multiplier_start;
+  const int warm = o->warm_start > 0;
+  for (size_t i = 0; i < w->rows; i++) {
+    q->s[i] = twx_max(twx_max(warm ? q->s[i] : 0, -w->here.h[i]), o->slack_push);
+    const double central = w->barrier / q->s[i];
+    q->zs[i] = warm ? within(q->y[i], central / WARM_RANGE, central * WARM_RANGE) : constant > 0 ? constant : central;
+  }
+  for (size_t i = 0; i < w->variables; i++) {
+    const double low = w->barrier / twx_below(w, q->v, i), high = w->barrier / twx_above(w, q->v, i);
+    const int has_low = w->free[i] != 0 && twx_has(w->lower[i]), has_high = w->free[i] != 0 && twx_has(w->upper[i]);
+    q->zl[i] = !has_low ? 0 : warm ? within(q->zl[i], low / WARM_RANGE, low * WARM_RANGE) : constant > 0 ? constant : low;
+    q->zu[i] = !has_high ? 0 : warm ? within(q->zu[i], high / WARM_RANGE, high * WARM_RANGE) : constant > 0 ? constant : high;
+  }
+}
+
+/* Multipliers of c, h and e that make the Lagrangian's gradient least; zero where they are large. Source: [WB] (36). */
+void twx_least_squares_multipliers(twx_work *w) {
+  twx_iterate *q = &w->iterate, *d = &w->step;
+  twx_residual *r = &w->right;
+  double most = 0;
+  for (size_t i = 0; i < w->variables; i++) w->Sv[i] = 1, r->v[i] = w->gradient[i] - q->zl[i] + q->zu[i];
+  for (size_t i = 0; i < w->rows; i++) w->Ss[i] = 1, r->s[i] = -q->zs[i], r->h[i] = 0;
+  memset(r->c, 0, sizeof(double) * w->defects), memset(r->e, 0, sizeof(double) * (size_t)w->ne);
+  int32_t good = twx_factorize(w, 0, 0);
+  if (good) {
+    twx_solve_system(w, r, d, 0);
+    for (size_t i = 0; i < w->defects; i++) most = twx_max(most, fabs(d->lambda[i]));
+    for (size_t i = 0; i < w->rows; i++) most = twx_max(most, fabs(d->y[i]));
+    for (size_t i = 0; i < (size_t)w->ne; i++) most = twx_max(most, fabs(d->ye[i]));
+    good = most <= w->options->least_squares_limit;
+  }
+  for (size_t i = 0; i < w->defects; i++) q->lambda[i] = good ? d->lambda[i] : 0;
+  for (size_t i = 0; i < w->rows; i++) q->y[i] = good ? d->y[i] : 0;
+  for (size_t i = 0; i < (size_t)w->ne; i++) q->ye[i] = good ? d->ye[i] : 0;
+}
+
+static void set_barrier(twx_work *w) {
+  const twx_options *o = w->options;
+  w->barrier = o->barrier_start, w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
+  w->identity = w->last_identity = w->softness = 0, w->weight = o->equality_weight, w->filter_rows = 0;
+}
+
+/* A warm start's multipliers, from the problem's units to the core's. */
+static void scale_multipliers(twx_work *w) {
+  twx_iterate *q = &w->iterate;
+  for (int32_t k = 0; k < w->N; k++)
+    for (int32_t i = 0; i < w->stages[k].next; i++)
+      q->lambda[w->stages[k].c + (size_t)i] *= w->cost_scale * w->size[w->stages[k + 1].v + (size_t)i];
+  for (size_t i = 0; i < w->rows; i++) q->y[i] *= w->cost_scale / w->row_scale[i], q->s[i] *= w->row_scale[i];
+  for (size_t i = 0; i < (size_t)w->ne; i++) q->ye[i] *= w->cost_scale / w->equality_scale[i];
+  for (size_t i = 0; i < w->variables; i++) q->zl[i] *= w->cost_scale * w->size[i], q->zu[i] *= w->cost_scale * w->size[i];
+}
+
+twx_status twx_start(twx_work *w) {
+  const twx_options *o = w->options;
+  twx_iterate *q = &w->iterate;
+  if (!read_bounds(w)) return TWX_BAD_PROBLEM;
+  for (size_t i = 0; i < w->variables; i++) q->v[i] /= w->size[i];
+  set_barrier(w);
+  w->cost_scale = 1;
+  for (size_t i = 0; i < w->rows; i++) w->row_scale[i] = 1;
+  for (size_t i = 0; i < (size_t)w->ne; i++) w->equality_scale[i] = 1;
+  if (push_inside(w) || scale_functions(w) || twx_evaluate(w, &w->here) || twx_differentiate(w)) return TWX_NON_FINITE;
+  w->statistics->cost_scale = w->cost_scale;
+  if (o->warm_start > 0) scale_multipliers(w);
+  start_bounds(w);
+  if (!(o->warm_start > 0)) {
+    memset(q->lambda, 0, sizeof(double) * w->defects), memset(q->y, 0, sizeof(double) * w->rows);
+    memset(q->ye, 0, sizeof(double) * (size_t)w->ne);
+    if (o->least_squares_limit > 0) twx_least_squares_multipliers(w);
+  }
+  const double violation = twx_max(1, twx_violation(w, &w->here, 0));
+  w->violation_small = o->violation_small * violation, w->violation_large = o->violation_large * violation;
+  return TWX_SOLVED;
+}

@@ -1,0 +1,188 @@
+/* Solutions of the linear system of a step with its factors: one sweep back, the border, one sweep ahead, refinement.
+ *
+ * The system for a right side r, with the rows of c, h + s and e linearised:
+ *   (H + Sv + identity) v + F'lambda - lambda_before + Jh'y + Je'ye = -r.v      F v - v_next = -r.c
+ *   (Ss + identity) s + y = -r.s        Jh v + s - softness y = -r.h            Je v - softness ye = -r.e
+ */
+#include "work.h"
+
+/* y of the rows of a stage where v = 0: (sigma r.h - r.s) / (1 + softness sigma). */
+static void rows_at_rest(const twx_work *w, const twx_stage *s, const twx_residual *r, double *y) {
+  for (int32_t i = 0; i < s->nh; i++) {
+    const size_t row = s->h + (size_t)i;
+    const double sigma = w->Ss[row] + w->identity;
+    y[i] = (sigma * r->h[row] - r->s[row]) / (1 + w->softness * sigma);
+  }
+}
+
+/* The gradient of a stage in (x, u, p) without what follows; p's part of the cost itself is added once, at the end. */
+static void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *r, double *q) {
+  double *const y = w->t3;
+  memset(q, 0, sizeof(double) * (size_t)s->n);
+  memcpy(q, r->v + s->v, sizeof(double) * (size_t)s->nv);
+  rows_at_rest(w, s, r, y);
+  twx_add_apply_transposed(s->nh, s->n, w->Jh + s->Jh, s->nh, y, q);
+  for (int32_t i = 0; i < s->ne; i++) y[i] = w->weight * r->e[s->e + (size_t)i];
+  twx_add_apply_transposed(s->ne, s->n, w->Je + s->Je, s->ne, y, q);
+}
+
+/* Back: p of every node, k = -(L L')^-1 q_u of every stage, and the right side of the border. */
+static void sweep_back(twx_work *w, const twx_residual *r) {
+  const int32_t np = w->np, nb = w->nb;
+  double *const slope = w->t1, *const q = w->t2;
+  for (int32_t i = 0; i < np; i++) w->border[i] = r->v[w->variables - (size_t)(np - i)];
+  memcpy(w->border + np, r->e, sizeof(double) * (size_t)w->ne);
+  for (int32_t k = w->N; k >= 0; k--) {
+    const twx_stage *s = w->stages + k;
+    const int32_t nx = s->nx, nu = s->nu;
+    stage_gradient(w, s, r, q);
+    if (k < w->N) {
+      memcpy(slope, w->p + s[1].v, sizeof(double) * (size_t)s->next);
+      twx_add_apply(s->next, s->next, w->P + s[1].P, s->next, r->c + s->c, slope);
+      twx_add_apply_transposed(s->next, s->n, w->F + s->F, s->next, slope, q);
+      twx_add_apply_transposed(s->next, nb, w->W + s[1].W, s->next, r->c + s->c, w->border);
+    }
+    for (int32_t i = 0; i < np; i++) w->border[i] += q[s->nv + i];
+    for (int32_t i = 0; i < nu; i++) if (w->free[s->v + (size_t)(nx + i)] == 0) q[nx + i] = 0;
+    double *const p = w->p + s->v, *const step = w->k + s->v + nx;
+    memcpy(p, q, sizeof(double) * (size_t)nx);
+    twx_add_apply_transposed(nu, nx, w->K + s->K, nu, q + nx, p);
+    twx_add_apply_transposed(nu, nb, w->K + s->K + (size_t)nx * (size_t)nu, nu, q + nx, w->border);
+    for (int32_t i = 0; i < nu; i++) step[i] = -q[nx + i];
+    twx_solve_lower(nu, w->L + s->L, nu, 1, step, nu);
+    twx_solve_lower_transposed(nu, w->L + s->L, nu, 1, step, nu);
+  }
+}
+
+/* The free entries of x_0 at rest, in `start`, and what they add to the border. */
+static void solve_start(twx_work *w, double *start) {
+  const int32_t nx = w->stages[0].nx;
+  for (int32_t i = 0; i < nx; i++) start[i] = w->free[i] != 0 ? w->p[i] : 0;
+  twx_add_apply_transposed(nx, w->nb, w->K0, nx, start, w->border);
+  for (int32_t i = 0; i < nx; i++) start[i] = -start[i];
+  twx_solve_lower(nx, w->L0, nx, 1, start, nx);
+  twx_solve_lower_transposed(nx, w->L0, nx, 1, start, nx);
+}
+
+/* border = the parameters' step and the equalities' multipliers, of its right side. */
+static void solve_border(twx_work *w) {
+  const int32_t np = w->np, ne = w->ne;
+  double *const r = w->border, *const ye = r + np;
+  for (int32_t i = 0; i < np; i++) if (w->free[w->variables - (size_t)(np - i)] == 0) r[i] = 0;
+  twx_solve_lower(np, w->Lp, np, 1, r, np); /* t = Lp^-1 r_p;  C ye = r_e - Z't;  p = -Lp'^-1 (t + Z ye) */
+  for (int32_t j = 0; j < ne; j++)
+    for (int32_t i = 0; i < np; i++) ye[j] -= w->Z[i + (size_t)j * (size_t)np] * r[i];
+  twx_solve_lower(ne, w->C, ne, 1, ye, ne), twx_solve_lower_transposed(ne, w->C, ne, 1, ye, ne);
+  twx_add_apply(np, ne, w->Z, np, ye, r);
+  for (int32_t i = 0; i < np; i++) r[i] = -r[i];
+  twx_solve_lower_transposed(np, w->Lp, np, 1, r, np);
+}
+
+/* Ahead: the step of v, and lambda. `start` is x_0 at rest. */
+static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start, twx_iterate *d) {
+  const int32_t nb = w->nb, np = w->np;
+  memcpy(d->v, start, sizeof(double) * (size_t)w->stages[0].nx);
+  twx_add_apply(w->stages[0].nx, nb, w->K0, w->stages[0].nx, w->border, d->v);
+  for (int32_t k = 0; k < w->N; k++) {
+    const twx_stage *s = w->stages + k;
+    double *const x = d->v + s->v, *const u = x + s->nx, *const after = d->v + s[1].v, *const lambda = d->lambda + s->c;
+    memcpy(u, w->k + s->v + s->nx, sizeof(double) * (size_t)s->nu);
+    twx_add_apply(s->nu, s->nx, w->K + s->K, s->nu, x, u);
+    twx_add_apply(s->nu, nb, w->K + s->K + (size_t)s->nx * (size_t)s->nu, s->nu, w->border, u);
+    memcpy(after, r->c + s->c, sizeof(double) * (size_t)s->next);
+    twx_add_apply(s->next, s->nv, w->F + s->F, s->next, x, after);
+    twx_add_apply(s->next, np, w->F + s->F + (size_t)s->nv * (size_t)s->next, s->next, w->border, after);
+    memcpy(lambda, w->p + s[1].v, sizeof(double) * (size_t)s->next);
+    twx_add_apply(s->next, s->next, w->P + s[1].P, s->next, after, lambda);
+    twx_add_apply(s->next, nb, w->W + s[1].W, s->next, w->border, lambda);
+  }
+  memcpy(d->v + w->variables - (size_t)np, w->border, sizeof(double) * (size_t)np);
+  memcpy(d->ye, w->border + np, sizeof(double) * (size_t)w->ne);
+}
+
+/* product (rows,) += J (x, u, p) of a block of rows of a stage. */
+static void along(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *v, double *product) {
+  twx_add_apply(rows, s->nv, J, rows, v + s->v, product);
+  twx_add_apply(rows, w->np, J + (size_t)s->nv * (size_t)rows, rows, v + w->variables - (size_t)w->np, product);
+}
+
+static void slacks(twx_work *w, const twx_residual *r, twx_iterate *d) {
+  memset(d->s, 0, sizeof(double) * w->rows);
+  FOR_STAGES(w, k, s) along(w, s, s->nh, w->Jh + s->Jh, d->v, d->s + s->h);
+  for (size_t i = 0; i < w->rows; i++) {
+    const double sigma = w->Ss[i] + w->identity, rest = -r->h[i] - d->s[i];
+    d->y[i] = (-r->s[i] - sigma * rest) / (1 + w->softness * sigma);
+    d->s[i] = rest + w->softness * d->y[i];
+  }
+}
+
+static void solve_once(twx_work *w, const twx_residual *r, twx_iterate *d) {
+  double *const start = w->t0;
+  sweep_back(w, r);
+  solve_start(w, start);
+  solve_border(w);
+  sweep_ahead(w, r, start, d);
+  slacks(w, r, d);
+}
+
+/* left += block' multipliers, for (x, u) of the stage and for p. */
+static void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *multipliers, double *left) {
+  twx_add_apply_transposed(rows, s->nv, J, rows, multipliers, left + s->v);
+  twx_add_apply_transposed(rows, w->np, J + (size_t)s->nv * (size_t)rows, rows, multipliers, left + w->variables - (size_t)w->np);
+}
+
+/* What a step leaves of the equations. Returns its size over that of the right side. */
+static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
+  double size = 0, whole = 0;
+  const size_t p = w->variables - (size_t)w->np;
+  for (size_t i = 0; i < w->variables; i++) left->v[i] = r->v[i] + (w->Sv[i] + w->identity) * d->v[i];
+  memcpy(left->h, r->h, sizeof(double) * w->rows), memcpy(left->e, r->e, sizeof(double) * (size_t)w->ne);
+  memcpy(left->c, r->c, sizeof(double) * w->defects);
+  FOR_STAGES(w, k, s) {
+    if (with_hessian) {
+      double *const z = w->t2, *const product = w->t3;
+      memcpy(z, d->v + s->v, sizeof(double) * (size_t)s->nv), memcpy(z + s->nv, d->v + p, sizeof(double) * (size_t)w->np);
+      memset(product, 0, sizeof(double) * (size_t)s->n);
+      twx_add_apply(s->n, s->n, w->H + s->H, s->n, z, product);
+      for (int32_t i = 0; i < s->nv; i++) left->v[s->v + (size_t)i] += product[i];
+      for (int32_t i = 0; i < w->np; i++) left->v[p + (size_t)i] += product[s->nv + i];
+    }
+    add_pull(w, s, s->nh, w->Jh + s->Jh, d->y + s->h, left->v), along(w, s, s->nh, w->Jh + s->Jh, d->v, left->h + s->h);
+    add_pull(w, s, s->ne, w->Je + s->Je, d->ye + s->e, left->v), along(w, s, s->ne, w->Je + s->Je, d->v, left->e + s->e);
+    add_pull(w, s, s->next, w->F + s->F, d->lambda + s->c, left->v), along(w, s, s->next, w->F + s->F, d->v, left->c + s->c);
+    for (int32_t i = 0; i < s->next; i++) {
+      left->v[s[1].v + (size_t)i] -= d->lambda[s->c + (size_t)i];
+      left->c[s->c + (size_t)i] -= d->v[s[1].v + (size_t)i];
+    }
+  }
+  for (size_t i = 0; i < w->variables; i++) {
+    if (w->free[i] == 0) left->v[i] = 0;
+    size = twx_max(size, fabs(left->v[i])), whole = twx_max(whole, fabs(r->v[i]));
+  }
+  for (size_t i = 0; i < w->rows; i++) {
+    left->h[i] += d->s[i] - w->softness * d->y[i], left->s[i] = r->s[i] + (w->Ss[i] + w->identity) * d->s[i] + d->y[i];
+    size = twx_max(size, fabs(left->h[i])), whole = twx_max(whole, twx_max(fabs(r->h[i]), fabs(r->s[i])));
+  }
+  for (size_t i = 0; i < (size_t)w->ne; i++) {
+    left->e[i] -= w->softness * d->ye[i];
+    size = twx_max(size, fabs(left->e[i])), whole = twx_max(whole, fabs(r->e[i]));
+  }
+  for (size_t i = 0; i < w->defects; i++) size = twx_max(size, fabs(left->c[i])), whole = twx_max(whole, fabs(r->c[i]));
+  return whole > 0 ? size / whole : 0;
+}
+
+static void add(size_t count, double *to, const double *from) {
+  for (size_t i = 0; i < count; i++) to[i] += from[i];
+}
+
+/* v, s, lambda, y and ye of a step. */
+void twx_solve_system(twx_work *w, const twx_residual *right, twx_iterate *d, int32_t with_hessian) {
+  solve_once(w, right, d);
+  for (int32_t n = 0; n < (int32_t)w->options->refinements; n++) {
+    if (remainder_of(w, right, d, &w->residual, with_hessian) <= w->options->refinement_error) return;
+    twx_iterate *more = &w->refinement;
+    solve_once(w, &w->residual, more);
+    add(w->variables, d->v, more->v), add(w->rows, d->s, more->s), add(w->defects, d->lambda, more->lambda);
+    add(w->rows, d->y, more->y), add((size_t)w->ne, d->ye, more->ye);
+  }
+}

@@ -1,0 +1,144 @@
+/* What the files of the core share: sizes of stages, the workspace, and their functions by file. */
+#ifndef TWX_WORK_H
+#define TWX_WORK_H
+#include "core.h"
+#include <math.h>
+#include <string.h>
+
+#ifndef TWX_INTERNAL /* `static` where all files are one */
+#define TWX_INTERNAL extern
+#endif
+
+#define TWX_EPSILON 2.220446049250313e-16
+#define TWX_FILTER_ROWS 400
+#define TWX_LEAST_SLACK 1e-20 /* slacks are never smaller: their reciprocals stay finite */
+
+typedef struct { /* where a stage lies in the arrays */
+  int32_t nx, nu, nv, n, nh, ne;      /* n = nv + parameters, columns of its derivatives */
+  int32_t next;                       /* states of the next stage, 0 at the end */
+  size_t v, z, c, h, e;               /* c: of the defect that ends this interval */
+  size_t F, Jh, Je, H;                /* derivatives */
+  size_t P, W, L, K;                  /* factors */
+  int32_t point_states;
+} twx_stage;
+
+typedef struct { /* a primal-dual point, or a step of one */
+  double *v, *s, *lambda, *y, *ye, *zl, *zu, *zs;
+} twx_iterate;
+
+typedef struct { /* a right side of the linear system: gradients by v and s, residuals of c, h + s and e */
+  double *v, *s, *c, *h, *e;
+} twx_residual;
+
+typedef struct { /* values at a point */
+  double *z, *v, *s, *c, *h, *e, cost;
+} twx_values;
+
+typedef struct {
+  const twx_problem *problem;
+  const twx_options *options;
+  twx_statistics *statistics;
+  twx_stage *stages;
+  int32_t N, np, ne, nb;              /* ne: all equalities; nb = np + ne, the border */
+  size_t variables, points, defects, rows, point_size;
+  twx_iterate iterate, step, corrected, refinement, watchdog;
+  twx_values here, trial;
+  double *watchdog_z, *moved;         /* moved: a step in the problem's units */
+  twx_residual right, correction, residual;
+  double *lower, *upper, *size, *free; /* of v; free: 1 or 0 */
+  double *row_scale, *equality_scale, cost_scale;
+  double *gradient, *F, *Jh, *Je, *H;
+  double *Sv, *Ss;                    /* barrier's second derivatives of v and s */
+  double *P, *W, *L, *K, *L0, *K0, *S, *Lp, *Z, *C; /* factors, see riccati.c */
+  double *p, *k, *border, *t0, *t1, *t2, *t3;      /* of a sweep; scratch */
+  double *filter;
+  int32_t filter_rows;
+  double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, weight;
+} twx_work;
+
+static inline double twx_max(double a, double b) { return a > b ? a : b; } /* b where a is not a number */
+static inline double twx_min(double a, double b) { return a < b ? a : b; }
+static inline int twx_has(double bound) { return isfinite(bound); }
+/* Distances from bounds. */
+static inline double twx_below(const twx_work *w, const double *v, size_t i) {
+  return twx_max(v[i] - w->lower[i], TWX_LEAST_SLACK);
+}
+static inline double twx_above(const twx_work *w, const double *v, size_t i) {
+  return twx_max(w->upper[i] - v[i], TWX_LEAST_SLACK);
+}
+
+#define FOR_STAGES(w, k, stage) \
+  for (int32_t k = 0; k <= (w)->N; k++) \
+    for (const twx_stage *stage = (w)->stages + k; stage; stage = NULL)
+#define FOR_FREE(w, i) for (size_t i = 0; i < (w)->variables; i++) if ((w)->free[i] != 0)
+
+/* dense.c: C += A B, C += A' B, y += A x, y += A' x; Cholesky factors and their triangular solves. */
+TWX_INTERNAL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
+TWX_INTERNAL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
+TWX_INTERNAL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
+TWX_INTERNAL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
+TWX_INTERNAL int32_t twx_cholesky(int32_t n, double *A, int32_t la);
+TWX_INTERNAL void twx_solve_lower(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
+TWX_INTERNAL void twx_solve_lower_transposed(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
+
+/* workspace.c */
+TWX_INTERNAL size_t twx_carve(twx_work *w, const twx_problem *problem, double *base);
+TWX_INTERNAL void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from);
+
+/* evaluate.c: functions of the problem in the core's units. */
+TWX_INTERNAL int32_t twx_evaluate(twx_work *w, twx_values *at);
+TWX_INTERNAL int32_t twx_differentiate(twx_work *w);
+TWX_INTERNAL int32_t twx_differentiate_twice(twx_work *w);
+TWX_INTERNAL int32_t twx_move(twx_work *w, const twx_iterate *step, double length);
+
+/* riccati.c, sweep.c: the linear system of a step. */
+TWX_INTERNAL int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian);
+TWX_INTERNAL int32_t twx_correct_inertia(twx_work *w);
+TWX_INTERNAL void twx_solve_system(twx_work *w, const twx_residual *right, twx_iterate *step, int32_t with_hessian);
+
+/* measures.c */
+typedef struct {
+  double error, stationarity, violation, complementarity;
+} twx_measures;
+TWX_INTERNAL double twx_violation(const twx_work *w, const twx_values *at, int32_t largest);
+TWX_INTERNAL double twx_barrier(const twx_work *w, const twx_values *at);
+TWX_INTERNAL twx_measures twx_measure(twx_work *w, double barrier);
+
+/* start.c */
+TWX_INTERNAL twx_status twx_start(twx_work *w);
+TWX_INTERNAL void twx_least_squares_multipliers(twx_work *w);
+
+/* direction.c: right side, steps of multipliers, lengths that stay inside. */
+TWX_INTERNAL void twx_right_side(twx_work *w, double barrier);
+TWX_INTERNAL void twx_step_of_bounds(twx_work *w, twx_iterate *step);
+TWX_INTERNAL double twx_primal_length(const twx_work *w, const twx_iterate *step);
+TWX_INTERNAL double twx_dual_length(const twx_work *w, const twx_iterate *step);
+TWX_INTERNAL double twx_slope(const twx_work *w, const twx_iterate *step);
+
+/* filter.c */
+typedef struct { /* where a line search begins */
+  double violation, barrier, slope, length;
+  int32_t by_filter; /* the last trial was rejected by the filter alone */
+} twx_reference;
+TWX_INTERNAL int32_t twx_at_most(double a, double b, double base);
+TWX_INTERNAL int32_t twx_filter_accepts(const twx_work *w, double violation, double barrier);
+TWX_INTERNAL void twx_filter_add(twx_work *w, double violation, double barrier);
+TWX_INTERNAL int32_t twx_switches(const twx_work *w, const twx_reference *from, double length);
+TWX_INTERNAL int32_t twx_descends(const twx_work *w, const twx_reference *from, double length, double barrier);
+TWX_INTERNAL int32_t twx_accepts(const twx_work *w, twx_reference *from, double length);
+TWX_INTERNAL double twx_smallest_length(const twx_work *w, const twx_reference *from);
+
+/* line_search.c */
+typedef struct {
+  int32_t tiny, shortened, watching, watch_left, by_filter, resets, trials;
+  char kind;
+  double length, length_multipliers;
+  twx_reference watched;
+} twx_search;
+typedef enum { TWX_STEP, TWX_NO_STEP, TWX_BACK } twx_outcome;
+TWX_INTERNAL twx_outcome twx_line_search(twx_work *w, twx_search *search);
+TWX_INTERNAL void twx_accept(twx_work *w, double length, double length_multipliers, double barrier);
+
+/* restoration.c */
+TWX_INTERNAL twx_status twx_restore(twx_work *w);
+#endif

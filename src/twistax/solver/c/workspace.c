@@ -1,0 +1,113 @@
+/* Sizes of a problem, and its arrays laid out one after the other in memory that the caller owns. */
+#include "work.h"
+
+typedef struct {
+  double *at; /* NULL: sizes are counted alone */
+  size_t used;
+} arena;
+
+static double *take(arena *a, size_t count) {
+  double *const start = a->at ? a->at + a->used : NULL;
+  a->used += count;
+  return start;
+}
+
+static void take_iterate(arena *a, const twx_work *w, twx_iterate *q) {
+  q->v = take(a, w->variables), q->s = take(a, w->rows), q->lambda = take(a, w->defects), q->y = take(a, w->rows);
+  q->ye = take(a, (size_t)w->ne), q->zl = take(a, w->variables), q->zu = take(a, w->variables), q->zs = take(a, w->rows);
+}
+
+static void take_residual(arena *a, const twx_work *w, twx_residual *r) {
+  r->v = take(a, w->variables), r->s = take(a, w->rows), r->c = take(a, w->defects);
+  r->h = take(a, w->rows), r->e = take(a, (size_t)w->ne);
+}
+
+static void take_values(arena *a, const twx_work *w, twx_values *q) {
+  q->z = take(a, w->points), q->c = take(a, w->defects), q->h = take(a, w->rows), q->e = take(a, (size_t)w->ne);
+}
+
+/* Copies of iterates are one block: v is the first of its arrays. */
+void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from) {
+  memcpy(to->v, from->v, sizeof(double) * (3 * (w->variables + w->rows) + w->defects + (size_t)w->ne));
+}
+
+static int32_t sizes_are_possible(const twx_problem *p) {
+  if (p->intervals < 1 || p->parameters < 0 || p->controls[p->intervals] != 0) return 0;
+  for (int32_t k = 0; k <= p->intervals; k++) {
+    if (p->states[k] < 0 || p->controls[k] < 0 || p->inequalities[k] < 0 || p->equalities[k] < 0) return 0;
+    if (p->point_states && (p->point_states[k] < 0 || !p->retract)) return 0;
+  }
+  return 1;
+}
+
+typedef struct {
+  size_t F, Jh, Je, H, P, W, L, K;
+  int32_t nx, nu, nv, n, nh, ne;
+} totals;
+
+static int32_t largest(int32_t a, int32_t b) { return a > b ? a : b; }
+
+/* Where the stages lie. `stages` may be NULL: then they are counted alone. */
+static void place_stages(twx_work *w, const twx_problem *p, twx_stage *stages, totals *t) {
+  size_t v = 0, z = 0, c = 0, h = 0, e = 0;
+  int32_t all_ne = 0;
+  for (int32_t k = 0; k <= p->intervals; k++) all_ne += p->equalities[k];
+  w->N = p->intervals, w->np = p->parameters, w->ne = all_ne, w->nb = p->parameters + all_ne;
+  memset(t, 0, sizeof *t);
+  for (int32_t k = 0; k <= w->N; k++) {
+    twx_stage s = {.nx = p->states[k], .nu = p->controls[k], .nh = p->inequalities[k], .ne = p->equalities[k]};
+    s.nv = s.nx + s.nu, s.n = s.nv + w->np, s.next = k < w->N ? p->states[k + 1] : 0;
+    s.point_states = p->point_states ? p->point_states[k] : s.nx;
+    s.v = v, s.z = z, s.c = c, s.h = h, s.e = e;
+    s.F = t->F, s.Jh = t->Jh, s.Je = t->Je, s.H = t->H, s.P = t->P, s.W = t->W, s.L = t->L, s.K = t->K;
+    if (stages) stages[k] = s;
+    const size_t nx = (size_t)s.nx, nu = (size_t)s.nu, n = (size_t)s.n, nb = (size_t)w->nb;
+    v += nx + nu, z += (size_t)s.point_states + nu, c += (size_t)s.next, h += (size_t)s.nh, e += (size_t)s.ne;
+    t->F += (size_t)s.next * n, t->Jh += (size_t)s.nh * n, t->Je += (size_t)s.ne * n, t->H += n * n;
+    t->P += nx * nx, t->W += nx * nb, t->L += nu * nu, t->K += nu * (nx + nb);
+    t->nx = largest(t->nx, s.nx), t->nu = largest(t->nu, s.nu), t->nv = largest(t->nv, s.nv);
+    t->n = largest(t->n, s.n), t->nh = largest(t->nh, s.nh), t->ne = largest(t->ne, s.ne);
+  }
+  w->variables = v + (size_t)w->np, w->points = z + (size_t)w->np, w->defects = c, w->rows = h;
+}
+
+size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
+  arena a = {base, 0};
+  totals t;
+  const size_t doubles = (sizeof(twx_stage) + sizeof(double) - 1) / sizeof(double);
+  w->stages = (twx_stage *)(void *)take(&a, doubles * ((size_t)p->intervals + 1));
+  place_stages(w, p, w->stages, &t);
+  const size_t V = w->variables, R = w->rows, E = (size_t)w->ne, B = (size_t)w->nb, X = (size_t)t.nx, n = (size_t)t.n;
+  twx_iterate *const iterates[] = {&w->iterate, &w->step, &w->corrected, &w->refinement, &w->watchdog};
+  for (size_t i = 0; i < sizeof iterates / sizeof *iterates; i++) take_iterate(&a, w, iterates[i]);
+  take_values(&a, w, &w->here), take_values(&a, w, &w->trial);
+  w->here.v = w->iterate.v, w->here.s = w->iterate.s;
+  w->trial.v = take(&a, V), w->trial.s = take(&a, R);
+  w->watchdog_z = take(&a, w->points), w->moved = take(&a, V);
+  take_residual(&a, w, &w->right), take_residual(&a, w, &w->correction), take_residual(&a, w, &w->residual);
+  w->lower = take(&a, V), w->upper = take(&a, V), w->size = take(&a, V), w->free = take(&a, V);
+  w->row_scale = take(&a, R), w->equality_scale = take(&a, E), w->gradient = take(&a, V);
+  w->F = take(&a, t.F), w->Jh = take(&a, t.Jh), w->Je = take(&a, t.Je), w->H = take(&a, t.H);
+  w->Sv = take(&a, V), w->Ss = take(&a, R);
+  w->P = take(&a, t.P), w->W = take(&a, t.W), w->L = take(&a, t.L), w->K = take(&a, t.K);
+  w->L0 = take(&a, X * X), w->K0 = take(&a, X * B), w->S = take(&a, B * B);
+  w->Lp = take(&a, (size_t)(w->np * w->np)), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, E * E);
+  w->p = take(&a, V), w->k = take(&a, V), w->border = take(&a, B);
+  w->t0 = take(&a, n * n), w->t1 = take(&a, X * (n + B)), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 2 * (V + R + w->defects + E));
+  w->filter = take(&a, 2 * TWX_FILTER_ROWS);
+  return a.used;
+}
+
+size_t twx_workspace_size(const twx_problem *p) {
+  twx_work w;
+  return sizes_are_possible(p) ? twx_carve(&w, p, NULL) : 0;
+}
+
+int32_t twx_count(const twx_problem *p, twx_counts *counts) {
+  twx_work w;
+  totals t;
+  if (!sizes_are_possible(p)) return TWX_BAD_PROBLEM;
+  place_stages(&w, p, NULL, &t);
+  *counts = (twx_counts){w.variables, w.points, w.defects, w.rows, (size_t)w.ne, t.F, t.Jh, t.Je, t.H};
+  return TWX_SOLVED;
+}

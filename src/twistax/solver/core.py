@@ -1,0 +1,268 @@
+"""The interior-point core from Python: a problem in stages, its functions, and what a solve returns.
+
+    minimise    sum_k l_k(x_k, u_k, p)
+    subject to  x_(k+1) = f_k(x_k, u_k, p),   h_k(x_k, u_k, p) <= 0,   e_k(x_k, u_k, p) = 0,   lower <= v <= upper
+
+with v = (x_0, u_0, ..., x_N, u_N, p). States may lie on a manifold: then a node has a point, `retract` moves it along a
+tangent step, and defects are logarithms about the node where an interval ends.
+Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point filter line-search algorithm for
+large-scale nonlinear programming, Mathematical Programming 106 (2006).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import enum
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..errors import TrajectoryError
+from .library import library
+from .options import Options
+
+
+class Status(enum.Enum):
+    """How a solve ended; the values are those of `twx_status` in core.h."""
+
+    SOLVED = 0
+    MAX_ITERATIONS = 1
+    INFEASIBLE = 2
+    STALLED = 3
+    NON_FINITE = 4
+    UNBOUNDED_CURVATURE = 5
+    STOPPED = 6
+    _BAD_PROBLEM = 7
+
+
+@dataclasses.dataclass(frozen=True)
+class Stages:
+    """Sizes of a problem, for each of its N + 1 stages.
+
+    Attributes:
+        states: dimensions of the states' tangent spaces.
+        controls: counts of controls; the last stage has none.
+        inequalities, equalities: counts of rows h and e.
+        parameters: count of parameters p, which all stages share.
+        point_states: entries of a state's point, where states lie on a manifold.
+    """
+
+    states: Sequence[int]
+    controls: Sequence[int]
+    inequalities: Sequence[int]
+    equalities: Sequence[int]
+    parameters: int = 0
+    point_states: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        counts = (self.states, self.controls, self.inequalities, self.equalities, self.point_states or self.states)
+        if len(set(map(len, counts))) != 1 or len(self.states) < 2:
+            raise TrajectoryError(f"Stages expects lists of one length, 2 or more, got {[len(c) for c in counts]}")
+        if min(map(min, counts)) < 0 or self.parameters < 0:
+            raise TrajectoryError("Stages expects counts of 0 or more")
+        if self.controls[-1] != 0:
+            raise TrajectoryError(f"Stages: the last stage has no controls, got {self.controls[-1]}")
+
+    @property
+    def variables(self) -> int:
+        """Entries of v."""
+        return sum(self.states) + sum(self.controls) + self.parameters
+
+    @property
+    def points(self) -> int:
+        """Entries of z, which has points in place of states."""
+        return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of each stage's derivatives: x_k, u_k, p."""
+        return [x + u + self.parameters for x, u in zip(self.states, self.controls)]
+
+    @property
+    def after(self) -> list[int]:
+        """States of the stage after each one."""
+        return [*self.states[1:], 0]
+
+    def block_sizes(self, rows: Sequence[int]) -> int:
+        """Entries of a block (rows, columns) of each stage, one after the other."""
+        return sum(r * n for r, n in zip(rows, self.columns))
+
+
+@dataclasses.dataclass(frozen=True)
+class StageFunctions:
+    """Addresses of the functions of all stages, as `twx_problem` in core.h declares them.
+
+    Attributes:
+        values, jacobians, hessians, retract, transport, stop: addresses; 0 where there is no such function.
+        user: what they get as first argument.
+        owner: what must live as long as the functions.
+    """
+
+    values: int
+    jacobians: int
+    hessians: int
+    retract: int = 0
+    transport: int = 0
+    stop: int = 0
+    user: int = 0
+    owner: Any = None
+
+
+@dataclasses.dataclass
+class Solution:
+    """A result, in the problem's units, and the start of a warm solve.
+
+    Attributes:
+        status: how the solve ended.
+        z: points, controls and parameters.
+        v: the same in coordinates of the bounds.
+        s, y: slacks and multipliers of h.
+        lam: multipliers of the dynamics.
+        ye: multipliers of e.
+        zl, zu: multipliers of lower and upper bounds.
+        statistics: counts and measures, by name; SOLVED means that `error`, scaled, is at most the tolerance.
+        log: (iterations, 10) cost, violation, stationarity, barrier, multiple of the identity, lengths of both steps,
+            size of the step, trials, and a character's code that tells the kind of step.
+    """
+
+    status: Status
+    z: Array
+    v: Array
+    s: Array
+    lam: Array
+    y: Array
+    ye: Array
+    zl: Array
+    zu: Array
+    statistics: dict[str, float]
+    log: Array
+
+
+class _Problem(ctypes.Structure):
+    _fields_ = [
+        ("intervals", ctypes.c_int32),
+        ("parameters", ctypes.c_int32),
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                *("states", "controls", "inequalities", "equalities", "point_states"),
+                *("lower", "upper", "size", "user", "values", "jacobians", "hessians", "retract", "transport", "stop"),
+            )
+        ),
+    ]
+
+
+#: Numbers of `twx_statistics`, in its order.
+_MEASURES = ("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale")
+_COUNTS = (
+    *("status", "iterations", "evaluations", "factorizations", "corrections", "restorations"),
+    *("restoration_iterations", "filter_resets", "inertia_corrections"),
+)
+
+
+class _Statistics(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_double) for name in _MEASURES),
+        *((name, ctypes.c_int32) for name in _COUNTS),
+        ("log", ctypes.c_void_p),
+        ("log_rows", ctypes.c_int32),
+    ]
+
+
+#: Arrays of `twx_solution`, in its order.
+_MULTIPLIERS = ("v", "s", "lam", "y", "ye", "zl", "zu")
+
+
+class _Solution(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in _MULTIPLIERS]
+
+
+def solve(
+    stages: Stages,
+    functions: StageFunctions,
+    lower: Array,
+    upper: Array,
+    z: Array,
+    v: Array | None = None,
+    *,
+    size: Array | None = None,
+    options: Options | None = None,  # type: ignore[valid-type]
+    warm: Solution | None = None,
+) -> Solution:
+    """Solve from a point.
+
+    Args:
+        lower, upper: bounds of v; equal where an entry of x_0, u or p is fixed.
+        z: the start.
+        v: its coordinates, in which bounds count; z itself where no state lies on a manifold.
+        size: units of v, by which steps and errors are measured; 1 where None.
+        warm: a result whose slacks and multipliers are the first ones; `options.warm_start` must be 1.
+    Raises:
+        TrajectoryError: arrays of other shapes, bounds that cannot be, a state after the first that bounds fix.
+    """
+    arrays = _start(stages, z, z if v is None else v, warm)
+    limits = [_checked(name, a, stages.variables) for name, a in (("lower", lower), ("upper", upper))]
+    units = None if size is None else _checked("size", size, stages.variables)
+    counts = [np.asarray(c, np.int32) for c in (stages.states, stages.controls, stages.inequalities, stages.equalities)]
+    points = None if stages.point_states is None else np.asarray(stages.point_states, np.int32)
+    problem = _Problem(
+        len(stages.states) - 1,
+        stages.parameters,
+        *(c.ctypes.data for c in counts),
+        None if points is None else points.ctypes.data,
+        *(a.ctypes.data for a in limits),
+        None if units is None else units.ctypes.data,
+        functions.user or None,
+        *(getattr(functions, f) or None for f in ("values", "jacobians", "hessians", "retract", "transport", "stop")),
+    )
+    core, chosen = library(), (options or Options()).as_structure()
+    workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
+    log = np.zeros((int(chosen.iterations) + 1, 10))
+    statistics = _Statistics(log=log.ctypes.data, log_rows=len(log))
+    multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
+    references = (problem, chosen, multipliers, statistics)
+    by_reference = [ctypes.byref(r) for r in references]
+    status = Status(
+        core.solve(
+            by_reference[0],
+            by_reference[1],
+            arrays["z"].ctypes.data,
+            by_reference[2],
+            workspace.ctypes.data,
+            by_reference[3],
+        )
+    )
+    if status is Status._BAD_PROBLEM:
+        raise TrajectoryError(
+            "solve: bounds expect lower <= upper and positive sizes; only x_0, controls and parameters are fixed by bounds\n"
+            "  fix: fix a state after the first by an equality"
+        )
+    numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
+    return Solution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
+
+
+def _checked(name: str, a: Any, count: int) -> Array:
+    found = np.ascontiguousarray(a, float)
+    if found.shape != (count,):
+        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {found.shape}")
+    return found
+
+
+def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:
+    """The arrays that a solve works in."""
+    sizes = {
+        "z": stages.points,
+        "v": stages.variables,
+        "s": sum(stages.inequalities),
+        "lam": sum(stages.after),
+        "y": sum(stages.inequalities),
+        "ye": sum(stages.equalities),
+        "zl": stages.variables,
+        "zu": stages.variables,
+    }
+    first = {name: np.zeros(count) if warm is None else getattr(warm, name) for name, count in sizes.items()}
+    first |= {"z": z, "v": v}
+    return {name: _checked(name, a, sizes[name]).copy() for name, a in first.items()}

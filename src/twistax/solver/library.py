@@ -1,0 +1,56 @@
+"""The core as functions in memory. Its text becomes machine code once for a processor; the kernel cache keeps that."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+
+from ..errors import ModelError
+from ..lowering.native import cache
+from ..lowering.native.machine_code import MachineCode, Processor, compiled, load, written_by
+from .text import kept_text
+
+#: What the machine code calls of the C library.
+_C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
+
+_VOID_POINTER = ctypes.c_void_p
+
+_NAMES = ("twx_workspace_size", "twx_solve")
+
+
+class Library:
+    """The core's functions, callable by ctypes. They release Python's lock, so that threads solve side by side.
+
+    Attributes:
+        workspace_size: doubles that a problem needs.
+        solve: see core.h.
+    """
+
+    def __init__(self, code: MachineCode) -> None:
+        self._code = code  # the memory of the functions
+        size, solve = (code.addresses[name] for name in _NAMES)
+        self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
+        self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
+
+
+@functools.cache
+def library() -> Library:
+    """The core for this processor.
+
+    Raises:
+        ModelError: llvmlite is not installed.
+    """
+    try:
+        processor = Processor.host()
+    except ImportError as error:
+        raise ModelError(
+            "the solver needs llvmlite, which is not installed\n  fix: pip install 'twistax[native]'"
+        ) from error
+    text = kept_text()
+    key = "core_" + hashlib.sha256((written_by(processor) + text).encode()).hexdigest()
+    code = cache.kept(key)
+    if code is None:
+        code = compiled(text, processor)
+        cache.keep(key, code)
+    return Library(load(code, _C_LIBRARY, processor, _NAMES))

@@ -1,0 +1,61 @@
+"""The C sources of the core as one file: what is compiled, and what an exported controller carries with it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+
+_FOLDER = Path(__file__).parent / "c"
+
+#: In the order in which they are joined; each needs those before it only through `work.h`.
+_FILES = (
+    "options",
+    "dense",
+    "workspace",
+    "evaluate",
+    "riccati",
+    "sweep",
+    "measures",
+    "direction",
+    "start",
+    "filter",
+    "line_search",
+    "restoration",
+    "solve",
+)
+
+_INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
+
+
+def header() -> str:
+    """The interface in C: structures, statuses and functions, with the options expanded."""
+    return _expanded(_read("core.h"))
+
+
+def amalgamation() -> str:
+    """All of the core as one C99 file; only the functions of the header have external linkage."""
+    parts = ["#define TWX_INTERNAL static\n", header()]
+    parts.append(_INCLUDE.sub("", _read("work.h")))
+    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "work.h")) for name in _FILES]
+    return "\n".join(parts)
+
+
+def fingerprint() -> str:
+    """A checksum of the amalgamation, which the compiled text names."""
+    return hashlib.sha256(amalgamation().encode()).hexdigest()
+
+
+def options() -> list[tuple[str, float, str]]:
+    """Name, default and source of every option, in the order of the C structure."""
+    entry = re.compile(r'^OPTION\((?P<name>\w+), (?P<value>[^,]+), "(?P<source>[^"]+)"\)$', re.MULTILINE)
+    return [(m["name"], float(m["value"]), m["source"]) for m in entry.finditer(_read("options.def"))]
+
+
+def _read(name: str) -> str:
+    return (_FOLDER / name).read_text()
+
+
+def _expanded(text: str, drop: tuple[str, ...] = ()) -> str:
+    """With the project's includes in place."""
+    return _INCLUDE.sub(lambda m: "" if m["name"] in drop else _read(m["name"]), text)

@@ -1,0 +1,198 @@
+"""The interior-point core beside IPOPT, and where its answers are known."""
+
+import re
+import shutil
+import subprocess
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from solver_problems import NODES, PROBLEMS, least_time, too_fast
+from solver_stages import AS_IPOPT, Stage, Staged
+
+import twistax as tx
+from twistax.solver import SOURCES, Options, Status
+from twistax.solver.sources import amalgamation, fingerprint
+from twistax.solver.text import kept_text
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_steps_of_ipopt(name: str) -> None:
+    """With IPOPT's choices the core takes its steps, to the last digits of the point where both end."""
+    problem, start = PROBLEMS[name]()
+    z, cost, iterations = problem.by_ipopt(start)
+    solution = problem.solve(start, **AS_IPOPT)
+    assert solution.status is Status.SOLVED
+    assert abs(solution.statistics["iterations"] - iterations) <= 1
+    assert solution.statistics["cost"] == pytest.approx(cost, rel=1e-9)
+    np.testing.assert_allclose(solution.z, z, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_default_options_find_the_same_optima(name: str) -> None:
+    problem, start = PROBLEMS[name]()
+    _, cost, iterations = problem.by_ipopt(start)
+    solution = problem.solve(start)
+    assert solution.status is Status.SOLVED
+    assert solution.statistics["cost"] == pytest.approx(cost, rel=1e-6)
+    assert solution.statistics["iterations"] <= 1.5 * iterations
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_multipliers_satisfy_the_optimality_conditions(name: str) -> None:
+    """Of the problem as stated, with its rows and cost unscaled, in units of 1: by the test's functions alone."""
+    problem, start = PROBLEMS[name]()
+    found = problem.solve(start)
+    stages = problem.stages
+    gradient, of_after, of_h, of_e = problem._slopes(found.z)
+    left = gradient - found.zl + found.zu
+    at, p = 0, stages.variables - stages.parameters
+    counts = [0, 0, 0]
+    for k, nv in enumerate(x + u for x, u in zip(stages.states, stages.controls)):
+        for i, (blocks, multipliers) in enumerate(((of_after, found.lam), (of_h, found.y), (of_e, found.ye))):
+            rows = len(blocks[k])
+            pull = blocks[k].T @ multipliers[counts[i] : counts[i] + rows]
+            left[at : at + nv] += pull[:nv]
+            left[p:] += pull[nv:]
+            counts[i] += rows
+        if k:
+            before = found.lam[counts[0] - len(of_after[k]) - stages.states[k] : counts[0] - len(of_after[k])]
+            left[at : at + stages.states[k]] -= before
+        at += nv
+    free = problem.lower < problem.upper
+    assert np.abs(left[free]).max() < 1e-6
+    assert found.y.min(initial=0.0) > -1e-9
+
+
+def test_least_time_is_known() -> None:
+    problem, start = least_time()
+    solution = problem.solve(start)
+    assert solution.statistics["cost"] == pytest.approx(2.0, abs=1e-6)
+
+
+def test_units_change_nothing() -> None:
+    """Lengths in mm and sizes of 1e3 give the steps that lengths in m give."""
+
+    def moved(unit: float) -> tuple[float, float]:
+        h = 0.15
+        stages = [
+            Stage(
+                *(2, 1),
+                cost=lambda x, u, p: (u[0] / unit) ** 2 + (x[0] / unit) ** 4,
+                after=lambda x, u, p: [x[0] + h * x[1], x[1] + h * u[0]],
+                states_within=(-np.inf, np.inf) if k else ([0.5 * unit, 0.0], [0.5 * unit, 0.0]),
+                controls_within=(-unit, unit),
+            )
+            for k in range(NODES - 1)
+        ]
+        stages.append(Stage(2, equalities=lambda x, u, p: [x[0] / unit - 1, x[1] / unit]))
+        problem = Staged(stages)
+        start = np.full(problem.stages.variables, 0.1 * unit)
+        found = problem.solve(start, size=np.full(problem.stages.variables, unit))
+        return found.statistics["iterations"], found.statistics["cost"]
+
+    in_metres, in_millimetres = moved(1.0), moved(1e3)
+    assert in_metres[0] == in_millimetres[0]
+    assert in_metres[1] == pytest.approx(in_millimetres[1], rel=1e-8)
+
+
+@pytest.mark.parametrize(("duration", "status"), [(1.9, Status.INFEASIBLE), (2.1, Status.SOLVED)])
+def test_infeasible_is_told_from_hard(duration: float, status: Status) -> None:
+    problem, start = too_fast(duration)
+    solution = problem.solve(start)
+    assert solution.status is status
+    assert (solution.statistics["violation"] > 1e-3) == (status is Status.INFEASIBLE)
+
+
+def test_a_warm_start_ends_at_once() -> None:
+    problem, start = PROBLEMS["swing_up"]()
+    cold = problem.solve(start)
+    near = {"warm_start": 1, "barrier_start": 1e-9, "bound_push": 1e-9, "bound_share": 1e-9, "slack_push": 1e-9}
+    warm = problem.solve(cold.z, warm=cold, **near)
+    assert warm.status is Status.SOLVED
+    assert warm.statistics["iterations"] <= 2 < cold.statistics["iterations"]
+    assert warm.statistics["cost"] == pytest.approx(cold.statistics["cost"], rel=1e-7)
+
+
+def test_a_solve_stops_when_asked() -> None:
+    problem, start = PROBLEMS["swing_up"]()
+    solution = problem.solve(start, stop=lambda iteration: iteration >= 3)
+    assert solution.status is Status.STOPPED
+    assert solution.statistics["iterations"] == 3 == len(solution.log)
+    assert np.isfinite(solution.z).all()
+
+
+def test_the_count_of_iterations_is_limited() -> None:
+    problem, start = PROBLEMS["swing_up"]()
+    assert problem.solve(start, iterations=2).status is Status.MAX_ITERATIONS
+
+
+def test_a_start_without_finite_values() -> None:
+    stages = [Stage(1, 1, after=lambda x, u, p: [x[0] / u[0]]), Stage(1)]
+    assert Staged(stages).solve(np.zeros(3)).status is Status.NON_FINITE
+
+
+def test_bounds_that_fix_a_later_state_are_refused() -> None:
+    stages = [Stage(1, 1, after=lambda x, u, p: [x[0] + u[0]]), Stage(1, states_within=(1.0, 1.0))]
+    with pytest.raises(tx.TrajectoryError, match="fix a state after the first by an equality"):
+        Staged(stages).solve(np.zeros(3))
+
+
+def test_an_exception_of_a_function_is_raised() -> None:
+    problem, start = least_time()
+    problem._slopes = lambda z: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        problem.solve(start)
+
+
+def test_threads_solve_side_by_side() -> None:
+    """The core has no state: two problems at once give what each gives alone."""
+    problems = {name: make() for name, make in PROBLEMS.items()}
+    alone = {name: problem.solve(start).z for name, (problem, start) in problems.items()}
+    together: dict[str, np.ndarray] = {}
+
+    def run(name: str) -> None:
+        problem, start = PROBLEMS[name]()
+        together[name] = problem.solve(start).z
+
+    threads = [threading.Thread(target=run, args=(name,)) for name in PROBLEMS]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for name, z in alone.items():
+        np.testing.assert_array_equal(together[name], z)
+
+
+# ---- the sources -----------------------------------------------------------------------------------------------------
+
+
+def test_the_text_is_made_of_these_sources() -> None:
+    """Fix: python -m twistax.solver.text, with the package that it names."""
+    assert fingerprint() in kept_text().splitlines()[0]
+
+
+def test_every_option_has_a_source() -> None:
+    assert list(SOURCES) == list(Options.__dataclass_fields__)
+    assert all(re.search(r"\[WB\]|IPOPT|1:|weight|largest count|residual", source) for source in SOURCES.values())
+
+
+def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    assert compiler, "the tests of C code need a C compiler"
+    source, target = tmp_path / "core.c", tmp_path / "core.o"
+    source.write_text(amalgamation())
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wshadow", "-Werror", "-O2", "-c"]
+    subprocess.run([compiler, *flags, str(source), "-o", str(target)], check=True)
+    symbols = subprocess.run(["nm", str(target)], check=True, capture_output=True, text=True).stdout.split("\n")
+    external = {line.split()[-1] for line in symbols if re.search(r" [TU] ", line)}
+    assert {name for name in external if name.startswith("twx_")} == {
+        *("twx_count", "twx_defaults", "twx_option_name", "twx_option_source", "twx_options_count"),
+        *("twx_solve", "twx_workspace_size"),
+    }
+    assert {name for name in external if not name.startswith("twx_")} <= {
+        *("log", "log10", "memcpy", "memset", "pow", "sqrt", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"),
+    }
+    # No variables: what is in .data or .bss could be state.
+    assert not [line for line in symbols if re.search(r" [BbDC] ", line)]

@@ -1,0 +1,135 @@
+"""States on a manifold: the core sees tangent steps, the functions move points."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy import ndarray as Array
+
+import twistax as tx
+from twistax.solver import Options, PythonFunctions, Solution, Stages, Status, solve
+
+so3 = tx.lie.so3
+INTERVALS = 10
+GOAL = np.asarray(so3.exp(jnp.array([0.9, -1.1, 1.4])))
+
+
+def jacobian_of_log(x: Array) -> Array:
+    """The inverse left Jacobian: how a multiplier of log(moved^-1 y) changes with the node that moves."""
+    return np.asarray(so3.left_jacobian_inv(x))
+
+
+class Reorientation:
+    """Body rates u turn I into GOAL: R' = R (u + drift), least sum of h u'u. States are rotations, points matrices."""
+
+    stages = Stages(
+        [3] * (INTERVALS + 1),
+        [3] * INTERVALS + [0],
+        [0] * (INTERVALS + 1),
+        [0] * INTERVALS + [3],
+        0,
+        [9] * (INTERVALS + 1),
+    )
+
+    def __init__(self, drift: Array) -> None:
+        h = 1.0 / INTERVALS
+        drift = jnp.asarray(drift)
+
+        def defect(d: Any, u: Any, rotation: Any, after: Any) -> Any:
+            return so3.log(after.T @ rotation @ so3.exp(d) @ so3.exp(h * (u + drift)))
+
+        def end(d: Any, rotation: Any) -> Any:
+            return so3.log(GOAL.T @ rotation @ so3.exp(d))
+
+        zero = jnp.zeros(3)
+        self.defects = jax.jit(jax.vmap(lambda u, r, a: defect(zero, u, r, a)))
+        both = lambda z, r, a: defect(z[:3], z[3:], r, a)  # noqa: E731
+        at = lambda u: jnp.concatenate([zero, u])  # noqa: E731
+        # c = log(exp(-d_next) y) has the derivative -J_l(c)^-1 by d_next: rows are multiplied by J_l(c).
+        rows = lambda u, r, a: so3.left_jacobian(defect(zero, u, r, a))  # noqa: E731
+        self.slopes = jax.jit(jax.vmap(lambda u, r, a: rows(u, r, a) @ jax.jacfwd(both)(at(u), r, a)))
+        bend = jax.hessian(lambda z, r, a, m: both(z, r, a) @ m)
+        self.bends = jax.jit(jax.vmap(lambda u, r, a, m: bend(at(u), r, a, rows(u, r, a).T @ m)))
+        self.end = jax.jit(lambda r: end(zero, r))
+        self.end_slope = jax.jit(lambda r: jax.jacfwd(end)(zero, r))
+        self.end_bend = jax.jit(lambda r, m: jax.hessian(lambda d: end(d, r) @ m)(zero))
+        self.h = h
+
+    def split(self, z: Array) -> tuple[Array, Array]:
+        inner = z[: 12 * INTERVALS].reshape(INTERVALS, 12)
+        rotations = np.concatenate([inner[:, :9].ravel(), z[12 * INTERVALS :]]).reshape(-1, 3, 3)
+        return rotations, inner[:, 9:]
+
+    def values(self, z: Array) -> Any:
+        r, u = self.split(z)
+        return self.h * (u**2).sum(), self.defects(u, r[:-1], r[1:]), np.zeros(0), self.end(r[-1])
+
+    def jacobians(self, z: Array) -> Any:
+        r, u = self.split(z)
+        gradient = np.concatenate(
+            [np.concatenate([np.zeros((INTERVALS, 3)), 2 * self.h * u], axis=1).ravel(), np.zeros(3)]
+        )
+        of_end = [np.zeros((0, 6))] * INTERVALS + [np.asarray(self.end_slope(r[-1]))]
+        return gradient, [*np.asarray(self.slopes(u, r[:-1], r[1:]))], [np.zeros(0)], of_end
+
+    def hessians(self, z: Array, weight: float, lam: Array, y: Array, ye: Array) -> Any:
+        r, u = self.split(z)
+        blocks = np.array(self.bends(u, r[:-1], r[1:], lam.reshape(-1, 3)))
+        blocks[:, 3:, 3:] += 2 * weight * self.h * np.eye(3)
+        return [*blocks, np.asarray(self.end_bend(r[-1], ye))]
+
+    def retract(self, z: Array, d: Array) -> Array:
+        r, u = self.split(z)
+        inner = d[: 6 * INTERVALS].reshape(INTERVALS, 6)
+        steps = np.concatenate([inner[:, :3], d[None, 6 * INTERVALS :]])
+        moved = r @ np.asarray(jax.vmap(so3.exp)(steps))
+        return np.concatenate(
+            [np.concatenate([moved[:-1].reshape(-1, 9), u + inner[:, 3:]], axis=1).ravel(), moved[-1].ravel()]
+        )
+
+    def transport(self, d: Array, lam: Array) -> Array:
+        """c = log(R^-1 y) becomes log(exp(-d) R^-1 y), whose derivative by c is the inverse left Jacobian at d."""
+        steps = np.concatenate([d[: 6 * INTERVALS].reshape(INTERVALS, 6)[1:, :3], d[None, 6 * INTERVALS :]])
+        return np.concatenate([jacobian_of_log(-s).T @ m for s, m in zip(-steps, lam.reshape(-1, 3))])
+
+    def solve(self, with_transport: bool = True) -> Solution:
+        rng = np.random.default_rng(1)
+        start = np.concatenate([np.tile(np.append(np.eye(3).ravel(), np.zeros(3)), INTERVALS), np.eye(3).ravel()])
+        start = self.retract(start, 0.2 * rng.standard_normal(self.stages.variables))
+        start[:9] = np.eye(3).ravel()
+        functions = PythonFunctions(
+            *(self.stages, self.values, self.jacobians, self.hessians, self.retract),
+            self.transport if with_transport else None,
+        )
+        lower, upper = np.full(self.stages.variables, -np.inf), np.full(self.stages.variables, np.inf)
+        lower[:3] = upper[:3] = 0.0
+        coordinates = np.zeros(self.stages.variables)
+        found = solve(self.stages, functions.functions, lower, upper, start, coordinates, options=Options())
+        functions.check()
+        return found
+
+
+def test_the_shortest_turn_is_a_geodesic() -> None:
+    """About one axis at a constant rate; the least cost is the square of the angle."""
+    problem = Reorientation(np.zeros(3))
+    solution = problem.solve()
+    turn = np.asarray(so3.log(GOAL))
+    assert solution.status is Status.SOLVED
+    assert solution.statistics["cost"] == pytest.approx(turn @ turn, rel=1e-8)
+    _, rates = problem.split(solution.z)
+    np.testing.assert_allclose(rates, np.tile(turn, (INTERVALS, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("with_transport", [True, False])
+def test_points_stay_rotations_and_reach_the_goal(with_transport: bool) -> None:
+    """With a drift that does not commute. Multipliers about nodes that moved save steps and change no optimum."""
+    problem = Reorientation(np.array([0.5, 1.0, -2.0]))
+    solution = problem.solve(with_transport)
+    rotations, _ = problem.split(solution.z)
+    assert solution.status is Status.SOLVED
+    np.testing.assert_allclose(rotations[-1], GOAL, atol=1e-8)
+    squares = rotations @ rotations.transpose(0, 2, 1)
+    np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), atol=1e-12)
+    assert solution.statistics["iterations"] <= 12
