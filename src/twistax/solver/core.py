@@ -237,7 +237,8 @@ def solve(
     )
     if status is Status._BAD_PROBLEM:
         raise TrajectoryError(
-            "solve: bounds expect lower <= upper, sizes expect positive numbers; bounds fix x_0, controls and parameters only\n"
+            "solve: bounds expect lower <= upper, and sizes positive numbers; "
+            "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
