@@ -21,6 +21,7 @@ import numpy as np
 import twistax as tx
 from twistax.mechanics import SpatialInertia, flight, load_daveml
 from twistax.mechanics.environment.atmosphere import US1976
+from twistax.scenes.published import EARTH
 from twistax.units import degrees, feet, knots, pounds_force, seconds, slugs
 
 jax.config.update("jax_enable_x64", True)
@@ -35,7 +36,7 @@ AIR_OF_05 = dataclasses.replace(
     gravity=float(32.17405 * feet / seconds**2),
     gas_constant=US1976.gas_constant * (1.0 - 2.288255e-6),
 )
-PLANETS = {"standard": flight.EARTH, "05": dataclasses.replace(flight.EARTH, air=AIR_OF_05)}
+PLANETS = {"standard": EARTH, "05": dataclasses.replace(EARTH, air=AIR_OF_05)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +47,8 @@ class Case:
         folder: of the published trajectories.
         place: latitude and longitude, deg, and altitude, ft.
         velocity: north and east, ft/s.
-        commands: that change at `at`, before and after: altitude ft, airspeed kt, course deg, deviation ft; course_kept,
-            1 where the deviation from the course is measured, 0 where it counts as zero.
+        commands: that change at `at`, before and after: altitude ft, airspeed kt, course deg, deviation ft, and
+            course_kept, 1 where the deviation from the course is measured, 0 where it counts as zero.
         at: s.
         autopilot: whether it is on; `navigator` has the file with the circles, around the pole or the date line.
         own_design: the stability augmentation keeps the pitch of this trim, in place of that in the file.
@@ -161,14 +162,20 @@ def aircraft(folder: Path, planet: flight.Planet, navigator: bool = False) -> tu
 
 def commands(case: Case) -> dict[str, tuple[float, float]]:
     """What the autopilot is told, before and after the step: to go on as at the start, but for the case's own."""
-    names = {"altitude": case.place[2], "airspeed": 287.98, "course": case.heading, "deviation": 0.0, "course_kept": 0.0}
+    names = {
+        "altitude": case.place[2],
+        "airspeed": 287.98,
+        "course": case.heading,
+        "deviation": 0.0,
+        "course_kept": 0.0,
+    }
     given = {name: case.commands.get(name, (value, value)) for name, value in names.items()}
     taken = ("altitude", "airspeed") if case.circle else tuple(names)
     return {f"{name}_command": given[name] for name in taken}
 
 
 @functools.cache
-def trimmed(folder: Path, number: str = "11", planet: flight.Planet = flight.EARTH) -> tuple[tx.Dynamics, tx.Trim]:
+def trimmed(folder: Path, number: str = "11", planet: flight.Planet = EARTH) -> tuple[tx.Dynamics, tx.Trim]:
     """A case's level straight flight, with the autopilot off."""
     case = CASES[number]
     craft, dynamics = aircraft(folder, planet, bool(case.circle))
@@ -192,7 +199,7 @@ def trimmed(folder: Path, number: str = "11", planet: flight.Planet = flight.EAR
 def fly(
     folder: Path,
     number: str,
-    planet: flight.Planet = flight.EARTH,
+    planet: flight.Planet = EARTH,
     times: Any = None,
     early: float = 0.0,
     **options: Any,
@@ -215,7 +222,7 @@ def fly(
 
 
 def apart(
-    folder: Path, simulation: str, number: str = "11", planet: flight.Planet = flight.EARTH, **options: Any
+    folder: Path, simulation: str, number: str = "11", planet: flight.Planet = EARTH, **options: Any
 ) -> np.ndarray:
     """The distance from a published simulation, m, at its times."""
     case = CASES[number]

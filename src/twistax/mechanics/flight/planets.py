@@ -14,7 +14,8 @@ from ...expr import Concat, Constant, Cos, Expr, Sin, Tan, to_expr
 from ...expr.fields import ExprLike
 from ...expr.lie import Pose, rotation
 from ..arguments import of_shape
-from ..environment import atmosphere, earth, gravity
+from ..environment import earth, gravity
+from ..environment.upper_atmosphere import US1976_TO_1000_KM
 
 __all__ = [
     "EARTH",
@@ -79,7 +80,7 @@ class Planet:
 
     figure: earth.Ellipsoid
     gravity: Gravity
-    air: Air = atmosphere.US1976
+    air: Air = US1976_TO_1000_KM
 
     def __post_init__(self) -> None:
         for name, kind in (("figure", earth.Ellipsoid), ("gravity", Gravity), ("air", Air)):
@@ -115,7 +116,7 @@ class Planet:
         return turn @ self.gravity.acceleration(turn.T @ p)
 
 
-#: WGS84 with J2, and the US Standard Atmosphere 1976.
+#: WGS84 with J2, and the US Standard Atmosphere 1976, above 1000 km with its gases in balance.
 EARTH = Planet(earth.WGS84, gravity.EARTH_J2)
 
 #: A round Earth of the mean radius that NASA's check-cases 4 and 5 are flown with, with an inverse-square pull.
