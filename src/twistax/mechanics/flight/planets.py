@@ -149,11 +149,12 @@ def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_veloc
     """North-east-down axes, which turn with the planet and as the body moves over it.
 
     To the rate of the planet comes (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N + h)), with M and N of
-    `Ellipsoid.radii`. At the poles the last entry is infinite.
+    `Ellipsoid.radii`. At the poles, where no axes point north, the rate is NaN.
 
     Source: P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems (2013), eq. (5.44).
     """
     velocity, (meridian, normal) = to_expr(ned_velocity), planet.figure.radii(latitude)
     north = velocity[0] / (meridian + altitude)
     east = velocity[1] / (normal + altitude)
-    return fixed_axes(planet, latitude, altitude, ned_velocity) + Concat(east, -north, -east * Tan(latitude))
+    turning = -east * Tan(latitude) * earth.OffPole(latitude)
+    return fixed_axes(planet, latitude, altitude, ned_velocity) + Concat(east, -north, turning)
