@@ -957,6 +957,24 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "lowering/export/saved.py",
         (
+            "modules that a file names are imported",
+            "if module in _ON_DEMAND:",
+            "if module:",
+            "lowering/export/test_hostile_files.py",
+        ),
+        (
+            "errors of classes on what a file says",
+            "except Exception as error:  # constructors",
+            "except KeyError as error:  # constructors",
+            "lowering/export/test_hostile_files.py",
+        ),
+        (
+            "sizes that a file promises",
+            "if size > _LARGEST:",
+            "if size > 10**20:",
+            "lowering/export/test_hostile_files.py",
+        ),
+        (
             "keys of rates alone",
             "[e for kind in _FAMILIES for e",
             "[e for kind in _FAMILIES[:1] for e",
