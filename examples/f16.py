@@ -21,6 +21,7 @@ import numpy as np
 import twistax as tx
 from twistax.mechanics import SpatialInertia, flight, load_daveml
 from twistax.mechanics.environment.atmosphere import US1976
+from twistax.scenes.published import EARTH
 from twistax.units import degrees, feet, knots, pounds_force, seconds, slugs
 
 jax.config.update("jax_enable_x64", True)
@@ -35,7 +36,7 @@ AIR_OF_05 = dataclasses.replace(
     gravity=float(32.17405 * feet / seconds**2),
     gas_constant=US1976.gas_constant * (1.0 - 2.288255e-6),
 )
-PLANETS = {"standard": flight.EARTH, "05": dataclasses.replace(flight.EARTH, air=AIR_OF_05)}
+PLANETS = {"standard": EARTH, "05": dataclasses.replace(EARTH, air=AIR_OF_05)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,11 +47,11 @@ class Case:
         folder: of the published trajectories.
         place: latitude and longitude, deg, and altitude, ft.
         velocity: north and east, ft/s.
-        commands: that change at `at`, before and after: altitude ft, airspeed kt, course deg, deviation ft.
+        commands: that change at `at`, before and after: altitude ft, airspeed kt, course deg, deviation ft, and
+            course_kept, 1 where the deviation from the course is measured, 0 where it counts as zero.
         at: s.
         autopilot: whether it is on; `navigator` has the file with the circles, around the pole or the date line.
         own_design: the stability augmentation keeps the pitch of this trim, in place of that in the file.
-        course_kept: the deviation from the course is measured.
     """
 
     folder: str
@@ -61,7 +62,6 @@ class Case:
     at: float = 1.0
     autopilot: bool = True
     own_design: bool = True
-    course_kept: bool = False
     circle: str = ""
 
     @property
@@ -84,7 +84,9 @@ CASES = {
     "13.1": Case("13p1_f16_altitude_change", 20.0, commands={"altitude": (10_013.0, 10_113.0)}, at=5.0),
     "13.2": Case("13p2_f16_airspeed_change", 20.0, commands={"airspeed": (287.98, 282.98)}, at=5.0),
     "13.3": Case("13p3_f16_heading_change", 30.0, commands={"course": (45.0, 60.0)}, at=15.0),
-    "13.4": Case("13p4_f16_lateral_sidestep", 60.0, commands={"deviation": (0.0, -2_000.0)}, at=20.0, course_kept=True),
+    "13.4": Case(
+        "13p4_f16_lateral_sidestep", 60.0, commands={"deviation": (0.0, -2_000.0), "course_kept": (0.0, 1.0)}, at=20.0
+    ),
     "15": Case(
         "15_f16_circle_pole", place=(89.95, -45.0, 10_000.0), velocity=(0.0, 563.642515374), circle="pole", **_CIRCLE
     ),
@@ -140,7 +142,7 @@ def aircraft(folder: Path, planet: flight.Planet, navigator: bool = False) -> tu
         course, off = tx.Control("course_command"), tx.State("off_course")
         angle = float(degrees) * course
         across = craft.ned_velocity[1] * tx.Cos(angle) - craft.ned_velocity[0] * tx.Sin(angle)
-        rates[off] = tx.Parameter("course_kept", value=0.0) * across
+        rates[off] = tx.Control("course_kept_command") * across
         sticks = files[pilot](known, baseChiCmd=course, latOffset=off / feet + tx.Control("deviation_command"))
     surfaces = {name: sticks[name] for name in ("el", "ail", "rdr")}
     c = files["aero"](vt=air.airspeed / (feet / seconds), alpha=alpha, beta=beta, p=p, q=q, r=r, **surfaces)
@@ -160,14 +162,20 @@ def aircraft(folder: Path, planet: flight.Planet, navigator: bool = False) -> tu
 
 def commands(case: Case) -> dict[str, tuple[float, float]]:
     """What the autopilot is told, before and after the step: to go on as at the start, but for the case's own."""
-    names = {"altitude": case.place[2], "airspeed": 287.98, "course": case.heading, "deviation": 0.0}
+    names = {
+        "altitude": case.place[2],
+        "airspeed": 287.98,
+        "course": case.heading,
+        "deviation": 0.0,
+        "course_kept": 0.0,
+    }
     given = {name: case.commands.get(name, (value, value)) for name, value in names.items()}
     taken = ("altitude", "airspeed") if case.circle else tuple(names)
     return {f"{name}_command": given[name] for name in taken}
 
 
 @functools.cache
-def trimmed(folder: Path, number: str = "11", planet: flight.Planet = flight.EARTH) -> tuple[tx.Dynamics, tx.Trim]:
+def trimmed(folder: Path, number: str = "11", planet: flight.Planet = EARTH) -> tuple[tx.Dynamics, tx.Trim]:
     """A case's level straight flight, with the autopilot off."""
     case = CASES[number]
     craft, dynamics = aircraft(folder, planet, bool(case.circle))
@@ -191,7 +199,7 @@ def trimmed(folder: Path, number: str = "11", planet: flight.Planet = flight.EAR
 def fly(
     folder: Path,
     number: str,
-    planet: flight.Planet = flight.EARTH,
+    planet: flight.Planet = EARTH,
     times: Any = None,
     early: float = 0.0,
     **options: Any,
@@ -202,8 +210,6 @@ def fly(
     params = {**level.params, "on": float(case.autopilot)}
     if case.circle:
         params["polar"] = float(case.circle == "pole")
-    else:
-        params["course_kept"] = float(case.course_kept)
     if case.own_design:
         start = dynamics.outputs(0.0, level.x, level.u, level.params)
         params["design_alpha"] = float(start["alpha"]) / degrees
@@ -216,7 +222,7 @@ def fly(
 
 
 def apart(
-    folder: Path, simulation: str, number: str = "11", planet: flight.Planet = flight.EARTH, **options: Any
+    folder: Path, simulation: str, number: str = "11", planet: flight.Planet = EARTH, **options: Any
 ) -> np.ndarray:
     """The distance from a published simulation, m, at its times."""
     case = CASES[number]

@@ -15,13 +15,13 @@
 
 enum { POSE = 16, TWIST = 6, ALL = POSE + TWIST };
 
-static const double off_course[1] = {0.0}, commands[4][1] = {{0.0}, {0.0}, {0.0}, {0.0}};
+static const double off_course[1] = {0.0}, commands[5][1] = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
 static double throttle[1], stick[1];
 
 /* The arguments that all functions of the code take. */
 #define ARGUMENTS(t, x) \
-    t, x, x + POSE, off_course, commands[0], commands[1], commands[2], commands[3], stick, f16_default_p_on, \
-        f16_default_p_design_alpha, f16_default_p_design_pitch, throttle, f16_default_p_course_kept
+    t, x, x + POSE, off_course, commands[0], commands[1], commands[2], commands[3], commands[4], stick, \
+        f16_default_p_on, f16_default_p_design_alpha, f16_default_p_design_pitch, throttle
 
 static void rates(double t, const double *x, double *dx)
 {
@@ -50,7 +50,7 @@ static void step(double t, double h, double *x)
 
 int main(void)
 {
-    double x[ALL], h, by_x[13 * 13], by_u[13 * 4], norm = 0.0;
+    double x[ALL], h, by_x[13 * 13], by_u[13 * 5], norm = 0.0;
     int steps, second;
     if (scanf("%d %lf", &steps, &h) != 2) return 1;
     for (int i = 0; i < ALL; i++)

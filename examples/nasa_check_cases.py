@@ -23,7 +23,7 @@ import twistax as tx
 from twistax.mechanics import flight
 from twistax.mechanics.environment import atmosphere, earth
 from twistax.scenes.check_cases import CASES, CheckCase, system
-from twistax.scenes.published import DURATION, FOLDERS, TIMES, Array, Track, read
+from twistax.scenes.published import DURATION, EARTH, FOLDERS, TIMES, Array, Track, read
 from twistax.scenes.spheres import SPHERES, SphereCase
 
 jax.config.update("jax_enable_x64", True)
@@ -132,7 +132,7 @@ def explain(case: CheckCase, tracks: dict[str, Track]) -> None:
     for number, damping in {"01": rounded, "04": case.damping}.items():
         if number not in tracks:
             continue
-        theirs = tx.compile(system(dataclasses.replace(flight.EARTH, air=Tabulated(tracks[number]))))
+        theirs = tx.compile(system(dataclasses.replace(EARTH, air=Tabulated(tracks[number]))))
         solved = solve(dataclasses.replace(case, damping=damping), dynamics=theirs)
         row(f"twistax - sim {number}", solved.apart(tracks[number]))
 

@@ -18,6 +18,7 @@ import numpy as np
 
 import twistax as tx
 from twistax.mechanics import SpatialInertia, flight, load_daveml
+from twistax.scenes.published import EARTH
 from twistax.units import degrees, feet
 
 jax.config.update("jax_enable_x64", True)
@@ -38,7 +39,7 @@ shrinking = tx.Parameter("shrinking", value=0.0)
 def rocket(folder: Path, area: float = AREA) -> tuple[flight.Vehicle, tx.Dynamics]:
     """The rocket over the turning Earth, as one system for both stages."""
     files = {name: load_daveml(folder / f"twostage_{name}.dml") for name in ("aero", "prop", "inertia")}
-    craft = flight.Vehicle()
+    craft = flight.Vehicle(EARTH)
     air = craft.air
     mass = files["inertia"](
         stagedFlag=staged,

@@ -694,6 +694,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/trimming.py",
         ("bounds that are never reached", "return step if left[1] < left[0] else", "return", "test_trim.py"),
+        (
+            "derivatives alone say what a trim lacks",
+            "change = np.minimum(change, _changes(seen, unknowns.columns, every))",
+            "pass",
+            "test_trim.py",
+        ),
     ),
     *_at(
         "trajectory/trim_unknowns.py",
@@ -767,11 +773,38 @@ MUTATIONS: list[Mutation] = [
         ("half of the Coriolis force", "force=-2.0 * f * Cross", "force=-f * Cross", "mechanics/test_flight_parts.py"),
     ),
     *_at(
+        "mechanics/environment/upper_atmosphere.py",
+        (
+            "one gas beyond 1000 km",
+            "self.gases or ((mean, 1.0),)",
+            "((mean, 1.0),)",
+            "mechanics/test_gravity_and_upper_air.py",
+        ),
+        (
+            "air beyond 1000 km stays",
+            "Exp(-fall * climb)",
+            "Exp(0.0 * climb)",
+            "mechanics/test_gravity_and_upper_air.py",
+        ),
+    ),
+    *_at(
         "mechanics/flight/planets.py",
         (
+            "planets with the air of the layers alone",
+            "air: Air = US1976_TO_1000_KM",
+            "air: Air = US1976_TO_1000_KM.below",
+            "mechanics/test_gravity_and_upper_air.py",
+        ),
+        (
             "north-east-down turned the other way",
-            "Concat(east, -north, -east * Tan(latitude))",
-            "Concat(east, -north, east * Tan(latitude))",
+            "turning = -east * Tan(latitude)",
+            "turning = east * Tan(latitude)",
+            "mechanics/test_flight.py",
+        ),
+        (
+            "local axes at a pole",
+            " * earth.OffPole(latitude)",
+            "",
             "mechanics/test_flight.py",
         ),
     ),
@@ -923,6 +956,24 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "lowering/export/saved.py",
+        (
+            "modules that a file names are imported",
+            "if module in _ON_DEMAND:",
+            "if module:",
+            "lowering/export/test_hostile_files.py",
+        ),
+        (
+            "errors of classes on what a file says",
+            "except Exception as error:  # constructors",
+            "except KeyError as error:  # constructors",
+            "lowering/export/test_hostile_files.py",
+        ),
+        (
+            "sizes that a file promises",
+            "if size > _LARGEST:",
+            "if size > 10**20:",
+            "lowering/export/test_hostile_files.py",
+        ),
         (
             "keys of rates alone",
             "[e for kind in _FAMILIES for e",

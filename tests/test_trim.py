@@ -156,6 +156,17 @@ def test_a_start_beyond_its_bounds_is_moved_to_them() -> None:
         np.testing.assert_allclose(found.u["push"], most, rtol=1e-9)
 
 
+def test_a_slope_that_is_huge_at_one_point_hides_nothing() -> None:
+    """Of 1 + sqrt(push) the derivative at 1e-20 is 5e9: by it a step of 2e-10 would be enough, and none is."""
+    x, y, push = tx.State("x"), tx.State("y"), tx.Control("push")
+    steep = tx.compile(tx.System({x: 1.0 + tx.Sqrt(push), y: -y}, {"root": 1.0 + tx.Sqrt(y), "tilt": y + push}))
+    for wanted in (["x"], ["root", "tilt"]):  # by what is free, and by a state that is not
+        off = tx.trim(
+            steep, {"x": 0.0, "y": 1e-20}, {"push": 0.5}, free={"push": (1e-20, 1.0)}, zero=wanted, throw=False
+        )
+        assert (off.measure > 1e-3, max(off.residuals.values())) == (True, pytest.approx(1.0))
+
+
 def test_no_finite_derivatives_on_the_way_are_named() -> None:
     x, push = tx.State("x"), tx.Control("push")
     system = tx.compile(tx.System({x: tx.Abs(push) ** 0.5 + 1e-3 - 0.0 * x}))
@@ -240,11 +251,9 @@ def test_outputs_are_linearised_by_states_and_controls() -> None:
 
 def test_python_control_takes_a_linearisation() -> None:
     pytest.importorskip("control", reason="python-control is not installed")
-    system = (
-        level().linearize(outputs=["climb"]).keep(states=["V[0]", "V[2]", "V[4]", "g[4]"], controls=["el"]).to_control()
-    )
-    assert (system.state_labels[1], system.input_labels, system.output_labels) == ("V[2]", ["el"], ["climb"])
     reference = level().linearize(outputs=["climb"])
+    system = reference.keep(states=["V[0]", "V[2]", "V[4]", "g[4]"], controls=["el"]).to_control()
+    assert (system.state_labels[1], system.input_labels, system.output_labels) == ("V[2]", ["el"], ["climb"])
     frequencies = [mode.frequency for mode in reference.keep(states=["V[0]", "V[2]", "V[4]", "g[4]"]).modes()]
     np.testing.assert_allclose(sorted(set(np.abs(system.poles()).round(12))), np.round(frequencies[::-1], 12))
 

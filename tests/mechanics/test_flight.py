@@ -245,6 +245,56 @@ def test_a_wind_may_be_any_function_of_place_and_time() -> None:
     np.testing.assert_allclose(at(craft, craft.air.velocity, state, 7.0), VELOCITY - [7.0, 0.0, PLACE[1]], atol=1e-12)
 
 
+# ---- the poles -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pole", [90.0, -90.0])
+def test_at_a_pole_local_axes_have_no_rate(pole: float) -> None:
+    craft, east = flight.Vehicle(), (0.0, 50.0, 0.0)
+    with pytest.raises(InputError, match=r"local_axes expects axes that turn at a finite rate; .* no north.*\n  fix: "):
+        craft.start(pole * degrees, 0.3, 3e3, east, relative_to=flight.local_axes)
+    traced = jax.jit(lambda north: craft.start(north, 0.3, 3e3, east, relative_to=flight.local_axes))
+    assert np.isnan(traced(pole * degrees)["V"][3:]).all()
+    assert np.isfinite(traced(pole * degrees)["g"]).all()
+    # North-east-down of the meridian stated, and rates relative to other axes, are there.
+    state = craft.start(pole * degrees, 0.3, 3e3, east, EULER)
+    np.testing.assert_allclose(at(craft, craft.ned_velocity, state), east, atol=1e-9)
+    np.testing.assert_allclose(at(craft, craft.euler, state), EULER, atol=1e-12)
+    np.testing.assert_allclose(at(craft, craft.rate(flight.fixed_axes), state), np.zeros(3), atol=1e-18)
+    rate = tx.lower(craft.rate(flight.local_axes))
+    assert np.isnan(rate(0.0, state)).any()
+    # A micrometre off, at 50 m/s eastward, they turn once in 1.3e-7 s.
+    rho = float(craft.start(np.sign(pole) * (np.pi / 2 - 1e-6 / 6.4e6), 0.3, 3e3)["g"][0, 3]) / np.cos(0.3)
+    off = craft.start(np.sign(pole) * (np.pi / 2 - 1e-6 / 6.4e6), 0.3, 3e3, east, relative_to=flight.local_axes)
+    assert abs(off["V"][5]) == pytest.approx(50.0 / rho, rel=1e-3)
+
+
+def test_on_the_axis_nothing_points_north() -> None:
+    windy = flight.Vehicle(wind=flight.Steady((5.0, 0.0, 0.0)))
+    state = {"g": tx.pose(position=[0.0, 0.0, 6.4e6]), "V": np.array([100.0, 0.0, 0.0, 0.0, 0.0, 0.0])}
+    dynamics = tx.compile(windy.system(BALL, tx.lie.wrench(force=flight.drag(windy.air, 1.0), torque=np.zeros(3))))
+    outputs = dynamics.outputs(0.0, state)
+    for name in ("attitude", "euler", "ned_velocity"):
+        assert np.isnan(outputs[name]).any()
+    for name in ("latitude", "altitude", "position"):
+        assert np.isfinite(outputs[name]).all()
+    with pytest.raises(tx.IntegrationError):
+        tx.integrate(dynamics, state, t1=1.0, dt=0.1)
+    calm = tx.compile(flight.Vehicle().system(BALL))
+    assert np.isfinite(tx.integrate(calm, state, t1=1.0, dt=0.1).xs["g"]).all()
+
+
+def test_a_trim_at_a_pole_is_refused() -> None:
+    """The rate of local axes was 1e11 rad/s there, kept as a target, and called trimmed."""
+    craft, push = flight.Vehicle(), tx.Control("push", shape=(3,))
+    turn = {"turn": craft.rate(flight.local_axes)}
+    dynamics = tx.compile(craft.system(BALL, tx.lie.wrench(force=push, torque=np.zeros(3)), outputs=turn))
+    state = craft.start(90.0 * degrees, 0.3, 3e3, (0.0, 50.0, 0.0))
+    for wanted in ({"turn": None}, {"turn[2]": 0.0}):
+        with pytest.raises(tx.TrajectoryError, match=r"at the start these are not finite, .*: turn\["):
+            tx.trim(dynamics, state, {"push": np.zeros(3)}, free=["V", "push"], fixed=wanted, zero=["V[0:3]"])
+
+
 # ---- what is refused -------------------------------------------------------------------------------------------------
 
 

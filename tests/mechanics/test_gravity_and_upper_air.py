@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from us1976_oracle import MASSES, gases
 from us1976_oracle import atmosphere as standard
 
 import twistax as tx
@@ -99,6 +102,10 @@ def test_a_planet_turns_its_bulges() -> None:
         (lambda: Harmonics(1.0, 1.0, ((2, 0, np.inf, 0.0),)), r"a coefficient of \(2, 0\) must be a finite number"),
         (lambda: Harmonics(0.0, 1.0, ()), "gm to be a positive number"),
         (lambda: EGM2008.up_to(9), "up_to expects a degree up to 8, which these terms have, got 9"),
+        (
+            lambda: dataclasses.replace(AIR, gases=((4.0, -1.0),)),
+            "pairs of a molar mass and a number density, both pos",
+        ),
         (lambda: gravity.gradient_torque(-1.0, np.ones(3), np.eye(3)), "gm must be a positive number"),
     ],
 )
@@ -157,18 +164,54 @@ def test_the_standards_own_equations() -> None:
     np.testing.assert_allclose(numbers(AIR.density(1e3 * z[some])), rho[some], rtol=5e-4)
 
 
-def test_it_joins_the_layers_and_ends() -> None:
+def test_it_joins_the_layers() -> None:
     below, above, low = 86e3 - 1e-6, 86e3 + 1e-6, np.array([0.0, 3e4, 8e4])
     for name, jump in (("temperature", 5e-4), ("speed_of_sound", 3e-4)):
         function = getattr(AIR, name)
         np.testing.assert_allclose(numbers(function(above)), numbers(function(below)), rtol=jump)
         np.testing.assert_allclose(numbers(function(low)), numbers(getattr(atmosphere.US1976, name)(low)), rtol=1e-15)
-    assert numbers(AIR.density(2e6)) == numbers(AIR.density(1e6))
 
 
-def test_a_planet_has_it() -> None:
-    high = dataclasses.replace(flight.EARTH, air=AIR)
-    craft = flight.Vehicle(high)
+def test_beyond_1000_km_every_gas_falls_by_its_own_weight() -> None:
+    """The balance of each gas, integrated outward by SciPy from what the standard's equations have at 1000 km."""
+    T, n = gases(np.linspace(86.0, 1000.0, 91401))
+    names = list(n)
+    start, masses = np.array([n[k][-1] for k in names]), np.array([MASSES[k] for k in names])
+    ends = np.array([1.0, 1.2, 2.0, 10.0, 100.0]) * 1e6
+    fallen = solve_ivp(
+        lambda z, logs: -masses * 9.80665 * (6356766.0 / (6356766.0 + z)) ** 2 / (8314.32 * T[-1]),
+        (1e6, ends[-1]), np.log(np.maximum(start, 1e-300)), t_eval=ends, rtol=1e-10, atol=1e-10,
+    )  # fmt: skip
+    number = np.exp(fallen.y)
+    np.testing.assert_allclose(numbers(AIR.pressure(ends)), 1.380622e-23 * T[-1] * number.sum(0), rtol=2e-4)
+    np.testing.assert_allclose(numbers(AIR.density(ends)), masses @ number / 6.022169e26, rtol=2e-4)
+    np.testing.assert_allclose(numbers(AIR.temperature(ends)), T[-1], rtol=1e-6)
+
+
+def test_value_and_slope_go_on_at_1000_km() -> None:
+    z = tx.State("z")
+    of = tx.lower(tx.Log(tx.Stack([AIR.pressure(z), AIR.density(z)])))
+    with jax.disable_jit():
+        found = [jax.jvp(lambda z: of(0.0, {"z": z}), (jnp.asarray(1e6 + off),), (1.0,)) for off in (-1e-6, 1e-6)]
+    (low, falls), (high, goes_on) = found
+    np.testing.assert_allclose(low, high, rtol=1e-12)
+    np.testing.assert_allclose(falls, goes_on, rtol=2e-4)
+
+
+def test_one_gas_is_that_of_the_tables_end() -> None:
+    """Without gases the air of the table's end is one: p / rho stays, and dp/dz = -rho g."""
+    plain = dataclasses.replace(AIR, gases=())
+    z = np.array([1e6, 1.5e6, 4e6])
+    p, rho = numbers(plain.pressure(z)), numbers(plain.density(z))
+    np.testing.assert_allclose(p / rho, p[0] / rho[0], rtol=1e-12)
+    slope = (numbers(plain.pressure(z + 10.0)) - numbers(plain.pressure(z - 10.0))) / 20.0
+    g = 9.80665 * (6356766.0 / (6356766.0 + z)) ** 2
+    np.testing.assert_allclose(slope[1:], (-rho * g)[1:], rtol=1e-6)
+
+
+def test_planets_have_it() -> None:
+    craft = flight.Vehicle()
+    assert flight.Planet(earth.WGS84, gravity.EARTH_J2).air is flight.ROUND_EARTH.air is AIR
     state = craft.start(0.1, 0.2, 400e3, (7600.0, 0.0, 0.0))
     found = numbers(craft.air.density, {craft.pose: state["g"], craft.twist: state["V"], tx.Time(): 0.0})
     assert found == pytest.approx(2.803e-12, rel=1e-3)

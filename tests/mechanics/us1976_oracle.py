@@ -21,6 +21,7 @@ GASES = {
 }
 N2, M_N2, M_AIR = 1.129794e20, 28.0134, 28.9644
 H, M_H, A_H, B_H, ALPHA_H, FLUX = 8.0e10, 1.00797, 3.305e21, 0.5, -0.25, 7.2e11
+MASSES = {name: row[0] for name, row in GASES.items()} | {"N2": M_N2, "H": M_H}
 
 
 def temperature(z: Any) -> tuple[Any, Any]:
@@ -36,8 +37,8 @@ def temperature(z: Any) -> tuple[Any, Any]:
     return T, np.select(conditions, [0.0 * z, -A / a * inside / arc, 12.0 + 0.0 * z], slope)
 
 
-def atmosphere(z: Any) -> tuple[Any, Any, Any]:
-    """Kinetic temperature, pressure and density on an even grid from 86 km, fine enough to integrate on."""
+def gases(z: Any) -> tuple[Any, dict[str, Any]]:
+    """Kinetic temperature and number densities on an even grid from 86 km, fine enough to integrate on."""
     T, slope = temperature(z)
     g = G0 * (R0 / (R0 + z)) ** 2
     step = 1e3 * (z[1] - z[0])
@@ -63,5 +64,10 @@ def atmosphere(z: Any) -> tuple[Any, Any, Any]:
     escape = FLUX / D * (T / T[at]) ** (1.0 + ALPHA_H) * np.exp(np.minimum(tau, 50.0))
     flow = integral(np.where(z >= 149.0, escape, 0.0))
     n["H"] = np.where(z >= 150.0, (H - flow + flow[at]) * (T[at] / T) ** (1.0 + ALPHA_H) * np.exp(-tau), 0.0)
-    masses = {name: row[0] for name, row in GASES.items()} | {"N2": M_N2, "H": M_H}
-    return T, sum(n.values()) * BOLTZMANN * T, sum(n[k] * masses[k] for k in n) / AVOGADRO
+    return T, n
+
+
+def atmosphere(z: Any) -> tuple[Any, Any, Any]:
+    """Kinetic temperature, pressure and density on such a grid."""
+    T, n = gases(z)
+    return T, sum(n.values()) * BOLTZMANN * T, sum(n[k] * MASSES[k] for k in n) / AVOGADRO

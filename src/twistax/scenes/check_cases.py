@@ -25,7 +25,7 @@ from twistax.mechanics import flight
 from twistax.mechanics.environment import earth
 from twistax.units import degrees, feet, seconds
 
-from .published import DURATION
+from .published import DURATION, EARTH
 from .scene import Scene, newton_euler, placed, said, stored_end
 
 Vector = tuple[float, float, float]
@@ -88,7 +88,7 @@ class CheckCase:
         return body | {"damping": np.array(damping.coefficients), "frame_rate": damping.frame_rate}
 
 
-def system(planet: flight.Planet = flight.EARTH, damped: bool = True) -> tx.System:
+def system(planet: flight.Planet = EARTH, damped: bool = True) -> tx.System:
     """Newton-Euler under gravity, and damping moments if damped: the states, and the outputs, of `flight.Vehicle`.
 
     Parameters: mass, kg; inertia, principal moments (3,), kg m2; and if damped, damping, `RateDamping.coefficients`

@@ -20,12 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import twistax as tx
+from twistax.mechanics import flight
 from twistax.mechanics.environment import earth
+from twistax.mechanics.environment.atmosphere import US1976
 from twistax.mechanics.flight.nasa import UNITS
 
 from .scene import about
 
 Array = NDArray[Any]
+
+#: The planets of the report, with the air of the layers up to 86 km, below which most cases stay.
+EARTH, ROUND_EARTH = (dataclasses.replace(planet, air=US1976) for planet in (flight.EARTH, flight.ROUND_EARTH))
 
 #: Length of the trajectories, s, and the times at which they are compared.
 DURATION = 30.0

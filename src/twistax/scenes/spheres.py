@@ -23,6 +23,8 @@ import twistax as tx
 from twistax.mechanics import SpatialInertia, flight
 from twistax.units import degrees, feet, seconds, slugs
 
+from .published import EARTH, ROUND_EARTH
+
 SPHERE = SpatialInertia(mass=1.0 * slugs, inertia=3.6 * slugs * feet**2 * np.eye(3))
 DRAG_AREA = 0.1 * 0.1963495 * feet**2  # C_D S
 
@@ -42,7 +44,7 @@ class SphereCase:
 
     number: int
     title: str
-    planet: flight.Planet = flight.EARTH
+    planet: flight.Planet = EARTH
     wind: flight.Wind = flight.CALM
     altitude: float = _HIGH
     ned_velocity: Any = (0.0, 0.0, 0.0)
@@ -75,8 +77,8 @@ _SHOT: dict[str, Any] = {"altitude": 0.0, "relative_to": flight.fixed_axes}
 SPHERES = {
     case.number: case
     for case in (
-        SphereCase(4, "sphere over a round Earth that stands still", flight.ROUND_EARTH.still(), rate=_TUMBLING),
-        SphereCase(5, "sphere over a round Earth that turns", flight.ROUND_EARTH, rate=_TUMBLING),
+        SphereCase(4, "sphere over a round Earth that stands still", ROUND_EARTH.still(), rate=_TUMBLING),
+        SphereCase(5, "sphere over a round Earth that turns", ROUND_EARTH, rate=_TUMBLING),
         SphereCase(6, "sphere over the oblate Earth"),
         SphereCase(7, "sphere in a steady wind", wind=_WEST_20),
         SphereCase(8, "sphere in a wind shear", wind=_SHEAR),

@@ -114,10 +114,21 @@ class Unknowns:
         right = np.asarray(self._dynamics.group.right_jacobian(jnp.asarray(full)))
         return np.concatenate([slopes[:, :n] @ right, slopes[:, n:]], axis=1)[:, self.columns]
 
+    def allows(self, point: Inputs, column: int, step: float) -> bool:
+        """Whether a perturbation, of those of all, keeps to the bounds of what is free."""
+        if column not in self.columns:
+            return True
+        k = self.columns.index(column)
+        return bool(self.lower[k] <= self.values(point)[k] + step <= self.upper[k])
+
     def moved(self, point: Inputs, z: np.ndarray) -> Inputs:
         """The point after perturbations of what is free."""
         full = np.zeros(len(self._scale))
         full[self.columns] = z
+        return self.perturbed(point, full)
+
+    def perturbed(self, point: Inputs, full: np.ndarray) -> Inputs:
+        """The point after perturbations of all states, controls and free parameters."""
         n, m = self._dynamics.dimension, sum(np.prod(s, dtype=int) for s in self._controls.values())
         controls = Controls(self._dynamics.controls)
         u = controls.split(controls.join(point.u, np.float64) + full[n : n + m])

@@ -29,6 +29,9 @@ _ROUNDS = 8
 _SETTLED = 1e-9
 #: How near to a bound, by shares of the unknown's scale, counts as at it.
 _AT_BOUND = 1e-6
+#: How far an unknown is moved, by shares of its scale, to see what its conditions really change by: far beyond
+#: round-off, near enough for a curve to be straight.
+_PROBE = 1e-5
 #: Singular values, by shares of the largest, below which a direction is not determined.
 _RANK = 1e-9
 
@@ -41,7 +44,8 @@ class Trim:
         t, x, u, params: the point, as calls of the dynamics take it; params has those that were given or free.
         trimmed: `measure` is at most the tolerance.
         measure: the largest remaining condition, by shares of what it changes by when every unknown changes by its
-            scale. It has no unit.
+            scale. It has no unit. What it changes by is the lesser of what its derivatives say and of what is seen at
+            points 1e-5 of the scales away, so that a derivative that is huge at one point alone hides nothing.
         residuals: by name, "rate of V[3]", "airspeed", "slope of alpha": what is left of every condition, in its unit.
         unknowns: by name, the values of what was free; of a group-valued state its steps from the start, added up.
         saturated: by name, the bound at which an unknown stands.
@@ -247,7 +251,9 @@ def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: n
     """What was found, with its measures; `trimmed` is left to the caller."""
     value, slopes = conditions.at(point)
     every = unknowns.scales(point)
+    seen, counted = _seen(conditions, unknowns, point, value, every)
     change = _changes(slopes, unknowns.columns, every)
+    change = np.minimum(change, _changes(seen, unknowns.columns, every))
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(value == 0.0, 0.0, np.abs(value) / change)
     final, scales = unknowns.values(point), every[unknowns.columns]
@@ -271,9 +277,29 @@ def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: n
         unknowns=dict(zip(unknowns.names, shown.tolist())),
         saturated=saturated,
         undetermined=tuple(name for name, free in zip(unknowns.names, _undetermined(scaled)) if free),
-        evaluations=evaluations,
+        evaluations=evaluations + counted,
         dynamics=conditions.dynamics,
     )
+
+
+def _seen(
+    conditions: Conditions, unknowns: Unknowns, point: Inputs, value: np.ndarray, scales: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Slopes of the conditions by every perturbation as differences show them, the flatter side, and evaluations.
+
+    A side beyond a bound, or where the conditions are not finite, is not counted.
+    """
+    slopes, counted = np.full((len(value), len(scales)), np.inf), 0
+    for k, reach in enumerate(_PROBE * scales):
+        for step in (reach, -reach):
+            if not unknowns.allows(point, k, step):
+                continue
+            full = np.zeros(len(scales))
+            full[k] = step
+            moved, counted = conditions.at(unknowns.perturbed(point, full))[0], counted + 1
+            change = np.abs(moved - value) / reach
+            slopes[:, k] = np.where(np.isfinite(change), np.minimum(slopes[:, k], change), slopes[:, k])
+    return np.where(np.isfinite(slopes), slopes, 0.0), counted
 
 
 def _need_finite(conditions: Conditions, value: np.ndarray, slopes: np.ndarray, where: str) -> None:

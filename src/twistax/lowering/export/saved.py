@@ -14,7 +14,6 @@ import io
 import json
 import math
 import os
-import re
 import sys
 import zipfile
 import zlib
@@ -42,6 +41,20 @@ _FORMAT = 3
 _JSON = "system.json"
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # equal systems give equal files
 _PACKAGE = __name__.partition(".")[0]
+#: Modules with classes that files may name and that `import twistax` does not load. No other module is ever imported.
+_ON_DEMAND = tuple(
+    f"{_PACKAGE}.{name}"
+    for name in (
+        "mechanics.environment.atmosphere",
+        "mechanics.environment.earth",
+        "mechanics.environment.harmonics",
+        "trajectory.functionals",
+    )
+)
+#: Where the values of fields are defined that are no groups and no backends.
+_VALUES = (f"{_PACKAGE}.expr.table_kinds", f"{_PACKAGE}.groups.special", *_ON_DEMAND)
+#: Bytes that the members of an archive may have in all. A file of a few kB could say that it has any number.
+_LARGEST = 2**30
 #: Values of which there is one object.
 _KNOWN: tuple[Any, ...] = (LINEAR_FIRST, ANGULAR_FIRST, SO3, SE3)
 _FAMILIES, _LEAVES = ("rates", "outputs", "constraints", "corrections"), ("states", "controls", "parameters")
@@ -87,6 +100,12 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
     place = repr(str(path))
     try:
         with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+            if size > _LARGEST:
+                raise InputError(
+                    f"{place} says that it has {size:.3g} bytes, a saved system has at most {_LARGEST:.3g}.\n"
+                    "  fix: give a file that Dynamics.save wrote; pass larger tables as parameters"
+                )
             content = json.loads(archive.read(_JSON))
             if content["format"] != _FORMAT:
                 raise InputError(
@@ -94,12 +113,7 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
                     f"{version()}, which reads format {_FORMAT}.\n  fix: load it with twistax {content['twistax']}, or "
                     "save the system again with this one"
                 )
-            arrays = [
-                np.lib.format.read_array(io.BytesIO(archive.read(f"arrays/{k}.npy")), allow_pickle=False)
-                for k in range(content["arrays"])
-            ]
-        for array in arrays:
-            array.setflags(write=False)  # as the leaves hold them
+            arrays = [_array(archive.read(f"arrays/{k}.npy")) for k in range(content["arrays"])]
         system, options = _system(content, arrays)
         if _keys(system) != content["keys"]:
             raise ModelError(
@@ -118,9 +132,27 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
         raise InputError(
             f"{place} is not a whole file of a saved system: {error}.\n  fix: give a file that Dynamics.save wrote"
         ) from None
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, NotImplementedError, RuntimeError) as error:
-        raise InputError(f"{place} is no saved system, or damaged: {type(error).__name__}: {error}") from None
+    except Exception as error:  # constructors of all classes run on what a damaged file says
+        raise InputError(f"{place} is no saved system, or damaged: {type(error).__name__}: {error}") from error
     return system, options
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """The array of a .npy file, read-only as the leaves hold them. Nothing is allocated on the word of its header.
+
+    Raises: ValueError for another version, kind of numbers or length.
+    """
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in header:
+        raise ValueError(f"an array of version {version}")
+    shape, by_columns, dtype = header[version](file)
+    if dtype.kind not in "biuf":
+        raise ValueError(f"an array of {dtype}")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data) - file.tell():
+        raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
+    return np.frombuffer(data, dtype, offset=file.tell()).reshape(shape, order="F" if by_columns else "C")
 
 
 def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
@@ -293,10 +325,10 @@ def _value(written: Any, arrays: Sequence[NDArray[Any]], nodes: Sequence[Expr]) 
             return float(content)
         case "ellipsis":
             return Ellipsis
-        case "node":
-            return nodes[content]
-        case "array":
-            return arrays[content]
+        case "node" | "array":
+            if content < 0:
+                raise IndexError(f"{kind} {content}")
+            return (nodes if kind == "node" else arrays)[content]
         case "number":
             return np.dtype(content[0]).type(content[1])
         case "slice" | "tuple" | "list":
@@ -317,26 +349,30 @@ def _reference(cls: type) -> str:
 
 
 def _class_of(named: str) -> type | None:
-    """The class of that name: of this package, or defined by whoever runs. No other module is ever imported."""
+    """The class of that name: a class of this package, or a node, group or backend of whoever runs.
+
+    No attribute of a module is asked for, which may import more, and no module is imported that is not known here.
+    """
     module, _, name = named.partition(":")
-    if module not in sys.modules and re.fullmatch(rf"{_PACKAGE}(\.[A-Za-z]\w*)+", module):
-        try:
-            importlib.import_module(module)
-        except ImportError:
-            return None
-    found: Any = sys.modules.get(module)
-    for part in name.split("."):
-        found = getattr(found, part, None)
+    if module in _ON_DEMAND:
+        importlib.import_module(module)
+    found = vars(sys.modules[module]).get(name) if module in _VALUES and module in sys.modules else None
     if isinstance(found, type) and _reference(found) == named:
         return found
-    # A node class that is no attribute of its module was defined in a function.
-    return next((cls for cls in node_classes() if _reference(cls) == named), None)
+    return next((cls for cls in (*node_classes(), *_below(Group), *_below(Backend)) if _reference(cls) == named), None)
+
+
+def _below(base: type) -> Iterator[type]:
+    """All classes below one, wherever they are defined."""
+    for cls in base.__subclasses__():
+        yield cls
+        yield from _below(cls)
 
 
 def _constructible(cls: type) -> bool:
-    """Whether a file may make values of a class: frozen dataclasses of this package, and groups and backends."""
+    """Whether a file may make values of a class: frozen dataclasses that fields of nodes hold, groups and backends."""
     frozen = dataclasses.is_dataclass(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    return frozen and (cls.__module__.partition(".")[0] == _PACKAGE or issubclass(cls, (Group, Backend)))
+    return frozen and (cls.__module__ in _VALUES or issubclass(cls, (Group, Backend)))
 
 
 def _unknown_class(named: str) -> ModelError:

@@ -116,7 +116,8 @@ class LayeredAtmosphere:
 #: The temperature is the molecular-scale one, T M_0 / M. It is the temperature up to 80 km; between 80 and 86 km, where
 #: the standard lets the molar mass fall, it is up to 0.05 % above the kinetic temperature. Pressure, density and speed
 #: of sound are those of the standard all the way. Above 86 km this model stays at the temperature of 86 km, while the
-#: standard goes over to diffusive equilibrium: values there are continuous and finite, but not those of the standard.
+#: standard goes over to diffusive equilibrium: at 200 km the air here is 16,000 times too thin. Planets have
+#: `upper_atmosphere.US1976_TO_1000_KM` for that.
 #:
 #: Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562: constants and layers of the molecular-scale temperature.
 US1976 = LayeredAtmosphere(

@@ -23,11 +23,12 @@ from jax import Array
 from ...checks import number
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
+from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
 from ...expr.lie import AxisRotation
 from ..arguments import of_shape
 
-__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "east_north_up", "north_east_down"]
+__all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "OffPole", "east_north_up", "north_east_down"]
 
 
 class Geodetic(NamedTuple):
@@ -119,7 +120,8 @@ WGS84 = Ellipsoid(radius=6378137.0, flattening=1.0 / 298.257223563, rate=7.29211
 def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
     """The rotation (3, 3) from local axes north, east, down to Earth-fixed axes: its columns are these directions.
 
-    Of a latitude () and a longitude (), rad. Raises ShapeError.
+    Of a latitude () and a longitude (), rad. At a pole north is that of the meridian of this longitude. Raises
+    ShapeError.
     """
     where = "north_east_down"
     latitude, longitude = _angle(where, "latitude", latitude), _angle(where, "longitude", longitude)
@@ -133,6 +135,27 @@ def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
     Of a latitude () and a longitude (), rad. Raises ShapeError.
     """
     return north_east_down(latitude, longitude) @ np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+class OffPole(Entrywise):
+    """1 where there is a north, NaN at a pole, entry by entry: a factor of what exists off the poles alone.
+
+    A latitude counts as a pole where its cosine is at most four units of round-off: 1e-15, 6 nm on the Earth, in double
+    precision, 5e-7, 3 m, in single precision. There the cosine of the latitude is noise, and so is all that is divided
+    by it.
+
+    Attributes:
+        latitude: rad.
+    """
+
+    latitude: Operand
+    keeps_order = False
+    cases = ({"latitude": [0.3, -1.2, 1.57]},)
+
+    def evaluate(self, *values: Array) -> Array:
+        (latitude,) = values
+        noise = 4.0 * jnp.finfo(latitude.dtype).eps
+        return jnp.where(jnp.abs(jnp.cos(latitude)) > noise, 1.0, jnp.nan).astype(latitude.dtype)
 
 
 class Meridian(Expr):

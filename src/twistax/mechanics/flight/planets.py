@@ -14,7 +14,8 @@ from ...expr import Concat, Constant, Cos, Expr, Sin, Tan, to_expr
 from ...expr.fields import ExprLike
 from ...expr.lie import Pose, rotation
 from ..arguments import of_shape
-from ..environment import atmosphere, earth, gravity
+from ..environment import earth, gravity
+from ..environment.upper_atmosphere import US1976_TO_1000_KM
 
 __all__ = [
     "EARTH",
@@ -79,7 +80,7 @@ class Planet:
 
     figure: earth.Ellipsoid
     gravity: Gravity
-    air: Air = atmosphere.US1976
+    air: Air = US1976_TO_1000_KM
 
     def __post_init__(self) -> None:
         for name, kind in (("figure", earth.Ellipsoid), ("gravity", Gravity), ("air", Air)):
@@ -115,7 +116,7 @@ class Planet:
         return turn @ self.gravity.acceleration(turn.T @ p)
 
 
-#: WGS84 with J2, and the US Standard Atmosphere 1976.
+#: WGS84 with J2, and the US Standard Atmosphere 1976, above 1000 km with its gases in balance.
 EARTH = Planet(earth.WGS84, gravity.EARTH_J2)
 
 #: A round Earth of the mean radius that NASA's check-cases 4 and 5 are flown with, with an inverse-square pull.
@@ -148,11 +149,12 @@ def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_veloc
     """North-east-down axes, which turn with the planet and as the body moves over it.
 
     To the rate of the planet comes (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N + h)), with M and N of
-    `Ellipsoid.radii`. At the poles the last entry is infinite.
+    `Ellipsoid.radii`. At the poles, where no axes point north, the rate is NaN.
 
     Source: P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems (2013), eq. (5.44).
     """
     velocity, (meridian, normal) = to_expr(ned_velocity), planet.figure.radii(latitude)
     north = velocity[0] / (meridian + altitude)
     east = velocity[1] / (normal + altitude)
-    return fixed_axes(planet, latitude, altitude, ned_velocity) + Concat(east, -north, -east * Tan(latitude))
+    turning = -east * Tan(latitude) * earth.OffPole(latitude)
+    return fixed_axes(planet, latitude, altitude, ned_velocity) + Concat(east, -north, turning)

@@ -80,7 +80,11 @@ def start(
     """The state at a place: its pose in inertial axes and its body twist relative to them, in double precision.
 
     A number has a unit of `tx.units`, or is in m, s and rad. Traced values may come, as in a Monte Carlo over starts;
-    the state is then traced, in JAX's precision, and an angle that is out of range is not seen.
+    the state is then traced, in JAX's precision, an angle that is out of range is not seen, and a rate relative to axes
+    that do not exist is NaN.
+
+    At a pole north-east-down are the axes of the meridian of the longitude given. They do not turn at any finite rate
+    there, so nothing can be said relative to `local_axes`.
 
     Args:
         latitude, longitude: geodetic.
@@ -94,7 +98,8 @@ def start(
         t: the time, which turns the planet.
         pose, twist: names of the states.
     Raises:
-        InputError: another unit, shape or kind; a latitude beyond a pole; an angle of more than a turn.
+        InputError: another unit, shape or kind; a latitude beyond a pole; an angle of more than a turn; axes of
+            `relative_to` that have no rate at this place, as local ones at a pole.
     """
     of_kind("start", "planet", planet, Planet)
     callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)
@@ -115,13 +120,28 @@ def start(
     position = turn @ planet.figure.position(north, east, up)
     carried = Cross([0.0, 0.0, planet.figure.rate], position)
     velocity = attitude.T @ (over_ground + local.T @ carried)
-    turning = own["rate"] + attitude.T @ relative_to(planet, north, up, over_ground)
+    spin = relative_to(planet, north, up, over_ground)
+    if not traced:
+        _need_rate(relative_to, spin, given["latitude"])
+    turning = own["rate"] + attitude.T @ spin
     state: dict[str, Expr] = {pose: Pose(local @ attitude, position), twist: Concat(velocity, turning)}
     if not traced:
         return dict(zip(state, _folded(*state.values()), strict=True))
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in given.items()}, dtype)
     return dict(zip(state, evaluate_all([*state.values()], lambda leaf: leaf.read(inputs)), strict=True))
+
+
+def _need_rate(relative_to: Reference, spin: ExprLike, latitude: Any) -> None:
+    """Raise InputError for axes without a finite rate."""
+    if isinstance(to_expr(spin).canonicalize(), Constant):
+        return
+    name = getattr(relative_to, "__name__", relative_to)
+    raise InputError(
+        f"start: relative_to={name} expects axes that turn at a finite rate; at a latitude of "
+        f"{float(latitude)!r} rad these have none: at a pole there is no north.\n"
+        "  fix: give the rate relative to flight.fixed_axes or flight.inertial_axes, or start off the pole"
+    )
 
 
 def _taken(name: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> Any:

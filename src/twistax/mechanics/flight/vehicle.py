@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from ...checks import callable_with, listed
 from ...errors import ModelError
-from ...expr import Concat, Expr, Norm, State, Time
+from ...expr import Concat, Expr, Norm, State, Time, Where
 from ...expr.fields import ExprLike
 from ...expr.lie import EulerAngles, angular, linear
 from ...groups import SE3
@@ -31,6 +33,9 @@ class Vehicle:
 
     What is below is made when it is first read, each once, so that whatever is not used costs nothing. Angles are in
     rad. The longitude of `place` is the geographic one.
+
+    On the planet's axis there is no north: `attitude`, `euler`, `ned_velocity` and a wind are NaN there, and so is
+    `rate(local_axes)` at a pole.
 
     Args:
         planet: figure, rotation, gravity and air.
@@ -223,8 +228,9 @@ class Vehicle:
 
     @cached_property
     def _local(self) -> Expr:
-        """From north-east-down to inertial axes."""
-        return north_east_down(self._over.latitude, self._over.longitude)
+        """From north-east-down to inertial axes; NaN on the axis of the planet, where there is no north."""
+        off_axis = Where(Norm(self.position[:2]) > 0.0, 1.0, np.nan)
+        return north_east_down(self._over.latitude, self._over.longitude * off_axis)
 
     @cached_property
     def _ground_velocity(self) -> Expr:

@@ -7,6 +7,7 @@ from . import (
     calls,
     costs,
     edges,
+    flight_limits,
     hessians,
     identities,
     keeping,
@@ -33,6 +34,7 @@ STABILITY: dict[str, Section] = {
     "jumps": edges.JUMPS,
     "inputs": edges.INPUTS,
     "failures": edges.FAILURES,
+    "flight": flight_limits.FLIGHT,
 }
 
 FIGURES: dict[str, Section] = {
