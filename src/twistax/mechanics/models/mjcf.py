@@ -67,7 +67,7 @@ class Mjcf:
         self.mujoco = compiler(root)
         self._file = file = Compiled(root, folder)
         self.model = file.model
-        self.notes = [f"{kind}: {count}" for kind, count in sorted(file.left_out.items())]
+        self.notes = [*file.warnings, *(f"{kind}: {count}" for kind, count in sorted(file.left_out.items()))]
         self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation)
         if not_drawn:
             self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import collections
 import os
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -48,6 +49,7 @@ class Compiled:
         folder: where included files and meshes may be; that of the file is in it.
     Attributes:
         model: the `mujoco.MjModel`.
+        warnings: MuJoCo's.
         left_out: how many of each kind were taken out before compiling, by kind.
     Raises: ModelError with file, line and element.
     """
@@ -63,11 +65,14 @@ class Compiled:
             spec = mujoco.MjSpec.from_string(text)
             spec.modelfiledir = str(self._folder)
             self._lighten(spec, mujoco)
-            self.model = spec.compile()
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                self.model = spec.compile()
         except ModelError:
             raise
         except ValueError as error:
             raise self._said(str(error)) from None
+        self.warnings = [f"MuJoCo warns: {str(each.message).strip()}" for each in caught]
 
     def _with_included(self, element: Element, depth: int = 0) -> Element:
         """The element with what it includes in place. Raises ModelError where something is not to be read."""
