@@ -1382,6 +1382,54 @@ MUTATIONS: list[Mutation] = [
             "return x @ y @ z + 0.0",
             "mechanics/test_models.py",
         ),
+        (
+            "a lower limit above the upper one taken as a limit",
+            "if lower > upper:",
+            "if False:",
+            "mechanics/test_urdf_files.py",
+        ),
+    ),
+    *_at(
+        "mechanics/models/urdf_tree.py",
+        (
+            "a chain of followers without the ratio before an offset",
+            "offset + ratio * mimic.number",
+            "offset + mimic.number",
+            "mechanics/test_urdf_files.py::test_a_chain_of_followers_follows_the_first",
+        ),
+    ),
+    *_at(
+        "mechanics/models/urdf_vocabulary.py",
+        (
+            "what stands twice taken as the first of the two",
+            "if before is not child:",
+            "if before is child and before is not child:",
+            "mechanics/test_urdf_files.py",
+        ),
+    ),
+    *_at(
+        "mechanics/models/choices.py",
+        (
+            "round-off of inertias without regard to the mass",
+            ".eps * mass * self.length**2",
+            ".eps * self.length**2",
+            "mechanics/test_urdf_files.py::test_round_off_in_an_inertia_is_none",
+        ),
+        (
+            "a negative mass hidden by what it is fixed to",
+            "and not doubt.negative and",
+            "and",
+            "mechanics/test_urdf_files.py",
+        ),
+    ),
+    *_at(
+        "mechanics/models/mjcf_file.py",
+        (
+            "links of the file system out of the folder",
+            "path = (self._folder / start / name).resolve()",
+            "path = Path(os.path.normpath(self._folder / start / name))",
+            "mechanics/test_mjcf_files.py",
+        ),
     ),
     *_at(
         "mechanics/models/mjcf.py",
@@ -1408,8 +1456,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "follower that leads with the shift of the other",
-            "ratio, shift = 1.0 / ratio, -shift / ratio",
-            "ratio, shift = 1.0 / ratio, shift / ratio",
+            "leader, follower, b, a, -c",
+            "leader, follower, b, a, c",
             "mechanics/test_models_mujoco.py::test_equalities_are_loops_and_followers",
         ),
     ),

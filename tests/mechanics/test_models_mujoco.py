@@ -43,7 +43,7 @@ class Pair:
         loaded = mechanics.load(path, quarter_turns=0.0, parameters=list(self.friction))
         # So are equalities, which have a test of their own.
         self.ours = Mechanism(loaded.links, loaded.gravity, base=next(iter(loaded.frames)), driven=loaded.driven)
-        self.model = model = Compiled(read_xml(path)).model
+        self.model = model = Compiled(read_xml(path), path.parent).model
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
         model.opt.density = model.opt.viscosity = 0.0
@@ -256,7 +256,7 @@ def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None
     """At rest the accelerations are those that MuJoCo's own rows of the equalities give if they hold exactly."""
     path = tmp_path / "model.xml"
     path.write_text(LINKAGE.format(rod=ROD, active="false", driven=driven))
-    robot, model = mechanics.load(path), Compiled(read_xml(path)).model
+    robot, model = mechanics.load(path), Compiled(read_xml(path), path.parent).model
     assert [repr(loop) for loop in robot.loops] == [
         "Point('knuckle', 'knuckle on coupler', 'knuckle on rocker')",
         "Pose('tie', 'tie on raft', 'tie on gear')",
@@ -367,7 +367,7 @@ def test_numbers_of_a_file_become_parameters() -> None:
             "line 4, <joint>: .*unrecognized attribute: 'foo'",
         ),
         ("<worldbody>\n<body name='x'>\n<joint/></body></worldbody>", "line 3, <body name='x'>: mass and inertia"),
-        ("<worldbody>\n<body name='x'/></worldbody>", "there is no joint, so nothing moves"),
+        ("<worldbody>\n<geom size='1'/></worldbody>", "line 1, <mujoco>: there is no <body>"),
         (
             '<asset>\n<mesh name="m" file="../m.stl"/></asset><worldbody><body><joint/>'
             '<geom type="mesh" mesh="m"/></body></worldbody>',

@@ -160,12 +160,16 @@ class SpatialInertia:
         """
         if not isinstance(other, SpatialInertia):
             raise ModelError(f"merge expects another SpatialInertia, got {other!r}")
+        physical = self.physical and other.physical
+        for body, massless in ((self, other), (other, self)):
+            if isinstance(massless.mass, Constant) and not massless.mass.value:  # two of them have no centre
+                return self._derived(body.mass, body.center_of_mass, self.inertia + other.inertia, physical)
         m = self.mass + other.mass
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
         apart = self.center_of_mass - other.center_of_mass
         reduced = self.mass * other.mass / m
         tensor = self.inertia + other.inertia + _steiner(reduced, apart)
-        return self._derived(m, c, tensor, self.physical and other.physical)
+        return self._derived(m, c, tensor, physical)
 
     def __add__(self, other: object) -> SpatialInertia:
         if not isinstance(other, SpatialInertia):

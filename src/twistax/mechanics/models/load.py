@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from ...checks import path_of
@@ -23,41 +23,57 @@ def load(
     parameters: bool | Iterable[str] = False,
     keep: Collection[str] = (),
     gravity: ExprLike | None = None,
-    physical: bool = True,
+    physical: bool | Mapping[str, bool] = True,
     quarter_turns: float = 1e-9,
+    within: str | Path | None = None,
 ) -> Mechanism:
     """The mechanism that a file describes, in URDF or in MJCF; its root element says which.
 
     MJCF is compiled by MuJoCo (`pip install twistax[models]`). Boxes, cylinders, balls and capsules are what
-    `solution.show` draws. `mechanism.notes` says what the file has that is not used, such as meshes. Nothing in a file
-    is run. Of URDF no other file is opened, of MJCF included files and the meshes that a mass follows from, and only in
-    the file's folder or below.
+    `solution.show` draws. `mechanism.notes` says what the file has that is not used, such as meshes or an attribute
+    that is not known, and what was read in a way that the file does not say. Nothing in a file is run. Of URDF no other
+    file is opened, of MJCF included files and the meshes that a mass follows from.
+
+    Masses and inertias are checked of what is fixed together, which moves as one body. A link with a mass or inertia
+    that no body has is accepted with a note where the body that it is part of is a possible one, or does not move.
 
     Args:
         path: of the file.
-        floating: the root link of URDF is free in space, on a joint "root"; else it is at rest. MJCF says it itself.
+        floating: the root link of URDF is free in space, on a joint "root" ("root (2)" if the file has that name);
+            else it is at rest. MJCF says it itself.
         parameters: True, or names, of numbers that become Parameters with the file's values: `<link>_mass`,
             `<link>_center_of_mass` (3,), `<link>_inertia` (3, 3) about it, `<joint>_origin` (3,), `<joint>_axis` (3,),
             `<joint>_damping`, `<joint>_friction`, of MJCF `<body>_origin` in place of the joint's, and also
             `<joint>_armature` and `<joint>_stiffness`, without what its servo adds. Other values compile nothing anew.
         keep: names of fixed joints that are not merged, as for `Mechanism`.
         gravity: (3,), m/s2, in the base's axes; the file's, or 9.81 downwards along z, unless given.
-        physical: refuse a mass or inertia that no body has; False takes it as it is and says so in the notes.
+        physical: refuse a mass or inertia that no body has. False takes all as they are, `{"tool": False}` that of the
+            link "tool"; the notes say so.
         quarter_turns: angles of origins this near to a multiple of a quarter turn, rad, are taken as that: files write
             1.57079632679. In MJCF entries of rotation matrices. Zero takes them as they are written.
+        within: a folder that the file is in. Other files are opened in this folder or below, links of the file system
+            followed; the folder of the file unless given.
     Raises: ModelError with file, line and element.
+
+    Example:
+        `load("robots/arm/scene.xml", within="robots")` reads a scene that includes `../parts/gripper.xml`.
     """
-    root = read_xml(path_of("load: path", path))
+    path, notes = path_of("load: path", path), list[str]()
+    root = read_xml(path, notes=notes)
     choices = Choices(parameters, physical)
+    folder = _folder(root, within)
     try:
-        model = _read(root, choices, floating, quarter_turns)
-        choices.check()
+        model = _read(root, choices, floating, quarter_turns, folder)
+        choices.finish()
+        if choices.doubts:
+            plain = model if choices.wanted is False else _read(root, Choices(False), floating, quarter_turns, folder)
+            choices.judge(plain.links, plain.base)
         return Mechanism(
             model.links,
             model.gravity if gravity is None else gravity,
             base=model.base,
             keep=keep,
-            notes=[*choices.notes, *model.notes],
+            notes=[*notes, *choices.notes, *model.notes],
             driven=model.driven,
             loops=model.loops,
             shapes=model.shapes,
@@ -67,7 +83,18 @@ def load(
         raise error if placed else root.wrong(str(error)) from None
 
 
-def _read(root: Element, choices: Choices, floating: bool, quarter_turns: float) -> Urdf | Mjcf:
+def _folder(root: Element, within: str | Path | None) -> Path:
+    """Where other files may be. Raises ModelError for a folder that the file is not in."""
+    own = root.path.resolve().parent
+    if within is None:
+        return own
+    folder = path_of("load: within", within).resolve()
+    if not own.is_relative_to(folder):
+        raise ModelError(f"load: within expects a folder that {str(root.path)!r} is in, got {str(within)!r}")
+    return folder
+
+
+def _read(root: Element, choices: Choices, floating: bool, quarter_turns: float, folder: Path) -> Urdf | Mjcf:
     if root.tag == "robot":
         return Urdf(root, choices, floating=floating, quarter_turns=quarter_turns)
     if root.tag == "mujoco" and floating:
@@ -76,5 +103,5 @@ def _read(root: Element, choices: Choices, floating: bool, quarter_turns: float)
             "  fix: write <freejoint/> into the body"
         )
     if root.tag == "mujoco":
-        return Mjcf(root, choices, quarter_turns=quarter_turns)
+        return Mjcf(root, choices, quarter_turns=quarter_turns, folder=folder)
     raise root.wrong("load expects URDF, whose root is <robot>, or MJCF, whose root is <mujoco>")

@@ -13,6 +13,7 @@ Source: the pages of https://mujoco.readthedocs.io, modeling and computation.
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,25 +55,28 @@ class Mjcf:
     Args:
         root: the element <mujoco>.
         choices: which numbers become Parameters.
+        folder: where included files and meshes may be.
         quarter_turns: rotations this near to ones by quarter turns, in each entry, are taken as those.
     Attributes:
         links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
-    def __init__(self, root: Element, choices: Choices, *, quarter_turns: float) -> None:
+    def __init__(self, root: Element, choices: Choices, *, quarter_turns: float, folder: Path) -> None:
         self.root, self.choices, self.quarter_turns = root, choices, quarter_turns
         self.mujoco = compiler(root)
-        file = Compiled(root)
+        self._file = file = Compiled(root, folder)
         self.model = file.model
-        self.notes = [f"{kind}: {count}" for kind, count in sorted(file.left_out.items())]
+        self.notes = [*file.warnings, *(f"{kind}: {count}" for kind, count in sorted(file.left_out.items()))]
         self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation)
         if not_drawn:
             self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")
         self.base, self.shapes = self._name("body", 0), self._looks[0]
         self.gravity = np.array(self.model.opt.gravity) * self._switched_on("GRAVITY")
+        if self.model.nbody == 1:
+            raise root.wrong("there is no <body>, so this is no model of a mechanism")
         if not self.model.njnt:
-            raise root.wrong("there is no joint, so nothing moves")
+            self.notes.append("there is no joint, so nothing moves")
         self._servos = self._actuators()
         equalities = Equalities(self.mujoco, self.model, self._name, set(self._servos))
         self._mimics = equalities.followers
@@ -107,7 +111,8 @@ class Mjcf:
         if model.body_mass[i] > 0.0 or model.body_inertia[i].any():
             R = self._rotation(model.body_iquat[i])
             center, mass = np.array(model.body_ipos[i]) + 0.0, float(model.body_mass[i])
-            body = self.choices.body(name, mass, center, R, np.diag(model.body_inertia[i]), self.root)
+            element = self._file.element("body", model.body(i).name)
+            body = self.choices.body(name, mass, center, R, np.diag(model.body_inertia[i]), element)
         R, p = self._rotation(model.body_quat[i]), np.array(model.body_pos[i]) + 0.0
         mount: Any = self.choices.origin(name, R, p)
         for j in joints:
@@ -196,7 +201,7 @@ class Mjcf:
         for what in ("armature", "damping", "stiffness"):
             if getattr(servo, what):
                 given[what] = given.get(what, 0.0) + getattr(servo, what)
-        if single and model.jnt_limited[j]:
+        if single and model.jnt_limited[j] and self._switched_on("LIMIT"):
             given |= dict(zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True))
         return Drive(rest=rest if "stiffness" in given else 0.0, gear=servo.gear, effort=servo.limits, **given)
 
@@ -219,6 +224,9 @@ class Mjcf:
                 self.notes.append(f"{what}: its joint has another one, whose control is used")
             elif single:
                 found[j] = self._servo(a, j)
+                # MuJoCo has delays from its version 4 on.
+                if delay := float(getattr(model, "actuator_delay", np.zeros(model.nu))[a]):
+                    self.notes.append(f"{what}: the delay of its control, {delay:g} s")
             else:
                 found[j] = _Servo()
                 self.notes.append(f"{what}: all torques of its joint are controls, without its gear and limits")
@@ -246,7 +254,7 @@ class Mjcf:
         if model.actuator_biastype[a] == self.mujoco.mjtBias.mjBIAS_AFFINE:
             bias = np.array(model.actuator_biasprm[a, :3])
         low, high = -np.inf, np.inf
-        if model.actuator_ctrllimited[a]:
+        if model.actuator_ctrllimited[a] and self._switched_on("CLAMPCTRL"):
             low, high = map(float, model.actuator_ctrlrange[a])
         if bias.any():
             if model.actuator_forcelimited[a] or model.jnt_actfrclimited[j]:
@@ -279,6 +287,7 @@ class Mjcf:
         ball, free = (model.jnt_type == int(kind) for kind in (kinds.mjJNT_BALL, kinds.mjJNT_FREE))
         at = model.jnt_dofadr
         armed = free & (model.dof_armature[at] != 0.0)
+        yields = getattr(model, "jnt_springyield", np.zeros(model.njnt)) != 0.0  # from version 4 on
         curved = model.jnt_stiffnesspoly.any(axis=1) | model.dof_dampingpoly[at].any(axis=1)
         counted = (
             ("contacts of geoms", int(((model.geom_contype | model.geom_conaffinity) != 0).sum())),
@@ -292,6 +301,7 @@ class Mjcf:
             ("the limit of the ball joint", ball & (model.jnt_limited != 0)),
             ("the spring of the free joint", free & (model.jnt_stiffness != 0.0)),
             ("the armature along world axes, here along the body's, of the free joint", armed),
+            ("the yield of the spring of joint", yields),
             ("what is not linear in spring and damper of joint", curved),
         ):
             self.notes += [f"{what} {self._name('joint', int(j))!r}" for j in np.flatnonzero(joints)]

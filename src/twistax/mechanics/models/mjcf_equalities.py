@@ -4,7 +4,8 @@ MuJoCo holds them by stiff springs (solref, solimp), here they are exact. A line
 
     q_1 - ref_1 = c_0 + c_1 (q_2 - ref_2)
 
-makes the first a follower of the second. `connect` is a `Point`, `weld` a `Pose`. What is left is noted.
+makes the first a follower of the second, and so of what the second follows. `connect` is a `Point`, `weld` a `Pose`.
+What is left is noted.
 """
 
 from __future__ import annotations
@@ -44,6 +45,15 @@ class Closure:
     places: tuple[Place, Place]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Led:
+    """A joint's position: ratio times that of its leader, plus offset."""
+
+    leader: int
+    ratio: float = 1.0
+    offset: float = 0.0
+
+
 class Equalities:
     """What the equalities of a model are here.
 
@@ -60,7 +70,7 @@ class Equalities:
 
     def __init__(self, mujoco: Any, model: Any, name: Callable[[str, int], str], driven: set[int]) -> None:
         self._mujoco, self._model, self._name, self._driven = mujoco, model, name, driven
-        self.followers, self._leaders = dict[int, Mimic](), set[int]()
+        self._led = dict[int, _Led]()
         self.closures, self.notes = list[Closure](), list[str]()
         off = mujoco.mjtDisableBit
         ignored = model.opt.disableflags & (int(off.mjDSBL_EQUALITY) | int(off.mjDSBL_CONSTRAINT))
@@ -75,6 +85,7 @@ class Equalities:
                 self._close(e, what)
             else:
                 self.notes.append(f"{what}: its kind is not known")
+        self.followers = {j: Mimic(name("joint", led.leader), led.ratio, led.offset) for j, led in self._led.items()}
         if self.followers or self.closures:
             self.notes.append("equalities are exact here: solref and solimp are not used")
 
@@ -82,6 +93,7 @@ class Equalities:
         return self._model.equality(e).name or f"equality_{e}"
 
     def _follow(self, e: int, what: str) -> None:
+        """A linear relation: the leaders of its two joints are related, so one of them follows from now on."""
         model = self._model
         first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         shift, ratio, *more = (float(c) for c in model.eq_data[e, :5])
@@ -89,20 +101,22 @@ class Equalities:
             self.notes.append(f"{what}, which is no linear relation of two joints")
             return
         place = [float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second)]
-        if not self._may_follow(first, second) and self._may_follow(second, first):
-            first, second, place = second, first, place[::-1]
-            ratio, shift = 1.0 / ratio, -shift / ratio
-        if not self._may_follow(first, second, though_driven=True):
-            self.notes.append(f"{what}, whose joints follow others or lead them")
+        one, two = self._led.get(first, _Led(first)), self._led.get(second, _Led(second))
+        if one.leader == two.leader:
+            self.notes.append(f"{what}, whose joints are related by others already")
             return
-        if first in self._driven:
-            self.notes.append(f"{what}: the actuator of {self._name('joint', first)!r}, which follows")
-        self.followers[first] = Mimic(self._name("joint", second), ratio, place[0] + shift - ratio * place[1])
-        self._leaders.add(second)
-
-    def _may_follow(self, joint: int, leader: int, though_driven: bool = False) -> bool:
-        free = joint not in self.followers and joint not in self._leaders and leader not in self.followers
-        return free and (though_driven or joint not in self._driven)
+        # With the leaders' positions Q the relation is a Q_1 = b Q_2 + c.
+        a, b = one.ratio, ratio * two.ratio
+        c = place[0] - one.offset + shift + ratio * (two.offset - place[1])
+        follower, leader = one.leader, two.leader
+        if follower in self._driven and leader not in self._driven:
+            follower, leader, a, b, c = leader, follower, b, a, -c
+        if follower in self._driven:
+            self.notes.append(f"{what}: the actuator of {self._name('joint', follower)!r}, which follows")
+        ratio, shift = b / a, c / a
+        for joint, led in {**self._led, follower: _Led(follower)}.items():
+            if led.leader == follower:
+                self._led[joint] = _Led(leader, led.ratio * ratio, led.offset + led.ratio * shift)
 
     def _close(self, e: int, what: str) -> None:
         model, kinds = self._model, self._mujoco

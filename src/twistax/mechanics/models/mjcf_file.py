@@ -7,7 +7,9 @@ of the model or below it. What could run code or open files that are not looked 
 from __future__ import annotations
 
 import collections
+import os
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -44,27 +46,33 @@ class Compiled:
 
     Args:
         root: the element <mujoco>.
+        folder: where included files and meshes may be; that of the file is in it.
     Attributes:
         model: the `mujoco.MjModel`.
+        warnings: MuJoCo's.
         left_out: how many of each kind were taken out before compiling, by kind.
     Raises: ModelError with file, line and element.
     """
 
-    def __init__(self, root: Element) -> None:
+    def __init__(self, root: Element, folder: Path) -> None:
         mujoco = compiler(root)
         self.left_out = collections.Counter[str]()
-        self.folder = root.path.resolve().parent
+        self._folder, self._within = root.path.resolve().parent, folder.resolve()
+        self._opened = dict[str, Element]()
         self._root, self._elements, self._read = root, list[Element](), {root.path.resolve()}
         text = self._written(self._with_included(root))
         try:
             spec = mujoco.MjSpec.from_string(text)
-            spec.modelfiledir = str(self.folder)
+            spec.modelfiledir = str(self._folder)
             self._lighten(spec, mujoco)
-            self.model = spec.compile()
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                self.model = spec.compile()
         except ModelError:
             raise
         except ValueError as error:
             raise self._said(str(error)) from None
+        self.warnings = [f"MuJoCo warns: {str(each.message).strip()}" for each in caught]
 
     def _with_included(self, element: Element, depth: int = 0) -> Element:
         """The element with what it includes in place. Raises ModelError where something is not to be read."""
@@ -91,15 +99,24 @@ class Compiled:
         element.children = children
         return element
 
+    def element(self, tag: str, name: str) -> Element:
+        """The element of a tag with a name; the root where there is none."""
+        named = (e for e in self._elements if e.tag == tag and name and e.attributes.get("name") == name)
+        return next(named, self._root)
+
     def _inside(self, element: Element, name: str, start: str = "") -> Path:
-        """The path of a file that an element names. Raises ModelError for one outside of the model's folder."""
-        found = (self.folder / start / name).resolve()
-        if not found.is_relative_to(self.folder):
+        """The path of a file that an element names, links followed. Raises ModelError for one that may not be read."""
+        try:
+            path = (self._folder / start / name).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null character
+            raise element.wrong(f"{name!r} is no path of a file: {error}") from None
+        if not path.is_relative_to(self._within):
+            common = Path(os.path.commonpath([path, self._within]))
             raise element.wrong(
-                f"the file {name!r} lies outside of the model's folder.\n"
-                f"  fix: put it into {self.folder.name!r} or below"
+                f"the file {name!r} lies outside of the folder {self._within.name!r}, in which files are read.\n"
+                f"  fix: load(..., within={str(common)!r}) where all files in that folder may be read, or move the file"
             )
-        return found
+        return path
 
     def _written(self, element: Element) -> str:
         """The text of an element. Every element begins a line, whose number is its place in a list."""
@@ -115,9 +132,10 @@ class Compiled:
         return element.wrong(re.sub(r"^(XML )?Error:\s*", "", message.strip()).splitlines()[0])
 
     def _about(self, text: str) -> Element:
-        """The element whose file is named in a text."""
-        files = (element for element in self._elements if element.attributes.get("file", "\n") in text)
-        return next(files, self._root)
+        """The element whose file is named in a text, the longest name if there are several."""
+        names = [(element.attributes.get("file", ""), element) for element in self._elements]
+        inside = [(len(name), element) for name, element in (*names, *self._opened.items()) if name and name in text]
+        return max(inside, key=lambda pair: pair[0], default=(0, self._root))[1]
 
     def _lighten(self, spec: Any, mujoco: Any) -> None:
         """Take out what the dynamics of the bodies do not need: so meshes need not be there."""
@@ -141,8 +159,10 @@ class Compiled:
         for mesh in list(spec.meshes):
             if mesh.name not in needed:
                 spec.delete(mesh)
-            elif mesh.file:
-                self._inside(self._about(mesh.file), mesh.file, spec.meshdir or "")
+            elif mesh.file:  # what is looked at is what is opened
+                element = self._about(mesh.file)
+                mesh.file = str(self._inside(element, mesh.file, spec.meshdir or ""))
+                self._opened[mesh.file] = element
         for named in [*spec.geoms, *spec.sites]:
             material = spec.material(named.material) if named.material else None
             if material is not None:  # it is gone when geoms are drawn

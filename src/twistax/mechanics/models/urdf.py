@@ -13,21 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import listed
 from ...errors import TwistaxError
+from ...expr.lie.base import unit_vector
+from ...system import free_name
 from ..arguments import matrix
 from ..bodies import SpatialInertia
 from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute
-from ..tree import Link, Mimic
+from ..tree import Link
 from .choices import Choices
 from .looks import UrdfLooks
+from .urdf_tree import UrdfTree
+from .urdf_vocabulary import notes_on
 from .xml_file import Element
-
-_USED = {
-    "robot": {"link", "joint", "material"},
-    "link": {"inertial", "visual"},
-    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"},
-}
 
 
 class Urdf:
@@ -45,54 +44,47 @@ class Urdf:
 
     def __init__(self, robot: Element, choices: Choices, *, floating: bool, quarter_turns: float) -> None:
         self.choices, self.quarter_turns = choices, quarter_turns
-        self.notes, self.gravity, self.driven, self.loops = list[str](), (0.0, 0.0, -9.81), None, ()
-        elements = {element.text("name"): element for element in robot.all("link")}
-        joints = robot.all("joint")
-        children = set[str]()
-        for joint in joints:
-            for end in ("parent", "child"):
-                if self._end(joint, end) not in elements:
-                    raise joint.wrong(f"there is no link {self._end(joint, end)!r}, its {end}")
-            if self._end(joint, "child") in children:
-                raise joint.wrong(f"link {self._end(joint, 'child')!r} has two joints that carry it")
-            children.add(self._end(joint, "child"))
-        roots = [name for name in elements if name not in children]
-        if len(roots) != 1:
-            raise robot.wrong(f"expected one link that no joint carries, got {roots}")
-        if not joints and not floating:
-            raise robot.wrong(
+        self.gravity, self.driven, self.loops = (0.0, 0.0, -9.81), None, ()
+        self.notes = notes_on(robot)
+        self._tree = tree = UrdfTree(robot)
+        self.notes += tree.notes
+        if not tree.joints and not floating:
+            raise tree.links[tree.root].wrong(
                 "there is no joint, so nothing moves.\n  fix: floating=True, if the link is free in space"
             )
+        self._limits = collections.defaultdict[str, list[str]](list)
+        self._names = {*tree.links, *tree.joints}
+        choices.length = self._length(robot)
         self._looks = UrdfLooks(robot, self._placed)
-        self.base = "world" if floating else roots[0]
-        self.shapes = () if floating else self._looks.of(elements[roots[0]])
+        root = tree.links[tree.root]
+        self.base = free_name("world", tree.links) if floating else tree.root
+        self.shapes = () if floating else self._looks.of(root)
         self.links = list[Link]()
         if floating:
-            root = elements[roots[0]]
-            self.links.append(
-                Link(Free("root"), self._body(root), np.eye(4), name=roots[0], shapes=self._looks.of(root))
-            )
-        elif self._body(elements[roots[0]]) is not None:
-            self.notes.append(f"the mass of {roots[0]!r}, which does not move")
-        for joint in joints:
-            self.links += self._links(joint, elements[self._end(joint, "child")], None if floating else roots[0])
-        unused = collections.Counter(
-            f"<{child.tag}> of <{element.tag}>"
-            for element in (robot, *robot.children)
-            for child in element.children
-            if element.tag in _USED and child.tag not in _USED[element.tag]
-        )
-        self.notes += [f"{what}, {count} times" for what, count in sorted(unused.items())] + self._looks.notes
+            self.links.append(self._free_root(root))
+        elif self._body(root) is not None:
+            self.notes.append(f"the mass of {tree.root!r}, which does not move")
+        for joint in tree.joints.values():
+            self.links += self._links(joint, None if floating else tree.root)
+        if not any(link.joint.dofs for link in self.links):
+            self.notes.append("no joint moves; floating=True frees the root link")
+        self.notes += [f"{what} {listed(joints)}" for what, joints in self._limits.items()] + self._looks.notes
 
-    @staticmethod
-    def _end(joint: Element, which: str) -> str:
-        end = joint.first(which)
-        if end is None:
-            raise joint.wrong(f"expected <{which} link=...>")
-        return end.text("link")
+    def _free_root(self, root: Element) -> Link:
+        name = free_name("root", self._tree.joints)
+        if name != "root":
+            self.notes.append(f"the free joint of the root link is {name!r}: a joint of the file is named 'root'")
+        return Link(Free(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
 
-    def _links(self, element: Element, child: Element, root: str | None) -> list[Link]:
-        parent = self._end(element, "parent")
+    def _length(self, robot: Element) -> float:
+        """The largest distance of a joint or a centre of mass from the frame that it is written in, m."""
+        inertials = [inertial for link in robot.all("link") for inertial in link.all("inertial")]
+        origins = [element.first("origin") for element in (*robot.all("joint"), *inertials)]
+        return max((float(np.linalg.norm(self._placed(origin)[1])) for origin in origins), default=0.0)
+
+    def _links(self, element: Element, root: str | None) -> list[Link]:
+        """The link that a joint carries, for a planar joint with a link without mass before it."""
+        parent, child = self._tree.end(element, "parent"), self._tree.links[self._tree.end(element, "child")]
         try:
             joint, turned = self._joint(element)
             link = Link(
@@ -102,16 +94,17 @@ class Urdf:
                 parent=None if parent == root else parent,
                 name=child.text("name"),
                 drive=self._drive(element),
-                mimic=self._mimic(element) if joint.dofs else None,
+                mimic=self._tree.followers.get(joint.name),
                 shapes=self._looks.of(child),
             )
         except TwistaxError as error:
-            raise error if element.path.name in str(error) else element.wrong(str(error)) from None
+            raise error if str(error).startswith(element.path.name) else element.wrong(str(error)) from None
         if turned is None:
             return [link]
         # The joint's own z axis is not that of the link.
         C = matrix(turned, np.zeros(3))
-        plane = f"{link.name} in its plane"
+        plane = free_name(f"{link.name} in its plane", self._names)
+        self._names.add(plane)
         return [
             Link(joint, None, link.mount @ C, parent=link.parent, name=plane, drive=link.drive),
             Link(Fixed(plane), link.body, C.T, parent=plane, name=link.name, shapes=link.shapes),
@@ -132,7 +125,7 @@ class Urdf:
         if kind == "planar":
             from ..inertia_frames import rotation_to
 
-            along = axis / np.linalg.norm(axis)
+            along = unit_vector(f"Planar {name!r}", "axis", axis)
             return Planar(name), None if np.array_equal(along, [0.0, 0.0, 1.0]) else rotation_to(tuple(along))
         raise element.wrong(
             f"expected the type revolute, continuous, prismatic, fixed, floating or planar, got {kind!r}"
@@ -171,25 +164,32 @@ class Urdf:
         return self.choices.body(link.text("name"), mass, center, R, tensor, inertial)
 
     def _drive(self, element: Element) -> Drive:
-        name, kind = element.text("name"), element.text("type")
-        dynamics, limit = element.first("dynamics"), element.first("limit")
-        given: dict[str, Any] = {}
+        name, dynamics, limit = element.text("name"), element.first("dynamics"), element.first("limit")
+        numbers: dict[str, Any] = {}
         if dynamics is not None:
             for what in ("damping", "friction"):
                 value = dynamics.number(what, 0.0)
                 if value:
-                    given[what] = self.choices.of(name, what, value)
-        if limit is not None:
-            for what, attribute in (("speed", "velocity"), ("effort", "effort")):
-                if attribute in limit.attributes:
-                    given[what] = limit.number(attribute)
-            if kind in ("revolute", "prismatic"):
-                given |= {"lower": limit.number("lower", 0.0), "upper": limit.number("upper", 0.0)}
-        return Drive(**given)
+                    numbers[what] = self.choices.of(name, what, value)
+        return Drive(**numbers, **({} if limit is None else self._limits_of(element, limit)))
 
-    @staticmethod
-    def _mimic(element: Element) -> Mimic | None:
-        mimic = element.first("mimic")
-        if mimic is None:
-            return None
-        return Mimic(mimic.text("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
+    def _limits_of(self, element: Element, limit: Element) -> dict[str, float]:
+        """The limits of a joint. Those that stand for something else are noted."""
+        name, kind = element.text("name"), element.text("type")
+        numbers = dict[str, float]()
+        for what, attribute in (("speed", "velocity"), ("effort", "effort")):
+            if attribute in limit.attributes:
+                numbers[what] = limit.number(attribute)
+                if numbers[what] == 0.0 and kind != "fixed":
+                    self._limits[
+                        f"{attribute} 0, which many programs write where it is not known, taken as the limit of joints"
+                    ].append(name)
+        if kind not in ("revolute", "prismatic"):
+            if kind == "continuous" and limit.attributes.keys() & {"lower", "upper"}:
+                self._limits["lower and upper of the continuous joints"].append(name)
+            return numbers
+        lower, upper = limit.number("lower", 0.0), limit.number("upper", 0.0)
+        if lower > upper:
+            self._limits["lower above upper, which by convention stands for no limits, of joints"].append(name)
+            return numbers
+        return numbers | {"lower": lower, "upper": upper}

@@ -18,6 +18,9 @@ from ...errors import ModelError
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*""")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _ENTITY = re.compile(rb"&(?!amp;|lt;|gt;|quot;|apos;|#)([^;]*);")
+#: What editors leave around a file in UTF-8, and XML does not allow before its declaration or after its end.
+_BEFORE = re.compile(rb"\A(?:\xef\xbb\xbf)?[ \t\r\n]+(?:\xef\xbb\xbf)?(?=<)")
+_AFTER = re.compile(rb"\x00+\s*\Z")
 
 
 @dataclasses.dataclass
@@ -28,6 +31,7 @@ class Element:
         tag, attributes, children: as in the file; `read_xml` may leave out the prefixes of tags.
         line: where it begins.
         path: of the file.
+        parent: the element around it; None for the root.
         content: its own characters, with a space where a child stands.
     """
 
@@ -35,14 +39,24 @@ class Element:
     attributes: dict[str, str]
     line: int
     path: Path
+    parent: Element | None = dataclasses.field(default=None, repr=False, compare=False)
     children: list[Element] = dataclasses.field(default_factory=list)
     content: str = ""
 
     @property
     def place(self) -> str:
-        """File, line and element for messages."""
+        """File, line and element for messages; for one without a name also the element around it that has one."""
+        around = self
+        while "name" not in around.attributes and around.parent is not None and around.parent.parent is not None:
+            around = around.parent
+        inside = f", in {around.head}" if around is not self and "name" in around.attributes else ""
+        return f"{self.path.name}{inside}, line {self.line}, {self.head}"
+
+    @property
+    def head(self) -> str:
+        """The tag and the name, as in `<link name='arm'>`."""
         name = self.attributes.get("name")
-        return f"{self.path.name}, line {self.line}, <{self.tag}{'' if name is None else f' name={name!r}'}>"
+        return f"<{self.tag}{'' if name is None else f' name={name!r}'}>"
 
     def wrong(self, what: str) -> ModelError:
         """An error that says where it is."""
@@ -97,13 +111,16 @@ class Element:
         return np.array([self.read(word, "finite numbers") for word in self.content.replace(",", " ").split()])
 
 
-def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> Element:
+def read_xml(path: Path, caller: str = "load", document_type: bool = False, notes: list[str] | None = None) -> Element:
     """The root element of a file.
+
+    White space before the XML declaration and null characters after the end are no XML. They are left out.
 
     Args:
         caller: names who reads in messages.
         document_type: the file may name a document type, which is not opened, and may give tags prefixes of name
             spaces, which are left out.
+        notes: gets a line for what was left out before the declaration or after the end.
     Raises: ModelError for a file that cannot be read, is no XML, or declares a document type or entities.
     """
     try:
@@ -111,6 +128,7 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         why = getattr(error, "strerror", None) or error
         raise ModelError(f"{caller} expects a file, cannot read {str(path)!r}: {why}") from None
+    data, skipped = _trimmed(data, path, [] if notes is None else notes)
     parser, open_elements, roots = expat.ParserCreate(), list[Element](), list[Element]()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -118,8 +136,9 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
         if written and (entity := _ENTITY.search(written[0])):
             unknown(entity[1].decode("utf-8", "replace"), None)
         name = tag.rpartition(":")[2] if document_type else tag
-        element = Element(name, attributes, parser.CurrentLineNumber, path)
-        (open_elements[-1].children if open_elements else roots).append(element)
+        parent = open_elements[-1] if open_elements else None
+        element = Element(name, attributes, parser.CurrentLineNumber + skipped, path, parent)
+        (parent.children if parent else roots).append(element)
         if open_elements:
             open_elements[-1].content += " "
         open_elements.append(element)
@@ -132,12 +151,13 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
             declared()
 
     def unknown(name: str, _parameter: Any) -> None:
-        raise ModelError(f"{path.name}, line {parser.CurrentLineNumber}: unknown entity &{name};")
+        raise ModelError(f"{path.name}, line {parser.CurrentLineNumber + skipped}: unknown entity &{name};")
 
     def declared(*_: Any) -> None:
+        line = parser.CurrentLineNumber + skipped
         raise ModelError(
-            f"{path.name}, line {parser.CurrentLineNumber}: a document type or entity is declared, which models do not "
-            "need.\n  fix: remove <!DOCTYPE ...>; write out what its entities stand for"
+            f"{path.name}, line {line}: a document type or entity is declared, which models do not need.\n"
+            "  fix: remove <!DOCTYPE ...>; write out what its entities stand for"
         )
 
     parser.buffer_text, parser.buffer_size = True, 1 << 20  # else each line of a table is added to the text by itself
@@ -151,9 +171,23 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False) -> E
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        raise ModelError(f"{path.name}, line {error.lineno}: this is no XML: {expat.ErrorString(error.code)}") from None
+        line = error.lineno + skipped
+        raise ModelError(f"{path.name}, line {line}: this is no XML: {expat.ErrorString(error.code)}") from None
     except ModelError:
         raise
     except (LookupError, ValueError) as error:  # the encoding that it names
         raise ModelError(f"{path.name}: this is no XML: {error}") from None
     return roots[0]
+
+
+def _trimmed(data: bytes, path: Path, notes: list[str]) -> tuple[bytes, int]:
+    """A file without what is invisible around its XML, and how many lines went from its beginning."""
+    before, after = _BEFORE.match(data), _AFTER.search(data)
+    if before and data.startswith(b"<?xml", before.end()):
+        notes.append(f"white space before the XML declaration of {path.name!r}")
+        skipped = before[0].count(b"\n") or before[0].count(b"\r")
+    else:
+        before, skipped = None, 0
+    if after:
+        notes.append(f"null characters after the end of {path.name!r}")
+    return data[before.end() if before else 0 : after.start() if after else None], skipped
