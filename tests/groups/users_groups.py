@@ -103,25 +103,28 @@ class Similarity(Group):
         last = jnp.array([[0.0, 0.0, 1.0]], A.dtype)
         return jnp.concatenate([jnp.concatenate([A, p[:, None]], axis=1), last])
 
-    def _series(self, Z: Any, first: int) -> Any:
-        """sum_k Z^k / (k + first)! of a matrix, by Horner: after halving, enough of it for any precision."""
-        eye = jnp.eye(len(Z), dtype=Z.dtype)
-        total = jnp.zeros_like(Z)
-        for k in reversed(range(30)):
-            total = total @ Z + eye / float(np.prod(np.arange(1.0, k + first + 1.0)))
-        return total
+    def _exponentials(self, Z: Any) -> tuple[Any, Any]:
+        """e^Z and (e^Z - I) Z^-1 of a square matrix: series of an eighth of it, doubled three times."""
+        eye, Y = jnp.eye(len(Z), dtype=Z.dtype), Z / 8.0
+        ratio = jnp.zeros_like(Z)
+        for k in reversed(range(18)):
+            ratio = ratio @ Y + eye / float(np.prod(np.arange(1.0, k + 2.0)))
+        power = eye + Y @ ratio
+        for _ in range(3):
+            power, ratio = power @ power, 0.5 * (power + eye) @ ratio
+        return power, ratio
 
     def identity(self, dtype: Any = None) -> Any:
         return jnp.eye(3, dtype=dtype)
 
     def exp(self, d: Any) -> Any:
-        Z = self._algebra(d)[:2, :2]
-        return self._matrix(self._series(Z, 0), self._series(Z, 1) @ d[:2])
+        A, B = self._exponentials(self._algebra(d)[:2, :2])
+        return self._matrix(A, B @ d[:2])
 
     def log(self, g: Any) -> Any:
         w = jnp.arctan2(g[1, 0], g[0, 0])
         s = 0.5 * jnp.log(g[0, 0] * g[0, 0] + g[1, 0] * g[1, 0]) if self.scaled else jnp.zeros_like(w)
-        B = self._series(jnp.stack([jnp.stack([s, -w]), jnp.stack([w, s])]), 1)
+        _, B = self._exponentials(jnp.stack([jnp.stack([s, -w]), jnp.stack([w, s])]))
         v = jnp.stack([B[0, 0] * g[0, 2] + B[1, 0] * g[1, 2], B[0, 0] * g[1, 2] - B[1, 0] * g[0, 2]])
         v = v / (B[0, 0] ** 2 + B[1, 0] ** 2)
         return jnp.concatenate([v, jnp.stack([w, s] if self.scaled else [w])])
@@ -145,7 +148,7 @@ class Similarity(Group):
         return jnp.concatenate([jnp.concatenate([self._algebra(d)[:2, :2], rest], axis=1), zero])
 
     def left_jacobian(self, d: Any) -> Any:
-        return self._series(self.ad(d), 1)
+        return self._exponentials(self.ad(d))[1]
 
     def left_jacobian_inv(self, d: Any) -> Any:
         return jnp.linalg.inv(self.left_jacobian(d))
