@@ -35,6 +35,7 @@ LAYERS = [
     "integrators",
     "mechanics",
     "trajectory",
+    "testing",
     "the public names",  # the package itself and its thin faces; what stands above is written against them
     "scenes",
     "report",

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 
 from .checks import listed
 from .errors import InputError, ModelError
-from .groups import SE3, SO3, Group, SpecialEuclidean, SpecialOrthogonal, euler
+from .groups import SE3, SO3, Group, euler
 
 #: A panel with more curves than this has no legend.
 _NAMED = 9
@@ -45,16 +45,25 @@ def panels(name: str, group: Group | None, pieces: Sequence[tuple[Array, Array]]
     A pose becomes its position and its Euler angles, a rotation its Euler angles, in degrees and without jumps.
     """
     pieces = [(np.asarray(ts), np.asarray(values)) for ts, values in pieces]
-    if not isinstance(group, (SpecialEuclidean, SpecialOrthogonal)):
-        shape = pieces[0][1].shape[1:] if pieces else ()
-        names = [f"{name}[{', '.join(map(str, place))}]" for place in np.ndindex(*shape)] if shape else [name]
-        return [Panel(name, unit or "SI", names, _joined([(ts, v.reshape(len(v), -1)) for ts, v in pieces]))]
-    turned = _joined([(ts, _angles(values)) for ts, values in pieces])
-    angles = Panel(f"attitude of {name}", "deg", ["roll", "pitch", "yaw"], turned)
-    if isinstance(group, SpecialOrthogonal):
-        return [angles]
-    moved = _joined([(ts, values[:, :3, 3]) for ts, values in pieces])
-    return [Panel(f"position of {name}", unit or "m", ["x", "y", "z"], moved), angles]
+    if group is None or group.flat or (len(group.parts) == 1 and not group.rigid):
+        return [_entries(name, name, pieces, unit or "SI")]
+    return [_of_part(name, part, [(ts, part.of(values)) for ts, values in pieces], unit) for part in group.parts]
+
+
+def _entries(title: str, name: str, pieces: Sequence[tuple[Array, Array]], unit: str) -> Panel:
+    shape = pieces[0][1].shape[1:] if pieces else ()
+    names = [f"{name}[{', '.join(map(str, place))}]" for place in np.ndindex(*shape)] if shape else [name]
+    return Panel(title, unit, names, _joined([(ts, v.reshape(len(v), -1)) for ts, v in pieces]))
+
+
+def _of_part(name: str, part: ElementPart, pieces: Sequence[tuple[Array, Array]], unit: str) -> Panel:
+    """The panel of a part of an element: of a rotation in degrees, of a position, or of entries."""
+    title, shape = f"{part.name} of {name}", pieces[0][1].shape[1:] if pieces else ()
+    if part.unit == "rad" and shape in ((3, 3), ()):
+        return Panel(title, "deg", ["roll", "pitch", "yaw"], _joined([(ts, _angles(v)) for ts, v in pieces]))
+    if part.sized and len(shape) == 1 and shape[0] <= 3:
+        return Panel(title, unit or part.unit, list("xyz"[: shape[0]]), _joined(pieces))
+    return _entries(title, f"{name}.{part.name}", pieces, part.unit or "SI")
 
 
 def _joined(pieces: Sequence[tuple[Array, Array]]) -> tuple[Array, Array] | None:

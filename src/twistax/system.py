@@ -41,7 +41,7 @@ from .expr.packing import pack, unpack
 from .expr.picture import Picture, svg
 from .expr.printing import name_latex
 from .expr.vmap import no_elements
-from .groups import Euclidean, Product
+from .groups import Product
 
 L = TypeVar("L", bound=Leaf)
 #: Of a state: pairs of what its rate depends on and the derivative by it.
@@ -137,7 +137,7 @@ class System:
         lines = []
         for state in self.states:
             left, rate = rf"\dot{{{state.latex()}}} &= ", self.rates[state.name].latex()
-            flat = isinstance(state.group, Euclidean)
+            flat = state.group.flat
             lines.append(left + (rate if flat else rf"{state.latex()} \left({rate}\right)^{{\wedge}}"))
         lines += [rf"{name_latex(name)} &= {expr.latex()}" for name, expr in self.outputs.items()]
         lines += [rf"& {constraint.latex()}" for constraint in self.constraints.values()]
@@ -159,7 +159,7 @@ class System:
         for kind, leaves in kinds:
             for leaf in leaves:
                 group = getattr(leaf, "group", None)
-                flat = group is None or isinstance(group, Euclidean)
+                flat = group is None or group.flat
                 rows.append((leaf.name, kind, str(leaf.shape), "" if flat else type(group).__name__))
         lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
         return f"<table>{lines}</table>{mathml(self.latex())}"
@@ -272,15 +272,14 @@ class System:
 
 def _check_rate(what: str, argument: str, state: State, rate: Expr) -> None:
     """Raise ModelError or ShapeError for a rate or correction that is no tangent of the state."""
-    euclidean = isinstance(state.group, Euclidean)
-    wanted = state.shape if euclidean else (state.group.dimension,)
+    wanted = state.group.tangent_shape
     if rate.boolean:
         raise ModelError(
             f"the {what} of {state.name!r} is true or false, not a number.\n"
             f"  at: {argument}[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
         )
     if rate.shape != wanted:
-        kind = "of the state's shape" if euclidean else f"a body velocity on {state.group.name}"
+        kind = "of the state's shape" if state.group.flat else f"a body velocity on {state.group.name}"
         raise ShapeError(
             f"the {what} of {state.name!r} expects shape {wanted}, got {rate.shape}",
             at=f"{argument}[{state.name!r}] = {rate!r}",

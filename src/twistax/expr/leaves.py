@@ -157,7 +157,7 @@ class State(Variable):
     Args:
         name: unique among the states of a system.
         shape: shape of the value; () if left out. A group brings its own.
-        group: `tx.SO3` or `tx.SE3`; None for $R^m$.
+        group: `tx.SO3`, `tx.SE3` or a group of your own; None for $R^m$.
         order: order of the twists of a pose; `tx.LINEAR_FIRST` unless given.
         min, max: bounds, Euclidean states only.
         initial, final: boundary values; None (or a None entry) leaves free.
@@ -187,7 +187,7 @@ class State(Variable):
         scale: Any = None,
     ) -> None:
         group = _group(name, shape, group, order)
-        if not isinstance(group, Euclidean) and (min is not None or max is not None):
+        if not group.flat and (min is not None or max is not None):
             raise ModelError(
                 f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
                 "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
@@ -197,7 +197,7 @@ class State(Variable):
 
     def replace(self, **changes: Any) -> State:
         # The group of a Euclidean state follows from its shape; shape and order of another from its group.
-        implied = ("group",) if isinstance(self.group, Euclidean) else ("shape", "order")
+        implied = ("group",) if self.group.flat else ("shape", "order")
         return super().replace(**(dict.fromkeys(implied) | changes))
 
     def boundary(self, what: str, value: Any) -> np.ndarray | None:
@@ -207,13 +207,13 @@ class State(Variable):
     @property
     def order(self) -> Order | None:
         """Order of the twists of a pose; None for other states."""
-        return getattr(self.group, "order", None)
+        return self.group.order if isinstance(self.group, SpecialEuclidean) else None
 
     def static_key(self) -> tuple[Any, ...]:
         return (self.name, self.shape, repr(self.group))
 
     def makes_group_element(self, *operands: bool) -> bool:
-        return not isinstance(self.group, Euclidean)
+        return self.group.rigid
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.x[self.name]
@@ -305,6 +305,13 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
     if not isinstance(group, Group):
         made = f".\n  fix: give one of them: group={group.__name__}()" if isinstance(group, type) else ""
         raise ModelError(f"State {name!r}: group must be tx.SO3, tx.SE3 or a group of your own, got {group!r}{made}")
+    try:
+        hash(group)
+    except TypeError:
+        raise ModelError(
+            f"State {name!r}: group must be a value that is compared and hashed, got {group!r}.\n"
+            f"  fix: make {type(group).__name__} a frozen dataclass: @dataclasses.dataclass(frozen=True)"
+        ) from None
     if shape is not None and _shape_of(name, shape) != group.shape:
         raise ShapeError(
             f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
@@ -333,7 +340,7 @@ def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan)
 
 def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
     """Bounds, guess and scale of a variable."""
-    shape, euclidean = group.shape, isinstance(group, Euclidean)
+    shape, euclidean = group.shape, group.flat
     low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
     if low is not None and high is not None and (low > high).any():
         raise ModelError(f"{name!r} expects min below max, got min {low} and max {high}")
@@ -357,24 +364,25 @@ _ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
 
 
 def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndarray:
-    """A pose whose position or attitude is open, NaN; any other entries cannot be."""
-    blocks = (np.s_[:3, :3], np.s_[:3, 3]) if isinstance(group, SpecialEuclidean) else ()
+    """An element of which whole parts are open, NaN, such as the position of a pose; any other entries cannot be."""
+    parts = group.parts if len(group.parts) > 1 else ()
     rest = array.copy()
-    for block in blocks:
-        if np.isnan(array[block]).all():
-            rest[block] = 0.0
+    for part in parts:
+        if np.isnan(array[part.place]).all():
+            rest[part.place] = 0.0
     if np.isnan(rest).any():
+        whole = " or ".join(f"the whole {part.name}" for part in parts)
         raise ModelError(
-            f"{name!r}: {what} of {group.name} can leave the whole position or the whole attitude of a pose free, "
-            f"no other entries, got\n{array}\n"
-            f"  fix: use constraints, e.g. {what}=[{name}[2, 3] == 0.0, {name}[:2, 2] == 0.0]"
+            f"{name!r}: {what} of {group.name} can leave {f'{whole} free, no other entries' if whole else 'none free'}"
+            f", got\n{array}\n"
+            f"  fix: use constraints on the entries of {name}, e.g. {what}=[{name}[0, 1] == 0.0]"
         )
     return array
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
     """A start or an end: an element of a group, or numbers of which some may be None."""
-    if value is None or isinstance(group, Euclidean):
+    if value is None or group.flat:
         found = _value(name, what, value, group.shape)
         if np.ndim(value) and np.shape(value) != group.shape:  # a list that would be repeated is a slip
             raise ShapeError(f"{name!r}: {what} expects shape {group.shape} or a number, got {np.shape(value)}")
@@ -386,10 +394,12 @@ def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | No
     array = reals(f"{name!r}: {what}", value, ModelError, free=True).astype(np.float64)
     if np.isnan(array).any():
         array = _half_free(name, what, array, group)
-    defect = element_defect(np.where(np.isnan(array), np.eye(len(array)), array))
+    defect = group.known_defect(np.where(np.isnan(array), np.asarray(group.identity(), float), array))
     if not defect <= _ROTATION_TOLERANCE:
-        raise ModelError(
-            f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n"
-            "  fix: build it with tx.pose(position=..., euler=... or quaternion=...)"
+        fix = (
+            "build it with tx.pose(position=..., euler=... or quaternion=...)"
+            if group.rigid
+            else "take the nearest element, that which normalize of the group gives"
         )
+        raise ModelError(f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n  fix: {fix}")
     return array

@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups import quaternions, se3, so3
-from twistax.groups.arrays import Input, defect, dot, element, floats, matrix, of_shape, unpack
-from twistax.groups.group import Group
+from twistax.groups.arrays import Input, defect, dot, element, element_defect, floats, matrix, of_shape, unpack
+from twistax.groups.group import ElementPart, Group
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,6 +87,7 @@ class _MatrixGroup(Group):
     """Base of both: the maps of a module, which work linear first, on tangents in the group's order."""
 
     _maps: ClassVar[ModuleType]
+    rigid: ClassVar[bool] = True
 
     def _reordered(self, a: Any) -> Any:
         """To linear first or back, which is the same."""
@@ -126,6 +127,15 @@ class _MatrixGroup(Group):
         moved = self._maps.right_jacobian_inv_apply(self._reordered(eta), self._reordered(omega))
         return self._reordered(moved)
 
+    def entry_rate(self, g: Input, xi: Input) -> Float[Array, "m m"]:
+        return self._maps.compose(g, self._maps.hat(self._reordered(xi)))
+
+    def to_linear_first(self, d: Any) -> Any:
+        return self._reordered(d)
+
+    def known_defect(self, g: np.ndarray) -> float:
+        return element_defect(np.asarray(g))
+
 
 @dataclass(frozen=True)
 class SpecialOrthogonal(_MatrixGroup):
@@ -135,6 +145,15 @@ class SpecialOrthogonal(_MatrixGroup):
     shape: ClassVar[tuple[int, ...]] = (3, 3)
     dimension: ClassVar[int] = 3
     _maps: ClassVar[ModuleType] = so3
+
+    @property
+    def parts(self) -> tuple[ElementPart, ...]:
+        return (ElementPart("attitude", np.s_[:, :], (0, 1, 2), "rad"),)
+
+    def body_velocity(self, g: Input, rate: Input) -> Float[Array, "3"]:
+        """$(R^T R')^v$."""
+        g, rate = of_shape("SO3.body_velocity", {"g": self.shape, "rate": self.shape}, g, rate)
+        return so3.vee(so3.compose(g.T, rate))
 
     def normalize(self, g: Input) -> Float[Array, "3 3"]:
         """The rotation nearest to g, up to the square of the drift; orthonormal to round-off."""
@@ -161,6 +180,24 @@ class SpecialEuclidean(_MatrixGroup):
     shape: ClassVar[tuple[int, ...]] = (4, 4)
     dimension: ClassVar[int] = 6
     _maps: ClassVar[ModuleType] = se3
+
+    @classmethod
+    def examples(cls) -> tuple[Group, ...]:
+        return cls(), cls(ANGULAR_FIRST)
+
+    @property
+    def parts(self) -> tuple[ElementPart, ...]:
+        first, last = (0, 1, 2), (3, 4, 5)
+        linear, angular = (first, last) if self.order.linear_leads else (last, first)
+        return ElementPart("position", np.s_[:3, 3], linear, "m"), ElementPart(
+            "attitude", np.s_[:3, :3], angular, "rad"
+        )
+
+    def body_velocity(self, g: Input, rate: Input) -> Float[Array, "6"]:
+        """$[R^T p'; (R^T R')^v]$, in the order of the group."""
+        g, rate = of_shape("SE3.body_velocity", {"g": self.shape, "rate": self.shape}, g, rate)
+        back = g[:3, :3].T
+        return self.order.join(so3.act(back, rate[:3, 3]), so3.vee(so3.compose(back, rate[:3, :3])))
 
     def with_order(self, order: Order) -> SpecialEuclidean:
         """The same group with tangents in another order. Raises ModelError."""

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..errors import InputError, ModelError
-from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
+from ..errors import InputError
+from ..groups import Group, quaternions, se3, so3
 from ..groups.arrays import unpack, vector
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays, need_compiled
@@ -20,13 +20,14 @@ class Ambient:
     """A system's state and rates in numbers that a general ODE solver can add and scale.
 
     Poses become [quaternion, position] (7,), rotations quaternions (4,), w first, or both stay matrices; states
-    without a group are as they are. Quaternions are read with any length, so their drift does no harm.
+    without a group, and the entries of those on other groups, are as they are. Quaternions are read with any length, so
+    their drift does no harm.
 
     Args:
         dynamics: the compiled system.
         quaternion: quaternions (True) or matrices (False).
     Raises:
-        ModelError: a system that is not compiled; a group without such numbers.
+        ModelError: a system that is not compiled.
     """
 
     def __init__(self, dynamics: Dynamics, quaternion: bool = True) -> None:
@@ -61,21 +62,15 @@ class _Numbers(NamedTuple):
 
 
 def _numbers(group: Group, quaternion: bool) -> _Numbers:
-    if isinstance(group, Euclidean):
-        return _Numbers(_same, _same, lambda y, velocity: velocity)
-    if isinstance(group, SpecialOrthogonal):
-        if quaternion:
-            return _Numbers(quaternions.from_rotation, quaternions.to_rotation, _turned)
-        return _Numbers(_same, _same, lambda R, w: so3.compose(R, so3.hat(w)))
-    if isinstance(group, SpecialEuclidean):
-        if quaternion:
-            return _Numbers(
-                lambda g: jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]]),
-                lambda y: se3.transform(quaternions.to_rotation(y[:4]), y[4:]),
-                lambda y, V: _moved(y, group.order.to_linear_first(V)),
-            )
-        return _Numbers(_same, _same, lambda g, V: se3.compose(g, se3.hat(group.order.to_linear_first(V))))
-    raise ModelError(f"no plain numbers are known for states on {group.name}")
+    if not (quaternion and group.rigid):
+        return _Numbers(_same, _same, group.entry_rate)
+    if group.dimension == 3:
+        return _Numbers(quaternions.from_rotation, quaternions.to_rotation, _turned)
+    return _Numbers(
+        lambda g: jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]]),
+        lambda y: se3.transform(quaternions.to_rotation(y[:4]), y[4:]),
+        lambda y, V: _moved(y, group.to_linear_first(V)),
+    )
 
 
 def _same(y: jax.Array) -> jax.Array:

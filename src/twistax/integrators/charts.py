@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import instance
 from ..errors import ModelError
-from ..groups import Euclidean, Group, Order, Product, SpecialEuclidean, SpecialOrthogonal, quaternions
+from ..groups import Group, Order, Product, SpecialEuclidean, quaternions
 from ..groups.arrays import Components, add, dot, matrix, pose_rate, rotation_rate, scale, swept, unpack, vector
 from ..groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
 from ..lowering.dynamics import Arrays
@@ -56,6 +56,10 @@ class Coordinates(ABC):
     def rate(self, omega: jax.Array) -> Block:
         """The rate as the dynamics give it, as numbers."""
         return self.enter(omega)
+
+    def velocity(self, omega: Block) -> jax.Array:
+        """The rate again, from the numbers of `rate`."""
+        return self.value(omega)
 
     def move(self, y: Block, z: Block) -> Block:
         """What is stored of the state with coordinates z around y. Exact enough for a stage."""
@@ -100,7 +104,7 @@ class Coordinates(ABC):
 class FlatCoordinates(Coordinates):
     """A state without a group: its entries, moved by addition."""
 
-    def __init__(self, group: Euclidean) -> None:
+    def __init__(self, group: Group) -> None:
         self.shape = group.shape
         self.scalars = group.dimension <= _SCALARS
 
@@ -136,7 +140,7 @@ class GroupCoordinates(Coordinates):
         return (self.group.right_jacobian_inv_apply(z[0], omega[0]),)
 
     def sizes(self, before: Block, after: Block) -> Block:
-        return (jnp.ones(self.group.dimension, before[0].dtype),)
+        return (jnp.maximum(self.group.sizes(before[0]), self.group.sizes(after[0])),)
 
     def tangent(self, z: Block) -> jax.Array:
         return z[0]
@@ -187,6 +191,9 @@ class _Stored(Coordinates):
 
     def rate(self, omega: jax.Array) -> Components:
         return unpack(omega if self.order is None else self.order.to_linear_first(omega))
+
+    def velocity(self, omega: Components) -> jax.Array:
+        return vector(omega) if self.order is None else self.order.from_linear_first(vector(omega))
 
     def sizes(self, before: Components, after: Components) -> Components:
         one = jnp.ones_like(after[0])
@@ -311,13 +318,11 @@ class Chart(ABC):
 
     def coordinates(self, group: Group) -> Coordinates:
         """The coordinates for one part of the state; exponential ones for groups that are neither SO(3) nor SE(3)."""
-        if isinstance(group, Euclidean):
+        if group.flat:
             return FlatCoordinates(group)
-        if isinstance(group, SpecialOrthogonal):
-            return self.for_rotation()
         if isinstance(group, SpecialEuclidean):
             return self.for_pose(group)
-        return GroupCoordinates(group)
+        return self.for_rotation() if group.rigid else GroupCoordinates(group)
 
     @abstractmethod
     def for_rotation(self) -> Coordinates:

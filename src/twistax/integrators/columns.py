@@ -13,7 +13,7 @@ import numpy as np
 
 from ..checks import instance, listed, path_of, short
 from ..errors import InputError, ModelError, ShapeError
-from ..groups import SpecialEuclidean, SpecialOrthogonal, euler, quaternion
+from ..groups import ElementPart, euler, quaternion
 from ..layout import Column, Layout
 from .rows import room_for
 
@@ -92,19 +92,27 @@ class Columns(Layout):
         return found
 
     def _of(self, name: str, group: Any, array: np.ndarray) -> list[Column]:
-        if isinstance(group, SpecialOrthogonal | SpecialEuclidean):
-            numbers = _read(self.rotations, array[:, :3, :3])
-            turned = [
-                Column(f"{name}.{own}", self.rotations.unit, v)
-                for own, v in zip(self.rotations.names, numbers.T, strict=True)
+        if group is None or group.flat or (len(group.parts) == 1 and not group.rigid):
+            return self._entries(name, name, array)
+        return [column for part in group.parts for column in self._of_part(name, part, part.of(array))]
+
+    def _of_part(self, name: str, part: ElementPart, array: np.ndarray) -> list[Column]:
+        """Of a part of an element: a rotation, a position, or entries."""
+        if part.unit == "rad" and array.shape[1:] == (3, 3):
+            numbers = _read(self.rotations, array)
+            return [
+                Column(f"{name}.{label}", self.rotations.unit, v)
+                for label, v in zip(self.rotations.names, numbers.T, strict=True)
             ]
-            if isinstance(group, SpecialOrthogonal):
-                return turned
-            units = self._units(name, 3)
-            return [Column(f"{name}.{axis}", units[k], array[:, k, 3]) for k, axis in enumerate("xyz")] + turned
+        if part.sized and array.ndim == 2 and array.shape[1] <= 3:
+            units = self._units(name, array.shape[1])
+            return [Column(f"{name}.{axis}", units[k], array[:, k]) for k, axis in zip(range(array.shape[1]), "xyz")]
+        return self._entries(f"{name}.{part.name}", name, array)
+
+    def _entries(self, label: str, name: str, array: np.ndarray) -> list[Column]:
         shape = array.shape[1:]
         units = self._units(name, int(np.prod(shape)))
-        labels = [name + "".join(f"[{i}]" for i in index) for index in np.ndindex(*shape)]
+        labels = [label + "".join(f"[{i}]" for i in index) for index in np.ndindex(*shape)]
         entries = array.reshape(len(array), -1).T
         return [Column(*each) for each in zip(labels, units, entries, strict=True)]
 

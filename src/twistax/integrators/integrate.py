@@ -18,8 +18,7 @@ import numpy as np
 from ..checks import instance, real_array
 from ..errors import InputError
 from ..expr import Inputs
-from ..groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal
-from ..groups.arrays import element_defect
+from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
@@ -277,28 +276,23 @@ def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> N
 
 def need_element(name: str, group: Group, value: Any) -> None:
     """Raise InputError where the start of a state is known and no element of its group."""
-    if isinstance(group, Euclidean) or is_traced(value):
+    if group.flat or is_traced(value):
         return
-    if isinstance(group, SpecialOrthogonal | SpecialEuclidean):
-        defect = element_defect(np.asarray(value))
-    else:
-        with jax.ensure_compile_time_eval():  # inside jit other states may be traced while this one is known
-            defect = float(_defect(group, value))
+    defect = group.known_defect(np.asarray(value))
     tolerance = 1e-6
     if defect > tolerance:  # what is known of the type takes long to find
         tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
     if defect > tolerance:
         raise InputError(
-            f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed "
-            "(the rotation's R'R - I, and the last row of a pose).\n"
-            "  fix: build poses with tx.pose(...), or take the nearest element with "
-            f"tx.{group.name}.normalize(g)"
+            f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed"
+            + (
+                " (the rotation's R'R - I, and the last row of a pose).\n"
+                "  fix: build poses with tx.pose(...), or take the nearest element with "
+                f"tx.{group.name}.normalize(g)"
+                if group.rigid
+                else ".\n  fix: take the nearest element, that which normalize of the group gives"
+            )
         )
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _defect(group: Group, value: jax.Array) -> jax.Array:
-    return group.defect(value)
 
 
 def _inside(found: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> Rollout:

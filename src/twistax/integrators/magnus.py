@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checks import instance
 from ..errors import ModelError
-from ..groups import Euclidean, Group
+from ..groups import Group
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .charts import Blocks, Exponential, StateCoordinates, coordinates_of
@@ -164,7 +164,7 @@ class Magnus(Method):
 
 def _flat_names(dynamics: Dynamics) -> list[str]:
     """The states without a group."""
-    return [name for name, group in dynamics.group.factors.items() if isinstance(group, Euclidean)]
+    return [name for name, group in dynamics.group.factors.items() if group.flat]
 
 
 def _fed(dynamics: Dynamics) -> bool:

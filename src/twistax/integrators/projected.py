@@ -11,7 +11,6 @@ import jax.numpy as jnp
 
 from ..errors import InputError, ModelError
 from ..expr import Inputs
-from ..groups import Euclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.projection import increments
@@ -80,9 +79,8 @@ class Projected(Method):
 
     def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
         local, functions = self.coordinates(field.dynamics), field.dynamics._functions
-        own, u = functions.group.factors.items(), field.controls(t)
-        shapes = {name: group.shape if isinstance(group, Euclidean) else group.dimension for name, group in own}
-        still = {name: jnp.zeros(shape, t.dtype) for name, shape in shapes.items()}
+        u = field.controls(t)
+        still = {name: jnp.zeros(group.tangent_shape, t.dtype) for name, group in functions.group.factors.items()}
         for _ in range(_CORRECTIONS):
             found = functions.evaluate("corrections", field.clock(t), local.value(y), u, field.params)
             y = local.settle(local.move(y, local.first_slope(y, local.rate(still | found))))

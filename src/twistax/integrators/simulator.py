@@ -14,7 +14,6 @@ import numpy as np
 from ..checks import listed, short
 from ..errors import InputError
 from ..expr import Inputs
-from ..groups import Euclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.inputs import read_values
@@ -106,7 +105,7 @@ class Simulator:
 
     def _check(self, kind: str, leaf: Any) -> Callable[[np.ndarray], None] | None:
         group = self.dynamics.group.factors[leaf.name] if kind == "x0" else None
-        if group is None or isinstance(group, Euclidean):
+        if group is None or group.flat:
             return None
         return lambda value: need_element(leaf.name, group, value)
 

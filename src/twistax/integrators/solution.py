@@ -14,7 +14,6 @@ import numpy as np
 
 from ..checks import listed, real_array
 from ..errors import InputError, IntegrationError
-from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
@@ -379,8 +378,6 @@ def _turns(stepper: Stepper, rates: Arrays, h: jax.Array) -> dict[str, float]:
     exponential = isinstance(getattr(stepper.method, "chart", Exponential()), Exponential)
     if exponential and isinstance(stepper.stored, StateCoordinates):
         for name, group in stepper.dynamics.group.factors.items():
-            if isinstance(group, SpecialOrthogonal):
-                angular[name] = rates[name]
-            elif isinstance(group, SpecialEuclidean):
-                angular[name] = group.order.split(rates[name])[1]
+            if group.angular.any():
+                angular[name] = np.asarray(rates[name])[group.angular]
     return {name: float(h) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}

@@ -13,7 +13,6 @@ from jax.flatten_util import ravel_pytree
 from ..checks import listed, real_array
 from ..errors import InputError
 from ..expr import State
-from ..groups import Euclidean, SpecialEuclidean
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.inputs import cast
@@ -107,15 +106,16 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
 
 
 def _absolute(state: State, value: Any, dtype: Any) -> Any:
-    """The allowed error of one state; a pair for a pose is (rotation, position)."""
-    place, is_pose = f"atol of state {state.name!r}", isinstance(state.group, SpecialEuclidean)
+    """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
+    place, group = f"atol of state {state.name!r}", state.group
+    is_pose = {part.unit for part in group.parts} == {"rad", "m"}
     if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
         rotation, position = (_numbers(place, part, dtype) for part in value)
         stack: Any = jnp.stack if is_traced(value) else np.stack
-        array = stack([position] * 3 + [rotation] * 3)
+        array = _held(state, stack([rotation if angular else position for angular in group.angular]))
     else:
         array = _numbers(place, value, dtype)
-        shape = state.group.shape if isinstance(state.group, Euclidean) else (state.group.dimension,)
+        shape = group.tangent_shape
         if array.shape not in ((), shape):
             pair = ", or the pair (rotation, position)" if is_pose else ""
             raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
@@ -128,7 +128,7 @@ def _absolute(state: State, value: Any, dtype: Any) -> Any:
 
 def _held(state: State, array: Any) -> Any:
     """Values by tangent entry, in the order in which the state's deviations are held."""
-    return state.group.order.to_linear_first(array) if isinstance(state.group, SpecialEuclidean) else array.reshape(-1)
+    return state.group.to_linear_first(array.reshape(-1))
 
 
 def _numbers(place: str, value: Any, dtype: Any) -> Any:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from ..checks import real_array
 from ..errors import ModelError
-from ..groups import Euclidean
 from ..system import System
 from ..walk import uncollected
 from .backends import Backend, chosen
@@ -56,7 +55,7 @@ class Dynamics:
 
     def __repr__(self) -> str:
         kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
-        groups = {name: group.name for name, group in self.group.factors.items() if not isinstance(group, Euclidean)}
+        groups = {name: group.name for name, group in self.group.factors.items() if not group.flat}
         named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in own] for kind, own in kinds.items()}
         shown = [f"{kind}: {', '.join(own)}" for kind, own in named.items() if own]
         return f"Dynamics({'; '.join([*shown, f'backend: {self.backend}'])})"

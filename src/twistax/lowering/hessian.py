@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..checks import listed
 from ..errors import InputError, ModelError
 from ..expr import Expr, Inputs
-from ..groups import Euclidean, Group
+from ..groups import Group
 from ..jax_inside import ClosedJaxpr, all_equations
 from .functions import Functions, Places, check_kinds
 from .inputs import Values, read_values
@@ -303,7 +303,7 @@ def _bends(
     start = sum(widths[kind] for kind in given.wrt[: given.wrt.index("x")])
     found: dict[int, dict[tuple[int, int], int]] = {}
     for own, (kind, name) in zip(program.inputs, given.places, strict=True):
-        if kind == "x" and not isinstance(group.factors[name], Euclidean):
+        if kind == "x" and not group.factors[name].flat:
             (bends,) = Reader(g).read(_bend_of(group.factors[name], own.shape, g.dtype), [own])
             first = start + group.slices[name].start
             for entry, block in zip(flat(own), bends, strict=True):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -58,6 +59,8 @@ class Joint(Subspaces, ABC):
 
     #: The group of the position; None for k coordinates whose rate is the velocity.
     group: ClassVar[Group | None] = None
+    #: Arguments beside the name, for the suites that run over all joints.
+    cases: ClassVar[Sequence[Mapping[str, Any]]] = ()
 
     def __init__(self, name: str, motion: Any, actuation_basis: Any = None) -> None:
         if not isinstance(name, str) or not name:
@@ -205,6 +208,8 @@ class Fixed(Joint):
     Raises: ModelError for no name.
     """
 
+    cases = ({},)
+
     def __init__(self, name: str) -> None:
         super().__init__(name, motion=np.zeros((6, 0)))
 
@@ -222,6 +227,8 @@ class Revolute(Joint):
         ShapeError: axis is not of shape (3,).
         ModelError: no name; an axis that is zero or not finite.
     """
+
+    cases = ({"axis": (0.0, 0.0, 2.0)}, {"axis": (2.0, -1.0, 2.0)}, {"axis": Parameter("axis", value=(0.0, 3.0, 4.0))})
 
     def __init__(self, name: str, axis: Any) -> None:
         self.axis = _direction(f"Revolute {name!r}", axis)
@@ -243,6 +250,8 @@ class Prismatic(Joint):
     Raises:
         ShapeError, ModelError: as for `Revolute`.
     """
+
+    cases = ({"axis": (2.0, -1.0, 2.0)}, {"axis": Parameter("axis", value=(0.0, 3.0, 4.0))})
 
     def __init__(self, name: str, axis: Any) -> None:
         self.axis = _direction(f"Prismatic {name!r}", axis)
@@ -267,6 +276,8 @@ class Helical(Joint):
         ModelError: no name; an axis that is zero or not finite; a pitch that is no finite number.
     """
 
+    cases = ({"axis": (2.0, -1.0, 2.0), "pitch": 0.05},)
+
     def __init__(self, name: str, axis: Any, pitch: float) -> None:
         self.axis = unit_vector(f"Helical {name!r}", "axis", axis)
         self.pitch = number(f"Helical {name!r}: pitch", pitch, error=ModelError)
@@ -285,6 +296,8 @@ class Cylindrical(Joint):
     Raises:
         ShapeError, ModelError: as for `Revolute`.
     """
+
+    cases = ({"axis": (2.0, -1.0, 2.0)},)
 
     def __init__(self, name: str, axis: Any) -> None:
         self.axis = unit_vector(f"Cylindrical {name!r}", "axis", axis)
@@ -305,6 +318,8 @@ class Planar(Joint):
         name: of the joint.
     Raises: ModelError for no name.
     """
+
+    cases = ({},)
 
     def __init__(self, name: str) -> None:
         super().__init__(name, motion=np.eye(6)[:, [0, 1, 5]])
@@ -330,6 +345,7 @@ class Spherical(Joint):
     Raises: ModelError for no name.
     """
 
+    cases = ({},)
     group = SO3
 
     def __init__(self, name: str) -> None:
@@ -353,6 +369,7 @@ class Free(Joint):
     Raises: ModelError for no name.
     """
 
+    cases = ({},)
     group = SE3
 
     def __init__(self, name: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from math import prod
@@ -29,7 +28,6 @@ from ..expr import (
     refuse_conditions,
 )
 from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
-from ..groups import Euclidean, SpecialEuclidean
 from ..lowering import Dynamics
 from ..system import entry_names, free_name, name_of
 from .statement import bounds_of, check_leaves, limited, without_end
@@ -194,18 +192,14 @@ def ends_of(states: Sequence[State], initial: Any, final: Any) -> Ends:
 def fixed_entries(state: State, value: Array | None) -> Array:
     """(dimension,) which entries of a state's tangent are fixed by an end value.
 
-    A turn x Exp([0; w]) keeps the position of a pose and a shift x Exp([v; 0]) its attitude, so either may be free.
+    A part of an element may be free, for what moves another part leaves it as it is: a turn x Exp([0; w]) keeps the
+    position of a pose and a shift x Exp([v; 0]) its attitude.
     """
     if value is None:
         return np.zeros(state.group.dimension, bool)
-    if isinstance(state.group, Euclidean):
+    if state.group.flat:
         return ~np.isnan(value.ravel())
-    if isinstance(state.group, SpecialEuclidean):
-        return _known_of_pose(state.group, not np.isnan(value[:3, 3]).any(), not np.isnan(value[:3, :3]).any())
-    return np.ones(state.group.dimension, bool)
-
-
-@functools.lru_cache(64)
-def _known_of_pose(group: SpecialEuclidean, position: bool, attitude: bool) -> Array:
-    """(6,) whether the linear and the angular part of a tangent are known."""
-    return np.asarray(group.order.from_linear_first(np.repeat([float(position), float(attitude)], 3))) > 0.0
+    fixed = np.ones(state.group.dimension, bool)
+    for part in state.group.parts:
+        fixed[list(part.entries)] = not np.isnan(value[part.place]).any()
+    return fixed

@@ -47,7 +47,7 @@ def state_guess(leaf: State, given: Array | None, initial: Array | None, final: 
     source = given if given is not None else leaf.guess
     if source is None:
         rest = np.zeros(leaf.shape)
-        if isinstance(leaf.group, Euclidean):
+        if leaf.group.flat:
             rest = _middle(leaf.min, leaf.max, rest)
         else:
             rest = np.asarray(leaf.group.identity(float))

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 
 from ..expr import Expr, Inputs, evaluate_all
-from ..groups import Euclidean
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .conditions import Conditions
@@ -47,7 +46,7 @@ class Local:
         parts = []
         for name, factor in self._group.factors.items():
             rate = rates[name].reshape(-1)
-            if not isinstance(factor, Euclidean):
+            if not factor.flat:
                 rate = factor.right_jacobian_inv(eta[self._group.slices[name]]) @ rate
             parts.append(rate)
         return jnp.concatenate(parts)

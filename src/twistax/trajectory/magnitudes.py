@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..groups import Euclidean, SpecialEuclidean
 from .transcribed import Point, Segment
 
 
@@ -15,11 +14,6 @@ def largest_along(part: Segment, point: Point) -> jax.Array:
     """(n + m,) of tangents and controls of a phase; zero of rotations."""
     own, group, found = part.of(point), part.shooting.dynamics.group, list[Any]()
     for name, factor in group.factors.items():
-        values, most = own.xs[name], jnp.zeros(factor.dimension)
-        if isinstance(factor, Euclidean):
-            most = jnp.abs(values.reshape(len(values), -1)).max(axis=0)
-        elif isinstance(factor, SpecialEuclidean):
-            away = jnp.sqrt((values[:, :3, 3] ** 2).sum(axis=1)).max()
-            most = jnp.where(part.shooting.turns[group.slices[name]], 0.0, away)
-        found.append(most)
+        most = jax.vmap(factor.sizes)(own.xs[name]).max(axis=0)
+        found.append(jnp.where(factor.sized | factor.flat, most, 0.0))
     return jnp.concatenate([*found, jnp.abs(own.us).max(axis=0)])

@@ -13,7 +13,6 @@ from numpy import ndarray as Array
 from ..checks import listed, reals, short
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Parameter, State, leaves_of
-from ..groups import Euclidean
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import name_of
@@ -405,7 +404,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         found = {}
         for state in self.dynamics.states:
             value, rest = values[state.name], np.zeros(state.shape)
-            if not isinstance(state.group, Euclidean):
+            if not state.group.flat:
                 rest = np.asarray(state.group.identity(float))
             found[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
         return found

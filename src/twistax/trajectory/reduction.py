@@ -28,7 +28,6 @@ from ..expr import (
     leaves_of,
 )
 from ..expr.graph import substitute
-from ..groups import Euclidean
 from ..lowering import Dynamics, compile
 from ..system import System, free_name, name_of
 from .cones import Term, is_mixed, is_size, linear_terms, sum_of
@@ -166,9 +165,9 @@ class Reduction:
             self._rates[state], self.integrals[name], self._exchange[leaf.key()] = operand, leaf, state
             self.loose |= {name} if len(self.bounds) > before else set()
         elif isinstance(leaf, Initial):
-            group, flat = leaf.operand.group, isinstance(leaf.operand.group, Euclidean)
+            group, flat = leaf.operand.group, leaf.operand.group.flat
             state = State(name, leaf.shape, group=None if flat else group, scale=leaf.operand.scale)
-            self._rates[state] = Constant(np.zeros(leaf.shape if flat else group.dimension))
+            self._rates[state] = Constant(np.zeros(group.tangent_shape))
             self.starts[name], self._exchange[leaf.key()] = leaf.operand, state
 
     def _bounded(self, leaf: Functional) -> Expr:

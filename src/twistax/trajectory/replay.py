@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import InputError, IntegrationError, TrajectoryError
-from ..groups import Group, SpecialEuclidean, SpecialOrthogonal
+from ..groups import Group
 from ..integrators import Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from .cones import bounds_along
@@ -180,12 +180,11 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
 
 
 def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:
-    if isinstance(group, SpecialEuclidean):
-        _, angular = group.order.split(vector)
-        position = float(np.linalg.norm(reached[:3, 3] - planned[:3, 3]))
-        return {"position": position, "angle": float(np.linalg.norm(angular))}
-    kind = "angle" if isinstance(group, SpecialOrthogonal) else "distance"
-    return {kind: float(np.linalg.norm(vector))}
+    misses = {}
+    for part in group.parts:
+        apart = reached[part.place] - planned[part.place] if part.sized else vector[list(part.entries)]
+        misses["angle" if part.unit == "rad" else part.name] = float(np.linalg.norm(apart))
+    return misses
 
 
 def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> Array:

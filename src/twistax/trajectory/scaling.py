@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from ..groups import Euclidean, SpecialEuclidean
+from ..groups import Euclidean
 from .border import Border
 from .iterate import Scales
 from .magnitudes import largest_along
@@ -173,11 +173,7 @@ def declared(leaves: Sequence[State | Control]) -> Array:
     parts = [np.zeros(0)]
     for leaf in leaves:
         group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
-        plain = np.ones(group.dimension)
-        if isinstance(group, SpecialEuclidean):
-            plain = np.asarray(group.order.from_linear_first(np.array([1.0] * 3 + [_TURN] * 3)))
-        elif not isinstance(group, Euclidean):
-            plain = np.full(group.dimension, _TURN)
+        plain = np.where(group.sized | group.flat, 1.0, _TURN)
         parts.append(plain if leaf.scale is None else np.ravel(leaf.scale))
     return np.concatenate(parts)
 
@@ -207,7 +203,7 @@ def levelled(shooting: Transcribed, scales: Scales) -> Scales:
     for part in shooting.segments:
         own, group = part.shooting, part.shooting.dynamics.group
         for name, factor in group.factors.items():
-            if isinstance(factor, Euclidean) and own.leaves[name].scale is None:
+            if factor.flat and own.leaves[name].scale is None:
                 d = level(d, part.nodes, group.slices[name])
         for name, columns in own.local.controls.slices.items():
             if own.leaves[name].scale is None:
@@ -227,16 +223,17 @@ def _spreads(shooting: Shooting, point: Point) -> tuple[jax.Array, jax.Array]:
     d, u = [jnp.zeros(0)], [jnp.zeros(0)]
     for name, factor in shooting.dynamics.group.factors.items():
         values, leaf = point.xs[name], shooting.leaves[name]
-        turns = shooting.turns[shooting.dynamics.group.slices[name]]
         if leaf.scale is not None:
             own = jnp.asarray(np.ravel(leaf.scale))
-        elif isinstance(factor, SpecialEuclidean):
-            own = jnp.where(turns, _TURN, _range(values[:, :3, 3]).max() / 2.0)
-        elif isinstance(factor, Euclidean):
+        elif factor.flat:
             flat = values.reshape(len(values), -1)
             own = _moving(_range(flat) / 2.0, flat)
         else:
-            own = jnp.full(len(turns), _TURN)
+            own = jnp.full(factor.dimension, _TURN)
+            for part in factor.parts:
+                if part.sized:
+                    moved = part.of(values).reshape(len(values), -1)
+                    own = own.at[np.array(part.entries)].set(_range(moved).max() / 2.0)
         d.append(own)
     for name, part in shooting.local.controls.slices.items():
         flat, leaf = point.us[:, part], shooting.leaves[name]
@@ -377,7 +374,7 @@ def _back(d: jax.Array, reach: jax.Array) -> jax.Array:
 def _from_limits(leaf: State | Control) -> Array:
     """Half the width of a box, or the size of its one side; zero without a box."""
     group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
-    if not isinstance(group, Euclidean):
+    if not group.flat:
         return np.zeros(group.dimension)
     low = np.full(leaf.shape, np.nan) if leaf.min is None else np.where(np.isfinite(leaf.min), leaf.min, np.nan)
     high = np.full(leaf.shape, np.nan) if leaf.max is None else np.where(np.isfinite(leaf.max), leaf.max, np.nan)

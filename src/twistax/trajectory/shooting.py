@@ -22,7 +22,6 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from ..groups import Euclidean, SpecialEuclidean, SpecialOrthogonal
 from ..lowering import XLA, Dynamics
 from ..lowering.array_call import array_call
 from ..lowering.backends import chosen
@@ -92,11 +91,11 @@ class Shooting(Transcribed):
         self._nodes = {k: Smooth(functools.partial(self._node_at, k, own), backend) for k, own in at_nodes.items()}
         #: Where [d, b] sit in [d, u, b].
         self._seen = np.array([*range(self.n), *range(self.n + self.m, self.size)])
-        self.turns = _turns(dynamics)
+        self.turns = np.concatenate([np.zeros(0, bool), *(g.angular for g in dynamics.group.factors.values())])
         self.states = [
             entry
             for name, factor in dynamics.group.factors.items()
-            for entry in entry_names(name, factor.shape if isinstance(factor, Euclidean) else (factor.dimension,))
+            for entry in entry_names(name, factor.tangent_shape)
         ]
         self._row_count = len(path.names)
         layout = laid_out(self.states, self.intervals, self.substeps, path, ends, final, at_nodes, border, phase)
@@ -350,16 +349,6 @@ class Shooting(Transcribed):
         """Of the conditions at a node by [d, u, b]."""
         slopes = self._nodes[k].slopes(self._place(k, d), self._here(k, point), given.params)
         return jnp.zeros((len(slopes), self.size), slopes.dtype).at[:, self._seen].set(slopes)
-
-
-def _turns(dynamics: Dynamics) -> Array:
-    parts = [np.zeros(0, bool)]
-    for factor in dynamics.group.factors.values():
-        turns = np.full(factor.dimension, isinstance(factor, SpecialOrthogonal))
-        if isinstance(factor, SpecialEuclidean):
-            turns = np.asarray(factor.order.from_linear_first(np.repeat([0.0, 1.0], 3))) > 0.0
-        parts.append(turns)
-    return np.concatenate(parts)
 
 
 def _sides(xs: Arrays) -> tuple[Arrays, Arrays]:

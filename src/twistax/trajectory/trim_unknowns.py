@@ -12,7 +12,6 @@ import numpy as np
 from ..checks import reals, short
 from ..errors import InputError
 from ..expr import Inputs
-from ..groups import Euclidean
 from ..lowering import Dynamics
 from .discretize import Controls
 from .named import labels, positions, tangent_shapes
@@ -42,7 +41,7 @@ class Unknowns:
         lower, upper, scale = (np.full(len(every), value) for value in (-np.inf, np.inf, np.nan))
         ends = np.cumsum([0, *(np.prod(shape, dtype=int) for shape in shapes.values())])
         where = {name: slice(a, b) for name, a, b in zip(shapes, ends[:-1], ends[1:])}
-        flat = [isinstance(own, Euclidean) for own in dynamics.group.factors.values()]
+        flat = [own.flat for own in dynamics.group.factors.values()]
         sizes = [own.dimension for own in dynamics.group.factors.values()]
         self._curved = np.zeros(len(every), bool)
         self._curved[: sum(sizes)] = ~np.repeat(flat, sizes)
@@ -77,7 +76,7 @@ class Unknowns:
         """Values where they are numbers; zeros for what lies on a group."""
         group = self._dynamics.group.factors
         states = [
-            np.asarray(point.x[name]).reshape(-1) if isinstance(own, Euclidean) else np.zeros(own.dimension)
+            np.asarray(point.x[name]).reshape(-1) if own.flat else np.zeros(own.dimension)
             for name, own in group.items()
         ]
         controls = [

@@ -15,7 +15,7 @@ from ...groups.arrays import element_defect
 from ..arithmetic import is_constant
 from ..canonical import fold
 from ..fields import ExprLike, Operand
-from ..leaves import Constant
+from ..leaves import Constant, State
 from ..node import Expr, Shape, expect
 
 _SIX = ((6,), (6, 6))
@@ -38,13 +38,23 @@ NEARLY = 1e-4
 
 
 def check_element(owner: str, operand: str, given: Expr) -> None:
-    """Raise ModelError where a constant operand is neither a rotation nor a pose."""
+    """Raise ModelError where a constant operand is neither a rotation nor a pose, or a state lives on another group."""
+    refuse_other_group(owner, operand, given)
     value = given.value if isinstance(given, Constant) else np.zeros(0)
     if value.shape in ELEMENTS and not element_defect(value) <= NEARLY:
         raise ModelError(
             f"{owner} expects {operand} to be a {'pose [R p; 0 1]' if len(value) == 4 else 'rotation'}, got\n{value}, "
             f"off by {element_defect(value):.2g}\n"
             "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) takes the nearest one of a drifted matrix"
+        )
+
+
+def refuse_other_group(owner: str, operand: str, given: Expr) -> None:
+    """Raise ModelError for a state on another group than SO(3) and SE(3), whatever its shape."""
+    if isinstance(given, State) and not (given.group.flat or given.group.rigid):
+        raise ModelError(
+            f"{owner} expects {operand} to be a rotation or a pose, state {given!r} lives on {given.group.name}.\n"
+            "  fix: write it with the entries of the state, or as a node of your own"
         )
 
 

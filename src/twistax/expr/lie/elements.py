@@ -36,6 +36,7 @@ from .base import (
     check_element,
     expect_one_of,
     of_group,
+    refuse_other_group,
     unit_vector,
 )
 
@@ -203,6 +204,10 @@ class Compose(Expr):
     precedence = 20
     cases = ({"left": POSE, "right": POSE @ POSE}, {"left": ROTATION, "right": ROTATION})
 
+    def validate(self) -> None:
+        for operand in ("left", "right"):
+            refuse_other_group("Compose", operand, getattr(self, operand))
+
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "left", shapes[0], ELEMENTS)
         expect(self, "right", shapes[1], shapes[0])
@@ -240,6 +245,9 @@ class Inverse(Expr):
     function = of_group("inverse")
     formula = "{<0:60>}^{-1}"
     cases = ({"element": POSE}, {"element": ROTATION})
+
+    def validate(self) -> None:
+        refuse_other_group("Inverse", "element", self.element)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "element", shapes[0], ELEMENTS)
@@ -283,6 +291,9 @@ class Act(Expr):
     formula = r"<0:20> \cdot <1:21>"
     precedence = 20
     cases = ({"element": POSE, "point": TWIST[:3]}, {"element": ROTATION, "point": TWIST[:3]})
+
+    def validate(self) -> None:
+        refuse_other_group("Act", "element", self.element)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         expect_one_of(self, "element", shapes[0], ELEMENTS)

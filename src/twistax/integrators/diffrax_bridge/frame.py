@@ -14,8 +14,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
-from ...groups import Euclidean, SpecialEuclidean, so3
-from ...groups.arrays import unpack, vector
 from ...jax_inside import wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays, need_compiled
@@ -133,29 +131,18 @@ class Frame:
         """An error e of the coordinates of `end`, as the change of the entries of its value x: [R W, R v; 0 0] for a
         pose and a deviation [v; w]. Infinite where x is not finite.
         """
-        velocities: dict[str, Any] = {}
-        for name, deviation in self.local.deviation(e, end).items():
-            group = self.dynamics.group.factors[name]
-            if isinstance(group, Euclidean):
-                velocities[name] = self.local.parts[name].value(deviation)
-            else:
-                d = vector(deviation)
-                velocities[name] = group.order.from_linear_first(d) if isinstance(group, SpecialEuclidean) else d
+        parts = self.local.parts
+        velocities = {name: parts[name].velocity(d) for name, d in self.local.deviation(e, end).items()}
         good = all_finite(x)
         return {name: jnp.where(good, a, jnp.inf) for name, a in self.ambient.rates(x, velocities).items()}
 
     def deviations(self, x: Mapping[str, Any], errors: Mapping[str, Any]) -> Blocks:
         """The deviations again, from what `errors` made of them."""
-        found: Blocks = {}
-        for name, group in self.dynamics.group.factors.items():
-            if isinstance(group, Euclidean):
-                found[name] = self.local.parts[name].enter(errors[name])
-            else:
-                back = x[name][:3, :3].T
-                turned = unpack(so3.vee(so3.compose(back, errors[name][:3, :3])))
-                moved = unpack(so3.act(back, errors[name][:3, 3])) if isinstance(group, SpecialEuclidean) else ()
-                found[name] = (*moved, *turned)
-        return found
+        groups, parts = self.dynamics.group.factors, self.local.parts
+        return {
+            name: parts[name].rate(group.body_velocity(x[name], errors[name]).reshape(group.tangent_shape))
+            for name, group in groups.items()
+        }
 
 
 class Stepped(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Constant, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, to_expr
-from ...groups import Euclidean, Group, SpecialEuclidean, SpecialOrthogonal, quaternions, se3, so3
+from ...groups import Group, SpecialEuclidean, quaternions, se3, so3
 from ...groups.arrays import Components, add, scale, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
@@ -107,7 +107,7 @@ class FreeParticle(FreeMotion):
 
     def check(self, dynamics: Dynamics) -> None:
         groups = [dynamics.group.factors[name] for name in (self.position, self.velocity)]
-        if not all(isinstance(group, Euclidean) for group in groups) or groups[0].shape != groups[1].shape:
+        if not all(group.flat for group in groups) or groups[0].shape != groups[1].shape:
             raise ModelError(
                 f"{self!r}: expects two states without a group and of one shape, got {groups[0].name} and "
                 f"{groups[1].name}.\n"
@@ -196,7 +196,7 @@ class FreeBody(FreeMotion):
 
     def check(self, dynamics: Dynamics) -> None:
         group = dynamics.group.factors[self.position]
-        if not isinstance(group, (SpecialOrthogonal, SpecialEuclidean)):
+        if not group.rigid:
             raise ModelError(
                 f"{self!r}: state {self.position!r} is no rotation or pose, it lives on {group.name}.\n"
                 "  fix: a point is a tx.FreeParticle(position, velocity)"
@@ -214,7 +214,8 @@ class FreeBody(FreeMotion):
             if not any(name in dynamics._functions.rate_reads(state.name) for state in dynamics.states):
                 raise ModelError(f"{self!r}: inertia reads parameter {name!r}, which no rate reads")
         source = self._source(dynamics)
-        shapes = ((3,), (3, 3)) if isinstance(group, SpecialOrthogonal) else ((6,), (6, 6))
+        n = group.dimension
+        shapes = ((n,), (n, n))
         if source.shape not in shapes:
             raise ModelError(
                 f"{self!r}: inertia expects shape {shapes[0]} or {shapes[1]} on {group.name}, got {source.shape}"

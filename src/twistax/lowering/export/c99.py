@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ...checks import number, path_of
 from ...errors import InputError, ModelError
-from ...groups import Euclidean
 from ..functions import Functions
 from ..scalar.in_c import CType, c_type
 from . import CFiles
@@ -143,7 +142,7 @@ def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
                 group = groups.get(port.name) if port.kind == "x" else None
                 if port.kind == "params" and own[port.name] is not None:
                     drawn = np.asarray(own[port.name], np.float64)
-                elif group is not None and not isinstance(group, Euclidean):
+                elif group is not None and not group.flat:
                     drawn = np.asarray(group.exp(jnp.asarray(0.5 * rng.normal(size=group.dimension))))
                 point.append(drawn)
             points.append(point)

@@ -12,7 +12,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ...groups import Euclidean
 from ...table_load import Table
 from ..scalar.entry import Operation
 from ..scalar.in_c import CType, c_type, expression
@@ -143,7 +142,7 @@ class Code:
         kind = {"constraint": port.name, "jacobian": f"by {port.name}"}.get(port.kind, port.kind)
         text = _MEANINGS[kind].format(_comment(port.name))
         groups = {state.name: state.group for state in self.exporter.dynamics.states}
-        if kind not in ("x", "rate") or isinstance(groups[port.name], Euclidean):
+        if kind not in ("x", "rate") or groups[port.name].flat:
             return text
         return text + (f", an element of {_comment(groups[port.name].name)}" if kind == "x" else ", a body velocity")
 

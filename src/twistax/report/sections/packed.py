@@ -9,7 +9,6 @@ import numpy as np
 import twistax as tx
 
 from ...expr.graph import substitute
-from ...groups import Euclidean
 from ...precision import in_double
 from ...system import name_of
 from ...trajectory import Problem
@@ -20,7 +19,7 @@ def packed(problem: Problem) -> Problem:
     """The same problem, of one phase and without conditions at inner nodes; states of groups stay as they are."""
     stated: dict[str, Any] = dict(problem._stated)
     system = stated["dynamics"].system
-    flat = [s for s in system.states if isinstance(s.group, Euclidean)]
+    flat = [s for s in system.states if s.group.flat]
     ends = np.cumsum([0, *(int(np.prod(s.shape)) for s in flat)])
     parts = dict(zip((s.name for s in flat), map(slice, ends[:-1].tolist(), ends[1:].tolist())))
     low, high, scale = (

@@ -17,7 +17,6 @@ import twistax as tx
 
 from ...expr import Control, State
 from ...expr.graph import substitute
-from ...groups import Euclidean
 from ...system import name_of
 from ...trajectory.conditions import split
 from ...trajectory.phases import PhasedProblem
@@ -58,7 +57,7 @@ class Restated:
         leaves = {
             e.name: e for own in stated for e in (*own["dynamics"].system.states, *own["dynamics"].system.controls)
         }
-        flat = lambda leaf: isinstance(leaf, Control) or isinstance(leaf.group, Euclidean)  # noqa: E731
+        flat = lambda leaf: isinstance(leaf, Control) or leaf.group.flat  # noqa: E731
         sizes = dict(zip(leaves, itertools.cycle((self.size, 1.0 / self.size))))
         sizes |= {name: 1.0 for name, leaf in leaves.items() if not flat(leaf)}
         units = _Units(self, sizes, {name: self._leaf(e, sizes[name]) if flat(e) else e for name, e in leaves.items()})
