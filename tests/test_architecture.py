@@ -20,6 +20,7 @@ LAYERS = [
     "errors",
     "jax_inside",
     "table_load",
+    "in_range",
     "precision",
     "checks",
     "progress",
@@ -118,6 +119,7 @@ LAYERS_ABOVE = (
     "demo",
     "jax_inside",
     "table_load",
+    "in_range",
     "view",
 )
 

@@ -83,6 +83,7 @@ ELEMENTWISE = [
     Entry("add_any", lambda reader, eqn, a, b: [each(reader.graph.add, a, b)], inside=SMALL),
     Entry("square", lambda reader, eqn, a: [each(lambda x: reader.graph.mul(x, x), a)], inside=SMALL),
     Entry("integer_pow", _integer_pow, "y", inside=SMALL),
+    Entry("quotient", lambda reader, eqn, a, b: [each(reader.graph.div, a, b)], inside=SMALL),
     Entry("select_n", _select_n, inside=SMALL),
     Entry("le_to", _ordered("le"), inside=SMALL),
     Entry("lt_to", _ordered("lt"), inside=SMALL),

@@ -22,8 +22,8 @@ from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
 from .powers import WholePower
 
-_ADD, _SUB, _MUL, _DIV, _NEG, _SELECT, _NOT = (
-    OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "select", "not")
+_ADD, _SUB, _MUL, _DIV, _NEG, _POW, _SELECT, _NOT = (
+    OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "pow", "select", "not")
 )
 
 #: First entries of nodes that are no operations: a number, an input, a result of a call.
@@ -242,6 +242,8 @@ class Graph:
             # Exact for powers of two, else to one rounding; not where the inverse leaves the range of numbers.
             if np.isfinite(self.dtype.type(inverse)) and abs(inverse) > np.finfo(self.dtype).tiny:
                 return self.mul(a, self.constant(inverse))
+        if a == self.one and self.nodes[b][0] is _POW and self.numbers[self.nodes[b][2]] is not None:
+            return self.node(_POW, self.nodes[b][1], self.neg(self.nodes[b][2]))
         return self._signed(self.div, _DIV, a, b)
 
     def _signed(self, make: Callable[[int, int], int], operation: Operation, a: int, b: int) -> int:
@@ -306,6 +308,11 @@ class Graph:
         """The argument and the place in it that a node is."""
         entry = self.nodes[node]
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
+
+    def reciprocal_of(self, node: int) -> int | None:
+        """b where a node is 1 / b."""
+        entry = self.nodes[node]
+        return int(entry[2]) if entry[0] is _DIV and entry[1] == self.one else None
 
     def operation(self, node: int) -> Operation | None:
         entry = self.nodes[node]

@@ -1,4 +1,4 @@
-"""Whole powers: x^n as one operation, with the derivative n x^(n-1) by powers themselves."""
+"""Whole powers, with the derivative n x^(n-1) by powers themselves."""
 
 from __future__ import annotations
 
@@ -73,7 +73,9 @@ def whole_power(n: int) -> WholePower:
 
 
 def power(g: Graph, x: int, n: int) -> int:
-    """The node of x^n for a whole number n."""
+    """The node of x^n for a whole number n; of (1 / x)^n that of x^-n."""
+    if n > 1 and (below := g.reciprocal_of(x)) is not None:
+        return power(g, below, -n)
     if n in (0, 1):
         return x if n else g.one
     if n in (-1, 2):
