@@ -20,6 +20,7 @@ LAYERS = [
     "errors",
     "jax_inside",
     "table_load",
+    "in_range",
     "precision",
     "checks",
     "progress",
@@ -121,6 +122,7 @@ LAYERS_ABOVE = (
     "demo",
     "jax_inside",
     "table_load",
+    "in_range",
     "view",
 )
 

@@ -13,6 +13,7 @@ from twistax.lowering.native.backend import Native
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS
+from twistax.in_range import norm, quotient
 from twistax.table_load import Table, load
 
 REAL, TRUTH, PLACES = np.array([0.5, -1.5]), np.array([True, False]), np.array([2, 0])
@@ -68,6 +69,8 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "reduce_precision": (lambda a: lax.reduce_precision(a, 11, 52), REAL),
     "copy": (jnp.copy, REAL),
     "table_load": (lambda i: load(Table([4.0, 5.0, 6.0, 7.0]), i, np.float64, 1), PLACES),
+    "quotient": (quotient, REAL, REAL + 2.0),
+    "norm": (jax.vmap(norm), MATRIX),
     "optimization_barrier": (lax.optimization_barrier, REAL),
     "round": (lax.round, REAL),
     # ---- movement

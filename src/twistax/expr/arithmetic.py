@@ -15,10 +15,19 @@ from ..groups.arrays import multiply
 from .bases import Chained, Entrywise, align, broadcast
 from .fields import Operand, Operands
 from .leaves import Constant
-from .node import Expr, Shape
+from .node import Expr, Numbers, Shape
 from .printing import wrap_latex
 
 _VECTOR, _MATRIX = [1.0, -2.0, 0.5], np.arange(6.0).reshape(2, 3) ** 1.5
+
+
+def quotient(a: Numbers, b: Numbers) -> Numbers:
+    """a / b, entry by entry; of JAX's arrays with a derivative that stays in range."""
+    if not (isinstance(a, jax.Array) or isinstance(b, jax.Array)):
+        return a / b
+    from ..in_range import quotient as divided  # not at import: it loads much of JAX that `import jax` does not
+
+    return divided(a, b)
 
 
 def is_constant(node: Expr, number: float) -> bool:
@@ -140,7 +149,7 @@ class Div(Entrywise):
 
     left: Operand
     right: Operand
-    function = operator.truediv
+    function = quotient
     infix = "/"
     formula = r"\frac{<0>}{<1>}"
     cases = ({"left": _VECTOR, "right": -0.5},)
@@ -175,7 +184,8 @@ class Neg(Entrywise):
 class Power(Entrywise):
     """Entrywise power base ** exponent with NumPy broadcasting.
 
-    A constant whole exponent is computed by multiplication, so that its derivative at zero is right.
+    A constant whole exponent is computed by multiplication, so that its derivative at zero is right; a negative one as
+    the power of 1 / base, which is in range where the result is.
 
     Raises: ShapeError if the shapes do not broadcast.
     """
@@ -197,7 +207,10 @@ class Power(Entrywise):
         if isinstance(self.exponent, Constant) and self.exponent.value.ndim == 0:
             number = float(self.exponent.value)
             if number.is_integer() and abs(number) <= 64:
-                return jax.lax.integer_pow(base, int(number))
+                base = base if number >= 0.0 else quotient(jnp.ones_like(base), base)
+                return jax.lax.integer_pow(base, abs(int(number)))
+        if isinstance(self.exponent, Constant) and (self.exponent.value < 0.0).all():
+            return quotient(jnp.ones((), base.dtype), jnp.power(base, -exponent))
         return jnp.power(base, exponent)
 
     def simplify(self) -> Expr:

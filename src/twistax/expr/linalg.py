@@ -12,7 +12,7 @@ from ..errors import ModelError, ShapeError
 from ..groups.arrays import cross, unpack, vector
 from .arithmetic import Div, Neg, is_constant, zeros_of
 from .bases import expect_square
-from .elementwise import Abs, absolute, square_root
+from .elementwise import Abs, absolute
 from .fields import ExprLike, Operand
 from .node import Expr, Numbers, Shape, expect
 
@@ -126,6 +126,13 @@ class Trace(Expr):
         return Trace(self.operand.operand) if isinstance(self.operand, Transpose) else self
 
 
+def _root_of_squares(x: jax.Array) -> jax.Array:
+    """The root of the sum of squares of all entries, where no square is in range too."""
+    from ..in_range import norm  # not at import: it loads much of JAX that `import jax` does not
+
+    return norm(x)
+
+
 def vector_norm(x: jax.Array, order: Any) -> jax.Array:
     """The norm of a vector: "inf", "-inf", 1 or another number above 1."""
     sizes = absolute(x)
@@ -183,7 +190,7 @@ class Norm(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         (x,) = values
         if self.ord == "fro" or (self.ord == 2 and x.ndim < 2):
-            return square_root(jnp.sum(x * x))
+            return _root_of_squares(x)
         zero = jnp.all(x == 0.0)
         safe = jnp.where(zero, 1.0, jnp.atleast_1d(x))
         norm = matrix_norm if x.ndim == 2 else vector_norm

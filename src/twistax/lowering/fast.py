@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Generic, Literal, ParamSpec, TypeVar
 
 import jax
+from jax import dtypes
 
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, of_one_device, opened, spread
@@ -67,6 +68,9 @@ class Fast(Generic[P, R]):
         over = closed_over(self._function)
         if not places and not over:
             return self._function(*args, **kwargs), ["as written: no argument is an array"]
+        if any(dtypes.canonicalize_dtype(t) != t for t in (leaf.dtype for leaf in [*over, *leaves] if is_traced(leaf))):
+            # Of these JAX decides operation by operation.
+            return self._function(*args, **kwargs), ["arrays, as written: 64-bit arrays where jax_enable_x64 is off"]
         # Elsewhere JAX itself makes inputs of what a function closes over.
         over = over if spread([*over, *leaves]) else []
         shapes: list[Any] = []

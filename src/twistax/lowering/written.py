@@ -64,6 +64,13 @@ class Written(Differentiable):
 
         return self._derivative(cotangent, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
 
+    def transposed(self, linear: tuple[int, ...]) -> Written:
+        def back(given: list[Any], cotangents: list[Any]) -> list[Any]:
+            shapes = [jax.ShapeDtypeStruct(given[k].shape, given[k].dtype) for k in linear]
+            return list(jax.linear_transpose(self._of(linear, given), *shapes)(cotangents))
+
+        return self._derivative(back, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
+
     def _of(self, active: tuple[int, ...], given: Sequence[Any]) -> Callable[..., list[jax.Array]]:
         """The real results as a function of some of the arguments."""
 

@@ -14,6 +14,7 @@ from jax import lax
 
 from .entry import ALWAYS, NEVER, SMALL, Entry, Nodes, Operation, convert, default, each, gathered, nodes, up_to
 from .operations import LARGEST, OPERATIONS, SMALLEST, inverse_root, on
+from .powers import power
 
 if TYPE_CHECKING:
     from .graph import Graph
@@ -22,25 +23,11 @@ if TYPE_CHECKING:
 # ---- entry by entry --------------------------------------------------------------------------------------------------
 
 
-def _power(g: Graph, x: int, n: int) -> int:
-    """x^n by repeated squaring."""
-    if n < 0:
-        return g.div(g.one, _power(g, x, -n))
-    result: int | None = None
-    while n:
-        if n & 1:
-            result = x if result is None else g.mul(result, x)
-        n >>= 1
-        if n:
-            x = g.mul(x, x)
-    return g.one if result is None else result
-
-
 def _integer_pow(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     g = reader.graph
     if g.dtype_of(a) != g.dtype:
         return None
-    return [each(lambda x: _power(g, x, eqn.params["y"]), a)]
+    return [each(lambda x: power(g, x, eqn.params["y"]), a)]
 
 
 def _select_n(reader: Reader, eqn: Any, which: Nodes, *cases: Nodes) -> list[Nodes]:
@@ -96,6 +83,7 @@ ELEMENTWISE = [
     Entry("add_any", lambda reader, eqn, a, b: [each(reader.graph.add, a, b)], inside=SMALL),
     Entry("square", lambda reader, eqn, a: [each(lambda x: reader.graph.mul(x, x), a)], inside=SMALL),
     Entry("integer_pow", _integer_pow, "y", inside=SMALL),
+    Entry("quotient", lambda reader, eqn, a, b: [each(reader.graph.div, a, b)], inside=SMALL),
     Entry("select_n", _select_n, inside=SMALL),
     Entry("le_to", _ordered("le"), inside=SMALL),
     Entry("lt_to", _ordered("lt"), inside=SMALL),

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ...jax_inside import ClosedJaxpr, jaxpr_as_fun
+from .cotangents import Cotangent, Cotangents
 from .entry import Nodes, flat, nodes
 from .graph import Call, Graph
 from .program import Reader, ScalarProgram
@@ -27,8 +28,13 @@ def _alone(
 
     @functools.wraps(derivative)
     def locked(program: ScalarProgram, *args: Own.args, **kwargs: Own.kwargs) -> Made:
-        with program.graph.lock:
-            return derivative(program, *args, **kwargs)
+        g = program.graph
+        with g.lock:
+            before, g.differentiating = g.differentiating, True
+            try:
+                return derivative(program, *args, **kwargs)
+            finally:
+                g.differentiating = before
 
     return locked
 
@@ -59,10 +65,10 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
 @_alone
 def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
-    g, found = program.graph, dict[int, int]()
+    g, found = program.graph, Cotangents(program.graph)
     inputs, weights = _with_cotangents(program)
     for i, c in zip(program.flat, weights, strict=True):
-        _accumulate(g, found, i, c)
+        found.add(i, Cotangent(c, g.one))
     _pull(g, program.live, found, program.depending(active))
     return _by_arguments(program, inputs, found, active)
 
@@ -70,11 +76,11 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
 @_alone
 def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
-    g, found = program.graph, dict[int, int]()
+    g, found = program.graph, Cotangents(program.graph)
     inputs, weights = _with_cotangents(program)
     columns = flat(*(program.inputs[k] for k in active))
     for (place, column), entry in jacobian(program, active).items():
-        _accumulate(g, found, columns[column], g.mul(entry, weights[place]))
+        found.add(columns[column], Cotangent(g.mul(entry, weights[place]), g.one))
     return _by_arguments(program, inputs, found, active)
 
 
@@ -206,8 +212,8 @@ def _tangents(called: _Called, active: tuple[int, ...]) -> ClosedJaxpr:
 # ---- reverse ---------------------------------------------------------------------------------------------------------
 
 
-def _pull(g: Graph, live: Sequence[int], found: dict[int, int], depending: Collection[int]) -> None:
-    """Add to `found`, node -> its cotangent, those of all nodes that depend on active inputs, last ones first."""
+def _pull(g: Graph, live: Sequence[int], found: Cotangents, depending: Collection[int]) -> None:
+    """Add to `found` the cotangents of all nodes that depend on active inputs, last ones first."""
     done: set[int] = set()
     for i in reversed(live):
         if i not in found or i not in depending:
@@ -215,17 +221,19 @@ def _pull(g: Graph, live: Sequence[int], found: dict[int, int], depending: Colle
         call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
         pairs: Any = ()
         if operation is not None:
-            pairs = zip(arguments, operation.cotangents(g, arguments, i, found[i]), strict=True)
+            pairs = zip(arguments, operation.cotangents(g, arguments, i, found.of(i)), strict=True)
         elif call is not None and id(call) not in done:
             # All results of a call stand before whatever reads them: their cotangents are complete.
             done.add(id(call))
             pairs = _pulled_call(g, call, found, depending)
         for a, c in pairs:
             if c is not None and a in depending:
-                _accumulate(g, found, a, c)
+                found.add(a, c)
 
 
-def _pulled_call(g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]) -> list[tuple[int, int]]:
+def _pulled_call(
+    g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]
+) -> list[tuple[int, Cotangent]]:
     """The arguments of a call and their cotangents."""
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
     active = tuple(
@@ -235,7 +243,8 @@ def _pulled_call(g: Graph, call: Call, found: Mapping[int, int], depending: Coll
     )
     given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
     results = Reader(g).read(_cotangents(_function(g, call), active, tuple(real)), given)
-    return list(zip(flat(*(call.arguments[k] for k in active)), flat(*results), strict=True))
+    cotangents = [Cotangent(c, g.one) for c in flat(*results)]
+    return list(zip(flat(*(call.arguments[k] for k in active)), cotangents, strict=True))
 
 
 @functools.lru_cache(512)
@@ -279,11 +288,6 @@ def _of_some(jaxpr: ClosedJaxpr, active: Sequence[int], values: Sequence[Any]) -
         return jaxpr_as_fun(jaxpr)(*(given.get(k, value) for k, value in enumerate(values)))
 
     return function
-
-
-def _accumulate(g: Graph, found: dict[int, int], node: int, term: int) -> None:
-    if term != g.zero:
-        found[node] = g.joined(found[node], term) if node in found else term
 
 
 def _new_inputs(g: Graph, argument: int, like: Nodes) -> Nodes:

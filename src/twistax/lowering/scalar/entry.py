@@ -15,6 +15,7 @@ from jax import lax
 from numpy.typing import NDArray
 
 from ...jax_inside import ClosedJaxpr, inner_jaxprs, parameters
+from .cotangents import Cotangent
 
 if TYPE_CHECKING:
     from .graph import Graph
@@ -26,8 +27,11 @@ Nodes: TypeAlias = NDArray[Any]
 #: read(reader, equation, *arrays of nodes) -> the arrays of the results; None: the equation stays a call of JAX.
 Read: TypeAlias = "Callable[..., list[Nodes] | None]"
 
-#: Nodes of the derivatives of an operation with respect to its arguments; None where one is zero everywhere.
-Partials: TypeAlias = "Callable[[Graph, tuple[int, ...], int], Sequence[int | None]]"
+#: A derivative of an operation: a node, or two of which it is the product, w q. A tangent t then becomes w (q t): w q
+#: itself may leave the range of numbers. None: it is zero everywhere.
+Slope: TypeAlias = "int | tuple[int, int] | None"
+#: Those of an operation with respect to its arguments.
+Partials: TypeAlias = "Callable[[Graph, tuple[int, ...], int], Sequence[Slope]]"
 
 #: Sets of tangents of the arguments of an operation; None stands for zero.
 Tangents: TypeAlias = Sequence[Sequence[int | None]]
@@ -164,7 +168,7 @@ class Operation(Entry):
         symmetric: whether arguments may be swapped.
         parity: -1 for odd functions, 1 for even ones, 0 for others.
         maker: graph -> what makes its node, with what is known left out, as sums do of zeros; None: as of all others.
-        pair: that of two, which emitters write one after the other for one of many.
+        written: graph -> what makes the node that emitters write for it; None: they write the operation.
         llvm, c, casadi: how it is written in these languages.
     """
 
@@ -176,7 +180,7 @@ class Operation(Entry):
     symmetric: bool = False
     parity: int = 0
     maker: Callable[[Graph], Callable[..., int]] | None = None
-    pair: Operation | None = None
+    written: Callable[[Graph], Callable[..., int]] | None = None
     inside: Callable[[Any], bool] = SMALL
     llvm: Forms = _NOWHERE
     c: Forms = _NOWHERE
@@ -196,16 +200,25 @@ class Operation(Entry):
         partials, found = self.partials(g, arguments, node), []
         for tangents in along:
             pairs = zip(partials, tangents, strict=True)
-            terms = [g.mul(p, t) for p, t in pairs if p is not None and t is not None]
+            terms = [_moved(g, p, t) for p, t in pairs if p is not None and t is not None]
             found.append(functools.reduce(g.add, terms) if terms else None)
         return found
 
-    def cotangents(self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
+    def cotangents(
+        self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
+    ) -> Sequence[Cotangent | None]:
         """What the cotangent of the result gives to each argument."""
         if self.partials is None:
             return [None] * len(arguments)
-        found = self.partials(g, arguments, node)
-        return [None if partial is None else g.scaled(partial, cotangent) for partial in found]
+        return [None if p is None else cotangent.through(g, p) for p in self.partials(g, arguments, node)]
+
+
+def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
+    """A derivative times a tangent."""
+    if not isinstance(slope, tuple):
+        return g.mul(slope, tangent)
+    weight, rate = slope
+    return g.mul(weight, g.mul(rate, tangent))
 
 
 class Select(Operation):
@@ -216,9 +229,11 @@ class Select(Operation):
         chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in along]
         return [None if pair == [zero, zero] else g.select(arguments[0], *pair) for pair in chosen]
 
-    def cotangents(self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
-        c, zero = arguments[0], g.constant(0.0, g.dtypes[node])
-        return [None, g.select(c, cotangent, zero), g.select(c, zero, cotangent)]
+    def cotangents(
+        self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
+    ) -> Sequence[Cotangent | None]:
+        c, zero, (weight, rate) = arguments[0], g.constant(0.0, g.dtypes[node]), cotangent
+        return [None, Cotangent(g.select(c, weight, zero), rate), Cotangent(g.select(c, zero, weight), rate)]
 
 
 class Convert(Operation):
@@ -228,8 +243,12 @@ class Convert(Operation):
         linear = self._linear(g, arguments, node)
         return [g.node(self, t) if linear and t is not None else None for (t,) in along]
 
-    def cotangents(self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: int) -> Sequence[int | None]:
-        return [g.node(convert(g.dtypes[arguments[0]]), cotangent) if self._linear(g, arguments, node) else None]
+    def cotangents(
+        self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
+    ) -> Sequence[Cotangent | None]:
+        if not self._linear(g, arguments, node):
+            return [None]
+        return [Cotangent(g.node(convert(g.dtypes[arguments[0]]), cotangent.total(g)), g.one)]
 
     def _linear(self, g: Graph, arguments: tuple[int, ...], node: int) -> bool:
         return all(jnp.issubdtype(g.dtypes[i], jnp.inexact) for i in (node, arguments[0]))

@@ -20,9 +20,10 @@ from ...jax_inside import ClosedJaxpr
 from ...walk import walk
 from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
+from .powers import WholePower
 
-_ADD, _SUB, _MUL, _DIV, _NEG, _SELECT, _NOT = (
-    OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "select", "not")
+_ADD, _SUB, _MUL, _DIV, _NEG, _POW, _SELECT, _NOT = (
+    OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "pow", "select", "not")
 )
 
 #: First entries of nodes that are no operations: a number, an input, a result of a call.
@@ -81,17 +82,28 @@ class Graph:
     Args:
         dtype: the floating-point type of the program.
         checked: keep what depends on all numbers being finite: 0 x, 0 / x and x - x stay as they are, and so does every
-            division. By default they are zero, also where x is infinite or NaN. The sign of a zero is not
-            kept in either mode.
+            division. By default they are zero, also where x is infinite or NaN.
         largest: refuse to grow beyond this many nodes.
         limits: up to which size parts are unrolled that a library does as well.
+        signed_zeros: -x - y and 0 - x keep the sign of a zero, for what depends on it. That of x - y is always kept,
+            those of sums with zeros and of products with zeros never.
     """
 
-    def __init__(self, dtype: Any, checked: bool = False, largest: int = 200_000, limits: Limits = LIMITS) -> None:
+    def __init__(
+        self,
+        dtype: Any,
+        checked: bool = False,
+        largest: int = 200_000,
+        limits: Limits = LIMITS,
+        signed_zeros: bool = False,
+    ) -> None:
         self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.checked = checked
         self.largest = largest
         self.limits = limits
+        self.signed_zeros = signed_zeros
+        #: Whether derivatives are being added, in which the sign of a zero means nothing.
+        self.differentiating = False
         #: Held while derivatives are added, which several threads may ask for.
         self.lock = threading.RLock()
         self.nodes: list[tuple[Any, ...]] = []
@@ -177,16 +189,17 @@ class Graph:
     def sub(self, a: int, b: int) -> int:
         if b == self.zero:
             return a
-        if a == self.zero:
+        unsigned = self.differentiating or not self.signed_zeros
+        if a == self.zero and unsigned:
             return self.neg(b)
         if a == b and not self.checked and self.dtypes[a] == self.dtype and self.numbers[a] is None:
             return self.zero
         first, second = self.nodes[a], self.nodes[b]
         if second[0] is _NEG:
             return self.add(a, second[1])
-        if first[0] is _NEG:
+        if first[0] is _NEG and unsigned:
             return self.neg(self.add(first[1], b))
-        if self.numbers[b] is None and (_SUB, b, a) in self._known:
+        if self.differentiating and self.numbers[b] is None and (_SUB, b, a) in self._known:
             return self.neg(self._known[_SUB, b, a])
         return self.node(_SUB, a, b)
 
@@ -208,6 +221,12 @@ class Graph:
             if factor < 0.0:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
+        for x, y in ((a, b), (b, a)):
+            operation = self.nodes[y][0]
+            if isinstance(operation, WholePower) and operation.exponent == -2:
+                # JAX's derivative of a quotient is such a product. y^-2 may be zero in floating point where it is not.
+                inverse = self.div(self.one, self.nodes[y][1])
+                return self.mul(self.mul(x, inverse), inverse)
         return self._signed(self.mul, _MUL, a, b)
 
     def div(self, a: int, b: int) -> int:
@@ -223,6 +242,8 @@ class Graph:
             # Exact for powers of two, else to one rounding; not where the inverse leaves the range of numbers.
             if np.isfinite(self.dtype.type(inverse)) and abs(inverse) > np.finfo(self.dtype).tiny:
                 return self.mul(a, self.constant(inverse))
+        if a == self.one and self.nodes[b][0] is _POW and self.numbers[self.nodes[b][2]] is not None:
+            return self.node(_POW, self.nodes[b][1], self.neg(self.nodes[b][2]))
         return self._signed(self.div, _DIV, a, b)
 
     def _signed(self, make: Callable[[int, int], int], operation: Operation, a: int, b: int) -> int:
@@ -287,6 +308,11 @@ class Graph:
         """The argument and the place in it that a node is."""
         entry = self.nodes[node]
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
+
+    def reciprocal_of(self, node: int) -> int | None:
+        """b where a node is 1 / b."""
+        entry = self.nodes[node]
+        return int(entry[2]) if entry[0] is _DIV and entry[1] == self.one else None
 
     def operation(self, node: int) -> Operation | None:
         entry = self.nodes[node]

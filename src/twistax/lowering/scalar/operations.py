@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jax import lax
 
-from .entry import Forms, Operation, Select, code, convert, default, everywhere, whole
+from .entry import Forms, Operation, Select, Slope, code, convert, default, everywhere, whole
 
 if TYPE_CHECKING:
     from .graph import Graph
@@ -63,7 +63,7 @@ def _ring(sign: str, name: str, number: Any, partials: Any, **more: Any) -> Oper
     )
 
 
-def _function(name: str, number: Any, slope: Callable[[Graph, int, int], int], **more: Any) -> Operation:
+def _function(name: str, number: Any, slope: Callable[[Graph, int, int], Slope], **more: Any) -> Operation:
     """A function of one real number; `slope` of (graph, x, y) is the derivative of y by x."""
     # JAX lets some of them be asked for another accuracy.
     more |= {"takes": "|accuracy", "when": default("accuracy")}
@@ -142,11 +142,17 @@ def _of_many(name: str, pair: str) -> Operation:
         number=lambda *a: functools.reduce(two.number, a),
         array=lambda *a: functools.reduce(two.array, a),
         partials=partials,
-        pair=two,
+        written=lambda g: lambda *a: functools.reduce(functools.partial(g.node, two), a),
     )
 
 
 # ---- derivatives and nodes -------------------------------------------------------------------------------------------
+
+
+def _quotient_slopes(g: Graph, a: tuple[int, ...], y: int) -> Sequence[Slope]:
+    """Of y = a / b: 1 / b, and -y (1 / b) as two factors: 1 / b^2 may be zero in floating point where y t / b is not."""
+    inverse = _inverse(g, a[1])
+    return [inverse, (g.neg(y), inverse)]
 
 
 def _remainder(g: Graph, a: tuple[int, ...], y: int) -> Sequence[int | None]:
@@ -163,11 +169,14 @@ def _clamped(g: Graph, a: tuple[int, ...], y: int) -> Sequence[int | None]:
     return [g.select(condition, g.one, g.zero) for condition in conditions]
 
 
-def _power(g: Graph, a: tuple[int, ...], y: int) -> Sequence[int | None]:
+def _power(g: Graph, a: tuple[int, ...], y: int) -> Sequence[Slope]:
+    """n x^(n-1), for negative n as n y / x: x^(n-1) may be zero in floating point where n y t / x is not."""
     x, n = a
+    negative = on(g, "lt", n, g.zero)
     lower = on(g, "pow", x, g.select(on(g, "eq", n, g.zero), g.one, g.sub(n, g.one)))
     base = g.select(on(g, "eq", x, g.zero), g.one, x)
-    return [g.mul(n, lower), g.mul(on(g, "log", base), y)]
+    weight = g.mul(n, g.select(negative, y, lower))
+    return [(weight, g.select(negative, _inverse(g, x), g.one)), g.mul(on(g, "log", base), y)]
 
 
 def _angle(g: Graph, a: tuple[int, ...], y: int) -> Sequence[int | None]:
@@ -249,7 +258,7 @@ _ROWS = [
         "div",
         _quotient,
         2,
-        partials=lambda g, a, y: [_inverse(g, a[1]), g.neg(g.mul(y, _inverse(g, a[1])))],
+        partials=_quotient_slopes,
         maker=operator.attrgetter("div"),
         llvm=Forms(_instruction("fdiv")),  # of integers by zero it ends the process
         c=Forms(
@@ -327,11 +336,11 @@ _ROWS = [
         casadi=_python(operator.pow),
     ),
     _named("atan2", np.arctan2, 2, partials=_angle),
-    _function("sqrt", np.sqrt, lambda g, x, y: g.div(g.constant(0.5), y), llvm=Forms(_intrinsic("sqrt"))),
+    _function("sqrt", np.sqrt, lambda g, x, y: (g.one, g.div(g.constant(0.5), y)), llvm=Forms(_intrinsic("sqrt"))),
     _function(
         "cbrt",
         np.cbrt,
-        lambda g, x, y: g.div(g.constant(1.0 / 3.0), g.mul(y, y)),
+        lambda g, x, y: (g.one, g.div(g.constant(1.0 / 3.0), g.mul(y, y))),
         parity=-1,
         casadi=everywhere(lambda casadi, a: casadi.sign(a) * casadi.fabs(a) ** (1.0 / 3.0)),
     ),
@@ -343,7 +352,7 @@ _ROWS = [
         casadi=everywhere(lambda casadi, a: 2.0**a),
     ),
     _function("expm1", np.expm1, lambda g, x, y: g.add(y, g.one), llvm=Forms(code("exponential_less_one"))),
-    _function("log", np.log, lambda g, x, y: _inverse(g, x)),
+    _function("log", np.log, lambda g, x, y: (g.one, _inverse(g, x))),
     _function("log1p", np.log1p, lambda g, x, y: _inverse(g, g.add(g.one, x))),
     _function(
         "logistic",

@@ -157,6 +157,14 @@ class Differentiable(Computed):
         """The results that have derivatives."""
         return [k for k, (_, dtype) in enumerate(self.results) if is_real(dtype)]
 
+    @abstractmethod
+    def transposed(self, linear: tuple[int, ...]) -> Differentiable:
+        """`cotangent` of a function that is linear in these arguments, whatever their values.
+
+        Raises:
+            NotImplementedError: it is not.
+        """
+
     def tangent(self, active: tuple[int, ...]) -> Differentiable:
         if active not in self._tangents:
             found = self._tangents[active] = self._tangent(active)
@@ -248,12 +256,26 @@ class Derived(Differentiable):
     def _cotangent(self, active: tuple[int, ...]) -> Derived:
         return Derived(cotangent_program(self.program, active), None, self.runner)
 
+    def transposed(self, linear: tuple[int, ...]) -> Differentiable:
+        back = self.cotangent(linear)
+        assert isinstance(back, Derived)
+        moving = back.program.depending(linear)
+        if any(i in moving for i in back.program.flat):
+            raise NotImplementedError(NOT_LINEAR)
+        return back
+
 
 #: A program that XLA runs; it may be part of a small call.
 _program_p = Primitive("scalar_program")
 #: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
 _native_p = Primitive("native_program")
 
+
+#: What JAX's transformations say of a function that they take for a linear one.
+NOT_LINEAR = (
+    "a compiled function cannot be transposed: it is not linear in the arguments that are asked for.\n"
+    "  fix: jax.vjp and jax.grad differentiate functions that are not linear"
+)
 
 #: No batch.
 _ONE = Bodies()
@@ -309,18 +331,23 @@ def _jvp(
 def _transpose(
     cotangents: Sequence[Any], *arguments: Any, program: Differentiable, bodies: Bodies, inside: bool
 ) -> list[Any]:
-    if program.origin is None:
-        raise NotImplementedError("only the derivative of a scalar program is linear")
-    origin, active = program.origin
-    count = len(arguments) - len(active)
-    given = [ad.instantiate_zeros(c) for c in cotangents]
-    linear = [k for k, a in enumerate(arguments[count:]) if ad.is_undefined_primal(a)]
-    back = origin.cotangent(tuple(active[k] for k in linear))
+    """The cotangents of the arguments that JAX asks for, in which the program is linear."""
+    linear = [k for k, a in enumerate(arguments) if ad.is_undefined_primal(a)]
+    # A tangent has the shape of its argument: what it transposes to is a derivative of the program it came from.
+    count = 0 if program.origin is None else len(arguments) - len(program.origin[1])
+    if program.origin is not None and min(linear) >= count:
+        origin, active = program.origin
+        back = origin.cotangent(tuple(active[k - count] for k in linear))
+        given = list(arguments[:count])
+    else:
+        back = program.transposed(tuple(linear))
+        given = [jnp.zeros(a.aval.shape, a.aval.dtype) if ad.is_undefined_primal(a) else a for a in arguments]
+    own = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < len(given)))
+    weights = [ad.instantiate_zeros(cotangents[k]) for k in program.real]
     result: list[Any] = [None] * len(arguments)
-    own = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < count))
-    for k, value in zip(linear, call_program(back, *arguments[:count], *given, bodies=own), strict=True):
-        every = range(bodies.depth if count + k in bodies.shared else 0)
-        result[count + k] = jnp.sum(value, every) if every else value
+    for k, value in zip(linear, call_program(back, *given, *weights, bodies=own), strict=True):
+        every = range(bodies.depth if k in bodies.shared else 0)
+        result[k] = jnp.sum(value, every) if every else value
     return result
 
 

@@ -19,6 +19,7 @@ from ...jax_inside import (
     Jaxpr,
     Literal,
     Unread,
+    all_equations,
     alone,
     inner_jaxprs,
     is_key,
@@ -303,7 +304,9 @@ def scalarize(
     avals = [v.aval for v in closed.jaxpr.invars]
     types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
     own = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
-    graph = Graph(own, checked, largest, limits)
+    # Of the operations on scalars the angle of a point tells zeros apart.
+    signed_zeros = any(eqn.primitive.name == "atan2" for eqn in all_equations(closed.jaxpr))
+    graph = Graph(own, checked, largest, limits, signed_zeros)
     inputs = tuple(
         nodes([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], a.shape) for k, a in enumerate(avals)
     )
@@ -325,7 +328,7 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     Args:
         limits: up to which size parts are unrolled; larger for emitters that cannot call a library.
     """
-    unrolled = program.calls or any(o.pair for i in program.live if (o := program.graph.operation(i)) is not None)
+    unrolled = program.calls or any(o.written for i in program.live if (o := program.graph.operation(i)) is not None)
     expanded = _rebuilt(program, set(), whole=False, limits=limits) if unrolled else program
     if program.graph.checked:
         return expanded
@@ -368,7 +371,7 @@ def _rebuilt(
         given: arguments that are no inputs any more -> nodes that stand for them, computed first.
     """
     old, given = program.graph, given or {}
-    new = Graph(old.dtype, old.checked, old.largest, limits)
+    new = Graph(old.dtype, old.checked, old.largest, limits, old.signed_zeros)
     inputs: list[Nodes] = []
     known: dict[int, int] = {}
     for own in (a for k, a in enumerate(program.inputs) if k not in given):
@@ -409,8 +412,8 @@ def _copy(
             arguments = [known[a] for a in old.arguments(i)]
             if operation is _DIV and old.arguments(i)[1] in shared:
                 known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
-            elif operation.pair is not None and not whole:
-                known[i] = functools.reduce(functools.partial(new.node, operation.pair), arguments)
+            elif operation.written is not None and not whole:
+                known[i] = operation.written(new)(*arguments)
             else:
                 known[i] = operation.on(new)(*arguments)
 

@@ -15,6 +15,7 @@ from ...jax_inside import Unread, all_equations, closed, expansion, say_once, sc
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
 from .entry import Entry, Nodes, each, flat, moving, nodes
 from .movement import INDEXING, MOVEMENT
+from .norms import NORM
 from .operations import OPERATIONS, on
 from .table_loads import TABLE_LOAD
 
@@ -142,6 +143,7 @@ _CONTROL = [
     moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
     # This package's own.
     TABLE_LOAD,
+    NORM,
     moving("scalar_program", _program, "program bodies inside", moves=False, work=_operations),
     Entry("native_program", _program, "program bodies inside", any_type=True, work=_operations),
 ]

@@ -1,0 +1,84 @@
+"""Cotangents on the graph, each a product that is not taken before it must."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from .graph import Graph
+
+
+class Cotangent(NamedTuple):
+    """weight rate, of which the rate takes the derivatives further back.
+
+    The cotangent of the divisor in p / r^3 is -(p / r^3) / r^3, which is zero in floating point at large r where its
+    product with 3 r^2 is not. Its weight is -p / r^3 c, its rate 1 / r^3: of the size of the relative change of r^3, as
+    is the rate of r, 3 r^2 / r^3.
+
+    Attributes:
+        weight: a node; it is zero where a branch that was not taken makes the cotangent zero.
+        rate: a node.
+    """
+
+    weight: int
+    rate: int
+
+    def through(self, g: Graph, slope: int | tuple[int, int]) -> Cotangent:
+        """That of an argument of an operation with this derivative."""
+        if isinstance(slope, tuple):
+            return Cotangent(g.scaled(g.mul(self.rate, slope[0]), self.weight), slope[1])
+        if self.rate == g.one:
+            return Cotangent(g.scaled(slope, self.weight), g.one)
+        return Cotangent(self.weight, g.mul(self.rate, slope))
+
+    def total(self, g: Graph) -> int:
+        """The product."""
+        return self.weight if self.rate == g.one else g.scaled(self.rate, self.weight)
+
+
+class Cotangents(Mapping[int, int]):
+    """The cotangents of nodes, sums of what each reader of a node gives it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        #: For each node the weights by their rates.
+        self._terms: dict[int, dict[int, int]] = {}
+
+    def add(self, node: int, term: Cotangent) -> None:
+        g = self._graph
+        if g.zero in term:
+            return
+        weights = self._terms.setdefault(node, {})
+        known = weights.get(term.rate)
+        weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)
+
+    def of(self, node: int) -> Cotangent:
+        """That of a node whose readers have all given theirs."""
+        g, weights = self._graph, self._terms[node]
+        rates: dict[int, int] = {}
+        for rate, weight in weights.items():
+            rates[weight] = g.add(rates[weight], rate) if weight in rates else rate
+        terms = [Cotangent(weight, rate) for weight, rate in rates.items()]
+        if len(terms) == 1:
+            return terms[0]
+        return Cotangent(_sum(g, (term.total(g) for term in terms)), g.one)
+
+    def __getitem__(self, node: int) -> int:
+        return self.of(node).total(self._graph)
+
+    def __contains__(self, node: object) -> bool:
+        return node in self._terms
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._terms)
+
+    def __len__(self) -> int:
+        return len(self._terms)
+
+
+def _sum(g: Graph, terms: Iterable[int]) -> int:
+    first, *others = terms
+    for term in others:
+        first = g.joined(first, term)
+    return first
