@@ -38,9 +38,9 @@ class MultipleShooting:
         return self.method.tableau
 
     @property
-    def closer(self) -> Method:
-        """A method of higher order, to measure errors with."""
-        return RKMK(DOP853)
+    def finer(self) -> MultipleShooting:
+        """A method of higher order in finer steps, to measure errors with."""
+        return MultipleShooting(RKMK(DOP853), 2 * self.substeps)
 
     @property
     def replaying(self) -> Method:
@@ -76,9 +76,9 @@ class Collocation:
         whole("substeps", self.substeps, 1, TrajectoryError)
 
     @property
-    def closer(self) -> Method:
-        """A method for the same systems, to measure errors with, in finer steps."""
-        return ImplicitRKMK(self.tableau)
+    def finer(self) -> Collocation:
+        """The same method in finer steps, to measure errors with."""
+        return Collocation(self.tableau, 2 * self.substeps)
 
     @property
     def replaying(self) -> Method:
