@@ -131,7 +131,7 @@ def _explained(result: Any) -> str:
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
     ]
     if result.accuracy is not None:
-        lines.append(_mesh(result.accuracy))
+        lines.append(_mesh(result.accuracy, result.status))
     try:
         lines += _rolled_out(result)
     except (TrajectoryError, IntegrationError) as error:
@@ -159,13 +159,12 @@ def _rolled_out(result: Any) -> list[str]:
     ]
 
 
-def _mesh(own: Accuracy) -> str:
+def _mesh(own: Accuracy, status: Status) -> str:
     """How far dynamics and nodes are apart, where most, and what to do where that is much."""
-    much = f"; the mesh is too coarse for this path: {_FINER}" if own.coarse else ""
-    return (
-        f"largest miss of an interval, in scales of the states: {own.error:.1e} {own.place}; a mesh without error "
-        f"changes the objective by about {own.change:.2g}{much}"
-    )
+    line = f"largest miss of an interval, in scales of the states: {own.error:.1e} {own.place}"
+    if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
+        line += f"; a mesh without error changes the objective by about {own.change:.2g}"
+    return line + (f"; the mesh is too coarse for this path: {_FINER}" if own.coarse else "")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,6 +12,9 @@ from ..integrators.tableaus import DOP853, RK4, CollocationTableau
 from .discretize import method_of
 from .interval import Collocated, Interval
 
+#: Steps of a close integration of an interval at least, for limits are looked at where they end; an even number.
+_LOOKS = 8
+
 
 @dataclasses.dataclass(frozen=True)
 class MultipleShooting:
@@ -40,7 +43,7 @@ class MultipleShooting:
     @property
     def finer(self) -> MultipleShooting:
         """A method of higher order in finer steps, to measure errors with."""
-        return MultipleShooting(RKMK(DOP853), 2 * self.substeps)
+        return MultipleShooting(RKMK(DOP853), max(2 * self.substeps, _LOOKS))
 
     @property
     def replaying(self) -> Method:
@@ -78,7 +81,7 @@ class Collocation:
     @property
     def finer(self) -> Collocation:
         """The same method in finer steps, to measure errors with."""
-        return Collocation(self.tableau, 2 * self.substeps)
+        return Collocation(self.tableau, max(2 * self.substeps, _LOOKS))
 
     @property
     def replaying(self) -> Method:

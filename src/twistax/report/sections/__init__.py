@@ -17,6 +17,7 @@ from . import (
     rivals,
     scalars,
     small,
+    statuses,
     steps,
     stiff,
     trust,
@@ -33,6 +34,7 @@ STABILITY: dict[str, Section] = {
     "jumps": edges.JUMPS,
     "inputs": edges.INPUTS,
     "failures": edges.FAILURES,
+    "statuses": statuses.STATUSES,
 }
 
 FIGURES: dict[str, Section] = {
