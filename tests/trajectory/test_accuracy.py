@@ -13,7 +13,7 @@ import twistax as tx
 from twistax.trajectory import Collocation, Held, Linear, Mesh, Phase, Problem, Spline, Status
 
 RATE = 50.0  # 1/s
-RADAU = Collocation(tx.tableaus.RADAU_IIA5)
+RADAU = Collocation(tx.tableaus.RADAU_IIA5, substeps=2)
 
 
 @functools.cache
@@ -48,8 +48,7 @@ def test_a_mesh_too_coarse_for_a_fast_rate_is_said() -> None:
         z = us[k] + start * np.exp(-RATE * h)
         x = xs["x"][k] + us[k] * h + start * (1.0 - np.exp(-RATE * h)) / RATE
         gap = np.abs([x - xs["x"][k + 1], z - xs["z"][k + 1]]) / sizes[k]
-        # DOP853 in four steps of 1.25 / rate is exact to a few ten thousandths.
-        assert misses[k] == pytest.approx(gap.max(), rel=1e-2, abs=1e-6)
+        assert misses[k] == pytest.approx(gap.max(), rel=1e-3, abs=1e-6)
 
 
 def test_a_method_for_stiff_rates_is_accurate_there() -> None:
@@ -105,16 +104,18 @@ def test_a_tolerance_of_the_mesh_is_as_asked() -> None:
     result = lagging().solve(mesh_tolerance=np.inf)
     assert result.status is Status.SOLVED
     assert "too coarse" not in result.explain()
-    assert result.accuracy is not None
-    fine = lagging(transcription=RADAU).solve()
-    assert fine.accuracy is not None
-    tight = lagging(transcription=RADAU).solve(mesh_tolerance=0.5 * fine.accuracy.error)
-    assert tight.status is Status.COARSE
     for size in (0.0, -1.0, "fine", np.nan):
         with pytest.raises(tx.TrajectoryError, match="mesh_tolerance"):
             lagging().solve(mesh_tolerance=size)
         with pytest.raises(tx.TrajectoryError, match="mesh_tolerance"):
             lagging().solve_many(initial={"x": np.ones(2), "z": np.zeros(2)}, mesh_tolerance=size)
+
+
+def test_a_tighter_mesh_is_asked_for() -> None:
+    fine = lagging(transcription=RADAU).solve()
+    assert fine.accuracy is not None
+    tight = lagging(transcription=RADAU).solve(mesh_tolerance=0.5 * fine.accuracy.error)
+    assert tight.status is Status.COARSE
 
 
 def test_many_cases_and_warm_starts_are_looked_at() -> None:
@@ -181,8 +182,8 @@ def test_limits_that_are_exceeded_between_nodes_are_named() -> None:
         tops.append(result.xs["x"][k] + result.xs["v"][k] * turn + 0.5 * u * turn**2 - 0.1)
     stage = int(np.argmax(tops))
     assert exceeded.place == f"between nodes {stage} and {stage + 1}"
-    # It is looked at in halves of an interval here.
-    assert exceeded.by == pytest.approx(max(tops), rel=0.3)
+    # It is looked at in eight steps.
+    assert exceeded.by == pytest.approx(max(tops), rel=0.3, abs=1e-9)
     assert f"Exceeded between nodes: 'ceiling' by {exceeded.by:.2g} {exceeded.place}" in result.message
     assert f"({exceeded.share / 1e-6:.2g} times the tolerance)" in result.message
     assert "Exceeded" not in below_a_ceiling().solve(between=1e-6).message
@@ -224,10 +225,10 @@ def test_a_row_without_slope_is_named() -> None:
 
 
 def test_a_solution_as_a_start_is_the_result() -> None:
-    problem = lagging(transcription=RADAU)
+    problem = lagging()
     result = problem.solve()
     again = problem.solve(warm=result)
-    assert (again.iterations, again.cost, again.status) == (0, result.cost, Status.SOLVED)
+    assert (again.iterations, again.cost, again.status) == (0, result.cost, result.status)
     np.testing.assert_array_equal(again.xs["x"], result.xs["x"])
     # What is asked now decides.
     assert problem.solve(warm=result, tolerance=1e-12).iterations > 0

@@ -1,7 +1,7 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
 from ..progress import Progress
-from .accuracy import Accuracy, Exceeded
+from .accuracy import Accuracy
 from .cases import PhasedResults, TrajectoryResults
 from .controls import Held, Linear, Rate, Spline
 from .discretize import Discretization, discretize
@@ -28,7 +28,6 @@ from .watch import Status
 
 __all__ = [
     "Accuracy",
-    "Exceeded",
     "IPOPT",
     "Collocation",
     "Discretization",

@@ -6,7 +6,7 @@ to first order,
 
     J + sum_k y_k . g_k + (cost along the close integration - cost as planned).
 
-Source: Becker and Rannacher, Acta Numerica 10 (2001), errors weighted by the dual solution.
+Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102, errors weighted by the dual solution.
 
 A row has a slope if a small move of all unknowns changes it by as much as its multiplier is worth. Its multiplier times
 that change, over the change of the objective, is of order one where it has.
@@ -59,13 +59,17 @@ class Accuracy:
     r"""How closely a result follows the differential equations, by a close integration of each interval.
 
     Interval k, integrated from its planned start, ends a tangent $g_k$ from its planned end. With costates $y_k$ the
-    objective of a finer mesh is $J + \sum_k y_k \cdot g_k$ to first order, and the error of the running cost.
+    objective of a mesh without error is $J + \sum_k y_k \cdot g_k + \Delta$ to first order, with $\Delta$ the error
+    of the running cost. Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102.
+
+    Example: `problem.solve().accuracy.error`.
 
     Attributes:
-        intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states.
-        change: by how much the objective would change on a finer mesh, to first order, in its unit.
+        intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, without unit.
+        change: by how much the objective would change on a mesh without error, to first order, in its unit.
         share: the size of that change over the objective, or over its scale where that is larger.
-        exceeded: name -> a limit that does not hold between nodes; those that are exceeded most first.
+        exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
+            and `place`; the largest share first.
         tolerance: the `mesh_tolerance` that was asked for.
         middles: of each phase, states by name (intervals, ...) halfway through the close integration.
         places: of each phase, what it is called in a message.
