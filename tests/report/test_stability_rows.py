@@ -7,7 +7,7 @@ from twistax.report.page import texts
 from twistax.report.sections import STABILITY
 
 #: Sections that take long to compile, beside the rows that take long to run.
-SLOW = ("stiff", "single", "jumps", "long")
+SLOW = ("stiff", "single", "jumps", "long", "statuses")
 CHECKS = [
     pytest.param(
         check,

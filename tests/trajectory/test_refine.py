@@ -49,7 +49,7 @@ def pendulum(**options: Any) -> Problem:
 def test_errors_are_those_of_an_independent_integration(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = pendulum(nodes=5, controls=Linear())
     coarse = problem.solve()
-    (errors,) = refine.interval_errors(coarse)
+    (errors,) = coarse.accuracy.intervals
     us, ts = coarse.us["u"], coarse.ts
     for k in range(4):
         slope = (us[k + 1] - us[k]) / (ts[k + 1] - ts[k])
@@ -65,7 +65,7 @@ def test_errors_are_those_of_an_independent_integration(monkeypatch: pytest.Monk
     result = problem.solve(refine=1e-3)
     assert result.solved
     assert result.meshes[0].error == pytest.approx(errors.max(), rel=1e-2)
-    assert np.max(refine.interval_errors(result)) <= 1e-3
+    assert result.accuracy.error <= 1e-3
     assert result.cost == pytest.approx(78.217, rel=1e-3)
     # A mesh that may not grow is said to be coarse.
     monkeypatch.setattr(refine, "_NODES", 6)

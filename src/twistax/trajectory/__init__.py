@@ -1,6 +1,7 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
 from ..progress import Progress
+from .accuracy import Accuracy
 from .cases import PhasedResults, TrajectoryResults
 from .controls import Held, Linear, Rate, Spline
 from .discretize import Discretization, discretize
@@ -26,6 +27,7 @@ from .warm import WarmStart
 from .watch import Status
 
 __all__ = [
+    "Accuracy",
     "IPOPT",
     "Collocation",
     "Discretization",

@@ -53,7 +53,7 @@ def held(
         scales = np.asarray(outcome.scales.rows)
         excess = [_excess(part, segment.of(outcome.point), own) for part, segment in parts]
         shares = [
-            over / part.shooting.path_scales(whole.rows_of(segment, scales))
+            over / part.shooting.row_scales(whole.rows_of(segment, scales)).min(axis=0)
             for over, (part, segment) in zip(excess, parts)
         ]
         if max(float(share.max(initial=0.0)) for share in shares) <= between:

@@ -11,19 +11,22 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import IntegrationError, TrajectoryError
+from .accuracy import Accuracy
 from .border import Border
 from .outcome import Outcome
 from .statement import largest_by_name
 from .transcribed import Transcribed
 from .warm import WarmStart
-from .watch import Status
+from .watch import AT_OPTIMUM, Status
 
 #: A scaled multiplier above this is one of an active constraint.
 _ACTIVE = 1e-5
 #: What is said of a solution that is no minimum.
 _SADDLE = ", at a saddle: the objective falls to second order from here, and no search beside it found better"
-#: An interval that misses its node by more, in scales of the states, says little of the path.
-_COARSE = 1e-2
+#: How many limits that do not hold between nodes are named.
+_NAMED = 3
+#: What makes a mesh finer.
+_FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocation(tx.tableaus.RADAU_IIA5)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +63,8 @@ class Found:
         multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
             in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
         active: names of the constraints that bind, those first that matter most to the objective.
+        accuracy: how closely it follows the differential equations, and which limits it exceeds between nodes; None
+            of a point that is not finite.
         status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
         iterations: steps of the solver in the try that gave this result.
         tries: one line (status, cost, violation, iterations) for every guess.
@@ -78,6 +83,7 @@ class Found:
     optimality: Optimality
     multipliers: dict[str, Array]
     active: tuple[str, ...]
+    accuracy: Accuracy | None
     status: Status
     message: str
     iterations: int
@@ -124,6 +130,8 @@ def _explained(result: Any) -> str:
         f"first-order conditions: {errors}",
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
     ]
+    if result.accuracy is not None:
+        lines.append(_mesh(result.accuracy, result.status))
     try:
         lines += _rolled_out(result)
     except (TrajectoryError, IntegrationError) as error:
@@ -147,22 +155,16 @@ def _rolled_out(result: Any) -> list[str]:
     broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
     return [
         f"misses of a finer rollout at the end: {missed}",
-        _mesh(result),
         "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
     ]
 
 
-def _mesh(result: Any) -> str:
+def _mesh(own: Accuracy, status: Status) -> str:
     """How far dynamics and nodes are apart, where most, and what to do where that is much."""
-    from .refine import interval_errors
-
-    errors = interval_errors(result)
-    phase = int(np.argmax([own.max() for own in errors]))
-    stage, largest = int(errors[phase].argmax()), float(errors[phase].max())
-    place = f"between nodes {stage} and {stage + 1}" + (f" of phase {phase}" if len(errors) > 1 else "")
-    coarse = result.status is not Status.INFEASIBLE and not largest <= _COARSE
-    much = "; the mesh is too coarse for this path: solve(refine=1e-4)" if coarse else ""
-    return f"largest miss of an interval, in scales of the states: {largest:.1e} {place}{much}"
+    line = f"largest miss of an interval, in scales of the states: {own.error:.1e} {own.place}"
+    if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
+        line += f"; a mesh without error changes the objective by about {own.change:.2g}"
+    return line + (f"; the mesh is too coarse for this path: {_FINER}" if own.coarse else "")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,13 +186,15 @@ class Tried:
 
     @property
     def best(self) -> Outcome:
-        """A solved one of least cost, else the one that violates least."""
+        """A solved one of least cost; else one on the least coarse mesh; else the one that violates least."""
 
         def rank(outcome: Outcome) -> tuple[int, float]:
-            order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE]
+            order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE]
+            if outcome.status is Status.COARSE and outcome.accuracy is not None:  # its cost may be a cheat
+                return order.index(outcome.status), outcome.accuracy.error
             if outcome.status in order:
                 return order.index(outcome.status), outcome.cost
-            return 2 + (outcome.status is Status.NON_FINITE), outcome.violation
+            return len(order) + (outcome.status is Status.NON_FINITE), outcome.violation
 
         return min(self.outcomes, key=rank)
 
@@ -213,6 +217,9 @@ class Tried:
             "violations": violations,
             "optimality": Optimality(*best.errors),
             "active": _active(problem.shooting, best),
+            "accuracy": None
+            if best.accuracy is None
+            else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
             "status": best.status,
             "message": _message(problem.shooting, best, violations, shown, self.tolerance),
             "iterations": best.iterations,
@@ -242,8 +249,8 @@ def _message(
 ) -> str:
     """The status, and where it is no success what does not hold: the worst constraint, the dynamics, the conditions."""
     worst, count = [], shooting.intervals * shooting.n
-    if outcome.status in (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE):
-        return f"{outcome.status}{_SADDLE if outcome.saddle else ''}."
+    if outcome.status in AT_OPTIMUM:
+        return " ".join([f"{outcome.status}{_SADDLE if outcome.saddle else ''}.", *_looked_at(outcome, tolerance)])
     rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
     if outcome.status is Status.NON_FINITE:
         return f"{outcome.status}. {_first_not_finite(shooting, outcome)}."
@@ -262,6 +269,33 @@ def _message(
         held = f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
         told += f"; in scales, stationarity is {errors.stationarity:.1e}, {held} and the gap {errors.gap:.1e}"
     return f"{outcome.status}. {told}."
+
+
+def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
+    """Sentences on a row without slope, on a mesh that is too coarse, and on limits between nodes."""
+    found, own = list[str](), outcome.accuracy
+    if outcome.flat is not None:
+        name, place, size = outcome.flat
+        found.append(
+            f"The multiplier of {name!r} {place} is {size:.1e} in scales: it has no slope there. "
+            "State it with a slope where it holds, as v == 0 in place of v**2 <= 0."
+        )
+    if own is None:
+        return found
+    if own.coarse:
+        found.append(
+            f"Integrated closely, the interval {own.place} misses its end by {own.error:.2g} in scales of the states, "
+            f"and the objective is off by about {own.share:.1g} of its size, where {own.tolerance:g} is allowed: "
+            f"{_FINER}."
+        )
+    if own.exceeded:
+        named = [
+            f"{name!r} by {it.by:.2g} {it.place} ({it.share / tolerance:.2g} times the tolerance)"
+            for name, it in own.exceeded.items()
+        ]
+        more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+        found.append(f"Exceeded between nodes: {'; '.join(named[:_NAMED])}{more}.")
+    return found
 
 
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:

@@ -122,9 +122,9 @@ class Interval:
 
     def _looked_at(self, slot: Slot, rolled: Rolled) -> tuple[jax.Array, jax.Array, Array]:
         """Shares and eta of points, the ends of substeps first, and weights of the cost there, of a unit interval."""
-        return self._ends(slot), rolled.ends, _simpson(self.substeps)
+        return self.ends(slot), rolled.ends, _simpson(self.substeps)
 
-    def _ends(self, slot: Slot) -> jax.Array:
+    def ends(self, slot: Slot) -> jax.Array:
         """Where the substeps end, the start first."""
         return slot.start + slot.width * jnp.linspace(0.0, 1.0, self.substeps + 1, dtype=slot.width.dtype)
 
@@ -278,7 +278,7 @@ class Collocated(Interval):
         return eta[None] + a @ slopes, slopes
 
     def _looked_at(self, slot: Slot, rolled: Rolled) -> tuple[jax.Array, jax.Array, Array]:
-        shares = jnp.concatenate([self._ends(slot), self._stage_shares(slot).reshape(-1)])
+        shares = jnp.concatenate([self.ends(slot), self._stage_shares(slot).reshape(-1)])
         etas = jnp.concatenate([rolled.ends, rolled.stages.reshape(-1, self._n)])
         weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(self._b / self.substeps, self.substeps)])
         return shares, etas, weights

@@ -26,7 +26,7 @@ from ..lowering.dynamics import Arrays
 from .shooting import Shooting
 from .smooth import Smooth
 from .statement import PathRows
-from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
+from .transcribed import Closely, Derivatives, Given, Point, Segment, Step, Transcribed, Values
 
 
 class Join:
@@ -122,19 +122,24 @@ class Joined(Transcribed):
 
     def _assemble(self) -> None:
         """Rows of the phases among all rows."""
-        limits = set(self.border.row_names)
 
         def named(part: Segment) -> Array:
-            phase = self._phases[part.number]
-            own = [name if name in limits or not name else f"{phase}: {name}" for name in part.shooting.names]
-            return np.array(own, object)
+            return np.array([self.named(part, name) for name in part.shooting.names], object)
 
         def placed(part: Segment) -> Array:
-            return np.array([f"{place} of {self._phases[part.number]!r}" for place in part.shooting.places], object)
+            return np.array([place + self.phase_places[part.number] for place in part.shooting.places], object)
 
         self.names, self.places = self._rows(named, ""), self._rows(placed, "")
         for field in ("equality", "exists", "decided", "pinned", "own"):
             setattr(self, field, self._rows(functools.partial(_of, field), False))
+
+    @property
+    def phase_places(self) -> list[str]:
+        return [f" of {phase!r}" for phase in self._phases]
+
+    def named(self, part: Segment, name: str) -> str:
+        shared = not name or name in self.border.row_names
+        return name if shared else f"{self._phases[part.number]}: {name}"
 
     def _rows(self, of: Callable[[Segment], Array], fill: Any) -> Array:
         inner = np.full((self.intervals, self.rows_per_interval), fill, object if fill == "" else type(fill))
@@ -212,6 +217,10 @@ class Joined(Transcribed):
             step = 0.0 if d is None else d[join.stage + 1, : len(gap)]
             defects = defects.at[join.stage, : len(gap)].set(gap - step)
         return Values(cost, defects, jnp.concatenate([rows.reshape(-1), end]))
+
+    def closely(self, point: Point, given: Given) -> tuple[Closely, ...]:
+        found = [part.shooting.closely(part.of(point), self._given(part, given)) for part in self.segments]
+        return tuple(own for (own,) in found)
 
     @staticmethod
     def _of(part: Segment, d: jax.Array | None) -> jax.Array | None:

@@ -46,6 +46,19 @@ class Layout:
         """Of the rows of an interval those of conditions at its first node."""
         return self.per_interval - len(self.asked)
 
+    def spread(self, of_rows: Array) -> Array:
+        """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
+        found = np.zeros((len(of_rows), self.per_interval))
+        found[:, : len(self.asked)] = of_rows[:, self.asked % self.path_rows]
+        return np.concatenate([found.ravel(), np.zeros(len(self.names) - found.size)])
+
+    def least(self, of_rows: Array, intervals: int, rows: int) -> Array:
+        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where it is not asked."""
+        found = np.full((intervals, rows), np.inf)
+        sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.asked)]
+        np.minimum.at(found, (slice(None), self.asked % self.path_rows), sizes)
+        return found
+
 
 def laid_out(
     tangents: list[str],

@@ -38,16 +38,16 @@ class Local:
     ) -> None:
         self._dynamics, self._path, self._objective, self._final = dynamics, path, objective, final
         self._running = norms.running
-        self._group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
+        self.group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
 
     def rate(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
-        x = self._group.retract(base, eta)
+        x = self.group.retract(base, eta)
         rates = self._dynamics._functions.as_written("rates", t, x, self.controls.split(u), params)
         parts = []
-        for name, factor in self._group.factors.items():
+        for name, factor in self.group.factors.items():
             rate = rates[name].reshape(-1)
             if not factor.flat:
-                rate = factor.right_jacobian_inv(eta[self._group.slices[name]]) @ rate
+                rate = factor.right_jacobian_inv(eta[self.group.slices[name]]) @ rate
             parts.append(rate)
         return jnp.concatenate(parts)
 
@@ -55,7 +55,7 @@ class Local:
         self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays
     ) -> tuple[jax.Array, jax.Array]:
         """The path rows at a point, and the running cost."""
-        x, held = self._group.retract(base, eta), self.controls.split(u)
+        x, held = self.group.retract(base, eta), self.controls.split(u)
         return self.rows(t, x, held, params), self._value(self._running, t, x, held, params)
 
     def rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
@@ -76,17 +76,17 @@ class Local:
 
     def gap(self, eta: jax.Array, base: Arrays, target: Arrays) -> jax.Array:
         """Log(target^-1 base Exp(eta))."""
-        return self._group.difference(target, self._group.retract(base, eta))
+        return self.group.difference(target, self.group.retract(base, eta))
 
     def end(
         self, t: jax.Array, eta: jax.Array, base: Arrays, target: Arrays, params: Arrays
     ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Of a final node: conditions, the difference from target, path rows (with zero controls), final cost."""
-        x = self._group.retract(base, eta)
+        x = self.group.retract(base, eta)
         none = self.controls.split(jnp.zeros(self.controls.dimension, eta.dtype))
         return (
             self._final.values(t, x, params),
-            self._group.difference(target, x),
+            self.group.difference(target, x),
             self.rows(t, x, none, params),
             self._value(self._objective.final, t, x, {}, params),
         )

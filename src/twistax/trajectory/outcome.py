@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -14,6 +14,9 @@ from .iterate import Errors, Scales, State
 from .stride import Reached
 from .transcribed import Point, Transcribed, Values
 from .watch import Status
+
+if TYPE_CHECKING:
+    from .accuracy import Accuracy, Flat
 
 #: Called with (iterations so far, objective, largest violation) before every step.
 Callback = Callable[[int, float, float], None]
@@ -35,6 +38,8 @@ class Outcome(NamedTuple):
     scales: Scales
     status: Status
     iterations: int
+    accuracy: Accuracy | None = None  # of the mesh; None before it is looked at, and of points that are not finite
+    flat: Flat | None = None  # a row without slope
     saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
 
     @property

@@ -15,16 +15,11 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..integrators.method import VectorField
-from ..precision import in_double
 from .layout import Layout
 from .mesh import Mesh, Remeshed
-from .replay import held_of
 from .result import Trajectory, trajectory_at
 from .transcribed import Point, Segment
 from .warm import WarmStart
@@ -61,46 +56,30 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
     """The result on meshes that are fine enough, or the last one with status COARSE; its `meshes` tell the history.
 
     Args:
-        first: the result on the mesh as stated; the refinement ends with it unless it is SOLVED.
+        first: the result on the mesh as stated; the refinement ends with it unless it is SOLVED or COARSE.
         solve: solves another problem from a warm start.
     """
     result, meshes, change = first, [], np.inf
     while True:
-        errors = interval_errors(result)
-        largest = float(np.concatenate(errors).max())
+        own = result.accuracy
+        largest = np.nan if own is None else own.error
         seconds = result.compile_seconds + result.solve_seconds
         parts = result.problem.parts
         count = sum(part.nodes for part in parts), max(part.transcription.substeps for part in parts)
         meshes.append(Meshed(*count, largest, result.cost, result.status, seconds))
-        if result.status is not Status.SOLVED:
+        if result.status not in (Status.SOLVED, Status.COARSE):
             return dataclasses.replace(result, meshes=tuple(meshes))
         size = max(abs(result.cost), 1e-6 * float(result.warm.scales.cost))
         rests = change <= tolerance * size
         if rests and largest <= tolerance:
             return dataclasses.replace(result, meshes=tuple(meshes))
-        finer = _finer(result, errors, tolerance, rests)
+        finer = _finer(result, own.intervals, tolerance, rests)
         if finer is None or len(meshes) >= _MESHES:
-            message = f"{Status.COARSE}."
+            message = f"{Status.COARSE}. It could not be refined to {tolerance:g}."
             return dataclasses.replace(result, status=Status.COARSE, message=message, meshes=tuple(meshes))
         before = result.cost
         result = solve(*finer)
         change = abs(result.cost - before)
-
-
-def interval_errors(result: Any) -> list[Array]:
-    """Of each phase (intervals,) how far each, integrated closely from its planned start, ends from its planned end.
-
-    In scales of the states, the largest over the tangents.
-    """
-    found, scales = [], np.asarray(result.warm.scales.d)
-    for trajectory, segment in zip(_trajectories(result), result.problem.shooting.segments):
-        group, ends = trajectory.problem.dynamics.group, _ends(trajectory)
-        with in_double():
-            planned = {name: a[1:] for name, a in _states(trajectory).items()}
-            gaps = np.asarray(jax.jit(jax.vmap(group.difference))(planned, ends))
-        own = scales[segment.nodes, : gaps.shape[1]]
-        found.append(np.asarray(np.abs(gaps / own[1:]).max(axis=1, initial=0.0)))
-    return found
 
 
 def _trajectories(result: Any) -> list[Trajectory]:
@@ -113,29 +92,6 @@ def _trajectories(result: Any) -> list[Trajectory]:
 def _states(trajectory: Trajectory) -> dict[str, Array]:
     """All states at the nodes."""
     return trajectory.xs | trajectory.added
-
-
-def _ends(trajectory: Trajectory, share: float = 1.0) -> dict[str, Array]:
-    """The states a share of each interval after its start, by a close integration."""
-    problem = trajectory.problem
-    dynamics, method = problem.dynamics, problem.transcription.closer
-    steps = 2 * problem.transcription.substeps
-    known = trajectory.params
-    params = {p.name: jnp.asarray(known[p.name]) for p in dynamics.parameters if p.name in known}
-    stored = method.stored(dynamics, params)
-
-    def one(interval: Any) -> Any:
-        x, u, t, h = interval
-        field = VectorField(dynamics, lambda _: u, params)
-        advance = lambda i, y: method.advance(field, t + i * h, y, h)  # noqa: E731
-        return stored.value(jax.lax.fori_loop(0, steps, advance, stored.enter(x)))
-
-    with in_double():
-        starts = {name: jnp.asarray(a)[:-1] for name, a in _states(trajectory).items()}
-        lengths = share * np.diff(trajectory.ts) / steps
-        held = jax.tree.map(jnp.asarray, held_of(trajectory))
-        found = jax.jit(lambda *own: jax.lax.map(one, own))(starts, held, jnp.asarray(trajectory.ts[:-1]), lengths)
-    return {name: np.asarray(a) for name, a in found.items()}
 
 
 def _finer(result: Any, errors: Sequence[Array], tolerance: float, rests: bool) -> tuple[Any, WarmStart] | None:
@@ -199,12 +155,12 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
     old, new = result.problem.shooting, problem.shooting
     split = np.zeros(old.intervals, bool)
     xs, rows, sizes = [], [], []
-    pairs = zip(old.segments, new.segments, _trajectories(result), splits, strict=True)
-    for before, after, trajectory, own in pairs:
+    pairs = zip(old.segments, new.segments, _trajectories(result), result.accuracy.middles, splits, strict=True)
+    for before, after, trajectory, middle, own in pairs:
         split[before.stages] = own
         states = _states(trajectory)
         if own.any():
-            middle, at = _ends(trajectory, 0.5), np.flatnonzero(own)
+            at = np.flatnonzero(own)
             states = {name: np.insert(a, at + 1, middle[name][at], axis=0) for name, a in states.items()}
         xs.append(states)
         moved = _Moved(before, after, own)

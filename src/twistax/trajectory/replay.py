@@ -52,6 +52,7 @@ class Replay:
 
 def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
     """The rollout of a trajectory; see `Trajectory.replay`."""
+    _need_finite(result)
     back = np.flatnonzero(np.diff(result.ts) < 0.0)
     if back.size:
         raise TrajectoryError(
@@ -61,6 +62,17 @@ def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: flo
     if isinstance(method, Method):
         return _judged(result, rolled_out(result, method, steps), steps)
     return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)
+
+
+def _need_finite(result: Trajectory) -> None:
+    """Raise TrajectoryError unless all of its states, controls and times are finite: nothing goes on from elsewhere."""
+    for name, values in {**result.xs, **result.added, **result.us, "the time": result.ts}.items():
+        wrong = np.flatnonzero(~np.isfinite(np.reshape(values, (len(values), -1))).all(axis=1))
+        if wrong.size:
+            raise TrajectoryError(
+                f"{name!r} is not finite at node {wrong[0]}, so nothing can be rolled out from there.\n"
+                "  fix: limits on states where the rates make sense, or another guess"
+            )
 
 
 def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:

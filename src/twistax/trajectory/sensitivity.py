@@ -25,6 +25,7 @@ from ..errors import InputError, TrajectoryError
 from ..jax_inside import is_in_last_thread, is_traced
 from ..precision import in_double
 from ..system import name_of
+from .accuracy import MESH
 from .interior_point import InteriorPoint, in_units
 from .iterate import Scales, State
 from .riccati import Factors, Rows, Stages, factorize, refined
@@ -86,7 +87,13 @@ class _Residuals(NamedTuple):
 
 
 def solution(
-    problem: Problem, *, guess: Any = None, warm: Any = None, tolerance: float = 1e-8, max_iterations: int = 500
+    problem: Problem,
+    *,
+    guess: Any = None,
+    warm: Any = None,
+    tolerance: float = 1e-8,
+    max_iterations: int = 500,
+    mesh_tolerance: float = MESH,
 ) -> Callable[..., Solution]:
     """The optimum as a function of parameters and ends that JAX differentiates.
 
@@ -99,7 +106,7 @@ def solution(
     active or inactive (strict complementarity), and where it is a strict minimum.
 
     Args:
-        guess, warm, max_iterations: as in `problem.solve`.
+        guess, warm, max_iterations, mesh_tolerance: as in `problem.solve`.
         tolerance: likewise; derivatives are no more exact than the solution.
 
     Raises:
@@ -112,7 +119,8 @@ def solution(
         )
     if len(getattr(problem, "parts", ())) != 1:
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
-    return _Differentiable(problem, {"guess": guess, "warm": warm, "max_iterations": max_iterations}, tolerance)
+    options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
+    return _Differentiable(problem, options, tolerance)
 
 
 class _Differentiable:

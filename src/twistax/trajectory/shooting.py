@@ -31,14 +31,15 @@ from ..system import entry_names
 from .border import Border
 from .conditions import Conditions, Ends
 from .cones import NormControls
-from .interval import Slot
+from .fine import Look
+from .interval import Interval, Slot
 from .layout import laid_out
 from .local import Local
 from .mesh import Mesh
 from .pinned import spanned, stirred
 from .smooth import Smooth
 from .statement import Objective, PathRows
-from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values, jitted
+from .transcribed import Closely, Derivatives, Given, Point, Segment, Step, Transcribed, Values, jitted
 from .transcription import Collocation, MultipleShooting
 
 
@@ -103,17 +104,10 @@ class Shooting(Transcribed):
         self.names, self.places, self.equality, self.own = layout.names, layout.places, layout.equality, layout.own
         self.exists, self.decided, self.pinned = layout.exists, layout.decided, np.zeros_like(layout.exists)
         self.rows_per_interval = layout.per_interval
-        self._interval = transcription.interval(
-            Smooth(self._rate_at, backend),
-            self._point,
-            self._gap,
-            transcription.tableau,
-            self.substeps,
-            n=self.n,
-            size=self.size,
-            asked=layout.asked,
-            rows=self._row_count,
-        )
+        self._rate = Smooth(self._rate_at, backend)
+        self._interval = self._interval_of(transcription, layout.asked)
+        finer = transcription.finer
+        self._finer = self._interval_of(finer, np.arange((finer.substeps + 1) * self._row_count))
         free_d = np.ones((self.nodes, self.n), bool)
         if phase == 0:
             free_d[0] = ~ends.initial_mask
@@ -122,6 +116,20 @@ class Shooting(Transcribed):
         self.stirred[-1, layout.fixed] = False
         whole = slice(0, self.nodes), slice(0, self.intervals), np.arange(self.n + self.m)
         self.segments, self.joins = [Segment(0, self, *whole, alone=True)], []
+
+    def _interval_of(self, transcription: MultipleShooting | Collocation, asked: Array) -> Interval:
+        """The maths of an interval, with these of the path rows at its points."""
+        return transcription.interval(
+            self._rate,
+            self._point,
+            self._gap,
+            transcription.tableau,
+            transcription.substeps,
+            n=self.n,
+            size=self.size,
+            asked=asked,
+            rows=self._row_count,
+        )
 
     def start_rows(self) -> list[tuple[int, int]]:
         """Of the path rows at the first node: where they are among all rows, and which they are."""
@@ -179,6 +187,13 @@ class Shooting(Transcribed):
     def defect(self, stage: int, column: int) -> str:
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
 
+    @property
+    def phase_places(self) -> list[str]:
+        return [""]
+
+    def named(self, part: Segment, name: str) -> str:
+        return name
+
     def whole_rows(self, parts: Sequence[Array]) -> Array:
         (found,) = parts
         return found
@@ -213,20 +228,21 @@ class Shooting(Transcribed):
         rows = jnp.concatenate([rows.reshape(-1), end[:-1]]) + given.margins
         return Values(jnp.sum(costs) + end[-1], defects, rows)
 
+    def closely(self, point: Point, given: Given) -> tuple[Closely, ...]:
+        params = given.params | self.border.params(point.border)
+        times = lambda slot: self.span(point.border)[0] + self.span(point.border)[1] * self._finer.ends(slot)  # noqa: E731
+        look = Look(self._finer, self.local, self.path, self._gap, times, given.params, params)
+        found = look.at(self._slots(point), *_sides(point.xs), point.us, point.border)
+        end = self._end(self._place(-1, jnp.zeros((1, self.n), point.us.dtype)), self._here(-1, point), given)
+        return (found._replace(cost=found.cost + end[-1]),)
+
     def spread_over_points(self, of_rows: Array) -> Array:
         """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
-        asked = self.layout.asked
-        found = np.zeros((self.intervals, self.rows_per_interval))
-        found[:, : len(asked)] = of_rows[:, asked % max(self._row_count, 1)]
-        return np.concatenate([found.ravel(), np.zeros(len(self.exists) - found.size)])
+        return self.layout.spread(of_rows)
 
-    def path_scales(self, rows: Array) -> Array:
-        """(path rows,) the least scale of every path row, infinite where it is asked nowhere; of the scales of rows."""
-        found, columns = np.full(self._row_count, np.inf), self.layout.asked % max(self._row_count, 1)
-        inner = (self.intervals, self.rows_per_interval)
-        sizes, exists = (a[: inner[0] * inner[1]].reshape(inner)[:, : len(columns)] for a in (rows, self.exists))
-        np.minimum.at(found, columns, np.where(exists, sizes, np.inf).min(axis=0, initial=np.inf))
-        return found
+    def row_scales(self, rows: Array) -> Array:
+        """(intervals, path rows) the least scale of every path row, of those of all; infinite where none asks it."""
+        return self.layout.least(np.where(self.exists, rows, np.inf), self.intervals, self._row_count)
 
     def advanced(self, number: jax.Array, base: Arrays, u: jax.Array, border: jax.Array, params: Arrays) -> Arrays:
         """The end of an interval, given its number, that starts at a node."""

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import durations, estimate, warm
-from .decisions import Memory, Opening, error
+from .decisions import RENEW, Memory, Opening, error
 from .interior_point import InteriorPoint, largest
 from .iterate import Scales
 from .iterate import State as Iterate
@@ -109,6 +109,24 @@ class Solver:
         if isinstance(start, WarmStart) or found.status not in _AT_REST or self._is_decided(found):
             return found
         return self._with_fixed_durations(found, start, given, max_iterations, callback)
+
+    def kept(self, start: Point | WarmStart, given: Given) -> Outcome | None:
+        """A warm start itself, where it is a minimum of what is asked now; None where it is none."""
+        if not isinstance(start, WarmStart) or start.as_solved is None:
+            return None
+        scales = start.scales
+        weights = start.dynamics * scales.d[1:] / scales.cost, start.rows * scales.rows / scales.cost
+        slopes, state = self.weighed(start.as_solved, given, scales, *weights)
+        opening = self.steps.opening(state, scales)
+        if Watch(self.tolerance, 1).at_once(opening) is not None:
+            return None
+        fresh, change, memory = self.steps.renewed(state, slopes, opening.memory)
+        if float(change) > RENEW:
+            state = self.rescaled(state, fresh, given)
+        if Watch(self.tolerance, 1).ended(seen(self.steps.signs(state, memory))) is not Status.SOLVED:
+            return None
+        found = outcome(self.shooting, state, Status.SOLVED, 0)._replace(iterations=0)
+        return None if self._falls(found, state, given) else found
 
     def _searches(self, start: Any, given: Given, reached: Reached | None = None) -> Search:
         """Runs from anywhere; from a start they go on from where it has come to, if it has."""

@@ -16,6 +16,7 @@ from ..checks import callable_with, number, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
 from ..walk import uncollected
+from .accuracy import MESH, Looks
 from .between import held
 from .border import Border
 from .cases import Cases, prepared
@@ -115,6 +116,7 @@ class Solvable(ABC, Generic[One, Many]):
     def built(self) -> None:
         """Forget what was compiled."""
         self._solvers: dict[float, Solver] = {}
+        self._looks = Looks(self.shooting)
 
     def solve(
         self,
@@ -135,6 +137,7 @@ class Solvable(ABC, Generic[One, Many]):
         solver: Any = None,
         between: float | None = None,
         refine: Any = None,
+        mesh_tolerance: float = MESH,
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
@@ -167,11 +170,15 @@ class Solvable(ABC, Generic[One, Many]):
             between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
                 tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
                 are asked.
+            mesh_tolerance: the largest error of the mesh that a SOLVED result has; beyond it the status is COARSE. Each
+                interval, integrated closely again from its planned start, ends within this of its planned end, in
+                scales of the states, and the objective is off by this share at most: see `result.accuracy`. An infinite
+                one takes any mesh, as a controller that solves again at every step may want it.
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Every mesh compiles. The status is COARSE where a thousand nodes are
-                not enough.
+                `result.meshes` has all of them. Every mesh compiles. The status is COARSE, too, where a thousand
+                nodes are not enough.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -189,6 +196,7 @@ class Solvable(ABC, Generic[One, Many]):
             tolerance = min(tolerance, CLOSER * refine)
         if between is not None:
             number("between", between, "above zero and below 1", lambda size: 0.0 < size < 1.0, TrajectoryError)
+        check_mesh_tolerance(mesh_tolerance)
         if seed is not None:
             whole("seed", seed, 0, TrajectoryError)
         if solver is not None and (isinstance(solver, type) or not isinstance(solver, SolvedBy)):
@@ -214,6 +222,9 @@ class Solvable(ABC, Generic[One, Many]):
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
+                kept = own_solver.kept(start, given)
+                if kept is not None:
+                    return kept
                 if solver is None:
                     return own_solver.run(start, given, max_iterations, report)
                 found: Outcome = solver.run(own_solver, start, given, max_iterations, report)
@@ -227,14 +238,15 @@ class Solvable(ABC, Generic[One, Many]):
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
                     found = held(self, found, given, own, run, between)
-                outcomes.append(found)
+                exceeded = tolerance if between is None else max(tolerance, between)
+                outcomes.append(self._looks.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
         result = self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
         if refine is None:
             return result
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
-        asked |= {"solver": solver, "callback": callback}
+        asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
@@ -258,6 +270,7 @@ class Solvable(ABC, Generic[One, Many]):
         free: Mapping[Any, Any] | None = None,
         max_iterations: int = 500,
         tolerance: float = 1e-6,
+        mesh_tolerance: float = MESH,
     ) -> Many:
         """Solve many cases at once, each as `solve` does, and no case at the cost of another.
 
@@ -272,6 +285,7 @@ class Solvable(ABC, Generic[One, Many]):
             TwistaxError: as `solve` does, with the number of the case.
         """
         check_options(max_iterations, tolerance)
+        check_mesh_tolerance(mesh_tolerance)
         given = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
         cases = Cases(self.axes(), {**given, "free": free})
         with in_double():
@@ -281,7 +295,9 @@ class Solvable(ABC, Generic[One, Many]):
             if self._is_bounded:
                 points = prepared(self, cases, lambda *own: self._sizes(solver, *own), (points, givens))[0]
             compiled = time.perf_counter()
-            outcomes = solve_all(solver, points, givens, max_iterations)
+            found = solve_all(solver, points, givens, max_iterations)
+            each = [jax.tree.map(lambda a, k=k: a[k], givens) for k in range(cases.count)]
+            outcomes = [self._looks.judged(o, own, mesh_tolerance, tolerance) for o, own in zip(found, each)]
             done = time.perf_counter()
         times = (compiled - begin) / cases.count, (done - compiled) / cases.count
         return self.results([Tried([o], params, float(tolerance), *times) for o, params in zip(outcomes, own)])
@@ -308,8 +324,15 @@ class Solvable(ABC, Generic[One, Many]):
                     self.shooting.drop_pinned(_moved_at_random(self.shooting, point), given)
                 solver = Solver(self.shooting, tolerance)
                 solver.steps.prepare(point, given)
+                if not self._solvers:
+                    self._looks.prepare(*solver.steps.shapes(point, given))
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
+
+
+def check_mesh_tolerance(size: Any) -> None:
+    """Raise TrajectoryError unless it makes sense."""
+    number("mesh_tolerance", size, "above zero", lambda own: own > 0.0, TrajectoryError)
 
 
 def check_options(max_iterations: Any, tolerance: Any) -> None:

@@ -17,7 +17,7 @@ from .decisions import CURVED, Decisions, Memory, Opening
 from .interior_point import InteriorPoint
 from .iterate import Scales, State
 from .stride import Orders, Stride, no_slopes, ordered, stride
-from .transcribed import Derivatives, Given, Point, Transcribed, jitted
+from .transcribed import Derivatives, Given, Point, Transcribed, Values, jitted
 
 #: Unknowns of a stage up to which steps run as one kernel: beyond, products of matrices take XLA's threads.
 _SMALL = 40
@@ -94,6 +94,11 @@ class Steps:
         self._parts = self._parts._replace(stride=found[0])
         apart = [functools.partial(self._first, self._parts), functools.partial(self._probed, self._parts)]
         self._opening, self._raised = found[1:] or apart
+
+    def shapes(self, point: Point, given: Given) -> tuple[Point, Given, Values, Scales]:
+        """Of what a run ends with."""
+        state = jax.eval_shape(self.start, point, given, self._unit)
+        return point, given, state.values, state.scales
 
     def opened(self, point: Point, given: Given) -> Opening:
         """The first state at a point, in scales that fit."""

@@ -74,6 +74,16 @@ class Derivatives(NamedTuple):
     end_hessian: Any  # (n + g, n + g)
 
 
+class Closely(NamedTuple):
+    """What a close integration of each interval of a phase, from its planned start, says."""
+
+    gaps: Any  # (intervals, n) how far its end is from the planned one, a tangent
+    rows: Any  # (intervals, path rows) the largest value along it; of equalities the largest size
+    shown: Any  # (intervals, shown rows) the same of the rows as users wrote them
+    cost: Any  # of the phase, its end included
+    middles: Any  # states halfway
+
+
 class Segment(NamedTuple):
     """A transcribed phase, and where its nodes, intervals, and [d, u, b] sit among those of the whole problem."""
 
@@ -165,6 +175,10 @@ class Transcribed(ABC):
         """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
 
     @abstractmethod
+    def closely(self, point: Point, given: Given) -> tuple[Closely, ...]:
+        """Of each phase, every interval integrated closely again from its planned start."""
+
+    @abstractmethod
     def derivatives(
         self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
     ) -> Derivatives:
@@ -173,6 +187,15 @@ class Transcribed(ABC):
     @abstractmethod
     def charts(self, xs: Any, d: jax.Array) -> jax.Array:
         """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
+
+    @property
+    @abstractmethod
+    def phase_places(self) -> list[str]:
+        """What follows the place of an interval in messages, of each phase."""
+
+    @abstractmethod
+    def named(self, part: Segment, name: str) -> str:
+        """The name of a row of a phase among those of all."""
 
     @abstractmethod
     def whole_rows(self, parts: Sequence[Array]) -> Array:

@@ -12,6 +12,9 @@ from ..integrators.tableaus import DOP853, RK4, CollocationTableau
 from .discretize import method_of
 from .interval import Collocated, Interval
 
+#: Steps of a close integration of an interval at least, for limits are looked at where they end; an even number.
+_LOOKS = 8
+
 
 @dataclasses.dataclass(frozen=True)
 class MultipleShooting:
@@ -38,9 +41,9 @@ class MultipleShooting:
         return self.method.tableau
 
     @property
-    def closer(self) -> Method:
-        """A method of higher order, to measure errors with."""
-        return RKMK(DOP853)
+    def finer(self) -> MultipleShooting:
+        """A method of higher order in finer steps, to measure errors with."""
+        return MultipleShooting(RKMK(DOP853), max(2 * self.substeps, _LOOKS))
 
     @property
     def replaying(self) -> Method:
@@ -76,9 +79,9 @@ class Collocation:
         whole("substeps", self.substeps, 1, TrajectoryError)
 
     @property
-    def closer(self) -> Method:
-        """A method for the same systems, to measure errors with, in finer steps."""
-        return ImplicitRKMK(self.tableau)
+    def finer(self) -> Collocation:
+        """The same method in finer steps, to measure errors with."""
+        return Collocation(self.tableau, max(2 * self.substeps, _LOOKS))
 
     @property
     def replaying(self) -> Method:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
@@ -33,6 +34,7 @@ class WarmStart:
         dynamics, rows: multipliers in the problem's units.
         scales: of unknowns, rows and objective.
         params: the parameters that it was solved for.
+        as_solved: its point before ends were put in, where the first node, times and parameters stay; else None.
     """
 
     problem: Solvable[Any, Any]
@@ -41,6 +43,7 @@ class WarmStart:
     rows: Array  # (rows,)
     scales: Scales
     params: dict[str, Array]
+    as_solved: Point | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
@@ -106,8 +109,15 @@ def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Gi
     expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
     if shapes != expected:
         raise other_problem()
-    border = np.clip(point.border, *np.asarray(given.limits).T)
-    return dataclasses.replace(warm, point=Point(problem.at_ends(point.xs, ends), point.us, border))
+    own = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(given.limits).T))
+    before, now = ((_first_node(p.xs), p.border, params) for p, params in ((point, warm.params), (own, given.params)))
+    stays = all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(before), jax.tree.leaves(now), strict=True))
+    return dataclasses.replace(warm, point=own, as_solved=point if stays else None)
+
+
+def _first_node(xs: Any) -> Any:
+    """The states of the first node, of the first phase."""
+    return {name: a[0] for name, a in (xs[0] if isinstance(xs, tuple) else xs).items()}
 
 
 def other_problem() -> TrajectoryError:

@@ -23,7 +23,10 @@ class Status(enum.Enum):
         "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
     )
     EXCEEDED = "the first-order conditions hold, but between nodes limits are exceeded by more than was asked for"
-    COARSE = "the first-order conditions hold, but the mesh could not be refined to what was asked for"
+    COARSE = "the first-order conditions hold on this mesh, but it is too coarse for the path"
+    DEGENERATE = (
+        "the constraints hold, but one of them has no slope where it binds, so the conditions of an optimum say nothing"
+    )
     INFEASIBLE = "no trajectory was found that meets every constraint"
     UNBOUNDED = (
         "the objective improves without end while the constraints hold; most often nothing limits what it pushes"
@@ -35,6 +38,10 @@ class Status(enum.Enum):
 
     def __str__(self) -> str:
         return f"{self.name}: {self.value}"
+
+
+#: Statuses of points where the first-order conditions hold on the mesh, some in numbers alone.
+AT_OPTIMUM = (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE)
 
 
 class Watch:

@@ -18,6 +18,7 @@ from . import (
     rivals,
     scalars,
     small,
+    statuses,
     steps,
     stiff,
     trust,
@@ -35,6 +36,7 @@ STABILITY: dict[str, Section] = {
     "inputs": edges.INPUTS,
     "failures": edges.FAILURES,
     "flight": flight_limits.FLIGHT,
+    "statuses": statuses.STATUSES,
 }
 
 FIGURES: dict[str, Section] = {

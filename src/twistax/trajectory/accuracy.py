@@ -1,0 +1,215 @@
+"""What is looked at once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
+
+Every interval is integrated closely again from its planned start, with the planned controls. It ends a tangent g_k away
+from the planned end. With y_k the multipliers of the dynamics, the objective J of a mesh that follows the equations is,
+to first order,
+
+    J + sum_k y_k . g_k + (cost along the close integration - cost as planned).
+
+Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102, errors weighted by the dual solution.
+
+A row has a slope if a small move of all unknowns changes it by as much as its multiplier is worth. Its multiplier times
+that change, over the change of the objective, is of order one where it has.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ..lowering.array_call import array_call
+from ..lowering.on_disk import compiled
+from .interior_point import in_units
+from .iterate import Scales
+from .outcome import Outcome
+from .transcribed import Closely, Given, Point, Step, Transcribed, Values, jitted
+from .watch import AT_OPTIMUM, Status
+
+#: The error of a mesh that SOLVED allows, unless another is asked for.
+MESH = 1e-2
+#: Multipliers beyond this, in scales of moves, are of rows without slope.
+_RUN_AWAY = 1e8
+#: How many moves of all unknowns there are, and how long they are in scales.
+_MOVES, _LENGTH = 2, 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Exceeded:
+    """A limit that does not hold between nodes.
+
+    Attributes:
+        by: how far it is exceeded, in its own unit.
+        share: the same in its scale; limits hold within `tolerance` of that at the nodes.
+        place: between which nodes.
+    """
+
+    by: float
+    share: float
+    place: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Accuracy:
+    r"""How closely a result follows the differential equations, by a close integration of each interval.
+
+    Interval k, integrated from its planned start, ends a tangent $g_k$ from its planned end. With costates $y_k$ the
+    objective of a mesh without error is $J + \sum_k y_k \cdot g_k + \Delta$ to first order, with $\Delta$ the error
+    of the running cost. Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102.
+
+    Example: `problem.solve().accuracy.error`.
+
+    Attributes:
+        intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, without unit.
+        change: by how much the objective would change on a mesh without error, to first order, in its unit.
+        share: the size of that change over the objective, or over its scale where that is larger.
+        exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
+            and `place`; the largest share first.
+        tolerance: the `mesh_tolerance` that was asked for.
+        middles: of each phase, states by name (intervals, ...) halfway through the close integration.
+        places: of each phase, what it is called in a message.
+    """
+
+    intervals: tuple[Array, ...]
+    change: float
+    share: float
+    exceeded: dict[str, Exceeded]
+    tolerance: float
+    middles: tuple[dict[str, Array], ...] = dataclasses.field(repr=False)
+    places: tuple[str, ...] = dataclasses.field(repr=False)
+
+    @property
+    def error(self) -> float:
+        """The largest of all intervals."""
+        return float(np.concatenate(self.intervals).max(initial=0.0))
+
+    @property
+    def place(self) -> str:
+        """Where that is."""
+        phase = int(np.argmax([own.max(initial=0.0) for own in self.intervals]))
+        stage = int(self.intervals[phase].argmax())
+        return f"between nodes {stage} and {stage + 1}{self.places[phase]}"
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the mesh is too coarse for what was asked."""
+        return not (self.error <= self.tolerance and self.share <= self.tolerance)
+
+
+class Flat(NamedTuple):
+    """A row without slope, and its multiplier in scales of moves."""
+
+    name: str
+    place: str
+    multiplier: float
+
+
+class _Look(NamedTuple):
+    """What is compiled: close integrations of all phases, and by how much small moves change rows and objective."""
+
+    phases: tuple[Closely, ...]
+    rows: Any
+    cost: Any
+
+
+class Looks:
+    """Looks at where searches end. What it needs compiles once, with the first solve of a problem."""
+
+    def __init__(self, shooting: Transcribed) -> None:
+        self._shooting = shooting
+        self._look: Callable[..., _Look] = jitted(lambda *own: array_call(self._of, *own))
+        rng = np.random.default_rng(0)
+        free = shooting.free._replace(d=shooting.stirred)
+        self._moves = [
+            Step(*(np.where(own, rng.choice([-1.0, 1.0], size=own.shape), 0.0) for own in free)) for _ in range(_MOVES)
+        ]
+
+    def prepare(self, point: Point, given: Given, values: Values, scales: Scales) -> None:
+        """Compile for arguments of these shapes."""
+        traced = self._look.trace(point, given, values, scales)  # type: ignore[attr-defined]
+        self._look = compiled(traced, traced.lower(), 1)
+
+    def _of(self, point: Point, given: Given, values: Values, scales: Scales) -> _Look:
+        rows, cost = jnp.zeros_like(values.rows), jnp.zeros_like(values.cost)
+        moves = jax.tree.map(lambda *own: jnp.asarray(np.stack(own), values.cost.dtype), *self._moves)
+
+        def moved(move: Step) -> tuple[jax.Array, jax.Array]:
+            step = in_units(move, scales, jnp.asarray(_LENGTH, values.cost.dtype))
+            there = self._shooting.values(self._shooting.move(point, step), given)
+            return jnp.abs(there.rows - values.rows), jnp.abs(there.cost - values.cost)
+
+        rows, cost = (jnp.where(jnp.isfinite(a), a, 0.0).max(axis=0) for a in jax.vmap(moved)(moves))
+        return _Look(self._shooting.closely(point, given), rows, cost)
+
+    def judged(self, outcome: Outcome, given: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
+        """The outcome with its accuracy, and with the status that this gives it.
+
+        Args:
+            mesh_tolerance: the largest error of the mesh of a status that says that the problem is solved.
+            tolerance: limits that are exceeded by more, in their scales, are named.
+        """
+        if outcome.status is Status.NON_FINITE or not _is_finite((outcome.point, outcome.values)):
+            return outcome
+        look = jax.tree.map(np.asarray, self._look(outcome.point, given, outcome.values, outcome.scales))
+        accuracy = self._accuracy(look, outcome, mesh_tolerance, tolerance)
+        outcome = outcome._replace(accuracy=accuracy, flat=self._flat(look, outcome))
+        if outcome.status not in AT_OPTIMUM:
+            return outcome
+        if outcome.flat is not None:
+            return outcome._replace(status=Status.DEGENERATE)
+        return outcome._replace(status=Status.COARSE) if accuracy.coarse else outcome
+
+    def _flat(self, look: _Look, outcome: Outcome) -> Flat | None:
+        """The row whose multiplier is largest, if that has run away."""
+        sizes = np.abs(outcome.rows) * look.rows
+        if not look.cost > 0.0 or not sizes.max(initial=0.0) > _RUN_AWAY * look.cost:
+            return None
+        row = int(sizes.argmax())
+        return Flat(str(self._shooting.names[row]), self._shooting.places[row], float(sizes[row] / look.cost))
+
+    def _accuracy(self, look: _Look, outcome: Outcome, mesh_tolerance: float, tolerance: float) -> Accuracy:
+        shooting, scales = self._shooting, outcome.scales
+        places = shooting.phase_places
+        intervals, change, exceeded = [], -outcome.cost, dict[str, Exceeded]()
+        for closely, segment, place in zip(look.phases, shooting.segments, places):
+            own = segment.shooting
+            sizes = np.asarray(scales.d)[segment.nodes, : own.n][1:]
+            intervals.append(np.abs(closely.gaps / sizes).max(axis=1, initial=0.0))
+            change += float(closely.cost + (outcome.dynamics[segment.stages, : own.n] * closely.gaps).sum())
+            rows = own.row_scales(shooting.rows_of(segment, np.asarray(scales.rows)))
+            shares = closely.rows / np.where(np.isinf(rows), rows.min(axis=0), rows)
+            for name, found in _exceeded(own, closely, shares, tolerance, place).items():
+                exceeded[shooting.named(segment, name)] = found
+        order = sorted(exceeded, key=lambda name: -exceeded[name].share)
+        size = max(abs(outcome.cost), float(scales.cost))
+        return Accuracy(
+            intervals=tuple(intervals),
+            change=change,
+            share=abs(change) / size,
+            exceeded={name: exceeded[name] for name in order},
+            tolerance=mesh_tolerance,
+            middles=tuple(closely.middles for closely in look.phases),
+            places=tuple(places),
+        )
+
+
+def _exceeded(own: Any, closely: Closely, shares: Array, tolerance: float, place: str) -> dict[str, Exceeded]:
+    """The limits of a phase that do not hold between nodes, each where it is exceeded most."""
+    found = dict[str, Exceeded]()
+    for row in np.flatnonzero(shares.max(axis=0, initial=0.0) > tolerance):
+        name, stage = own.path.names[row], int(shares[:, row].argmax())
+        share = float(shares[stage, row])
+        if name not in found or share > found[name].share:
+            as_written = [closely.shown[stage, k] for k, shown in enumerate(own.path.shown) if shown == name]
+            by = max(as_written, default=closely.rows[stage, row])
+            found[name] = Exceeded(float(by), share, f"between nodes {stage} and {stage + 1}{place}")
+    return found
+
+
+def _is_finite(tree: Any) -> bool:
+    return all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(tree))
